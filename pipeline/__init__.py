@@ -1,0 +1,1 @@
+"""What the stages compute with: plain functions on arrays."""

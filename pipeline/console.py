@@ -1,0 +1,50 @@
+"""Run a stage's ``main`` as a command: arguments by Typer, errors as one line, exit status."""
+
+import errno
+import os
+import sys
+from collections.abc import Callable
+
+import typer
+
+from pipeline.errors import InputError
+
+
+def run(main: Callable[..., object]) -> None:
+    """Parse the command line for `main` and call it.
+
+    An :class:`InputError` or a full disk ends the process with one line on stderr and status 1, Ctrl-C with 130.
+    Anything else is a bug and keeps its traceback.
+    """
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(main)
+    try:
+        app()
+    except InputError as error:
+        _stop(str(error))
+    except OSError as error:
+        # HDF5 reports a full disk only in its message.
+        if error.errno != errno.ENOSPC and "No space left" not in str(error):
+            raise
+        where = f" while writing {error.filename}" if error.filename else ""
+        _stop(f"no space left on device{where}. Free some and run the same command again: finished drives are kept.")
+    except KeyboardInterrupt:
+        _stop("interrupted: finished drives are kept, run the same command again to go on", status=130)
+
+
+def _stop(message: str, status: int = 1) -> None:
+    print(f"error: {' '.join(message.split())}", file=sys.stderr, flush=True)
+    sys.exit(status)
+
+
+def default_workers() -> int:
+    """Number of worker processes: ``STEER_WORKERS`` if set, else the cores this process may use.
+
+    Raises InputError if ``STEER_WORKERS`` is no positive whole number.
+    """
+    text = os.environ.get("STEER_WORKERS", "")
+    if not text:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not text.isdigit() or int(text) < 1:
+        raise InputError(f"STEER_WORKERS={text!r} is no positive whole number: set it to the number of processes to use")
+    return int(text)

@@ -1,0 +1,183 @@
+"""Run a function over drives: worker processes, progress, and resume after a kill.
+
+DVC deletes a stage's outputs before it runs the stage, so finished drives wait in ``data/.resume/<stage>/`` under a
+key that hashes all that determines them; they are moved into the stage's folder when every drive is done.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from pipeline import code
+from pipeline.console import default_workers
+from pipeline.errors import InputError
+from pipeline.store import write_json
+
+Summary = dict[str, Any]
+Work = Callable[[str, Path], Summary]
+"""``work(drive, path)`` writes the drive's file (or folder) to `path` in one step and returns what the log says of it."""
+
+
+def run_over_drives(
+    work: Work,
+    drives: Sequence[str],
+    *,
+    module: str,
+    out: Path,
+    inputs: Callable[[str], Sequence[Path]],
+    settings: Mapping[str, Any],
+    workers: int | None = None,
+    name: str | None = None,
+    target: Callable[[str], Path] | None = None,
+    describe: Callable[[Summary], str] = str,
+) -> dict[str, Summary]:
+    """Call ``work(drive, path)`` for each of `drives`, in parallel, and leave each drive's file in `out`.
+
+    Args:
+        work: a picklable function (``functools.partial`` of a module-level one).
+        module: dotted name of the stage's module; its code is part of the resume key.
+        out: the stage's folder, for instance ``data/clouds/pseudo``.
+        inputs: drive → the files that it is made from; their contents are part of the key.
+        settings: JSON-able parameters that determine the files; part of the key.
+        workers: processes; None means :func:`pipeline.console.default_workers`. Never changes a result.
+        name: folder below ``.resume`` beside `out`; default the name of `out`.
+        target: drive → where its file or folder ends up; default ``out/<drive>.h5``.
+        describe: one drive's summary → what the log prints of it.
+
+    Returns: drive → summary, in the order of `drives`.
+
+    Raises the first error of a worker after the drives in progress are done; what is finished is kept for the next run.
+    """
+    kept = out.parent / ".resume" / (name or out.name)
+    kept.mkdir(parents=True, exist_ok=True)
+    common = json.dumps(settings, sort_keys=True) + code.fingerprint(module)
+    target = target or (lambda drive: out / f"{drive}.h5")
+    paths = {drive: kept / (_key(common, drive, inputs(drive)) + target(drive).suffix) for drive in drives}
+    todo = [drive for drive in drives if not paths[drive].exists() or not _sidecar(paths[drive]).is_file()]
+    if len(todo) < len(drives):
+        print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
+    _run(work, {drive: paths[drive] for drive in todo}, workers or default_workers(), describe)
+
+    out.mkdir(parents=True, exist_ok=True)
+    summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
+    for drive, path in paths.items():
+        target(drive).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(path, target(drive))
+    shutil.rmtree(kept)
+    return summaries
+
+
+def _run(work: Work, paths: Mapping[str, Path], workers: int, describe: Callable[[Summary], str]) -> None:
+    bar = tqdm(total=len(paths), unit="drive", disable=not sys.stderr.isatty())
+    failure: Exception | None = None
+
+    def finish(drive: str, summary: Summary, seconds: float) -> None:
+        write_json(_sidecar(paths[drive]), summary)
+        megabytes = _size(paths[drive]) / 1e6
+        bar.update()
+        tqdm.write(f"{drive}: {describe(summary)}, {megabytes:.1f} MB, {seconds:.1f} s", file=sys.stdout)
+        sys.stdout.flush()
+
+    workers = min(workers, len(paths))
+    if workers <= 1:
+        for drive, path in paths.items():
+            finish(drive, *_timed(work, drive, path))
+        bar.close()
+        return
+    # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
+    threads = str(max(1, default_workers() // workers))
+    with _environment(OMP_NUM_THREADS=threads), ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_limit_threads, initargs=(int(threads),)
+    ) as pool:  # fmt: skip
+        jobs: dict[Future[tuple[Summary, float]], str] = {
+            pool.submit(_timed, work, drive, path): drive for drive, path in paths.items()
+        }
+        for job in as_completed(jobs):
+            try:
+                finish(jobs[job], *job.result())
+            except BrokenProcessPool as error:
+                failure = failure or InputError(
+                    f"a worker process died (out of memory?) at or near {jobs[job]}: "
+                    "use fewer workers (STEER_WORKERS=1) or run the command again; finished drives are kept"
+                )
+                failure.__cause__ = error
+            except Exception as error:  # whatever it is, the other drives' work is worth keeping; raised below
+                failure = failure or error
+            if failure:
+                pool.shutdown(wait=False, cancel_futures=True)
+                # Cancelled jobs would raise CancelledError from result(): stop listening to those.
+                jobs_left = [other for other in jobs if not other.cancelled() and not other.done()]
+                for other in as_completed(jobs_left):
+                    if not other.exception():
+                        finish(jobs[other], *other.result())
+                break
+    bar.close()
+    if failure:
+        raise failure
+
+
+def _timed(work: Work, drive: str, path: Path) -> tuple[Summary, float]:
+    start = time.perf_counter()
+    summary = work(drive, path)
+    return summary, time.perf_counter() - start
+
+
+def _limit_threads(threads: int) -> None:
+    """Keep a worker's libraries from using every core each."""
+    import cv2
+
+    cv2.setNumThreads(threads)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(threads)
+
+
+class _environment:
+    """Environment variables for the children started inside the block."""
+
+    def __init__(self, **variables: str) -> None:
+        self._new = variables
+
+    def __enter__(self) -> None:
+        self._old = {name: os.environ.get(name) for name in self._new}
+        os.environ.update(self._new)
+
+    def __exit__(self, *_: object) -> None:
+        for name, value in self._old.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _sidecar(path: Path) -> Path:
+    return path.with_suffix(".json")
+
+
+def _size(path: Path) -> int:
+    return sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size
+
+
+def _key(common: str, drive: str, inputs: Sequence[Path]) -> str:
+    digest = hashlib.sha256(f"{drive}\0{common}\0".encode())
+    for path in inputs:
+        digest.update(file_hash(path).encode())
+    return digest.hexdigest()[:32]
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file's contents, as hex. Raises InputError if it is missing."""
+    if not path.is_file():
+        raise InputError(f"{path} is missing. dvc repro makes what a stage needs; dvc pull brings it from another machine")
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,19 @@
+"""The one exception that a user is meant to read."""
+
+
+class InputError(ValueError):
+    """Something outside the program is wrong: a file, a parameter, a machine.
+
+    The message is one line: what is wrong, where, and what to do about it. :func:`pipeline.console.run`
+    prints it without a traceback and exits with status 1.
+    """
+
+
+def closest(name: str, known: list[str]) -> str:
+    """Return a clause for an error message that lists what `name` may have meant (all of `known` if nothing is close)."""
+    import difflib
+
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    if near:
+        return f"did you mean {' or '.join(near)}?"
+    return f"known: {', '.join(known) if known else 'none'}"

@@ -1,0 +1,65 @@
+"""The pinhole camera and back: K, K⁻¹ (paper eq. 6), rigid transforms.
+
+Frames: camera = rectified, x right, y down, z forward; velodyne = x forward, y left, z up. ``T_a_b`` takes points from
+frame b to frame a. Pixel (u, v) = (column, row); integer coordinates are pixel centres, as in KITTI's calibration.
+"""
+
+import numpy as np
+
+
+def scale_K(K: np.ndarray, size: tuple[int, int], new_size: tuple[int, int]) -> np.ndarray:
+    """Return the intrinsics [3,3] of an image resized from `size` (H, W) to `new_size`.
+
+    Resizing maps the left edge -0.5 to -0.5, so centres move: ``u' = s (u + 0.5) - 0.5``.
+    """
+    sy, sx = new_size[0] / size[0], new_size[1] / size[1]
+    scaled = K.astype(np.float64).copy()
+    scaled[0] *= sx
+    scaled[1] *= sy
+    scaled[0, 2] = sx * (K[0, 2] + 0.5) - 0.5
+    scaled[1, 2] = sy * (K[1, 2] + 0.5) - 0.5
+    return scaled
+
+
+def rays(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return K⁻¹[u,v,1]ᵀ for each pixel, float64 [H,W,3]; the third component is 1."""
+    v, u = np.mgrid[: size[0], : size[1]].astype(np.float64)
+    return np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(K).T
+
+
+def back_project(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Return the camera-frame point of each pixel, [H,W,3] metres (paper eq. 6).
+
+    `depth_m` [H,W] is the distance along the optical axis (z), in metres.
+    """
+    return depth_m[..., None] * rays(K, (depth_m.shape[0], depth_m.shape[1]))
+
+
+def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixels (u, v) [N,2] and depths z [N] of camera-frame points [N,3]. Points with z ≤ 0 get NaN pixels."""
+    homogeneous = xyz @ K.T
+    z = homogeneous[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        uv = np.where(z[:, None] > 0, homogeneous[:, :2] / z[:, None], np.nan)
+    return uv, z
+
+
+def transform(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    """Apply the rigid transform `T` [4,4] to points [N,3]."""
+    return xyz @ T[:3, :3].T + T[:3, 3]
+
+
+def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the depth [H,W] in metres of the nearest point in each pixel, 0 where there is none.
+
+    `xyz` [N,3] in the camera frame. This is KITTI's own way to make sparse depth from a scan.
+    """
+    uv, z = project(xyz, K)
+    front = z > 0
+    pixel = np.rint(uv[front]).astype(np.int64)
+    z = z[front]
+    inside = (pixel >= 0).all(axis=1) & (pixel[:, 0] < size[1]) & (pixel[:, 1] < size[0])
+    pixel, z = pixel[inside], z[inside]
+    depth = np.full(size, np.inf)
+    np.minimum.at(depth, (pixel[:, 1], pixel[:, 0]), z)
+    return np.where(np.isinf(depth), 0.0, depth)

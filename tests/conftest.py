@@ -1,0 +1,20 @@
+"""Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is non-commercial)."""
+
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def real_kitti() -> Path:
+    """A few real KITTI drives in KITTI's layout; the test is skipped where they are absent."""
+    return _shared("kitti")
+
+
+def _shared(name: str) -> Path:
+    path = SHARED / name
+    if not path.is_dir():
+        pytest.skip(f"real data is absent: ../shared/{name} does not lie beside the checkout")
+    return path

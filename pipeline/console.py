@@ -46,5 +46,5 @@ def default_workers() -> int:
     if not text:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if not text.isdigit() or int(text) < 1:
-        raise InputError(f"STEER_WORKERS={text!r} is no positive whole number: set it to the number of processes to use")
+        raise InputError(f"STEER_WORKERS={text!r} is no positive whole number: set it to a number of processes")
     return int(text)

@@ -26,7 +26,7 @@ from pipeline.store import write_json
 
 Summary = dict[str, Any]
 Work = Callable[[str, Path], Summary]
-"""``work(drive, path)`` writes the drive's file (or folder) to `path` in one step and returns what the log says of it."""
+"""``work(drive, path)`` writes the drive's file or folder to `path` in one step and returns what the log says."""
 
 
 def run_over_drives(
@@ -38,7 +38,7 @@ def run_over_drives(
     inputs: Callable[[str], Sequence[Path]],
     settings: Mapping[str, Any],
     workers: int | None = None,
-    name: str | None = None,
+    resume: Path | None = None,
     target: Callable[[str], Path] | None = None,
     describe: Callable[[Summary], str] = str,
 ) -> dict[str, Summary]:
@@ -51,7 +51,7 @@ def run_over_drives(
         inputs: drive → the files that it is made from; their contents are part of the key.
         settings: JSON-able parameters that determine the files; part of the key.
         workers: processes; None means :func:`pipeline.console.default_workers`. Never changes a result.
-        name: folder below ``.resume`` beside `out`; default the name of `out`.
+        resume: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
         target: drive → where its file or folder ends up; default ``out/<drive>.h5``.
         describe: one drive's summary → what the log prints of it.
 
@@ -59,7 +59,7 @@ def run_over_drives(
 
     Raises the first error of a worker after the drives in progress are done; what is finished is kept for the next run.
     """
-    kept = out.parent / ".resume" / (name or out.name)
+    kept = resume or out.parent / ".resume" / out.name
     kept.mkdir(parents=True, exist_ok=True)
     common = json.dumps(settings, sort_keys=True) + code.fingerprint(module)
     target = target or (lambda drive: out / f"{drive}.h5")
@@ -73,7 +73,7 @@ def run_over_drives(
     summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
     for drive, path in paths.items():
         target(drive).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(path, target(drive))
+        path.replace(target(drive))
     shutil.rmtree(kept)
     return summaries
 
@@ -97,7 +97,7 @@ def _run(work: Work, paths: Mapping[str, Path], workers: int, describe: Callable
         return
     # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
     threads = str(max(1, default_workers() // workers))
-    with _environment(OMP_NUM_THREADS=threads), ProcessPoolExecutor(
+    with _Environment(OMP_NUM_THREADS=threads), ProcessPoolExecutor(
         workers, mp_context=multiprocessing.get_context("spawn"), initializer=_limit_threads, initargs=(int(threads),)
     ) as pool:  # fmt: skip
         jobs: dict[Future[tuple[Summary, float]], str] = {
@@ -142,7 +142,7 @@ def _limit_threads(threads: int) -> None:
         sys.modules["torch"].set_num_threads(threads)
 
 
-class _environment:
+class _Environment:
     """Environment variables for the children started inside the block."""
 
     def __init__(self, **variables: str) -> None:
@@ -178,6 +178,6 @@ def _key(common: str, drive: str, inputs: Sequence[Path]) -> str:
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file's contents, as hex. Raises InputError if it is missing."""
     if not path.is_file():
-        raise InputError(f"{path} is missing. dvc repro makes what a stage needs; dvc pull brings it from another machine")
+        raise InputError(f"{path} is missing: dvc repro makes it, dvc pull brings it from another machine")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

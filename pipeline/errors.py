@@ -9,8 +9,12 @@ class InputError(ValueError):
     """
 
 
+class DamagedFile(InputError):
+    """One frame's file cannot be read. ``ingest.on_damaged`` decides whether that ends the stage."""
+
+
 def closest(name: str, known: list[str]) -> str:
-    """Return a clause for an error message that lists what `name` may have meant (all of `known` if nothing is close)."""
+    """Return a clause for an error message: what of `known` the user may have meant by `name`."""
     import difflib
 
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)

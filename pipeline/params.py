@@ -5,7 +5,7 @@ Units stand in names or descriptions; a value out of range, an unknown key or a 
 """
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -173,22 +173,23 @@ class Evaluate(Section):
     seed: int
 
 
+S = TypeVar("S", bound=Section)
+
 SECTIONS: dict[str, type[Section]] = {
-    section.key: section
-    for section in (Town, Ingest, Labels, Encoder, Perception, Clouds, Train, Evaluate)
+    section.key: section for section in (Town, Ingest, Labels, Encoder, Perception, Clouds, Train, Evaluate)
 }
 MAPPINGS: dict[str, type[Section]] = {"graphs": Variant, "models": Model}
 
 
-def load[S: Section](section: type[S], path: Path) -> S:
+def load(section: type[S], path: Path) -> S:
     """Read one section of the params file at `path`. Raises InputError as the module says."""
     content = _read(path)
     if section.key not in content:
-        raise InputError(f"{path} has no section {section.key!r}: take it from the params.yaml that this project comes with")
+        raise InputError(f"{path} has no section {section.key!r}: take it from the project's own params.yaml")
     return _parse(section, content[section.key], path, section.key)
 
 
-def load_entry[S: Section](kind: type[S], mapping: str, name: str, path: Path) -> S:
+def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises InputError."""
     content = _read(path)
     entries = content.get(mapping)
@@ -208,7 +209,7 @@ def names(mapping: str, path: Path) -> list[str]:
 
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise InputError(f"{path} is missing: run from the repository's root, or restore it with: git checkout {path.name}")
+        raise InputError(f"{path} is missing: run from the repository's root, or: git checkout {path.name}")
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
@@ -222,7 +223,7 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
-def _parse[S: Section](kind: type[S], value: Any, path: Path, where: str) -> S:
+def _parse(kind: type[S], value: Any, path: Path, where: str) -> S:
     try:
         return kind.model_validate(value)
     except ValidationError as error:
@@ -232,5 +233,5 @@ def _parse[S: Section](kind: type[S], value: Any, path: Path, where: str) -> S:
             known = list(kind.model_fields)
             raise InputError(f"{path}: unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
         if first["type"] == "missing":
-            raise InputError(f"{path}: {key} is missing: it has no default, take it from the params.yaml of the project") from error
+            raise InputError(f"{path}: {key} is missing: take it from the project's own params.yaml") from error
         raise InputError(f"{path}: {key} = {first['input']!r}: {first['msg'].removeprefix('Value error, ')}") from error

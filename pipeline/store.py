@@ -10,8 +10,8 @@ renamed when complete.
 """
 
 import json
-import os
 from collections.abc import Iterable, Mapping
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -23,6 +23,7 @@ from pipeline.errors import InputError
 
 SCHEMA = 1
 _CHUNK_ROWS = 8192  # of ragged data
+_MISSING = "{path} is missing. Make it: dvc repro {stage}. Bring it from another machine: dvc pull {stage}"
 
 
 class DriveWriter:
@@ -50,7 +51,7 @@ class DriveWriter:
         self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
 
     def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
-        """Add `rows` [n, ...] at the end of dataset `name`, made on first use with the rows' dtype and trailing shape."""
+        """Add `rows` [n, ...] at the end of dataset `name`, which the first call makes with their dtype and shape."""
         rows = np.asarray(rows)
         if name not in self._file:
             # An image is a chunk of its own, so that one frame can be read alone; points share chunks.
@@ -68,14 +69,16 @@ class DriveWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         try:
             if kind is None:
                 for name, value in self.attrs.items():
                     self._file.attrs[name] = value
             self._file.close()
             if kind is None:
-                os.replace(self._tmp, self.path)
+                self._tmp.replace(self.path)
         finally:
             self._tmp.unlink(missing_ok=True)
 
@@ -88,7 +91,7 @@ class DriveReader:
 
     def __init__(self, path: Path, *, stage: str) -> None:
         if not path.is_file():
-            raise InputError(f"{path} is missing. Make it: dvc repro {stage}. Have it from another machine: dvc pull {stage}")
+            raise InputError(_MISSING.format(path=path, stage=stage))
         try:
             self._file = h5py.File(path, "r")
         except OSError as error:
@@ -104,12 +107,12 @@ class DriveReader:
             )
         self.drive = str(self.attrs["drive"])
 
-    @property
+    @cached_property
     def frame(self) -> np.ndarray:
         """KITTI frame numbers, int32 [F], ascending."""
         return self["frame"]
 
-    @property
+    @cached_property
     def time_s(self) -> np.ndarray:
         """Seconds since the drive's first oxts row, float64 [F]."""
         return self["time_s"]
@@ -124,6 +127,10 @@ class DriveReader:
     def rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return ``dataset[start:stop]`` without reading the rest."""
         return self.dataset(name)[start:stop]
+
+    def row(self, name: str, index: int) -> np.ndarray:
+        """Return ``dataset[index]`` without reading the rest."""
+        return self.dataset(name)[index]
 
     def shape(self, name: str) -> tuple[int, ...]:
         return self.dataset(name).shape
@@ -146,13 +153,13 @@ def write_json(path: Path, content: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     tmp = path.with_name(path.name + ".tmp")
     tmp.write_text(json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(tmp, path)
+    tmp.replace(path)
 
 
 def read_json(path: Path, *, stage: str) -> Any:
     """Read JSON written by `stage`. Raises InputError if it is missing or no JSON."""
     if not path.is_file():
-        raise InputError(f"{path} is missing. Make it: dvc repro {stage}. Have it from another machine: dvc pull {stage}")
+        raise InputError(_MISSING.format(path=path, stage=stage))
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:

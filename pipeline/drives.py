@@ -35,7 +35,7 @@ def run_over_drives(
     *,
     module: str,
     out: Path,
-    inputs: Callable[[str], Sequence[Path]],
+    inputs: Callable[[str], Sequence[Path | str]],
     settings: Mapping[str, Any],
     workers: int | None = None,
     resume: Path | None = None,
@@ -48,7 +48,7 @@ def run_over_drives(
         work: a picklable function (``functools.partial`` of a module-level one).
         module: dotted name of the stage's module; its code is part of the resume key.
         out: the stage's folder, for instance ``data/clouds/pseudo``.
-        inputs: drive → the files that it is made from; their contents are part of the key.
+        inputs: drive → what it is made from: files, whose contents are part of the key, or strings that stand for some.
         settings: JSON-able parameters that determine the files; part of the key.
         workers: processes; None means :func:`pipeline.console.default_workers`. Never changes a result.
         resume: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
@@ -168,10 +168,10 @@ def _size(path: Path) -> int:
     return sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size
 
 
-def _key(common: str, drive: str, inputs: Sequence[Path]) -> str:
+def _key(common: str, drive: str, inputs: Sequence[Path | str]) -> str:
     digest = hashlib.sha256(f"{drive}\0{common}\0".encode())
-    for path in inputs:
-        digest.update(file_hash(path).encode())
+    for item in inputs:
+        digest.update((item if isinstance(item, str) else file_hash(item)).encode() + b"\0")
     return digest.hexdigest()[:32]
 
 

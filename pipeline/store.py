@@ -66,6 +66,18 @@ class DriveWriter:
         dataset.resize(start + len(rows), axis=0)
         dataset[start:] = rows
 
+    def blank(self, name: str, shape: tuple[int, ...], dtype: type, unit: str = "", value: int = 0) -> None:
+        """Make a dataset [F, ...] full of `value`, for :meth:`fill`. Frames that are never filled take no space."""
+        dataset = self._file.create_dataset(
+            name, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
+            chunks=(1, *shape[1:]), compression="gzip", compression_opts=1, shuffle=True,
+        )  # fmt: skip
+        dataset.attrs["unit"] = unit
+
+    def fill(self, name: str, index: int, array: np.ndarray) -> None:
+        """Write one frame of a dataset made by :meth:`blank`."""
+        self._file[name][index] = array
+
     def __enter__(self) -> Self:
         return self
 

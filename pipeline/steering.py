@@ -1,0 +1,98 @@
+"""The steering label (paper section 4.1), how plausible a drive's labels are, and the path that steering leads along.
+
+Signs: yaw rate and steering angle are positive to the left. ``v`` is oxts' forward speed ``vf``, parallel to the
+earth's surface, and the yaw rate is its match ``wu``.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+Standstill = Literal["invalid", "raw", "zero"]
+# Forward speed at standstill dips to -0.15 m/s in KITTI, so what is slower than this really rolls backwards.
+REVERSING_MPS = -0.5
+# Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Where it says more, heading or GNSS velocity are wrong,
+# and the label with them: 2011_09_26_drive_0093 "moves" at up to 14 m/s to the left and then backwards at 11 m/s.
+SIDEWAYS_MPS = 1.0
+
+
+def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float) -> np.ndarray:
+    """Return atan(L ψ̇ / v) [F] in rad, the front wheel's angle in the bicycle model; 0 where both are 0.
+
+    In reverse both v and ψ̇ change sign, so the formula gives the wheel's angle there as well: left stays positive.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        angle = np.arctan(wheelbase_m * yaw_rate_radps / speed_mps)
+    return np.where((speed_mps == 0) & (yaw_rate_radps == 0), 0.0, angle)
+
+
+def label(
+    yaw_rate_radps: np.ndarray,
+    speed_mps: np.ndarray,
+    *,
+    wheelbase_m: float,
+    min_speed_mps: float,
+    standstill: Standstill,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``steering_rad`` float64 [F] and ``valid`` bool [F].
+
+    Below `min_speed_mps`, in either direction, the formula divides noise by noise, up to ±π/2. `standstill` says what
+    such frames are: ``invalid`` (the formula's value, not to be used), ``raw`` (the same, valid: the paper's literal
+    formula) or ``zero`` (0, valid).
+    """
+    steering_rad = steering_angle(yaw_rate_radps, speed_mps, wheelbase_m)
+    slow = np.abs(speed_mps) < min_speed_mps
+    if standstill == "zero":
+        steering_rad = np.where(slow, 0.0, steering_rad)
+    return steering_rad, ~slow if standstill == "invalid" else np.ones_like(slow)
+
+
+def plausibility(
+    steering_rad: np.ndarray,
+    valid: np.ndarray,
+    speed_mps: np.ndarray,
+    sideways_mps: np.ndarray,
+    time_s: np.ndarray,
+) -> dict[str, float | int | None]:
+    """Return what a person should look at before trusting a drive's labels; None where there is nothing to average.
+
+    ``zero_mse_rad2`` is the error of always predicting 0. ``dt_std_s`` is the jitter of the time between frames.
+    """
+    angle = np.abs(steering_rad[valid])
+    dt = np.diff(time_s)
+    return {
+        "frames": len(steering_rad),
+        "valid_share": float(valid.mean()) if len(valid) else None,
+        "mean_abs_steering_rad": float(angle.mean()) if len(angle) else None,
+        "max_abs_steering_rad": float(angle.max()) if len(angle) else None,
+        "zero_mse_rad2": float((angle**2).mean()) if len(angle) else None,
+        "reversing_frames": int((speed_mps < REVERSING_MPS).sum()),
+        "sideways_frames": int((np.abs(sideways_mps) > SIDEWAYS_MPS).sum()),
+        "dt_mean_s": float(dt.mean()) if len(dt) else None,
+        "dt_std_s": float(dt.std()) if len(dt) else None,
+        "dt_max_s": float(dt.max()) if len(dt) else None,
+    }
+
+
+def path(
+    steering_rad: np.ndarray,
+    speed_mps: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    wheelbase_m: float,
+    model: Literal["bicycle", "paper"] = "bicycle",
+) -> np.ndarray:
+    """Return the car's positions [F,2] in metres: x ahead and y to the left of where it starts.
+
+    ``bicycle`` integrates the heading, ψ ← ψ + v/L tan Θ dt. ``paper`` is the paper's formula as printed, which takes
+    the steering angle itself for the heading: [x, y] ← [x, y] + v dt [cos Θ, sin Θ].
+    """
+    dt = np.diff(time_s)
+    steering_rad, speed_mps = steering_rad[:-1], speed_mps[:-1]
+    if model == "bicycle":
+        turned = speed_mps / wheelbase_m * np.tan(steering_rad) * dt
+        heading = np.cumsum(turned) - turned / 2  # halfway through the step: the direction of the arc's chord
+    else:
+        heading = steering_rad
+    steps = (speed_mps * dt)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])

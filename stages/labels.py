@@ -1,0 +1,82 @@
+"""Steering labels from oxts, and a summary of how plausible they are."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline import console, steering, store
+from pipeline.drives import run_over_drives
+from pipeline.oxts import VF, VL, WU
+from pipeline.params import Labels, load
+
+
+def main(
+    ingest: Path = Path("data/ingest"),
+    out: Path = Path("data/labels"),
+    params: Path = Path("params.yaml"),
+    workers: int | None = None,
+) -> None:
+    """Compute the steering angle of each frame (paper section 4.1) and say which frames have a usable one."""
+    settings = load(Labels, params)
+    splits = store.read_index(ingest, stage="ingest")
+    summaries = run_over_drives(
+        partial(label, ingest=ingest, settings=settings),
+        list(splits),
+        module="stages.labels",
+        out=out,
+        inputs=lambda drive: [ingest / f"{drive}.h5"],
+        settings=settings.model_dump(),
+        workers=workers,
+        describe=describe,
+    )
+    store.write_json(out / "summary.json", summaries)
+    store.write_index(out, splits)
+    suspect = [drive for drive, summary in summaries.items() if summary["sideways_frames"]]
+    if suspect:
+        print(f"labels in doubt, oxts says that the car slides sideways: {', '.join(suspect)}")
+
+
+def label(drive: str, path: Path, ingest: Path, settings: Labels) -> dict[str, Any]:
+    """Write one drive's labels and return their plausibility summary."""
+    with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
+        frame, time_s, oxts = raw.frame, raw.time_s, raw["oxts"]
+    speed, yaw_rate = oxts[:, VF], oxts[:, WU]
+    steering_rad, valid = steering.label(
+        yaw_rate,
+        speed,
+        wheelbase_m=settings.wheelbase_m,
+        min_speed_mps=settings.min_speed_mps,
+        standstill=settings.standstill,
+    )
+    with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
+        file.put("frame", frame)
+        file.put("time_s", time_s, "s")
+        file.put("steering_rad", steering_rad, "rad, left positive")
+        file.put("valid", valid.astype(np.uint8))
+        file.put("speed_mps", speed, "m/s")
+        file.put("yaw_rate_radps", yaw_rate, "rad/s, left positive")
+        file.put("curvature_1pm", np.tan(steering_rad) / settings.wheelbase_m, "1/m, left positive")
+    return steering.plausibility(steering_rad, valid, speed, oxts[:, VL], time_s)
+
+
+def describe(summary: Mapping[str, Any]) -> str:
+    """Return what the log says of one drive."""
+    text = "{frames} frames, {valid_share:.0%} valid".format_map(summary)
+    if summary["valid_share"]:
+        text += (
+            ", |steering| mean {mean_abs_steering_rad:.4f} max {max_abs_steering_rad:.3f} rad, "
+            "zero-MSE {zero_mse_rad2:.5f} rad²"
+        ).format_map(summary)
+    for kind in ("reversing", "sideways"):
+        if summary[f"{kind}_frames"]:
+            text += f", {summary[f'{kind}_frames']} {kind}"
+    if summary["frames"] > 1:
+        text += ", dt {dt_mean_s:.4f} ± {dt_std_s:.4f} s".format_map(summary)
+    return text
+
+
+if __name__ == "__main__":
+    console.run(main)

@@ -1,0 +1,91 @@
+"""The paper's figure: a spatial network on each frame, a recurrent one over the frames."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from models.frames import GraphBatch
+from models.gcn import GCNLayer
+from models.graph_network import GraphNetwork
+from models.ltc import LTC
+from models.recurrent import LSTM, RecurrentCell
+from models.wiring import ncp
+
+Line = dict[str, Any]  # a model's line of params.yaml
+
+SPATIAL: dict[str, Callable[[Line], nn.Module]] = {
+    "gnn": lambda line: GraphNetwork(GCNLayer, line["layers"], line["features"], line["semantics"]),
+}
+TEMPORAL: dict[str, Callable[[Line], RecurrentCell]] = {
+    "ncp": lambda line: LTC(ncp(line["features"], **line["wiring"])),
+    "lstm": lambda line: LSTM(line["features"], line["units"]),
+}
+
+
+class SteeringNet(nn.Module):
+    """Steering from windows of frames. Letters: B frames, W windows of T frames, F features."""
+
+    def __init__(self, spatial: nn.Module, temporal: RecurrentCell) -> None:
+        super().__init__()
+        self.spatial = spatial
+        self.temporal = temporal
+
+    def encode(self, batch: GraphBatch) -> Tensor:
+        """Return what the spatial network sees in each frame, [B,F]."""
+        features: Tensor = self.spatial(batch)
+        return features
+
+    def forward(self, batch: GraphBatch, windows: Tensor, dt_s: Tensor) -> Tensor:
+        """Predict the (standardised) steering at each window's last frame.
+
+        Windows may overlap: each frame is encoded once, however many windows hold it.
+
+        Args:
+            batch: B frames.
+            windows: int64 [W,T], which frames of the batch a window holds, oldest first.
+            dt_s: [W,T] seconds since the frame before.
+        Returns:
+            [W]
+        """
+        features = self.encode(batch)  # [B,F]
+        with torch.autocast(features.device.type, enabled=False):  # a tiny part of the work, and an ODE
+            dtype = next(self.temporal.parameters()).dtype
+            sensed = self.temporal.sense(features.to(dtype))  # [B,S]
+            out, _ = self.temporal(sensed[windows], dt_s.to(dtype))  # [W,T,1]
+        return out[:, -1, 0]
+
+
+def build(line: Line) -> SteeringNet:
+    """Build the network of a model's line of params.yaml, with new weights from torch's random state.
+
+    Args:
+        line: `spatial`, `temporal`, `features`, and what the two need: `layers` and `semantics`; `units` or `wiring`.
+    Raises:
+        ValueError: an unknown network (lists the known ones), a semantics out of [0,1], an impossible wiring.
+    """
+    parts: list[tuple[str, list[str]]] = [("spatial", list(SPATIAL)), ("temporal", list(TEMPORAL))]
+    for part, known in parts:
+        if line[part] not in known:
+            raise ValueError(f"{part}: {line[part]!r} is no network of this project: choose {' | '.join(known)}")
+    return SteeringNet(SPATIAL[line["spatial"]](line), TEMPORAL[line["temporal"]](line))
+
+
+def parameter_count(model: nn.Module) -> int:
+    """Return how many numbers training may change."""
+    return sum(parameter.numel() for parameter in model.parameters() if parameter.requires_grad)
+
+
+def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
+    """Return the network's output [W] for a batch of arrays: those of GraphBatch, `windows` [W,T] and `dt_s` [W,T]."""
+    device = next(net.parameters()).device
+    windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
+    output: Tensor = net(GraphBatch.of_arrays(arrays).to(device), windows, dt_s)
+    return output
+
+
+def encode(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
+    """Return the spatial features [B,F] of a batch of arrays."""
+    return net.encode(GraphBatch.of_arrays(arrays).to(next(net.parameters()).device))

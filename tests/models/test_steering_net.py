@@ -1,0 +1,92 @@
+import dataclasses
+
+import pytest
+import torch
+
+from models.frames import GraphBatch
+from models.steering_net import SPATIAL, TEMPORAL, build, parameter_count
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
+
+
+def select(batch: GraphBatch, frames: list[int]) -> GraphBatch:
+    """The batch of these frames, in this order, built by hand."""
+    edge_ptr = torch.cat([torch.zeros(1, dtype=torch.int64), batch.degree.long().cumsum(0)])[batch.ptr]
+    pieces, start = [], 0
+    for frame in frames:
+        rows = slice(batch.ptr[frame], batch.ptr[frame + 1])
+        indices = batch.indices[edge_ptr[frame] : edge_ptr[frame + 1]] - batch.ptr[frame] + start
+        pieces.append((batch.xyz[rows], batch.cls[rows], batch.degree[rows], indices))
+        start += len(pieces[-1][0])
+    xyz, cls, degree, indices = (torch.cat(column) for column in zip(*pieces, strict=True))
+    return GraphBatch(xyz, cls, torch.tensor([0, *(len(piece[0]) for piece in pieces)]).cumsum(0), degree, indices)
+
+
+@pytest.mark.parametrize("temporal", sorted(TEMPORAL))
+@pytest.mark.parametrize("spatial", sorted(SPATIAL))
+def test_shared_frames_equal_naive_windows(make_batch, line, spatial, temporal):
+    torch.manual_seed(0)
+    net = build({**line, "spatial": spatial, "temporal": temporal}).double()
+    batch = make_batch([9, 12, 7, 9, 0, 20])
+    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
+
+    def loss_and_gradients(predictions):
+        loss = (predictions - torch.arange(3)).square().mean()
+        return loss, torch.autograd.grad(loss, list(net.parameters()))
+
+    shared = net(batch, WINDOWS, dt_s)
+    own = torch.arange(4)[None]
+    naive = torch.cat([net(select(batch, window.tolist()), own, dt_s[w : w + 1]) for w, window in enumerate(WINDOWS)])
+    assert shared.shape == (3,)
+    torch.testing.assert_close(shared, naive, **TOLERANCE)
+    loss, gradients = loss_and_gradients(shared)
+    torch.testing.assert_close((loss, gradients), loss_and_gradients(naive), **TOLERANCE)
+    assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+
+
+def test_same_seed_same_network(line):
+    weights = []
+    for _ in range(2):
+        torch.manual_seed(5)
+        weights.append(build(line).state_dict())
+    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
+
+
+def test_only_the_last_frames_prediction_is_returned(make_batch, line):
+    net = build(line).double()
+    batch = make_batch([10, 10])
+    dt_s = torch.full((1, 1), 0.1, dtype=torch.float64)
+    moved = dataclasses.replace(batch, xyz=torch.cat([batch.xyz[:10], batch.xyz[10:] + 5]))
+    first, last = torch.tensor([[0]]), torch.tensor([[1]])
+    assert torch.equal(net(batch, first, dt_s), net(moved, first, dt_s))
+    assert not torch.equal(net(batch, last, dt_s), net(moved, last, dt_s))
+
+
+def test_mixed_precision_keeps_the_recursion_exact(make_batch, line):
+    net = build(line)
+    batch, dt_s = make_batch([12, 12, 12]), torch.full((1, 3), 0.1)
+    windows = torch.tensor([[0, 1, 2]])
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        mixed = net(batch, windows, dt_s)
+    assert mixed.dtype == torch.float32
+    torch.testing.assert_close(mixed, net(batch, windows, dt_s), rtol=0, atol=0.1)
+
+
+@pytest.mark.parametrize(("part", "known"), [("spatial", "gnn"), ("temporal", "ncp | lstm")])
+def test_unknown_network_lists_the_known(line, part, known):
+    with pytest.raises(ValueError, match=rf"{part}: 'gru' is no network .*{known}".replace("|", r"\|")):
+        build({**line, part: "gru"})
+
+
+@pytest.mark.parametrize("wiring", [{"motor_fanin": 6}, {"sensory_fanout": 9}])
+def test_impossible_wiring_is_named(line, wiring):
+    with pytest.raises(ValueError, match=f"wiring: {next(iter(wiring))}"):
+        build({**line, "wiring": {**line["wiring"], **wiring}})
+
+
+def test_parameter_count_of_the_default_line(line):
+    line |= {"layers": [32, 32, 64], "features": 32, "units": 32, "wiring": {}}
+    spatial = (25 + 1) * 32 + (32 + 1) * 32 + (32 + 1) * 64 + (128 + 1) * 32
+    assert parameter_count(build(line)) == spatial + 4 * (32 * 6 + 60) + 3 * 19 + 2 * 32 + 2
+    assert parameter_count(build({**line, "temporal": "lstm"})) == spatial + 4 * 32 * (32 + 32 + 2) + 33

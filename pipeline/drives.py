@@ -10,9 +10,10 @@ import multiprocessing
 import os
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ from pipeline.store import write_json
 Summary = dict[str, Any]
 Work = Callable[[str, Path], Summary]
 """``work(drive, path)`` writes the drive's file or folder to `path` in one step and returns what the log says."""
+_BROKEN = (
+    "a worker process died (out of memory?) at or near {drive}: use fewer workers (STEER_WORKERS=1) "
+    "or run the command again; finished drives are kept"
+)
 
 
 def run_over_drives(
@@ -61,9 +66,11 @@ def run_over_drives(
     """
     kept = resume or out.parent / ".resume" / out.name
     kept.mkdir(parents=True, exist_ok=True)
-    common = json.dumps(settings, sort_keys=True) + code.fingerprint(module)
     target = target or (lambda drive: out / f"{drive}.h5")
-    paths = {drive: kept / (_key(common, drive, inputs(drive)) + target(drive).suffix) for drive in drives}
+    paths = {
+        drive: kept / (resume_key(module, {"drive": drive, **settings}, inputs(drive)) + target(drive).suffix)
+        for drive in drives
+    }
     todo = [drive for drive in drives if not paths[drive].exists() or not _sidecar(paths[drive]).is_file()]
     if len(todo) < len(drives):
         print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
@@ -80,7 +87,6 @@ def run_over_drives(
 
 def _run(work: Work, paths: Mapping[str, Path], workers: int, describe: Callable[[Summary], str]) -> None:
     bar = tqdm(total=len(paths), unit="drive", disable=not sys.stderr.isatty())
-    failure: Exception | None = None
 
     def finish(drive: str, summary: Summary, seconds: float) -> None:
         write_json(_sidecar(paths[drive]), summary)
@@ -96,35 +102,31 @@ def _run(work: Work, paths: Mapping[str, Path], workers: int, describe: Callable
         bar.close()
         return
     # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
-    threads = str(max(1, default_workers() // workers))
-    with _Environment(OMP_NUM_THREADS=threads), ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_limit_threads, initargs=(int(threads),)
+    threads = max(1, default_workers() // workers)
+    failures: list[Exception] = []
+    with _Environment(OMP_NUM_THREADS=str(threads)), ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(threads,)
     ) as pool:  # fmt: skip
-        jobs: dict[Future[tuple[Summary, float]], str] = {
-            pool.submit(_timed, work, drive, path): drive for drive, path in paths.items()
-        }
-        for job in as_completed(jobs):
-            try:
-                finish(jobs[job], *job.result())
-            except BrokenProcessPool as error:
-                failure = failure or InputError(
-                    f"a worker process died (out of memory?) at or near {jobs[job]}: "
-                    "use fewer workers (STEER_WORKERS=1) or run the command again; finished drives are kept"
-                )
-                failure.__cause__ = error
-            except Exception as error:  # whatever it is, the other drives' work is worth keeping; raised below
-                failure = failure or error
-            if failure:
-                pool.shutdown(wait=False, cancel_futures=True)
-                # Cancelled jobs would raise CancelledError from result(): stop listening to those.
-                jobs_left = [other for other in jobs if not other.cancelled() and not other.done()]
-                for other in as_completed(jobs_left):
-                    if not other.exception():
-                        finish(jobs[other], *other.result())
-                break
+        jobs = {pool.submit(_timed, work, drive, path): drive for drive, path in paths.items()}
+        pending = set(jobs)
+        try:
+            while pending:
+                done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                for job in done:
+                    try:
+                        finish(jobs[job], *job.result())
+                    except BrokenProcessPool:
+                        failures.append(InputError(_BROKEN.format(drive=jobs[job])))
+                    except Exception as error:  # whatever it is, the other drives' work is worth keeping
+                        failures.append(error)
+                if failures:
+                    pending = {job for job in pending if not job.cancel()}
+        finally:  # after Ctrl-C too: leaving the pool waits for what is not cancelled
+            for job in jobs:
+                job.cancel()
     bar.close()
-    if failure:
-        raise failure
+    if failures:
+        raise failures[0]
 
 
 def _timed(work: Work, drive: str, path: Path) -> tuple[Summary, float]:
@@ -133,13 +135,21 @@ def _timed(work: Work, drive: str, path: Path) -> tuple[Summary, float]:
     return summary, time.perf_counter() - start
 
 
-def _limit_threads(threads: int) -> None:
-    """Keep a worker's libraries from using every core each."""
+def _start_worker(threads: int) -> None:
+    """Keep a worker's libraries from using every core each, and the worker from outliving a killed stage."""
     import cv2
 
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
     cv2.setNumThreads(threads)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(threads)
+
+
+def _exit_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 class _Environment:
@@ -168,8 +178,15 @@ def _size(path: Path) -> int:
     return sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size
 
 
-def _key(common: str, drive: str, inputs: Sequence[Path | str]) -> str:
-    digest = hashlib.sha256(f"{drive}\0{common}\0".encode())
+def resume_key(module: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
+    """Return a hash of all that determines a result: a module's code, parameters, input files.
+
+    Args:
+        module: dotted name; the code of all it imports counts.
+        settings: JSON-able.
+        inputs: files, whose contents count, or strings that stand for some.
+    """
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + code.fingerprint(module).encode())
     for item in inputs:
         digest.update((item if isinstance(item, str) else file_hash(item)).encode() + b"\0")
     return digest.hexdigest()[:32]

@@ -12,7 +12,7 @@ COLUMNS = (
     "wx", "wy", "wz", "wf", "wl", "wu", "pos_accuracy", "vel_accuracy", "navstat", "numsats", "posmode", "velmode",
     "orimode",
 )  # fmt: skip
-# Speeds in m/s parallel to the earth's surface, forward and to the left; yaw rate in rad/s about the upward axis, left +.
+# Speeds forward and to the left, m/s, parallel to the earth's surface; yaw rate about the upward axis, rad/s, left +.
 VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
 
 

@@ -21,7 +21,7 @@ def read_png(path: Path) -> np.ndarray:
     content = path.read_bytes()
     _check(content, path)
     pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if pixels is None or pixels.ndim == 3 and pixels.shape[2] != 3:
+    if pixels is None or (pixels.ndim == 3 and pixels.shape[2] != 3):
         raise DamagedFile(f"{path} is no grey or RGB image")
     return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
 

@@ -9,6 +9,7 @@ Files are deterministic: written once, in a fixed order, with no clock, host or 
 renamed when complete.
 """
 
+import io
 import json
 from collections.abc import Iterable, Mapping
 from functools import cached_property
@@ -34,7 +35,8 @@ class DriveWriter:
         self.path = path
         self._tmp = path.with_name(path.name + ".tmp")
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = h5py.File(self._tmp, "w", libver="v110")
+        self._sink = _Sink(self._tmp)
+        self._file = h5py.File(self._sink, "w", libver="v110")
         self.attrs: dict[str, Any] = {
             "schema": SCHEMA,
             "stage": stage,
@@ -49,6 +51,7 @@ class DriveWriter:
         if array.ndim >= 3 and array.size:
             options = {"chunks": (1, *array.shape[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
         self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
+        self._sink.check()
 
     def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`, which the first call makes with their dtype and shape."""
@@ -65,6 +68,7 @@ class DriveWriter:
         start = len(dataset)
         dataset.resize(start + len(rows), axis=0)
         dataset[start:] = rows
+        self._sink.check()
 
     def blank(self, name: str, shape: tuple[int, ...], dtype: type, unit: str = "", value: int = 0) -> None:
         """Make a dataset [F, ...] full of `value`, for :meth:`fill`. Frames that are never filled take no space."""
@@ -77,6 +81,7 @@ class DriveWriter:
     def fill(self, name: str, index: int, array: np.ndarray) -> None:
         """Write one frame of a dataset made by :meth:`blank`."""
         self._file[name][index] = array
+        self._sink.check()
 
     def __enter__(self) -> Self:
         return self
@@ -89,10 +94,41 @@ class DriveWriter:
                 for name, value in self.attrs.items():
                     self._file.attrs[name] = value
             self._file.close()
+            self._sink.close()
             if kind is None:
+                self._sink.check()
                 self._tmp.replace(self.path)
         finally:
             self._tmp.unlink(missing_ok=True)
+
+
+class _Sink(io.FileIO):
+    """The file below an HDF5 file. It remembers a failed write and goes on.
+
+    HDF5 writes much of a file as it closes it, where h5py loses errors: on a full disk, it would leave an incomplete
+    file that looks complete, and crash as the process ends.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "w+")
+        self._path = str(path)
+        self._error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while left:  # the system may take a part only
+                left = left[super().write(left) :]
+        except OSError as error:
+            error.filename = self._path
+            self._error = self._error or error
+        return size
+
+    def check(self) -> None:
+        """Raise the first error that a write met."""
+        if self._error:
+            raise self._error
 
 
 class DriveReader:

@@ -34,7 +34,7 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> None:
-    """Read raw drives by frame number: oxts, images, LiDAR scans, calibration and, where a drive has it, dense truth."""
+    """Read raw drives by frame number: oxts, images, LiDAR scans, calibration, and dense truth where there is any."""
     settings = load(Ingest, params)
     splits = settings.drives.splits()
     root = town if settings.source == "town" else raw
@@ -55,7 +55,7 @@ def main(
     for name, what in (("image", "images"), ("lidar", "scans")):
         lacking = [drive for drive, summary in summaries.items() if not summary[name]]
         if lacking:
-            print(f"no {what}: {', '.join(lacking)}")
+            print(f"no {what}: {'every drive' if len(lacking) == len(splits) else ', '.join(lacking)}")
 
 
 def ingest(
@@ -134,7 +134,9 @@ def ingest(
 
 def describe(summary: Mapping[str, Any]) -> str:
     """Return what the log says of one drive."""
-    text = "{frames} frames, {image} images of camera {camera}, {lidar} scans".format_map(summary)
+    text = "{frames} frames, {image} images, {lidar} scans".format_map(summary)
+    if summary["image"]:
+        text += f", camera {summary['camera']}"
     if summary["depth"] or summary["cls"]:
         text += ", {depth} depth and {cls} class truths".format_map(summary)
     if summary["without_oxts"]:

@@ -1,0 +1,63 @@
+"""KITTI raw's file layout, written. Truth lies beside it: truth/depth (16-bit, metres x 256) and truth/cls (trainIds)."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.png import read_png
+
+_NO_FILTER_FAST = 2  # zlib level: the time goes into rendering, not into packing
+
+
+class DriveFolder:
+    """One drive's folder, filled frame by frame."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folders = {
+            "image": folder / "image_02" / "data",
+            "scan": folder / "velodyne_points" / "data",
+            "oxts": folder / "oxts" / "data",
+            "depth": folder / "truth" / "depth",
+            "cls": folder / "truth" / "cls",
+        }
+        for path in self._folders.values():
+            path.mkdir(parents=True)
+        self._root = folder
+
+    def put(self, frame: int, rgb: np.ndarray, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray, oxts: np.ndarray) -> None:
+        """Write one frame: RGB uint8 [H,W,3], depth uint16 [H,W], classes uint8 [H,W], scan float32 [P,4], oxts [30]."""
+        name = f"{frame:010d}"
+        for kind, image in (("image", rgb[..., ::-1]), ("depth", depth), ("cls", cls)):
+            _write_png(self._folders[kind] / f"{name}.png", image)
+        (self._folders["scan"] / f"{name}.bin").write_bytes(scan.astype("<f4").tobytes())
+        words = [f"{value:.13g}" for value in oxts[:25]] + [f"{value:.0f}" for value in oxts[25:]]
+        (self._folders["oxts"] / f"{name}.txt").write_text(" ".join(words) + "\n", encoding="ascii")
+
+    def put_timestamps(self, date: str, times_s: np.ndarray) -> None:
+        """Write timestamps.txt of all sensors, which fire together; `date` as 2026_01_01, `times_s` seconds of the day."""
+        midnight = np.datetime64(date.replace("_", "-"), "ns")
+        stamps = midnight + np.rint(times_s * 1e9).astype("timedelta64[ns]")
+        text = "".join(f"{stamp}\n".replace("T", " ") for stamp in stamps)
+        for sensor in ("image_02", "velodyne_points", "oxts"):
+            (self._root / sensor / "timestamps.txt").write_text(text, encoding="ascii")
+
+
+def _write_png(path: Path, image: np.ndarray) -> None:
+    import cv2
+
+    ok, content = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _NO_FILTER_FAST])
+    if not ok:
+        raise OSError(f"{path}: this image cannot be written as PNG")
+    path.write_bytes(content.tobytes())
+
+
+def read_views(folders: list[Path], count: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return picture (RGB), depth in metres and classes of `count` frames, spread over drives and their frames."""
+    views = []
+    for i in range(count):
+        folder = folders[i * len(folders) // count]
+        frames = sorted((folder / "truth" / "cls").iterdir())
+        name = frames[(2 * i + 1) * len(frames) // (2 * count)].name
+        rgb, depth = read_png(folder / "image_02" / "data" / name), read_png(folder / "truth" / "depth" / name)
+        views.append((rgb, depth / 256, read_png(folder / "truth" / "cls" / name)))
+    return views

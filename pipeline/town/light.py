@@ -1,0 +1,125 @@
+"""How things look: sun and shadow, surface patterns, haze, sky, exposure. One draw per drive."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline import classes
+from pipeline.town.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT
+from pipeline.town.world import Hits
+
+_TILE = 256
+
+
+@dataclass(frozen=True)
+class Light:
+    """One drive's light. Colours are linear RGB."""
+
+    sun: np.ndarray  # [3] direction towards it
+    sun_colour: np.ndarray
+    ambient: np.ndarray
+    sky: tuple[np.ndarray, np.ndarray]  # colour at the horizon, at the zenith
+    haze_m: float
+    exposure: float
+    slope: np.ndarray  # [2] change of brightness over the image's width and height
+    tiles: np.ndarray  # [2, TILE, TILE] patterns in -1..1: fine, coarse
+    clouds: float
+
+
+def draw_light(rng: np.random.Generator) -> Light:
+    overcast = rng.uniform(0, 0.75)
+    azimuth, elevation = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(18, 60))
+    sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    warm = rng.uniform(-0.08, 0.10)
+    return Light(
+        sun=sun,
+        sun_colour=(1.5 - 1.3 * overcast) * np.array([1 + warm, 1.0, 1 - warm]),
+        ambient=(0.35 + 0.35 * overcast) * np.array([0.92, 1.0, 1.1]),
+        sky=(np.array([0.75, 0.82, 0.88]), (1 - overcast) * np.array([0.22, 0.42, 0.80]) + overcast * np.array([0.6, 0.64, 0.7])),
+        haze_m=rng.uniform(200, 600),
+        exposure=rng.uniform(0.75, 1.25),
+        slope=rng.uniform(-0.25, 0.25, 2),
+        tiles=np.stack([rng.uniform(-1, 1, (_TILE, _TILE)), _smooth(rng)]).astype(np.float32),
+        clouds=rng.uniform(0.05, 0.3),
+    )
+
+
+def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
+    """Return the albedo [6,3] of each kind of ground of the plan."""
+    colours = np.zeros((6, 3))
+    asphalt = rng.uniform(0.13, 0.24)
+    colours[ASPHALT] = np.array([1, 1, 1.03]) * asphalt
+    colours[BAY] = np.array([1.05, 1, 0.97]) * asphalt * rng.uniform(0.75, 1.3)
+    colours[MARKING] = 0.72
+    colours[PAVEMENT] = np.array([1.03, 1, 0.95]) * rng.uniform(0.34, 0.50)
+    colours[KERBSTONE] = rng.uniform(0.45, 0.6)
+    colours[GRASS] = np.array([0.20, 0.30, 0.10]) * rng.uniform(0.75, 1.2) + [rng.uniform(0, 0.08), 0, 0]
+    return colours
+
+
+def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the picture uint8 RGB [H,W,3] of `hits` along `rays` [N,6], N = H·W; `lit` bool [N]: not in shadow."""
+    sky = hits.cls == classes.SKY
+    distance = np.where(sky, 0, hits.distance_m)
+    points = rays[:, :3] + distance[:, None] * rays[:, 3:]
+    colour = hits.colour * (1 + _pattern(light, hits, points))[:, None]
+    direct = np.maximum(hits.normal @ light.sun.astype(np.float32), 0) * lit
+    # Light from the sky reaches upward faces more.
+    colour *= direct[:, None] * light.sun_colour.astype(np.float32) + (
+        (0.75 + 0.25 * hits.normal[:, 2])[:, None] * light.ambient.astype(np.float32)
+    )
+    horizon, zenith = (part.astype(np.float32) for part in light.sky)
+    clear = np.exp(-distance / light.haze_m)[:, None].astype(np.float32)
+    colour = colour * clear + horizon * (1 - clear)
+    colour[sky] = _sky(light, rays[sky, 3:], horizon, zenith)
+
+    height, width = size
+    across = 1 + light.slope[0] * np.linspace(-1, 1, width) + light.slope[1] * np.linspace(-1, 1, height)[:, None]
+    picture = colour.reshape(height, width, 3) * (light.exposure * across[..., None]).astype(np.float32)
+    return (255 * np.clip(picture, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+
+
+def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
+    """Return each surface's relative brightness [N]: grain, patches, windows."""
+    x, y, z = points.T
+    ground = hits.ground >= 0
+    # Vertical faces are patterned along the street and upwards.
+    along = np.where(ground, x, x * -hits.normal[:, 1] + y * hits.normal[:, 0] + 0.37 * x)
+    up = np.where(ground, y, z)
+    leaves = hits.cls == classes.VEGETATION
+    grass = hits.ground == GRASS
+    grain = np.select([leaves, grass], [0.30, 0.22], 0.08)
+    cell = np.where(leaves, 0.35, 0.15)
+    pattern = grain * _look_up(light.tiles[0], along / cell, up / cell) + 0.16 * _look_up(light.tiles[1], along * 2, up * 2)
+    slabs = hits.ground == PAVEMENT
+    joint = (np.mod(along[slabs], 0.8) < 0.07) | (np.mod(up[slabs], 0.8) < 0.07)
+    pattern[slabs] -= 0.15 * joint
+
+    wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(hits.normal[:, 2]) < 0.1))
+    u, v = along[wall] - 0.37 * x[wall], z[wall] - 0.12
+    # Windows and a band between storeys.
+    window = (np.abs(np.mod(u, 2.6) - 1.3) < 0.55) & (np.abs(np.mod(v, 2.9) - 1.7) < 0.7) & (v > 0.5)
+    pattern[wall] -= 0.65 * window + 0.12 * (np.mod(v, 2.9) < 0.2)
+    fence = np.flatnonzero((hits.cls == classes.FENCE) & (hits.colour[:, 2] > 0.12) & (hits.colour[:, 0] < 0.6))
+    pattern[fence] -= 0.35 * (np.mod(along[fence] - 0.37 * x[fence], 0.35) < 0.08)
+    return np.maximum(pattern, -0.9).astype(np.float32)
+
+
+def _sky(light: Light, direction: np.ndarray, horizon: np.ndarray, zenith: np.ndarray) -> np.ndarray:
+    up = np.clip(direction[:, 2], 0.02, 1)
+    blend = np.sqrt(np.clip(up * 1.6, 0, 1))[:, None]
+    cloud = _look_up(light.tiles[1], direction[:, 0] / up * 6, direction[:, 1] / up * 6) * light.clouds
+    glow = np.clip(direction @ light.sun.astype(np.float32), 0, 1)[:, None] ** 16 * light.sun_colour.mean() * 0.3
+    return (horizon * (1 - blend) + zenith * blend + cloud[:, None] + glow).astype(np.float32)
+
+
+def _look_up(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return tile[np.floor(y).astype(np.int32) % _TILE, np.floor(x).astype(np.int32) % _TILE]
+
+
+def _smooth(rng: np.random.Generator) -> np.ndarray:
+    """A tile of soft patches that repeats without seams."""
+    noise = np.fft.rfft2(rng.uniform(-1, 1, (_TILE, _TILE)))
+    fy, fx = np.fft.fftfreq(_TILE)[:, None], np.fft.rfftfreq(_TILE)[None]
+    patches = np.fft.irfft2(noise * np.exp(-((fy**2 + fx**2) * 2 * (np.pi * 3.0) ** 2)), s=(_TILE, _TILE))
+    return patches / np.abs(patches).max()

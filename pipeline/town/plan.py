@@ -1,0 +1,127 @@
+"""The ground seen from above: a raster of what lies where, and how far the next road is.
+
+Roads lie at z = 0; all else (pavement, grass) lies a kerb higher.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipeline.town.route import STEP_M, Route
+
+CELL_M = 0.1
+MARGIN_M = 45.0
+KERB_M = 0.12
+GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
+CORNER_M = 4.0  # kerb radius at junctions
+BAY_M = 2.1  # width of a parking bay
+
+
+@dataclass(frozen=True)
+class Plan:
+    """`kind` uint8 [Y,X] of GRASS ... KERBSTONE; `to_road_m` float32 [Y,X]; `origin` [2] world x, y of cell (0, 0)."""
+
+    kind: np.ndarray
+    to_road_m: np.ndarray
+    origin: np.ndarray
+    bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> width of the parking bay at each of the route's samples
+
+    def cells(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns [...] of the nearest cells to points [..., 2], clipped to the raster's border."""
+        cell = np.rint((xy - self.origin) / CELL_M).astype(np.int64)
+        return np.clip(cell[..., 1], 0, self.kind.shape[0] - 1), np.clip(cell[..., 0], 0, self.kind.shape[1] - 1)
+
+    def kerbs(self) -> list[np.ndarray]:
+        """Return the closed outlines of the roads, each [N,2] in metres."""
+        road = (self.to_road_m <= 0).astype(np.uint8)
+        outlines, _ = cv2.findContours(road, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        thinned = [cv2.approxPolyDP(outline, 0.7, True)[:, 0] for outline in outlines]
+        return [outline * CELL_M + self.origin for outline in thinned if len(outline) > 2]
+
+
+def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_chance: float) -> Plan:
+    """Paint the route's road, its arms, pavements of `pavement_m`, parking bays and markings."""
+    ends = [arm.xy + arm.length_m * _unit(arm.heading_rad) for arm in route.arms]
+    points = np.concatenate([route.xy, np.reshape(ends, (-1, 2))])
+    origin = points.min(axis=0) - MARGIN_M
+    width, height = np.ceil((points.max(axis=0) + MARGIN_M - origin) / CELL_M).astype(int)
+    road = np.zeros((height, width), np.uint8)
+    every = slice(None, None, round(0.5 / STEP_M))
+    s = route.s_m[every]
+
+    bays = {side: _bay_width(route, rng, bay_chance) for side in (1, -1)}
+    left = route.at(s, route.left_m + bays[1][every])[0]
+    right = route.at(s, route.right_m - bays[-1][every])[0]
+    _paint_band(road, left, right, origin, 1)
+    half = route.lane_m + 0.25
+    for arm in route.arms:
+        along = arm.xy + np.array([[0.0], [arm.length_m]]) * _unit(arm.heading_rad)
+        side = half * _unit(arm.heading_rad + np.pi / 2)
+        _paint_band(road, along + side, along - side, origin, 1)
+    road = _close(road, CORNER_M)
+
+    to_road = (cv2.distanceTransform(1 - road, cv2.DIST_L2, 5) * CELL_M).astype(np.float32)
+    kind = np.where(to_road < pavement_m, PAVEMENT, GRASS).astype(np.uint8)
+    kind[to_road < 0.25] = KERBSTONE
+    kind[road > 0] = ASPHALT
+    paint = np.zeros_like(kind)
+    for side, edge in ((1, route.left_m), (-1, route.right_m)):
+        _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + side * bays[side][every])[0], origin, BAY)
+    clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
+    for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
+        ends = route.at(s[i : i + 2], route.centre_m)[0]
+        _paint_line(paint, ends, origin)
+    if rng.random() < 0.5:
+        for i in np.flatnonzero(clear[:-1]):
+            _paint_line(paint, route.at(s[i : i + 2], route.right_m + 0.15)[0], origin)
+            _paint_line(paint, route.at(s[i : i + 2], route.left_m - 0.15)[0], origin)
+    painted = (paint > 0) & (road > 0)
+    kind[painted] = paint[painted]
+    return Plan(kind, to_road, origin, bays)
+
+
+def _bay_width(route: Route, rng: np.random.Generator, chance: float) -> np.ndarray:
+    """Parking bays come in stretches, and never in sharp bends or at junctions."""
+    width = np.zeros(len(route.s_m))
+    if rng.random() < chance:
+        start = route.s_m[0]
+        while start < route.s_m[-1]:
+            end = start + rng.uniform(15, 50)
+            width[(route.s_m >= start) & (route.s_m < end)] = BAY_M
+            start = end + rng.uniform(6, 25)
+    blocked = np.abs(route.curvature_1pm) > 0.035
+    for junction in route.junctions_m:
+        blocked |= np.abs(route.s_m - junction) < 18
+    reach = round(4 / STEP_M)
+    blocked = np.convolve(blocked, np.ones(2 * reach + 1), "same") > 0
+    width[blocked] = 0
+    ramp = round(2 / STEP_M)
+    return np.convolve(width, np.ones(ramp) / ramp, "same")
+
+
+def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
+    """Morphological closing with a disc: rounds the corners between roads."""
+    grown = (cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) * CELL_M > radius_m).astype(np.uint8)
+    kept = cv2.distanceTransform(1 - grown, cv2.DIST_L2, 5) * CELL_M > radius_m
+    return (kept | (mask > 0)).astype(np.uint8)
+
+
+def _paint_band(canvas: np.ndarray, left: np.ndarray, right: np.ndarray, origin: np.ndarray, value: int) -> None:
+    for i in range(len(left) - 1):
+        quad = np.array([left[i], left[i + 1], right[i + 1], right[i]])
+        cv2.fillConvexPoly(canvas, _fixed(quad, origin), value, shift=4)
+
+
+def _paint_line(canvas: np.ndarray, ends: np.ndarray, origin: np.ndarray) -> None:
+    a, b = _fixed(ends, origin)
+    cv2.line(canvas, tuple(map(int, a)), tuple(map(int, b)), MARKING, 2, shift=4)
+
+
+def _fixed(xy: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """World metres -> OpenCV's fixed-point pixels with four fractional bits."""
+    return np.rint((xy - origin) / CELL_M * 16).astype(np.int32)
+
+
+def _unit(heading_rad: float) -> np.ndarray:
+    return np.array([np.cos(heading_rad), np.sin(heading_rad)])

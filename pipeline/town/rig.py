@@ -1,0 +1,87 @@
+"""The sensors' places on the car and KITTI's calibration files that describe them.
+
+Modelled on KITTI's rig with numbers of our own: camera 1.65 m and scanner 1.73 m above the road, the scanner 0.8 m in
+front of the IMU, the cameras 0.27 m in front of the scanner. ``T_a_b`` takes points from frame b to frame a.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.town.motion import IMU_HEIGHT_M
+
+FOCAL_PER_WIDTH = 360.8 / 621
+PRINCIPAL_POINT = (304.5 / 621, 86.2 / 188)  # as shares of width and height
+CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}  # of camera 0: grey left, right, colour left, right
+_LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x forward, y left, z up -> x right, y down, z forward
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Calibration for one image size."""
+
+    size: tuple[int, int]  # [H, W] pixels
+    P_rect: dict[int, np.ndarray]  # camera -> [3,4]
+    R_rect: np.ndarray  # [3,3] of camera 0
+    T_cam_velo: np.ndarray  # [4,4] to camera 0 before rectification
+    T_velo_imu: np.ndarray  # [4,4]
+
+    @property
+    def K(self) -> np.ndarray:
+        """Intrinsics [3,3] of the left colour camera."""
+        return self.P_rect[2][:, :3]
+
+    @property
+    def T_cam2_imu(self) -> np.ndarray:
+        """IMU to the rectified left colour camera, [4,4], as a reader of the files computes it."""
+        shift, rectify = np.eye(4), np.eye(4)
+        shift[0, 3] = self.P_rect[2][0, 3] / self.P_rect[2][0, 0]
+        rectify[:3, :3] = self.R_rect
+        return shift @ rectify @ self.T_cam_velo @ self.T_velo_imu
+
+
+def make_rig(size: tuple[int, int]) -> Rig:
+    """Return the calibration of images of `size` [H, W]: square pixels, KITTI's field of view across."""
+    height, width = size
+    f = FOCAL_PER_WIDTH * width
+    K = np.array([[f, 0, PRINCIPAL_POINT[0] * width], [0, f, PRINCIPAL_POINT[1] * height], [0, 0, 1]])
+    P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}
+    T_velo_imu = np.eye(4)
+    T_velo_imu[:3, :3] = _rotation(0.002, -0.0015, 0.001)
+    T_velo_imu[:3, 3] = -0.81, 0.30, IMU_HEIGHT_M - 1.73
+    R_rect = _rotation(-0.004, 0.007, -0.009)
+    T_cam_velo = np.eye(4)
+    # The rectified cameras look level, straight ahead: what the scanner's and the raw camera's tilt leaves is taken up here.
+    T_cam_velo[:3, :3] = R_rect.T @ _rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
+    T_cam_velo[:3, 3] = R_rect.T @ [0.0, 0.08, -0.27]
+    return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
+
+
+def write_calibration(rig: Rig, folder: Path) -> None:
+    """Write calib_cam_to_cam.txt, calib_velo_to_cam.txt and calib_imu_to_velo.txt into a date's folder."""
+    lines = ["calib_time: 01-Jan-2026 12:00:00", "corner_dist: 9.950000e-02"]
+    for camera, P in rig.P_rect.items():
+        lines += [
+            _line(f"S_rect_{camera:02d}", np.array(rig.size[::-1], float)),
+            _line(f"R_rect_{camera:02d}", rig.R_rect),
+            _line(f"P_rect_{camera:02d}", P),
+        ]
+    _write(folder / "calib_cam_to_cam.txt", lines)
+    for name, T in (("velo_to_cam", rig.T_cam_velo), ("imu_to_velo", rig.T_velo_imu)):
+        _write(folder / f"calib_{name}.txt", [lines[0], _line("R", T[:3, :3]), _line("T", T[:3, 3])])
+
+
+def _line(name: str, values: np.ndarray) -> str:
+    return f"{name}: " + " ".join(f"{value:.12e}" for value in values.ravel())
+
+
+def _write(path: Path, lines: list[str]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _rotation(x: float, y: float, z: float) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_euler("xyz", [x, y, z]).as_matrix()

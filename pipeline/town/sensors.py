@@ -1,0 +1,74 @@
+"""The camera and the scanner, at their places on the car."""
+
+import numpy as np
+
+from pipeline import classes, geometry
+from pipeline.town.light import Light, shade
+from pipeline.town.motion import IMU_HEIGHT_M
+from pipeline.town.rig import Rig
+from pipeline.town.world import World
+
+ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
+SCAN_RANGE_M = 90.0
+RANGE_NOISE_M = 0.015
+_REFLECTANCE = np.full(256, 0.3, np.float32)
+_REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
+
+
+def imu_pose(xy: np.ndarray, heading_rad: float) -> np.ndarray:
+    """Return T_world_imu [4,4] of a level car."""
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    return np.array([[c, -s, 0, xy[0]], [s, c, 0, xy[1]], [0, 0, 1, IMU_HEIGHT_M], [0, 0, 0, 1]])
+
+
+class Camera:
+    """The left colour camera: picture, depth, classes."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._size = rig.size
+        forward = geometry.rays(rig.K, rig.size).reshape(-1, 3)
+        self._z_per_m = (1 / np.linalg.norm(forward, axis=1)).astype(np.float32)  # depth along the axis per distance
+        self._directions = forward * self._z_per_m[:, None]
+        self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
+
+    def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky, or beyond 255 m), classes uint8 [H,W]."""
+        rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
+        hits = world.cast(rays)
+        met = np.flatnonzero(hits.cls != classes.SKY)
+        points = rays[met, :3] + hits.distance_m[met, None] * rays[met, 3:] + 0.01 * hits.normal[met]
+        lit = np.ones(len(rays), bool)
+        lit[met] = world.lit(points, light.sun)
+        picture = shade(light, hits, rays, lit, self._size)
+        depth = np.where(hits.cls == classes.SKY, 0, hits.distance_m * self._z_per_m * 256)
+        depth = np.where(depth < 65535, np.rint(depth), 0).astype(np.uint16)
+        return picture, depth.reshape(self._size), hits.cls.reshape(self._size)
+
+
+class Scanner:
+    """A spinning LiDAR; a scan is taken in an instant (KITTI's are made so by undoing the motion)."""
+
+    def __init__(self, rig: Rig, rays: tuple[int, int]) -> None:
+        rings, per_ring = rays
+        elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
+        azimuth = np.arange(per_ring)[None] * 2 * np.pi / per_ring
+        directions = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0 * azimuth]
+        self._directions = np.stack(directions, axis=-1).reshape(-1, 3)
+        self._T_imu_velo = np.linalg.inv(rig.T_velo_imu)
+
+    def take(self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return the scan float32 [P,4]: x, y, z in the velodyne frame, reflectance 0..1."""
+        rays = _rays(T_world_imu @ self._T_imu_velo, self._directions)
+        hits = world.cast(rays)
+        distance = hits.distance_m + rng.normal(0, RANGE_NOISE_M, len(rays))
+        reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=1) * rng.uniform(0.6, 1.0, len(rays))
+        kept = hits.distance_m < SCAN_RANGE_M
+        xyz = self._directions[kept] * distance[kept, None]
+        return np.column_stack([xyz, np.round(np.clip(reflectance[kept], 0, 0.99), 2)]).astype(np.float32)
+
+
+def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    rays = np.empty((len(directions), 6), np.float32)
+    rays[:, :3] = T_world_sensor[:3, 3]
+    rays[:, 3:] = directions @ T_world_sensor[:3, :3].T
+    return rays

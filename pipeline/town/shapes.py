@@ -1,0 +1,139 @@
+"""Things made of coloured triangles: boxes, houses, cylinders, tree crowns, cars."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from pipeline import classes
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """vertices float32 [V,3], triangles uint32 [T,3], colour float32 [T,3] in 0..1, cls uint8 [T] (trainId)."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    colour: np.ndarray
+    cls: np.ndarray
+
+    def placed(self, x: float, y: float, heading_rad: float = 0.0, z: float = 0.0) -> "Mesh":
+        """Turned about z, then moved."""
+        c, s = np.cos(heading_rad), np.sin(heading_rad)
+        R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        return Mesh((self.vertices @ R.T + [x, y, z]).astype(np.float32), self.triangles, self.colour, self.cls)
+
+
+def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour | np.ndarray, cls: int) -> Mesh:
+    count = len(triangles)
+    return Mesh(
+        np.asarray(vertices, np.float32),
+        np.asarray(triangles, np.uint32),
+        np.broadcast_to(np.asarray(colour, np.float32), (count, 3)).copy(),
+        np.full(count, cls, np.uint8),
+    )
+
+
+def merge(parts: Iterable[Mesh]) -> Mesh:
+    parts = list(parts)
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    triangles = [part.triangles + np.uint32(start) for part, start in zip(parts, starts, strict=False)]
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(triangles),
+        np.concatenate([part.colour for part in parts]),
+        np.concatenate([part.cls for part in parts]),
+    )
+
+
+_BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+_BOX_FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+
+
+def box(size: tuple[float, float, float], colour: Colour, cls: int, taper: float = 1.0) -> Mesh:
+    """A box of `size` (x, y, z) standing on the origin; its top is `taper` times as long along x."""
+    corners = _BOX_CORNERS * size
+    corners[:, 0] *= np.where(_BOX_CORNERS[:, 2] > 0, taper, 1.0)
+    return mesh(corners, _BOX_FACES, colour, cls)
+
+
+def house(size: tuple[float, float, float], colour: Colour, roof: Colour, roof_m: float) -> Mesh:
+    """A building of `size` (along the street x, deep y, high z) with a gable roof of height `roof_m` (0: flat)."""
+    length, depth, height = size
+    walls = box(size, colour, classes.BUILDING)
+    if roof_m == 0:
+        return walls
+    x, y = length / 2 + 0.3, depth / 2 + 0.4
+    ridge = np.array(
+        [[-x, -y, height], [x, -y, height], [x, y, height], [-x, y, height], [-x, 0, height + roof_m],
+         [x, 0, height + roof_m]]
+    )  # fmt: skip
+    slopes = mesh(ridge, np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5]]), roof, classes.BUILDING)
+    gables = mesh(ridge, np.array([[1, 2, 5], [3, 0, 4]]), colour, classes.BUILDING)
+    return merge([walls, slopes, gables])
+
+
+def cylinder(radius_m: float, height_m: float, colour: Colour, cls: int, sides: int = 8) -> Mesh:
+    angle = np.arange(sides) * 2 * np.pi / sides
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * radius_m
+    bottom, top = np.column_stack([ring, np.zeros(sides)]), np.column_stack([ring, np.full(sides, height_m)])
+    i, j = np.arange(sides), (np.arange(sides) + 1) % sides
+    faces = np.concatenate([np.stack([i, j, j + sides], 1), np.stack([i, j + sides, i + sides], 1)])
+    return mesh(np.concatenate([bottom, top]), faces, colour, cls)
+
+
+@cache
+def _sphere() -> tuple[np.ndarray, np.ndarray]:
+    import open3d as o3d
+
+    ball = o3d.geometry.TriangleMesh.create_sphere(1.0, resolution=7)
+    return np.asarray(ball.vertices), np.asarray(ball.triangles)
+
+
+def tree(rng: np.random.Generator, height_m: float, leaves: Colour) -> Mesh:
+    """A trunk under a lumpy crown."""
+    trunk_m = height_m * rng.uniform(0.3, 0.42)
+    vertices, faces = _sphere()
+    vertices = vertices * (1 + rng.uniform(-0.17, 0.17, (len(vertices), 1)))
+    wide, high = height_m * rng.uniform(0.22, 0.32), (height_m - trunk_m) / 2 * 1.1
+    crown = vertices * [wide, wide, high] + [0, 0, trunk_m + high * 0.85]
+    shade = rng.uniform(0.75, 1.2, (len(faces), 1))
+    return merge(
+        [
+            mesh(crown, faces, np.asarray(leaves) * shade, classes.VEGETATION),
+            cylinder(0.035 * height_m, trunk_m * 1.2, (0.30, 0.22, 0.15), classes.VEGETATION),
+        ]
+    )
+
+
+def lamp_post(height_m: float) -> Mesh:
+    """A stout post with an arm over the road (towards +x)."""
+    grey = (0.42, 0.44, 0.45)
+    arm = box((1.6, 0.22, 0.18), grey, classes.POLE).placed(0.7, 0, 0, height_m - 0.18)
+    return merge([cylinder(0.19, height_m, grey, classes.POLE), arm])
+
+
+def car(rng: np.random.Generator) -> Mesh:
+    """A car of 3.9 to 4.7 m, heading along +x, its middle over the origin."""
+    palette = [(0.75, 0.75, 0.77), (0.9, 0.9, 0.9), (0.1, 0.1, 0.12), (0.5, 0.06, 0.06), (0.08, 0.14, 0.4),
+               (0.3, 0.32, 0.34), (0.1, 0.3, 0.2), (0.65, 0.5, 0.15)]  # fmt: skip
+    paint = palette[rng.integers(len(palette))]
+    length, width, waist, height = rng.uniform(3.9, 4.7), rng.uniform(1.7, 1.85), 0.9, rng.uniform(1.42, 1.65)
+    glass, roof = (0.10, 0.13, 0.16), height - 0.1
+    cabin_x = -0.06 * length
+    parts = [
+        box((length, width, waist - 0.22), paint, classes.CAR).placed(0, 0, 0, 0.22),
+        box((0.62 * length, width - 0.12, roof - waist), glass, classes.CAR, taper=0.68).placed(cabin_x, 0, 0, waist),
+        box((0.44 * length, width - 0.14, 0.1), paint, classes.CAR).placed(cabin_x, 0, 0, roof),
+        box((0.06, width - 0.1, 0.16), (0.45, 0.03, 0.03), classes.CAR).placed(-length / 2, 0, 0, 0.66),
+        box((0.06, width - 0.1, 0.14), (0.9, 0.9, 0.8), classes.CAR).placed(length / 2, 0, 0, 0.6),
+    ]
+    for x in (-0.3, 0.31):
+        parts.append(box((0.62, width + 0.02, 0.6), (0.04, 0.04, 0.04), classes.CAR).placed(x * length, 0))
+    return merge(parts)

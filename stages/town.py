@@ -1,0 +1,64 @@
+"""The embedded sample: a procedural street world in KITTI raw's layout, so that everything runs without KITTI."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pipeline import console, figures
+from pipeline.drives import run_over_drives
+from pipeline.params import Ingest, Town, load
+from pipeline.town.drive import write_drive
+from pipeline.town.layout import read_views
+from pipeline.town.rig import make_rig, write_calibration
+
+
+def main(
+    out: Path = Path("data/town"),
+    params: Path = Path("params.yaml"),
+    workers: int | None = None,
+) -> None:
+    """Render the drives that section ingest names; with ingest.source kitti, nothing."""
+    settings, ingest = load(Town, params), load(Ingest, params)
+    if ingest.source == "kitti":
+        out.mkdir(parents=True, exist_ok=True)
+        print("nothing to render: ingest.source is kitti")
+        return
+    splits = ingest.drives.splits()
+    folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in splits}
+    run_over_drives(
+        partial(render, splits=splits, settings=settings),
+        list(splits),
+        module="stages.town",
+        out=out,
+        inputs=lambda drive: [splits[drive]],
+        settings=settings.model_dump(),
+        workers=workers,
+        target=folders.__getitem__,
+        describe=describe,
+    )
+    rig = make_rig(settings.image_size)
+    for date in sorted({folder.parent for folder in folders.values()}):
+        write_calibration(rig, date)
+    figures.write_rgb(out / "contact_sheet.png", figures.contact_sheet(read_views(list(folders.values()), count=7)))
+
+
+def render(drive: str, path: Path, splits: Mapping[str, str], settings: Town) -> dict[str, Any]:
+    """Write one drive's folder; its length depends on its split."""
+    return write_drive(
+        drive,
+        path,
+        frames=getattr(settings.frames, splits[drive]),
+        size=settings.image_size,
+        scan_rays=settings.scan_rays,
+        seed=settings.seed,
+    )
+
+
+def describe(summary: Mapping[str, Any]) -> str:
+    """Return what the log says of one drive."""
+    return "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²".format_map(summary)
+
+
+if __name__ == "__main__":
+    console.run(main)

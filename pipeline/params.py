@@ -207,6 +207,20 @@ def names(mapping: str, path: Path) -> list[str]:
     return list(entries)
 
 
+def check(path: Path) -> None:
+    """Read every section and entry. Raises InputError for the first fault, and if a model's input is no variant."""
+    for section in SECTIONS.values():
+        load(section, path)
+    variants = names("graphs", path)
+    for name in variants:
+        load_entry(Variant, "graphs", name, path)
+    for name in names("models", path):
+        model = load_entry(Model, "models", name, path)
+        if model.input not in variants:
+            near = closest(model.input, variants)
+            raise InputError(f"{path}: models.{name}.input = {model.input!r} is no variant of graphs: {near}")
+
+
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path} is missing: run from the repository's root, or: git checkout {path.name}")

@@ -1,0 +1,180 @@
+"""From graph files and labels to training batches: runs of consecutive frames whose windows share their frames.
+
+A window is `length` consecutive frames and predicts the steering at its last one. A span is a run of consecutive
+frames that is read and encoded once; all its windows are unfolded from the embeddings (DESIGN decision 12).
+Frames are consecutive by KITTI frame number, never by position: a missing frame ends a run.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from pipeline import store
+from pipeline.errors import InputError
+
+NOMINAL_DT_S = 0.1  # KITTI's synced stream: 10 Hz
+
+Batch = dict[str, np.ndarray]
+"""What a network eats, as arrays. B frames, N points, W windows of T frames:
+xyz float32 [N,3], cls uint8 [N], ptr int64 [B+1], degree uint8 [N], indices int64 [E] (numbers within the batch);
+windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the frame before),
+steering_rad float32 [W] and valid bool [W] at each window's last frame."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive's frames that have both a graph and a label, by row of the graph file. G such frames."""
+
+    name: str
+    graphs: Path
+    labels: Path
+    frame: np.ndarray  # int32 [G]
+    time_s: np.ndarray  # float64 [G]
+    dt_s: np.ndarray  # float32 [G], time since the frame before; nominal at the start of a run
+    steering_rad: np.ndarray  # float64 [G]
+    speed_mps: np.ndarray  # float64 [G]
+    curvature_1pm: np.ndarray  # float64 [G]
+    valid: np.ndarray  # bool [G]
+    runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
+
+
+@dataclass(frozen=True)
+class Span:
+    """Rows [start, stop) of drive number `drive`; its windows end at rows start+length-1 … stop-1."""
+
+    drive: int
+    start: int
+    stop: int
+
+
+def read_drives(graphs: Path, labels: Path, names: Sequence[str], length: int) -> list[Drive]:
+    """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
+
+    Raises InputError if a label is missing, or if no window of `length` frames ends at a valid label.
+    """
+    drives = [_read_drive(graphs / f"{name}.h5", labels / f"{name}.h5", name) for name in names]
+    if names and not any(_has_target(drive, length) for drive in drives):
+        runs = [stop - start for drive in drives for start, stop in drive.runs]
+        raise InputError(
+            f"{graphs}: no window of {length} consecutive frames with a valid label at its end in {', '.join(names)} "
+            f"(longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
+        )
+    return drives
+
+
+def _read_drive(graphs: Path, labels: Path, name: str) -> Drive:
+    with store.DriveReader(graphs, stage="graphs") as file, store.DriveReader(labels, stage="labels") as truth:
+        row_of = {int(number): row for row, number in enumerate(truth.frame)}
+        missing = [int(number) for number in file.frame if int(number) not in row_of]
+        if missing:
+            raise InputError(f"{labels} has no label for frame {missing[0]} of {graphs}: make both again: dvc repro")
+        rows = np.array([row_of[int(number)] for number in file.frame], np.int64)
+        runs = consecutive(file.frame)
+        dt_s = np.diff(file.time_s, prepend=np.nan)
+        dt_s[[start for start, _ in runs]] = NOMINAL_DT_S
+        return Drive(
+            name=name,
+            graphs=graphs,
+            labels=labels,
+            frame=file.frame,
+            time_s=file.time_s,
+            dt_s=dt_s.astype(np.float32),
+            valid=truth["valid"][rows].astype(bool),
+            runs=runs,
+            **{key: truth[key][rows] for key in ("steering_rad", "speed_mps", "curvature_1pm")},
+        )
+
+
+def consecutive(frame: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """Return the runs [start, stop) of rows whose frame numbers [G] follow each other without a gap."""
+    if not len(frame):
+        return ()
+    edges = [0, *(np.flatnonzero(np.diff(frame) != 1) + 1).tolist(), len(frame)]
+    return tuple(pairwise(edges))
+
+
+def _has_target(drive: Drive, length: int) -> bool:
+    return any(drive.valid[start + length - 1 : stop].any() for start, stop in drive.runs)
+
+
+def spans(drives: Sequence[Drive], length: int, windows: int, rng: np.random.Generator | None = None) -> list[Span]:
+    """Cut all runs into spans of at most `windows` windows of `length` frames; each window is in one span.
+
+    With `rng`, spans start at a random phase and come in random order, so that no two epochs batch alike. Spans
+    without a valid target are left out then; without `rng` all are there, in order.
+    """
+    found = []
+    for number, drive in enumerate(drives):
+        for start, stop in drive.runs:
+            last = start + length - 1  # row of the first window's last frame
+            phase = int(rng.integers(windows)) if rng else 0
+            edges = [last, *range(last + phase, stop, windows), stop] if phase else [*range(last, stop, windows), stop]
+            for a, b in pairwise(edges):
+                if a < b and (rng is None or drive.valid[a:b].any()):
+                    found.append(Span(number, a - length + 1, b))
+    if rng:
+        rng.shuffle(found)
+    return found
+
+
+def batches(drives: Sequence[Drive], groups: Sequence[Sequence[Span]], length: int) -> Iterator[Batch]:
+    """Read each group of spans as one batch. Files stay open while the iterator lives."""
+    files: dict[int, tuple[store.DriveReader, np.ndarray, np.ndarray]] = {}
+    with ExitStack() as opened:
+        for group in groups:
+            for number in {span.drive for span in group} - files.keys():
+                file = opened.enter_context(store.DriveReader(drives[number].graphs, stage="graphs"))
+                files[number] = file, file["ptr"], file["indices_ptr"]
+            yield _concatenate([_read_span(drives, span, *files[span.drive], length) for span in group])
+
+
+def _read_span(
+    drives: Sequence[Drive], span: Span, file: store.DriveReader, ptr: np.ndarray, indices_ptr: np.ndarray, length: int
+) -> Batch:
+    drive, rows = drives[span.drive], slice(span.start, span.stop)
+    first, last = ptr[span.start], ptr[span.stop]
+    indices = file.rows("indices", indices_ptr[span.start], indices_ptr[span.stop]).astype(np.int64)
+    # Stored numbers count from 0 in each frame; a batch counts on.
+    indices += np.repeat(ptr[rows] - first, np.diff(indices_ptr[span.start : span.stop + 1]))
+    windows = np.arange(span.stop - span.start - length + 1)[:, None] + np.arange(length)  # [W,T]
+    row = span.start + windows[:, -1]
+    return {
+        "xyz": file.rows("xyz", first, last),
+        "cls": file.rows("cls", first, last),
+        "degree": file.rows("degree", first, last),
+        "indices": indices,
+        "ptr": ptr[span.start : span.stop + 1] - first,
+        "windows": windows,
+        "dt_s": drive.dt_s[rows][windows],
+        "steering_rad": drive.steering_rad[row].astype(np.float32),
+        "valid": drive.valid[row],
+    }
+
+
+def _concatenate(parts: list[Batch]) -> Batch:
+    batch = {key: np.concatenate([part[key] for part in parts]) for key in parts[0] if key not in _NUMBERED}
+    nodes = np.cumsum([0] + [len(part["xyz"]) for part in parts])
+    frames = np.cumsum([0] + [len(part["ptr"]) - 1 for part in parts])
+    batch["indices"] = np.concatenate([part["indices"] + first for part, first in zip(parts, nodes, strict=False)])
+    batch["windows"] = np.concatenate([part["windows"] + first for part, first in zip(parts, frames, strict=False)])
+    ptr = [part["ptr"][:-1] + first for part, first in zip(parts, nodes, strict=False)]
+    batch["ptr"] = np.concatenate([*ptr, nodes[-1:]])
+    return batch
+
+
+_NUMBERED = ("indices", "windows", "ptr")
+
+
+def mirror(batch: Batch, chosen: np.ndarray) -> Batch:
+    """Reflect the spans' windows and points left-right: x → −x, steering → −steering; every edge stays.
+
+    `chosen` bool [B]: which of the batch's frames to reflect; all frames of a span together.
+    """
+    xyz, steering_rad = batch["xyz"].copy(), batch["steering_rad"].copy()
+    xyz[np.repeat(chosen, np.diff(batch["ptr"])), 0] *= -1
+    steering_rad[chosen[batch["windows"][:, -1]]] *= -1
+    return batch | {"xyz": xyz, "steering_rad": steering_rad}

@@ -1,0 +1,203 @@
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from pipeline import steering_fit, store
+from pipeline.errors import InputError
+from stages import evaluate, report, train
+from tests import artefacts
+
+PARAMS = Path(__file__).resolve().parents[2] / "params.yaml"
+SPLITS = {
+    "2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_01_drive_0003": "train",
+    "2026_01_02_drive_0001": "val", "2026_01_03_drive_0001": "test",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dataset")
+    artefacts.write_dataset(folder, SPLITS, frames=60, points=80)
+    return folder
+
+
+@pytest.fixture
+def folder(dataset: Path, tmp_path: Path) -> Path:
+    shutil.copytree(dataset, tmp_path / "data")
+    write_params(tmp_path / "data")
+    return tmp_path / "data"
+
+
+def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
+    content = yaml.safe_load(PARAMS.read_text())
+    small = {"layers": [16, 16], "features": 8, "window": 4}
+    content["models"] = {"net": {**content["models"]["sa-gnn-ncp"], **small, **(model or {})}}
+    content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
+    (folder / "params.yaml").write_text(yaml.safe_dump(content))
+
+
+def run_train(folder: Path) -> Path:
+    train.main("net", folder / "graphs", folder / "labels", folder / "train", folder / "params.yaml")
+    return folder / "train" / "net"
+
+
+def run_evaluate(folder: Path) -> Path:
+    evaluate.main(
+        "net", folder / "train", folder / "graphs", folder / "labels", folder / "evaluate", folder / "params.yaml"
+    )
+    return folder / "evaluate" / "net"
+
+
+@pytest.mark.parametrize("temporal", ["ncp", "lstm"])
+def test_a_trained_model_reads_the_bend(folder: Path, temporal: str) -> None:
+    write_params(folder, {"temporal": temporal}, epochs=14)
+    run_train(folder)
+    result = json.loads((run_evaluate(folder) / "metrics.json").read_text())
+    assert result["test"]["nmse"] < 0.35
+    assert result["test"]["nmse_ci95"][0] <= result["test"]["nmse"] <= result["test"]["nmse_ci95"][1]
+    assert result["drives"]["test"] == ["2026_01_03_drive_0001"]
+    assert result["test"]["frames"] == 60 - 3
+    assert sum(row["frames"] for row in result["test"]["by_curvature"]) == 57
+
+
+def test_killed_and_resumed_gives_the_weights_of_an_undisturbed_run(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    straight = torch.load(run_train(folder) / "last.pt", weights_only=True)
+    shutil.rmtree(folder / "train")
+    write = steering_fit.checkpoint.write
+
+    def killed(path: Path, content: dict[str, object]) -> None:
+        write(path, content)
+        if content["epoch"] == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(steering_fit.checkpoint, "write", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run_train(folder)
+    assert not (folder / "train").exists()
+    monkeypatch.setattr(steering_fit.checkpoint, "write", write)
+    resumed = torch.load(run_train(folder) / "last.pt", weights_only=True)
+    assert resumed["curve"] == straight["curve"]
+    assert all(torch.equal(resumed["net"][name], tensor) for name, tensor in straight["net"].items())
+    assert not (folder / ".resume" / "train-net").exists()
+
+
+def test_a_killed_run_with_other_params_is_not_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(steering_fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        run_train(folder)
+    monkeypatch.undo()
+    write_params(folder, learning_rate=0.02)
+    rates = [row["learning_rate"] for row in torch.load(run_train(folder) / "last.pt", weights_only=True)["curve"]]
+    assert max(rates) > 0.01
+
+
+def test_checkpoints_say_what_they_are(folder: Path) -> None:
+    made = run_train(folder)
+    best = torch.load(made / "best.pt", weights_only=True)
+    assert best["model"]["temporal"] == "ncp"
+    assert best["splits"] == SPLITS
+    assert set(best["target"]) == {"mean_rad", "std_rad"}
+    config = json.loads((made / "config.json").read_text())
+    assert config["best_epoch"] == best["epoch"] <= config["epochs"] == 3
+    curve = (made / "curve.csv").read_text().splitlines()
+    assert curve[0] == "epoch,learning_rate,train_loss,val_mse_rad2,val_nmse"
+    assert len(curve) == 4
+    judged = [float(row.split(",")[-1]) for row in curve[1:]]
+    assert best["epoch"] == 1 + int(np.argmin(judged))
+
+
+def test_early_stopping(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    curve = [steering_fit.Epoch(n, 0.1, 0.1, 0.1, nmse) for n, nmse in enumerate([0.9, 0.5, 0.6, 0.7], start=1)]
+    assert steering_fit.best_epoch(curve) == 2
+    assert steering_fit.out_of_patience(curve, patience=2)
+    assert not steering_fit.out_of_patience(curve, patience=3)
+
+
+def test_without_validation_drives_the_last_epoch_counts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    splits = {drive: split for drive, split in SPLITS.items() if split != "val"}
+    store.write_index(folder / "graphs/semantic", splits)
+    made = run_train(folder)
+    assert "no validation drives, so no early stopping" in capsys.readouterr().out
+    assert json.loads((made / "config.json").read_text())["best_epoch"] == 3
+    result = json.loads((run_evaluate(folder) / "metrics.json").read_text())
+    assert result["val"] is None
+
+
+def test_further_seeds_stand_beside_the_first(folder: Path) -> None:
+    write_params(folder, seeds=[0, 7], epochs=1)
+    made = run_train(folder)
+    first, second = (torch.load(made / path, weights_only=True)["net"] for path in ("best.pt", "seed-7/best.pt"))
+    assert any(not torch.equal(first[name], second[name]) for name in first)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ({"spatial": "cnnn"}, "models.net: spatial.*cnnn.*gnn"),
+        ({"temporal": "gru"}, "models.net: temporal.*gru.*ncp.*lstm"),
+        ({"window": 61}, "no window of 61 consecutive frames"),
+    ],
+)
+def test_impossible_models_are_refused_before_anything_is_written(
+    folder: Path, line: dict[str, object], message: str
+) -> None:
+    write_params(folder, line)
+    with pytest.raises(InputError, match=message):
+        run_train(folder)
+    assert not (folder / "train").exists()
+
+
+def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
+    made = run_train(folder)
+    content = torch.load(made / "best.pt", weights_only=True)
+    content["model"]["features"] = 9
+    torch.save(content, made / "best.pt")
+    with pytest.raises(InputError, match=r"best\.pt does not fit .* dvc repro --force train@net"):
+        run_evaluate(folder)
+    assert not (folder / "evaluate").exists()
+
+
+def test_evaluate_and_report_are_byte_identical_when_run_twice(folder: Path) -> None:
+    run_train(folder)
+
+    def made() -> dict[str, bytes]:
+        run_evaluate(folder)
+        report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+        files = [*(folder / "evaluate").rglob("*"), *(folder / "report").rglob("*")]
+        return {str(path): path.read_bytes() for path in files if path.is_file()}
+
+    first = made()
+    assert first == made()
+    assert {Path(name).name for name in first} >= {"metrics.json", "predictions.csv", "steering.png", "table.md"}
+
+
+def test_predictions_csv_covers_every_frame(folder: Path) -> None:
+    run_train(folder)
+    lines = (run_evaluate(folder) / "predictions.csv").read_text().splitlines()
+    assert lines[0] == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid"
+    rows = [line.split(",") for line in lines[1:]]
+    assert [row[1] for row in rows] == [str(number) for number in range(60)]
+    assert [row[5] == "" for row in rows] == [number < 3 for number in range(60)]
+    error = np.array([float(row[5]) - float(row[4]) for row in rows[3:]])
+    result = json.loads((folder / "evaluate/net/metrics.json").read_text())
+    assert result["test"]["mse_rad2"] == pytest.approx(float((error**2).mean()), rel=1e-3)
+
+
+def test_report_names_models_that_are_not_here(folder: Path) -> None:
+    run_train(folder)
+    run_evaluate(folder)
+    content = yaml.safe_load((folder / "params.yaml").read_text())
+    content["models"]["other"] = content["models"]["net"]
+    (folder / "params.yaml").write_text(yaml.safe_dump(content))
+    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+    text = (folder / "report" / "table.md").read_text()
+    assert "| net | " in text
+    assert "other is not evaluated on this machine: dvc pull evaluate@other" in text
+    assert text.count("| *zero* | 1.000 |") == 1

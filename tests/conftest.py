@@ -1,8 +1,12 @@
 """Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is non-commercial)."""
 
+import os
 from pathlib import Path
 
 import pytest
+
+# Tensors in tests are tiny: threads would only wait for each other. Read when torch is first imported.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

@@ -1,0 +1,135 @@
+"""Fit a network that gives depth and classes to what the training drives know."""
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from pipeline import classes
+from pipeline.errors import InputError
+from pipeline.supervision import Supervision, augment
+
+WARM_UP = 0.15  # share of the steps in which the learning rate rises
+WEIGHT_DECAY = 1e-4
+
+
+@dataclass(frozen=True)
+class EpochLoss:
+    """Means over an epoch's steps: total = depth (mean |log d - log d*|) + classes (cross-entropy)."""
+
+    epoch: int
+    loss: float
+    depth: float
+    classes: float
+
+
+def fit(
+    model: nn.Module,
+    examples: Supervision,
+    *,
+    epochs: int,
+    batch: int,
+    learning_rate: float,
+    seed: int,
+    kept: Path,
+) -> list[EpochLoss]:
+    """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits [B,19,H,W]) in place; return its losses.
+
+    Parameters that do not require gradients stay as they are. After each epoch the state goes to `kept`; if that file
+    exists, fitting goes on from it, to the same result. Raises InputError if the loss is no longer finite.
+    """
+    device = next(model.parameters()).device
+    model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimiser = torch.optim.AdamW([p for p in model.parameters() if p.requires_grad], weight_decay=WEIGHT_DECAY)
+    curve: list[EpochLoss] = []
+    if kept.is_file():
+        state = torch.load(kept, weights_only=True, map_location=device)
+        model.load_state_dict(state["model"])
+        optimiser.load_state_dict(state["optimiser"])
+        curve = [EpochLoss(**row) for row in state["curve"]]
+        print(f"{len(curve)} of {epochs} epochs kept from the run before", flush=True)
+
+    steps = math.ceil(len(examples) / batch)
+    terminal = sys.stderr.isatty()
+    bar = tqdm(total=epochs * steps, initial=len(curve) * steps, unit="batch", disable=not terminal)
+    model.train()
+    for epoch in range(len(curve), epochs):
+        start = time.perf_counter()
+        sums = torch.zeros(2, dtype=torch.float64)
+        for step, (image, K, depth, cls) in enumerate(_batches(examples, batch, np.random.default_rng([seed, epoch]))):
+            for group in optimiser.param_groups:
+                group["lr"] = learning_rate * schedule((epoch * steps + step) / (epochs * steps))
+            depth_m, logits = model(image.to(device), K.to(device))
+            losses = depth_and_class_loss(depth_m, logits, depth.to(device), cls.to(device))
+            optimiser.zero_grad(set_to_none=True)
+            losses.sum().backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            sums += losses.detach().cpu()
+            bar.update()
+        depth_loss, class_loss = (sums / steps).tolist()
+        curve.append(EpochLoss(epoch + 1, depth_loss + class_loss, depth_loss, class_loss))
+        if not math.isfinite(curve[-1].loss):
+            raise InputError(
+                f"the encoder's loss is no longer finite in epoch {epoch + 1}: "
+                f"lower encoder.learning_rate (now {learning_rate})"
+            )
+        line = (
+            f"epoch {epoch + 1}/{epochs}: loss {curve[-1].loss:.4f} (depth {depth_loss:.4f}, classes {class_loss:.4f})"
+        )
+        if terminal:
+            bar.set_postfix_str(line, refresh=False)
+        else:
+            print(f"{line}, {time.perf_counter() - start:.1f} s", flush=True)
+        _keep(kept, model, optimiser, curve)
+    bar.close()
+    model.eval()
+    return curve
+
+
+def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, true_cls: Tensor) -> Tensor:
+    """Return [mean |log d - log d*|, cross-entropy] over the pixels that have a truth; zero for the one without any.
+
+    Args: depth [B,H,W] and logits [B,19,H,W] as predicted; true depth [B,H,W] in metres, 0 where unknown; true classes
+    int64 [B,H,W], 255 where unknown.
+    """
+    known = true_depth_m > 0
+    error = (torch.log(depth_m) - torch.log(true_depth_m.clamp(min=1e-3))).abs()
+    depth_loss = (error * known).sum() / known.sum().clamp(min=1)
+    labelled = (true_cls != classes.VOID).sum().clamp(min=1)
+    class_loss = F.cross_entropy(logits, true_cls, ignore_index=classes.VOID, reduction="sum") / labelled
+    return torch.stack([depth_loss, class_loss])
+
+
+def schedule(progress: float) -> float:
+    """Return the share of the learning rate at `progress` 0 to 1: up in a line, down in a cosine."""
+    if progress < WARM_UP:
+        return 0.05 + 0.95 * progress / WARM_UP
+    return 0.5 * (1 + math.cos(math.pi * (progress - WARM_UP) / (1 - WARM_UP)))
+
+
+def _batches(examples: Supervision, batch: int, rng: np.random.Generator) -> Iterator[tuple[Tensor, ...]]:
+    order = rng.permutation(len(examples))
+    for start in range(0, len(order), batch):
+        chosen = [augment(examples[int(i)], rng) for i in order[start : start + batch]]
+        yield (
+            torch.from_numpy(np.stack([example.image for example in chosen])).permute(0, 3, 1, 2),
+            torch.from_numpy(np.stack([example.K for example in chosen])),
+            torch.from_numpy(np.stack([example.depth_m for example in chosen])),
+            torch.from_numpy(np.stack([example.cls for example in chosen])).long(),
+        )
+
+
+def _keep(path: Path, model: nn.Module, optimiser: torch.optim.Optimizer, curve: list[EpochLoss]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tmp = path.with_name(path.name + ".tmp")
+    rows = [vars(row) for row in curve]
+    torch.save({"model": model.state_dict(), "optimiser": optimiser.state_dict(), "curve": rows}, tmp)
+    tmp.replace(path)

@@ -1,0 +1,109 @@
+"""Scores of predicted depth and classes against a truth."""
+
+from typing import Any
+
+import numpy as np
+
+from pipeline import classes
+
+MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
+DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
+
+
+def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
+    """Return an image's [abs rel, RMSE in metres, δ1] over the pixels whose true depth is 1 to 80 m; None without any.
+
+    Abs rel is the mean of |d - d*| / d*, δ1 the share of pixels where max(d/d*, d*/d) < 1.25 (Eigen et al. 2014, who
+    also clip the prediction to the range). Both arguments are metres, [H,W]; a truth of 0 is unknown.
+    """
+    valid = (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M)
+    if not valid.any():
+        return None
+    truth = truth_m[valid].astype(np.float64)
+    predicted = np.clip(predicted_m[valid].astype(np.float64), MIN_DEPTH_M, MAX_DEPTH_M)
+    error = np.abs(predicted - truth)
+    ratio = np.maximum(predicted / truth, truth / predicted)
+    return np.array([(error / truth).mean(), np.sqrt((error**2).mean()), (ratio < 1.25).mean()])
+
+
+def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return how often each true class (row) was predicted as each class (column), int64 [19,19].
+
+    `predicted` and `truth` hold trainIds, of any one shape. Pixels whose truth is void do not count.
+    """
+    known = truth != classes.VOID
+    pairs = truth[known].astype(np.int64) * classes.COUNT + predicted[known]
+    return np.bincount(pairs, minlength=classes.COUNT**2).reshape(classes.COUNT, classes.COUNT)
+
+
+def class_ious(matrix: np.ndarray) -> np.ndarray:
+    """Return the intersection over union of each class, [19], from a confusion matrix; NaN for one not in the truth."""
+    union = matrix.sum(axis=0) + matrix.sum(axis=1) - matrix.diagonal()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(matrix.sum(axis=1) > 0, matrix.diagonal() / union, np.nan)
+
+
+def mean_iou(matrix: np.ndarray) -> float:
+    """Return the mean of :func:`class_ious` over the classes that the truth holds; NaN for an empty matrix."""
+    ious = class_ious(matrix)
+    return float(ious[~np.isnan(ious)].mean()) if not np.isnan(ious).all() else float("nan")
+
+
+def pixel_accuracy(matrix: np.ndarray) -> float:
+    """Return the share of pixels whose class is right; NaN for an empty matrix."""
+    return float(matrix.trace() / matrix.sum()) if matrix.any() else float("nan")
+
+
+class Scores:
+    """Depth and class scores of many frames: sums that can be written as JSON and added up over drives.
+
+    Depth errors are means over images of :func:`depth_errors`; classes are scored on all pixels together.
+    """
+
+    def __init__(self) -> None:
+        self.depth = {source: (0, np.zeros(len(DEPTH_ERRORS))) for source in ("dense", "lidar")}
+        self.class_frames = 0
+        self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
+
+    def add_depth(self, source: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
+        """Count a frame's depth [H,W] against a truth from `source`, dense or lidar, if it has a valid pixel."""
+        errors = depth_errors(predicted_m, truth_m)
+        if errors is not None:
+            frames, sums = self.depth[source]
+            self.depth[source] = (frames + 1, sums + errors)
+
+    def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
+        """Count a frame's classes [H,W]."""
+        self.class_frames += 1
+        self.confusion += confusion(predicted, truth)
+
+    def sums(self) -> dict[str, Any]:
+        """Return everything as JSON-able numbers, for :meth:`add_sums` of another one."""
+        return {
+            "depth": {source: [frames, sums.tolist()] for source, (frames, sums) in self.depth.items()},
+            "class_frames": self.class_frames,
+            "confusion": self.confusion.tolist(),
+        }
+
+    def add_sums(self, sums: dict[str, Any]) -> None:
+        for source, (frames, errors) in sums["depth"].items():
+            own_frames, own = self.depth[source]
+            self.depth[source] = (own_frames + frames, own + np.array(errors))
+        self.class_frames += sums["class_frames"]
+        self.confusion += np.array(sums["confusion"])
+
+    def report(self) -> dict[str, Any]:
+        """Return the scores: depth_dense, depth_lidar and classes, each null where no frame has such a truth."""
+        scores: dict[str, Any] = {}
+        for source, (frames, sums) in self.depth.items():
+            means = dict(zip(DEPTH_ERRORS, (sums / frames).tolist(), strict=True)) if frames else {}
+            scores[f"depth_{source}"] = {"frames": frames, **means} if frames else None
+        ious = class_ious(self.confusion)
+        present = {name: float(iou) for name, iou in zip(classes.NAMES, ious, strict=True) if not np.isnan(iou)}
+        scores["classes"] = {
+            "frames": self.class_frames,
+            "mean_iou": mean_iou(self.confusion),
+            "pixel_accuracy": pixel_accuracy(self.confusion),
+            "iou": present,
+        } if present else None  # fmt: skip
+        return scores

@@ -1,0 +1,69 @@
+import json
+
+import numpy as np
+import pytest
+
+from pipeline import classes
+from pipeline.image_metrics import Scores, class_ious, confusion, depth_errors, mean_iou, pixel_accuracy
+
+
+def test_depth_errors_equal_hand_values_and_skip_what_is_out_of_range() -> None:
+    truth = np.array([[10.0, 20.0, 0.0, 0.9, 81.0, 40.0]])
+    predicted = np.array([[11.0, 30.0, 5.0, 5.0, 5.0, 40.0]])
+    errors = depth_errors(predicted, truth)
+    assert errors is not None
+    np.testing.assert_allclose(errors, [(0.1 + 0.5 + 0) / 3, np.sqrt((1 + 100 + 0) / 3), 2 / 3])
+
+
+def test_depth_prediction_is_clipped_to_the_range() -> None:
+    errors = depth_errors(np.array([1000.0, 0.1]), np.array([80.0, 1.0]))
+    np.testing.assert_allclose(errors, [0, 0, 1])
+
+
+def test_depth_errors_without_truth_are_none() -> None:
+    assert depth_errors(np.ones((2, 2)), np.zeros((2, 2))) is None
+
+
+def test_confusion_counts_pairs_and_leaves_void_out() -> None:
+    truth = np.array([0, 0, 0, 1, 1, classes.VOID, 18])
+    predicted = np.array([0, 0, 1, 1, 2, 5, 18], np.uint8)
+    matrix = confusion(predicted, truth)
+    assert matrix.sum() == 6
+    assert (matrix[0, 0], matrix[0, 1], matrix[1, 1], matrix[1, 2], matrix[18, 18]) == (2, 1, 1, 1, 1)
+    ious = class_ious(matrix)
+    np.testing.assert_allclose(ious[[0, 1, 18]], [2 / 3, 1 / 3, 1])
+    assert np.isnan(ious[2])  # predicted, but nowhere in the truth
+    assert mean_iou(matrix) == pytest.approx((2 / 3 + 1 / 3 + 1) / 3)
+    assert pixel_accuracy(matrix) == pytest.approx(4 / 6)
+
+
+def test_empty_confusion_has_no_score() -> None:
+    empty = np.zeros((19, 19), int)
+    assert np.isnan(mean_iou(empty))
+    assert np.isnan(pixel_accuracy(empty))
+
+
+def test_scores_add_up_over_drives_and_are_plain_json() -> None:
+    rng = np.random.default_rng(0)
+    whole, total = Scores(), Scores()
+    for _ in range(2):
+        part = Scores()
+        for _ in range(3):
+            depth, truth = rng.uniform(2, 60, (2, 5, 6))
+            cls, true_cls = rng.integers(0, 4, (2, 5, 6))
+            for scores in (whole, part):
+                scores.add_depth("dense", depth, truth)
+                scores.add_classes(cls, true_cls)
+        total.add_sums(json.loads(json.dumps(part.sums())))
+    assert total.report()["depth_dense"] == pytest.approx(whole.report()["depth_dense"])
+    assert total.report()["classes"] == whole.report()["classes"]
+    assert whole.report()["depth_dense"]["frames"] == 6
+    assert list(whole.report()["classes"]["iou"]) == list(classes.NAMES[:4])
+
+
+def test_what_has_no_truth_is_null_in_json() -> None:
+    scores = Scores()
+    scores.add_depth("lidar", np.ones((2, 2)), np.zeros((2, 2)))
+    assert json.loads(json.dumps(scores.report(), allow_nan=False)) == {
+        "depth_dense": None, "depth_lidar": None, "classes": None,
+    }  # fmt: skip

@@ -1,0 +1,109 @@
+import csv
+import hashlib
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pipeline import store
+from pipeline.errors import InputError
+from stages.encoder import main
+from tests import street
+
+TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
+FIT = {"epochs": 2, "frames": 6, "batch": 3, "learning_rate": 0.003, "seed": 0}
+SETTINGS = {"backbone": "small", "weights": None, **FIT}
+
+
+@pytest.fixture
+def ingest(tmp_path: Path) -> Path:
+    """A training drive, and validation and test drives that nobody can open."""
+    folder = tmp_path / "ingest"
+    street.write_drive(folder, TRAIN, 9)
+    for poisoned in (VAL, TEST):
+        (folder / f"{poisoned}.h5").write_bytes(b"poison")
+    store.write_index(folder, {TRAIN: "train", VAL: "val", TEST: "test"})
+    return folder
+
+
+def run(ingest: Path, name: str = "encoder", **settings: object) -> Path:
+    params = ingest.parent / "params.yaml"
+    params.write_text(yaml.safe_dump({"encoder": {**SETTINGS, **settings}}))
+    main(ingest, ingest.parent / name, params)
+    return ingest.parent / name
+
+
+def test_fits_on_training_drives_alone_and_writes_what_it_did(ingest: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = run(ingest)
+    config = json.loads((out / "config.json").read_text())
+    assert config["frames_per_drive"] == {TRAIN: 6}
+    assert config["image_size"] == list(street.SIZE)
+    assert config["weights"] is None
+    assert config["parameters"] > 1000
+    rows = list(csv.DictReader((out / "curve.csv").read_text().splitlines()))
+    assert [row["epoch"] for row in rows] == ["1", "2"]
+    assert float(rows[-1]["loss"]) == pytest.approx(config["losses"]["loss"], rel=1e-4)
+    printed = capsys.readouterr().out
+    assert "epoch 2/2: loss" in printed
+    assert "fitted on 6 frames of 1 drives" in printed
+    assert not (ingest.parent / ".resume" / "encoder").exists()
+
+
+def test_same_input_gives_the_same_bytes(ingest: Path) -> None:
+    first = run(ingest, epochs=1)
+    second = run(ingest, "again", epochs=1)
+    (ingest / f"{TEST}.h5").write_bytes(b"another poison")
+    third = run(ingest, "other_test_drive", epochs=1)
+    digests = {hashlib.sha256((out / "encoder.pt").read_bytes()).hexdigest() for out in (first, second, third)}
+    assert len(digests) == 1
+
+
+def test_weights_are_used_as_they_are_with_no_epochs(ingest: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fitted = run(ingest, epochs=1) / "encoder.pt"
+    sha256 = hashlib.sha256(fitted.read_bytes()).hexdigest()
+    out = run(ingest, "taken", epochs=0, weights=f"{fitted}#sha256={sha256}", seed=5)
+    assert (out / "encoder.pt").read_bytes() == fitted.read_bytes()
+    config = json.loads((out / "config.json").read_text())
+    assert config["losses"] is None
+    assert config["weights"] == {"path": str(fitted), "sha256": sha256}
+    assert "weights used as they are" in capsys.readouterr().out
+
+
+def test_weights_are_where_fitting_starts(ingest: Path) -> None:
+    fitted = run(ingest, epochs=4)
+    more = run(ingest, "more", epochs=1, weights=str(fitted / "encoder.pt"), learning_rate=1e-9)
+    first = float((fitted / "curve.csv").read_text().splitlines()[1].split(",")[1])
+    assert json.loads((more / "config.json").read_text())["losses"]["loss"] < 0.8 * first
+
+
+def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path) -> None:
+    street.write_drive(ingest, TRAIN, 9, dense=False, lidar=True)
+    losses = json.loads((run(ingest) / "config.json").read_text())["losses"]
+    assert losses["depth"] > 0
+    assert losses["classes"] == 0
+
+
+def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad.pt").write_bytes(b"no checkpoint")
+    bad = {
+        r"epochs = 0 needs encoder\.weights": {"epochs": 0},
+        r"backbone = large: known: .*small": {"backbone": "large"},
+        r"nowhere\.pt is missing": {"weights": "nowhere.pt"},
+        r"has the SHA-256": {"weights": f"{tmp_path / 'bad.pt'}#sha256={'1' * 64}"},
+        r"bad\.pt is cut short": {"weights": str(tmp_path / "bad.pt")},
+        r"unknown key encoder\.epoch:.*epochs": {"epoch": 3},
+    }
+    for message, settings in bad.items():
+        with pytest.raises(InputError, match=message) as caught:
+            run(ingest, **settings)
+        assert "\n" not in str(caught.value)
+    assert not (ingest.parent / "encoder").exists()
+
+
+def test_weights_of_another_backbone_are_refused(ingest: Path, tmp_path: Path) -> None:
+    from pipeline.weights import write_weights
+
+    write_weights(tmp_path / "other.pt", "swin-t", {})
+    with pytest.raises(InputError, match=r"holds backbone 'swin-t', encoder\.backbone is 'small'"):
+        run(ingest, weights=str(tmp_path / "other.pt"))

@@ -1,0 +1,120 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from models.unified_encoder import UnifiedEncoder
+from pipeline import classes, store
+from pipeline.errors import InputError
+from pipeline.image_metrics import depth_errors
+from pipeline.perceive import perceive
+from pipeline.weights import write_weights
+from stages.perception import _load_model as load_model
+from stages.perception import main
+from tests import street
+
+SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test", "2026_01_03_drive_0002": "test"}
+DENSE, LIDAR, BLIND = SPLITS
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Drives with dense truth, with LiDAR alone and without images, and a network that was never fitted."""
+    root = tmp_path_factory.mktemp("perception")
+    street.write_drive(root / "ingest", DENSE, 7)
+    street.write_drive(root / "ingest", LIDAR, 5, dense=False, lidar=True)
+    street.write_drive(root / "ingest", BLIND, 3, dense=False, lidar=True, images=False)
+    store.write_index(root / "ingest", SPLITS)
+    torch.manual_seed(0)
+    write_weights(root / "encoder" / "encoder.pt", "small", UnifiedEncoder("small").state_dict())
+    run(root, "perception", batch=4)
+    return root
+
+
+def run(root: Path, name: str, batch: int) -> None:
+    params = root / "params.yaml"
+    params.write_text(yaml.safe_dump({"perception": {"batch": batch}}))
+    main(root / "ingest", root / "encoder", root / name, params, workers=1)
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    with store.DriveReader(path, stage="perception") as file:
+        return {name: file[name] for name in ("frame", "time_s", "depth_m", "cls")}
+
+
+def test_each_image_has_depth_and_classes(folder: Path) -> None:
+    assert store.read_index(folder / "perception", stage="perception") == SPLITS
+    content = read(folder / "perception" / f"{DENSE}.h5")
+    assert content["frame"].tolist() == list(range(7))
+    assert content["depth_m"].dtype == np.uint16
+    assert content["cls"].dtype == np.uint8
+    assert content["depth_m"].shape == content["cls"].shape == (7, *street.SIZE)
+    np.testing.assert_array_equal(content["depth_m"] == 0, content["cls"] == classes.SKY)
+
+
+def test_a_drive_without_images_gives_an_empty_file(folder: Path) -> None:
+    content = read(folder / "perception" / f"{BLIND}.h5")
+    assert content["depth_m"].shape == content["cls"].shape == (0, *street.SIZE)
+    assert content["frame"].dtype == np.int32
+
+
+def test_only_frames_with_an_image_count(folder: Path, tmp_path: Path) -> None:
+    street.write_drive(tmp_path / "ingest", DENSE, 7)
+    import h5py
+
+    with h5py.File(tmp_path / "ingest" / f"{DENSE}.h5", "r+") as file:
+        file["has_image"][2:5] = 0
+    store.write_index(tmp_path / "ingest", {DENSE: "train"})
+    (tmp_path / "encoder").symlink_to(folder / "encoder")
+    run(tmp_path, "perception", batch=3)
+    some, every = read(tmp_path / "perception" / f"{DENSE}.h5"), read(folder / "perception" / f"{DENSE}.h5")
+    assert some["frame"].tolist() == [0, 1, 5, 6]
+    np.testing.assert_allclose(some["depth_m"].astype(int), every["depth_m"][[0, 1, 5, 6]], atol=1)
+
+
+def test_batch_size_changes_nothing_and_a_drive_without_images_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(folder, "single", batch=1)
+    assert f"without images, so without depth and classes: {BLIND}" in capsys.readouterr().out
+    for drive in SPLITS:
+        one, four = read(folder / "single" / f"{drive}.h5"), read(folder / "perception" / f"{drive}.h5")
+        assert (one["cls"] == four["cls"]).mean() > 0.999 if four["cls"].size else not one["cls"].size
+        same = one["cls"] == four["cls"]
+        np.testing.assert_allclose(one["depth_m"][same].astype(int), four["depth_m"][same], atol=1)
+
+
+def test_scores_equal_what_the_files_say(folder: Path) -> None:
+    metrics = json.loads((folder / "perception" / "metrics.json").read_text())
+    content = read(folder / "perception" / f"{DENSE}.h5")
+    scenes = [street.scene(frame) for frame in range(7)]
+    # Depth is scored as the network gives it, also where it sees sky: so ask the network again.
+    model = load_model(folder / "encoder" / "encoder.pt")
+    errors = [
+        depth_errors(perceive(model, image[None], street.K)[0][0], np.rint(depth * 256) / 256)
+        for image, depth, _ in scenes
+    ]
+    dense = metrics["train"]["depth_dense"]
+    found = [dense["abs_rel"], dense["rmse_m"], dense["delta1"]]
+    assert found == pytest.approx(np.mean(errors, axis=0), rel=1e-3)
+    true_cls = np.stack([cls for _, _, cls in scenes])
+    assert metrics["train"]["classes"]["pixel_accuracy"] == pytest.approx((true_cls == content["cls"]).mean())
+    assert metrics["train"]["depth_lidar"] is None
+    assert metrics["test"]["depth_lidar"]["frames"] == 5
+    assert metrics["test"]["depth_dense"] is None
+    assert metrics["test"]["classes"] is None
+    assert metrics["val"] == {"depth_dense": None, "depth_lidar": None, "classes": None}
+
+
+def test_a_bad_checkpoint_is_one_error_that_names_the_command(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "encoder").mkdir()
+    (tmp_path / "encoder" / "encoder.pt").write_bytes(b"nothing")
+    (tmp_path / "ingest").symlink_to(folder / "ingest")
+    with pytest.raises(InputError, match=r"cut short.*dvc repro --force encoder"):
+        run(tmp_path, "perception", batch=1)
+    write_weights(tmp_path / "encoder" / "encoder.pt", "no-such", {})
+    with pytest.raises(InputError, match=r"no backbone 'no-such'.*dvc repro --force encoder"):
+        run(tmp_path, "perception", batch=1)

@@ -1,0 +1,61 @@
+"""A synthetic street in the layout that stage ingest writes: ground, a wall on either side, sky; a few kilobytes."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline import classes, store
+from pipeline.geometry import back_project, rays
+
+SIZE = (32, 64)
+K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
+# velodyne x forward, y left, z up → camera x right, y down, z forward, with a small offset
+T_CAM_VELO = np.array([[0.0, -1, 0, 0.0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+
+
+def scene(frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return image uint8 [H,W,3], depth [H,W] in metres (0 in the sky) and classes uint8 [H,W] of a frame."""
+    x, y, _ = np.moveaxis(rays(K, SIZE), -1, 0)
+    half_width = 4 + 2 * np.sin(frame)
+    with np.errstate(divide="ignore"):
+        ground = np.where(y > 0, 1.65 / y, np.inf)
+        wall = np.where(y > -0.2, half_width / np.abs(x), np.inf)
+    depth = np.minimum(ground, wall)
+    cls = np.where(ground < wall, classes.ROAD, classes.BUILDING)
+    cls[depth > 60] = classes.SKY
+    depth[depth > 60] = 0
+    rng = np.random.default_rng(frame)
+    image = classes.COLOURS[cls] + rng.integers(0, 20, (*SIZE, 1), dtype=np.uint8)
+    return image.astype(np.uint8), depth, cls.astype(np.uint8)
+
+
+def write_drive(
+    folder: Path, drive: str, frames: int, *, dense: bool = True, lidar: bool = False, images: bool = True
+) -> None:
+    """Write ``folder/<drive>.h5`` with `frames` frames that have what the flags say."""
+    scenes = [scene(frame) for frame in range(frames)]
+    with store.DriveWriter(folder / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+        file.put("frame", np.arange(frames, dtype=np.int32))
+        file.put("time_s", np.arange(frames) / 10)
+        for name, present in {"image": images, "lidar": lidar, "depth": dense, "cls": dense}.items():
+            file.put(f"has_{name}", np.full(frames, present, np.uint8))
+        blank = np.zeros((*SIZE, 3), np.uint8)
+        file.put("image", np.stack([image if images else blank for image, _, _ in scenes]))
+        file.put("K", K)
+        scans = [scan(depth) if lidar else np.zeros((0, 4), np.float32) for _, depth, _ in scenes]
+        file.put("lidar_ptr", store.pointers(len(points) for points in scans))
+        file.put("lidar", np.concatenate(scans))
+        if lidar:
+            file.put("T_cam_velo", T_CAM_VELO)
+        if dense:
+            file.put("depth", np.stack([np.rint(depth * 256).astype(np.uint16) for _, depth, _ in scenes]))
+            file.put("cls", np.stack([cls for _, _, cls in scenes]))
+
+
+def scan(depth_m: np.ndarray) -> np.ndarray:
+    """Return velodyne points float32 [N,4] that hit every fourth pixel of each other row."""
+    sparse = np.zeros_like(depth_m)
+    sparse[::2, ::4] = depth_m[::2, ::4]
+    xyz = back_project(sparse, K)[sparse > 0]
+    velo = (xyz - T_CAM_VELO[:3, 3]) @ T_CAM_VELO[:3, :3]
+    return np.c_[velo, np.full(len(velo), 0.5)].astype(np.float32)

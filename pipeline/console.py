@@ -1,6 +1,7 @@
 """Run a stage's ``main`` as a command: arguments by Typer, errors as one line, exit status."""
 
 import errno
+import functools
 import os
 import sys
 from collections.abc import Callable
@@ -9,6 +10,8 @@ import typer
 
 from pipeline.errors import InputError
 
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, the user's quota, the limit on one file
+
 
 def run(main: Callable[..., object]) -> None:
     """Parse the command line for `main` and call it.
@@ -16,20 +19,24 @@ def run(main: Callable[..., object]) -> None:
     An :class:`InputError` or a full disk ends the process with one line on stderr and status 1, Ctrl-C with 130.
     Anything else is a bug and keeps its traceback.
     """
+
+    @functools.wraps(main)  # Typer reads its arguments
+    def guarded(*args: object, **options: object) -> None:
+        try:
+            main(*args, **options)
+        except InputError as error:
+            _stop(str(error))
+        except OSError as error:
+            if error.errno not in _FULL:
+                raise
+            where = f" while writing {error.filename}" if error.filename else ""
+            _stop(f"{error.strerror}{where}. Free some space and run the same command again: finished drives are kept.")
+        except KeyboardInterrupt:  # Typer would end silently
+            _stop("interrupted: finished drives are kept, run the same command again to go on", status=130)
+
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(main)
-    try:
-        app()
-    except InputError as error:
-        _stop(str(error))
-    except OSError as error:
-        # HDF5 reports a full disk only in its message.
-        if error.errno != errno.ENOSPC and "No space left" not in str(error):
-            raise
-        where = f" while writing {error.filename}" if error.filename else ""
-        _stop(f"no space left on device{where}. Free some and run the same command again: finished drives are kept.")
-    except KeyboardInterrupt:
-        _stop("interrupted: finished drives are kept, run the same command again to go on", status=130)
+    app.command()(guarded)
+    app()
 
 
 def _stop(message: str, status: int = 1) -> None:

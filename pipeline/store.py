@@ -103,7 +103,7 @@ class DriveWriter:
 
 
 class _Sink(io.FileIO):
-    """The file below an HDF5 file. It remembers a failed write and goes on.
+    """The file below an HDF5 file. It remembers a failure and goes on.
 
     HDF5 writes much of a file as it closes it, where h5py loses errors: on a full disk, it would leave an incomplete
     file that looks complete, and crash as the process ends.
@@ -121,12 +121,22 @@ class _Sink(io.FileIO):
             while left:  # the system may take a part only
                 left = left[super().write(left) :]
         except OSError as error:
-            error.filename = self._path
-            self._error = self._error or error
+            self._remember(error)
         return size
 
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._remember(error)
+        return size or 0
+
+    def _remember(self, error: OSError) -> None:
+        error.filename = self._path
+        self._error = self._error or error
+
     def check(self) -> None:
-        """Raise the first error that a write met."""
+        """Raise the first error there was."""
         if self._error:
             raise self._error
 

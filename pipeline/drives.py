@@ -9,6 +9,7 @@ import json
 import multiprocessing
 import os
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -139,6 +140,7 @@ def _start_worker(threads: int) -> None:
     """Keep a worker's libraries from using every core each, and the worker from outliving a killed stage."""
     import cv2
 
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C: end without a traceback each
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     cv2.setNumThreads(threads)
     if "torch" in sys.modules:

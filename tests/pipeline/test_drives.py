@@ -1,0 +1,178 @@
+"""Running over drives: whatever ends a run, what was finished is kept, and nothing is left half-done."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.drives import run_over_drives
+from pipeline.errors import InputError
+from tests.kitti_drive import contents
+
+DRIVES = ["a", "b", "c", "d"]
+
+
+def work(drive: str, path: Path, log: Path, trouble: dict[str, str]) -> dict[str, Any]:
+    """Note the call in `log`, run into the trouble that `drive` has, write a file."""
+    with log.open("a") as file:
+        file.write(f"{drive}\n")
+    match trouble.get(drive):
+        case "die":
+            os._exit(9)
+        case "hang":
+            time.sleep(600)
+        case "fail":
+            raise InputError(f"{drive} is damaged")
+        case "later":
+            time.sleep(0.3)
+    path.write_text(f"content of {drive}")
+    return {"frames": len(drive)}
+
+
+def run(tmp_path: Path, trouble: dict[str, str] | None = None, **changes: Any) -> dict[str, Any]:
+    out = tmp_path / "data/stage"
+    log = tmp_path / "log"
+    log.unlink(missing_ok=True)
+    options: dict[str, Any] = {"settings": {"k": 6}, "inputs": lambda drive: ["fingerprint"], "workers": 1} | changes
+    return run_over_drives(
+        partial(work, log=log, trouble=trouble or {}), DRIVES, module="pipeline.store", out=out, **options
+    )
+
+
+def calls(tmp_path: Path) -> list[str]:
+    return sorted((tmp_path / "log").read_text().split()) if (tmp_path / "log").exists() else []
+
+
+def finished(tmp_path: Path) -> dict[str, bytes]:
+    return contents(tmp_path / "data/stage")
+
+
+WHOLE = {f"{drive}.h5": f"content of {drive}".encode() for drive in DRIVES}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_drive_gets_its_file(tmp_path: Path, workers: int, capsys: pytest.CaptureFixture[str]) -> None:
+    summaries = run(tmp_path, workers=workers, describe=lambda summary: f"{summary['frames']} frames")
+    assert list(summaries.items()) == [(drive, {"frames": 1}) for drive in DRIVES]
+    assert finished(tmp_path) == WHOLE
+    assert calls(tmp_path) == DRIVES
+    assert not list((tmp_path / "data/.resume").iterdir()), "on success, nothing waits"
+    lines = capsys.readouterr().out.splitlines()
+    assert sorted(line.split(",")[0] for line in lines) == [f"{drive}: 1 frames" for drive in DRIVES]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_failed_drive_keeps_the_others(tmp_path: Path, workers: int) -> None:
+    with pytest.raises(InputError, match="c is damaged"):
+        run(tmp_path, {"c": "fail", "d": "later"}, workers=workers)
+    assert finished(tmp_path) == {}, "a stage's folder is filled at the end only"
+    done = set(calls(tmp_path)) - {"c"}
+    run(tmp_path, workers=workers)
+    assert calls(tmp_path) == sorted({*DRIVES} - done)
+    assert {"a", "b"} <= done
+    assert finished(tmp_path) == WHOLE
+
+
+def test_a_dead_worker_is_one_line_and_keeps_the_others(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a worker process died \(out of memory\?\) at or near .*STEER_WORKERS=1"):
+        run(tmp_path, {"d": "die", "c": "later"}, workers=2)
+    run(tmp_path, workers=2)
+    assert set(calls(tmp_path)) <= {"b", "c", "d"}
+    assert finished(tmp_path) == WHOLE
+
+
+def test_what_determines_a_file_is_in_its_key(tmp_path: Path) -> None:
+    source = tmp_path / "input"
+    source.write_text("1")
+    first: dict[str, Any] = {"settings": {"k": 6}, "inputs": lambda drive: [source, "fingerprint"]}
+
+    def leave_three_finished() -> None:
+        with pytest.raises(InputError):
+            run(tmp_path, {"d": "fail"}, **first)
+
+    leave_three_finished()
+    run(tmp_path, **first)
+    assert calls(tmp_path) == ["d"]
+
+    for change in ({"settings": {"k": 7}}, {"inputs": lambda drive: [source, "another"]}):
+        leave_three_finished()
+        run(tmp_path, **(first | change))
+        assert calls(tmp_path) == DRIVES
+
+    leave_three_finished()
+    source.write_text("2")
+    run(tmp_path, **first)
+    assert calls(tmp_path) == DRIVES
+
+
+def test_missing_input(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere is missing: dvc repro makes it"):
+        run(tmp_path, inputs=lambda drive: [tmp_path / "nowhere"])
+
+
+def test_targets_and_resume_folder_may_lie_elsewhere(tmp_path: Path) -> None:
+    run(tmp_path, target=lambda drive: tmp_path / "data/stage" / drive / "x.bin", resume=tmp_path / "kept")
+    assert sorted(finished(tmp_path)) == [f"{drive}/x.bin" for drive in DRIVES]
+    assert not (tmp_path / "kept").exists()
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGINT, 130)], ids=["kill", "ctrl-c"])
+def test_a_killed_run_resumes_and_leaves_no_process(tmp_path: Path, number: signal.Signals, status: int) -> None:
+    program = """
+if __name__ == "__main__":
+    from pathlib import Path
+    from pipeline import console
+    from tests.pipeline.test_drives import run
+
+    def main(tmp_path: Path) -> None:
+        run(tmp_path, {"b": "hang", "d": "hang"}, workers=2)
+
+    console.run(main)
+"""
+    (tmp_path / "program.py").write_text(program)
+    root = str(Path(__file__).resolve().parents[2])
+    process = subprocess.Popen(
+        [sys.executable, str(tmp_path / "program.py"), str(tmp_path)],
+        env=os.environ | {"PYTHONPATH": root},
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    kept = tmp_path / "data/.resume/stage"
+    _wait_for(lambda: {"b", "d"} <= set(calls(tmp_path)) and len(list(kept.glob("*.json"))) == 2)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # a terminal sends Ctrl-C to the whole group
+    else:
+        process.send_signal(number)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == status
+    if number == signal.SIGINT:
+        assert errors.startswith("error: interrupted")
+        assert errors.count("\n") == 1
+    _wait_for(lambda: not _alive(process.pid))
+
+    run(tmp_path)
+    assert calls(tmp_path) == ["b", "d"]
+    assert finished(tmp_path) == WHOLE
+
+
+def _alive(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def _wait_for(condition: Any) -> None:
+    for _ in range(300):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise TimeoutError

@@ -26,6 +26,8 @@ def work(drive: str, path: Path, log: Path, trouble: dict[str, str]) -> dict[str
         case "die":
             os._exit(9)
         case "hang":
+            (log.parent / "hanging").mkdir(exist_ok=True)
+            (log.parent / "hanging" / str(os.getpid())).touch()
             time.sleep(600)
         case "fail":
             raise InputError(f"{drive} is damaged")
@@ -145,7 +147,7 @@ if __name__ == "__main__":
         text=True,
     )
     kept = tmp_path / "data/.resume/stage"
-    _wait_for(lambda: {"b", "d"} <= set(calls(tmp_path)) and len(list(kept.glob("*.json"))) == 2)
+    _wait_for(lambda: len(list((tmp_path / "hanging").glob("*"))) == len(list(kept.glob("*.json"))) == 2)
     if number == signal.SIGINT:
         os.killpg(process.pid, number)  # a terminal sends Ctrl-C to the whole group
     else:
@@ -155,19 +157,21 @@ if __name__ == "__main__":
     if number == signal.SIGINT:
         assert errors.startswith("error: interrupted")
         assert errors.count("\n") == 1
-    _wait_for(lambda: not _alive(process.pid))
+    workers = [int(path.name) for path in (tmp_path / "hanging").iterdir()]
+    assert len(workers) == 2
+    _wait_for(lambda: not any(_alive(pid) for pid in workers))
 
     run(tmp_path)
     assert calls(tmp_path) == ["b", "d"]
     assert finished(tmp_path) == WHOLE
 
 
-def _alive(group: int) -> bool:
+def _alive(pid: int) -> bool:
+    """A process that has ended but that nobody waited for (a zombie) is not alive."""
     try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except FileNotFoundError:
         return False
-    return True
 
 
 def _wait_for(condition: Any) -> None:

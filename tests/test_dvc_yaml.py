@@ -1,0 +1,67 @@
+"""dvc.yaml says of each stage what its code says: nothing that it needs is missing, nothing else makes it run again."""
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from pipeline import code, params
+
+CONFIG: dict[str, Any] = yaml.safe_load((code.ROOT / "dvc.yaml").read_text())
+STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
+SECTION_OF = {kind.__name__: name for name, kind in {**params.SECTIONS, **params.MAPPINGS}.items()}
+
+
+def test_one_name_four_places() -> None:
+    files = {path.stem for path in (code.ROOT / "stages").glob("*.py")} - {"__init__"}
+    assert files == set(STAGES)
+    for name, stage in STAGES.items():
+        assert re.fullmatch(rf"python -m stages\.{name}( \$\{{key\}})?", stage["cmd"])
+        for out in stage.get("outs", []):
+            assert re.fullmatch(rf"data/{name}(/\$\{{key\}})?", out)
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_deps_on_code_are_the_modules_that_the_stage_imports(name: str) -> None:
+    imported = {str(path) for path in code.import_closure(f"stages.{name}") if not _is_empty(path)}
+    listed = {dep for dep in STAGES[name]["deps"] if dep.endswith(".py")}
+    assert listed == imported
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_deps_on_data_are_exactly_outs(name: str) -> None:
+    """Decision 2: a dep on a folder that merely holds outs trains on nothing. Report, which gathers, is the exception."""
+    outs = {out for stage in STAGES.values() for out in stage.get("outs", [])}
+    for dep in STAGES[name]["deps"]:
+        if dep.startswith("data/") and (name, dep) != ("report", "data/evaluate"):
+            pattern = re.sub(r"\$\{item\.\w+\}", "${key}", dep)
+            inside = dep == "data/clouds/${item.cloud}"  # the two halves of one out, each a folder of its own
+            assert pattern in outs or (inside and "data/clouds" in outs)
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_sections_that_a_stage_reads_are_its_params(name: str) -> None:
+    tree = ast.parse((code.ROOT / "stages" / f"{name}.py").read_text())
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    read = set()
+    for call in calls:
+        function = getattr(call.func, "id", getattr(call.func, "attr", ""))
+        if function in ("load", "load_entry") and call.args:
+            kind = getattr(call.args[0], "id", getattr(call.args[0], "attr", ""))
+            read.add(SECTION_OF.get(kind, kind))
+        if function == "names":
+            read.add(ast.literal_eval(call.args[0]))
+    listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
+    assert listed == (set() if name == "check" else read)
+
+
+def test_check_runs_for_any_edit_of_the_params() -> None:
+    assert "params.yaml" in STAGES["check"]["deps"]
+
+
+def _is_empty(path: Path) -> bool:
+    """A package's __init__.py that only names it."""
+    return path.name == "__init__.py" and len(ast.parse((code.ROOT / path).read_text()).body) <= 1

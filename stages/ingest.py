@@ -1,7 +1,7 @@
 """Read raw drives once, and write all that later stages need from them: one HDF5 file per drive."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,13 +40,16 @@ def main(
     root = town if settings.source == "town" else raw
     if not root.is_dir():
         raise InputError(MISSING[settings.source].format(root=root))
-    drives = kitti.find_drives(root, list(splits))
+    attributes = {
+        drive: {"split": splits[drive], "source": settings.source, "fingerprint": found.fingerprint(settings.cameras)}
+        for drive, found in kitti.find_drives(root, list(splits)).items()
+    }
     summaries = run_over_drives(
-        partial(ingest, drives=drives, splits=splits, settings=settings),
+        partial(ingest, root=root, attributes=attributes, settings=settings),
         list(splits),
         module="stages.ingest",
         out=out,
-        inputs=lambda drive: [drives[drive].fingerprint(settings.cameras), splits[drive]],
+        inputs=lambda drive: list(attributes[drive].values()),
         settings=settings.model_dump(exclude={"drives"}),
         workers=workers,
         describe=describe,
@@ -59,23 +62,11 @@ def main(
 
 
 def ingest(
-    drive: str, path: Path, drives: Mapping[str, kitti.RawDrive], splits: Mapping[str, str], settings: Ingest
+    drive: str, path: Path, root: Path, attributes: Mapping[str, Mapping[str, str]], settings: Ingest
 ) -> dict[str, Any]:
     """Write one drive's file. Its frames are those that have an oxts packet: without one there is no label."""
-    raw = drives[drive]
-    damaged: Counter[str] = Counter()
-
-    def read(kind: str, reader: Callable[[Path], np.ndarray], file: Path | None) -> np.ndarray | None:
-        try:
-            return None if file is None else reader(file)
-        except DamagedFile as error:
-            if settings.on_damaged == "fail":
-                raise InputError(
-                    f"{error}. Extract it again, or set ingest.on_damaged: skip to leave it out"
-                ) from error
-            damaged[kind] += 1
-            return None
-
+    raw = kitti.find_drives(root, [drive])[drive]
+    read = TolerantReader(tolerant=settings.on_damaged == "skip")
     packets = {frame: read("oxts", oxts.read_row, file) for frame, file in raw.oxts.items()}
     packets = {frame: row for frame, row in packets.items() if row is not None}
     if not packets:
@@ -85,20 +76,14 @@ def ingest(
     camera = raw.camera(settings.cameras)
     if scans and (camera is None or camera.T_cam_velo is None):
         raise InputError(f"{raw.calibration} lacks calib_cam_to_cam.txt or calib_velo_to_cam.txt: {drive} has scans")
-    pixels = {
-        "image": raw.images(camera.number) if camera else {},
-        "depth": raw.truth_depth if camera else {},
-        "cls": raw.truth_cls if camera else {},
-    }
-    counts = {"frames": len(frames), "camera": camera.number if camera else None}
+    pictures = {}
+    if camera:
+        pictures = {"image": raw.images(camera.number), "depth": raw.truth_depth, "cls": raw.truth_cls}
+
+    counts: dict[str, Any] = {"frames": len(frames), "camera": camera.number if camera else None}
     dump = settings.model_dump(exclude={"drives"})
     with store.DriveWriter(path, stage="ingest", drive=drive, params={"ingest": dump}) as file:
-        file.attrs |= {
-            "split": splits[drive],
-            "source": settings.source,
-            "camera": camera.number if camera else -1,
-            "fingerprint": raw.fingerprint(settings.cameras),
-        }
+        file.attrs |= {**attributes[drive], "camera": camera.number if camera else -1}
         file.put("frame", np.array(frames, np.int32))
         file.put("time_s", oxts.read_times(raw.oxts_times, frames), "s")
         file.put("oxts", np.array(list(packets.values())), "as KITTI's oxts/dataformat.txt")
@@ -108,28 +93,55 @@ def ingest(
             file.put("T_cam_velo", camera.T_cam_velo, "m")
 
         for name, (reader, channels, dtype, unit, absent) in PIXELS.items():
+            files = pictures.get(name, {})
             has = np.zeros(len(frames), np.uint8)
-            if pixels[name] or name == "image":
+            if files or name == "image":
                 file.blank(name, (len(frames), *settings.image_size, *channels), dtype, unit, value=absent)
-            for index, frame in enumerate(frames):
-                resized = partial(reader, size=camera.size if camera else (0, 0), new_size=settings.image_size)
-                array = read(name, resized, pixels[name].get(frame))
-                if array is not None:
-                    file.fill(name, index, array)
+            if files and camera:
+                resized = partial(reader, size=camera.size, new_size=settings.image_size)
+                for index, pixels in read.each(name, resized, files, frames):
+                    file.fill(name, index, pixels)
                     has[index] = 1
             file.put(f"has_{name}", has)
             counts[name] = int(has.sum())
 
-        points = []
-        for frame in frames:
-            scan = read("lidar", kitti.read_scan, scans.get(frame))
-            file.append("lidar", np.zeros((0, 4), np.float32) if scan is None else scan, "m, m, m, reflectance")
-            points.append(0 if scan is None else len(scan))
+        points = np.zeros(len(frames), np.int64)
+        file.append("lidar", np.zeros((0, 4), np.float32), "m, m, m, reflectance")
+        for index, scan in read.each("lidar", kitti.read_scan, scans, frames):
+            file.append("lidar", scan)
+            points[index] = len(scan)
         file.put("lidar_ptr", store.pointers(points), "rows of lidar")
-        file.put("has_lidar", np.array(points, bool).astype(np.uint8))
+        file.put("has_lidar", (points > 0).astype(np.uint8))
         counts["lidar"] = int(np.count_nonzero(points))
-    unlabelled = (set(pixels["image"]) | set(scans)) - set(raw.oxts)
-    return counts | {"damaged": dict(damaged), "without_oxts": len(unlabelled)}
+    unlabelled = (set(pictures.get("image", {})) | set(scans)) - set(raw.oxts)
+    return counts | {"damaged": dict(read.damaged), "without_oxts": len(unlabelled)}
+
+
+class TolerantReader:
+    """Reads files of single frames; a damaged one is an error, or, if `tolerant`, None and counted by kind."""
+
+    def __init__(self, tolerant: bool) -> None:
+        self._tolerant = tolerant
+        self.damaged: Counter[str] = Counter()
+
+    def __call__(self, kind: str, reader: Callable[[Path], np.ndarray], file: Path) -> np.ndarray | None:
+        try:
+            return reader(file)
+        except DamagedFile as error:
+            if not self._tolerant:
+                advice = "Extract it again, or set ingest.on_damaged: skip to leave it out"
+                raise InputError(f"{error}. {advice}") from error
+            self.damaged[kind] += 1
+            return None
+
+    def each(
+        self, kind: str, reader: Callable[[Path], np.ndarray], files: Mapping[int, Path], frames: Sequence[int]
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield (position in `frames`, array) for each of `frames` that has a sound file."""
+        for index, frame in enumerate(frames):
+            array = self(kind, reader, files[frame]) if frame in files else None
+            if array is not None:
+                yield index, array
 
 
 def describe(summary: Mapping[str, Any]) -> str:
@@ -140,7 +152,7 @@ def describe(summary: Mapping[str, Any]) -> str:
     if summary["depth"] or summary["cls"]:
         text += ", {depth} depth and {cls} class truths".format_map(summary)
     if summary["without_oxts"]:
-        text += f", {summary['without_oxts']} frames left out for want of an oxts packet"
+        text += f", {summary['without_oxts']} without an oxts packet left out"
     for kind, number in summary["damaged"].items():
         text += f", {number} damaged {kind} left out"
     return text

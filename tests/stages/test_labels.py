@@ -1,0 +1,156 @@
+"""Stage labels, down to KITTI's own packets."""
+
+import json
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.store import DriveReader, DriveWriter, read_index, write_index
+from stages import ingest, labels
+from tests.kitti_drive import contents, write_params
+
+DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
+
+
+def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> None:
+    """Write what stage ingest leaves of two drives; the second one moves like the first one's mirror image."""
+    frames = len(speed)
+    for sign, (drive, split) in zip((1, -1), DRIVES.items(), strict=True):
+        oxts = np.zeros((frames, 30))
+        oxts[:, 8], oxts[:, 22] = speed, sign * np.array(yaw_rate)
+        with DriveWriter(folder / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+            file.attrs["split"] = split
+            file.put("frame", np.arange(5, 5 + frames, dtype=np.int32))
+            file.put("time_s", np.arange(frames) / 10, "s")
+            file.put("oxts", oxts)
+    write_index(folder, DRIVES)
+
+
+def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
+    params = write_params(tmp_path / "params.yaml", train=list(DRIVES)[:1], test=list(DRIVES)[1:], labels=settings)
+    labels.main(tmp_path / "ingest", tmp_path / "labels", params, workers=1)
+    return [DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") for drive in DRIVES]
+
+
+def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ingest(tmp_path / "ingest", speed=[10.0, 5.0, 0.2, -3.0], yaw_rate=[0.0, 0.5, 0.01, -0.3])
+    left, right = run(tmp_path)
+    expected = np.arctan([0.0, 2.7 * 0.5 / 5, 2.7 * 0.01 / 0.2, 2.7 * 0.1])
+    np.testing.assert_allclose(left["steering_rad"], expected, atol=1e-15)
+    np.testing.assert_array_equal(right["steering_rad"], -left["steering_rad"])
+    np.testing.assert_array_equal(left["valid"], [1, 1, 0, 1])
+    np.testing.assert_allclose(left["curvature_1pm"], [0, 0.1, 0.05, 0.1], atol=1e-15)
+    np.testing.assert_array_equal(left["speed_mps"], [10, 5, 0.2, -3])
+    np.testing.assert_array_equal(left["yaw_rate_radps"], [0, 0.5, 0.01, -0.3])
+    np.testing.assert_array_equal(left.frame, [5, 6, 7, 8])
+    np.testing.assert_array_equal(left.time_s, [0, 0.1, 0.2, 0.3])
+    assert left.dataset("steering_rad").attrs["unit"] == "rad, left positive"
+    assert read_index(tmp_path / "labels", stage="labels") == DRIVES
+
+    summary = json.loads((tmp_path / "labels/summary.json").read_text())[left.drive]
+    valid = np.abs(expected[[0, 1, 3]])
+    assert summary["frames"] == 4
+    assert summary["valid_share"] == 0.75
+    assert summary["mean_abs_steering_rad"] == pytest.approx(valid.mean())
+    assert summary["max_abs_steering_rad"] == pytest.approx(valid.max())
+    assert summary["zero_mse_rad2"] == pytest.approx((valid**2).mean())
+    assert summary["reversing_frames"] == 1
+    text = capsys.readouterr().out
+    assert f"{left.drive}: 4 frames, 75% valid, |steering| mean {valid.mean():.4f} max {valid.max():.3f} rad" in text
+    assert ", 1 reversing" in text
+
+
+def test_standstill_all_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ingest(tmp_path / "ingest", speed=[0.0, 0.0, 0.1], yaw_rate=[0.0, 0.001, -0.001])
+    left, _ = run(tmp_path)
+    assert not left["valid"].any()
+    assert np.isfinite(left["steering_rad"]).all()
+    assert np.isfinite(left["curvature_1pm"]).all()
+    assert "3 frames, 0% valid, dt" in capsys.readouterr().out
+    left, _ = run(tmp_path, standstill="zero")
+    assert left["valid"].all()
+    assert not left["steering_rad"].any()
+
+
+def test_sliding_sideways_puts_labels_in_doubt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ingest(tmp_path / "ingest", speed=[5.0] * 3, yaw_rate=[0.0] * 3)
+    drive = list(DRIVES)[1]
+    with DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+        oxts = np.zeros((1, 30))
+        oxts[:, 8:10] = 5, 14
+        file.put("frame", np.zeros(1, np.int32))
+        file.put("time_s", np.zeros(1))
+        file.put("oxts", oxts)
+    run(tmp_path)
+    text = capsys.readouterr().out
+    assert f"{drive}: 1 frames, 100% valid" in text
+    assert text.endswith(f"labels in doubt, oxts says that the car slides sideways: {drive}\n")
+
+
+def test_two_runs_are_byte_identical(tmp_path: Path) -> None:
+    write_ingest(tmp_path / "ingest", speed=[10.0, 5.0], yaw_rate=[0.0, 0.5])
+    run(tmp_path)
+    first = contents(tmp_path / "labels")
+    run(tmp_path)
+    assert contents(tmp_path / "labels") == first
+
+
+def test_bad_input_is_one_line_and_changes_nothing(tmp_path: Path) -> None:
+    write_ingest(tmp_path / "ingest", speed=[10.0, 5.0], yaw_rate=[0.0, 0.5])
+    run(tmp_path)
+    before = contents(tmp_path / "labels")
+
+    def error(params: str = "params.yaml") -> str:
+        folders = ("--ingest", tmp_path / "ingest", "--out", tmp_path / "labels", "--params", tmp_path / params)
+        ended = subprocess.run(
+            [sys.executable, "-m", "stages.labels", *map(str, folders)], capture_output=True, text=True, check=False
+        )
+        assert ended.returncode == 1
+        assert ended.stderr.count("\n") == 1
+        assert contents(tmp_path / "labels") == before
+        return ended.stderr
+
+    assert "nothing.yaml is missing" in error("nothing.yaml")
+    (tmp_path / "wrong.yaml").write_text("labels: {wheelbase_m: -1, min_speed_mps: 1, standstill: raw}")
+    assert "labels.wheelbase_m = -1: Input should be greater than 0" in error("wrong.yaml")
+    (tmp_path / f"ingest/{next(iter(DRIVES))}.h5").write_bytes(b"no HDF5")
+    assert "is damaged" in error()
+    (tmp_path / f"ingest/{next(iter(DRIVES))}.h5").unlink()
+    assert f"lacks {next(iter(DRIVES))}, named in its index.json. Get them: dvc pull ingest" in error()
+    (tmp_path / "ingest/index.json").unlink()
+    assert "index.json is missing. Make it: dvc repro ingest" in error()
+
+
+@pytest.mark.real
+def test_all_real_drives_equal_the_formula(real_kitti: Path, tmp_path: Path) -> None:
+    """Second route: KITTI's own files and column numbers, and atan2 instead of atan."""
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        archive.extractall(tmp_path / "raw", filter="data")
+    folders = {path.name.removesuffix("_sync"): path for path in sorted((tmp_path / "raw").glob("*/*_sync"))}
+    assert len(folders) == 55
+    *train, test = folders
+    params = write_params(tmp_path / "params.yaml", train=train, test=[test])
+    ingest.main(raw=tmp_path / "raw", out=tmp_path / "ingest", params=params, workers=1)
+    labels.main(tmp_path / "ingest", tmp_path / "labels", params, workers=1)
+
+    frames = 0
+    for drive, folder in folders.items():
+        packets = sorted((folder / "oxts/data").glob("*.txt"))
+        vf, wu = np.array([path.read_text().split() for path in packets], float)[:, [8, 22]].T
+        with DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") as file:
+            valid = file["valid"].astype(bool)
+            np.testing.assert_array_equal(valid, np.abs(vf) >= 1.0)
+            expected = np.arctan2(2.7 * wu * np.sign(vf), np.abs(vf))
+            np.testing.assert_allclose(file["steering_rad"][valid], expected[valid], rtol=0, atol=1e-12)
+            np.testing.assert_array_equal(file.frame, [int(path.stem) for path in packets])
+            frames += len(packets)
+    assert frames > 25_000
+
+    summary = json.loads((tmp_path / "labels/summary.json").read_text())
+    assert [drive for drive in summary if summary[drive]["sideways_frames"]] == ["2011_09_26_drive_0093"]
+    assert max(drive["dt_max_s"] for drive in summary.values()) < 0.2

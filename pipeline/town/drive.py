@@ -19,6 +19,7 @@ from pipeline.town.traffic import draw_traffic
 from pipeline.town.world import World
 
 _CRUISE_MPS = (7.0, 10.0)
+TRAFFIC_M = 100.0  # farther cars are not drawn
 
 
 def write_drive(
@@ -57,7 +58,8 @@ def write_drive(
     camera, scanner = Camera(rig), Scanner(rig, scan_rays)
     xy, heading = route.at(motion.s_m)
     for frame in range(frames):
-        world.set_traffic([vehicle.at(frame) for vehicle in traffic])
+        near = [vehicle for vehicle in traffic if np.linalg.norm(vehicle.xy[frame] - xy[frame]) < TRAFFIC_M]
+        world.set_traffic([vehicle.at(frame) for vehicle in near])
         pose = imu_pose(xy[frame], heading[frame])
         noise = np.random.default_rng([_seed(seed, drive), frame])
         folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise), rows[frame])

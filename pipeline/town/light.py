@@ -8,7 +8,9 @@ from pipeline import classes
 from pipeline.town.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT
 from pipeline.town.world import Hits
 
-_TILE = 256
+_TILE = 256  # side of the pattern tiles; a power of two, see _look_up
+_GAMMA_STEPS = 4095
+_GAMMA = np.rint(255 * (np.arange(_GAMMA_STEPS + 1) / _GAMMA_STEPS) ** (1 / 2.2)).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -27,16 +29,16 @@ class Light:
 
 
 def draw_light(rng: np.random.Generator) -> Light:
-    overcast = rng.uniform(0, 0.75)
+    overcast = rng.uniform(0, 1) ** 1.5 * 0.8  # sunny more often than not
     azimuth, elevation = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(18, 60))
     sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     warm = rng.uniform(-0.08, 0.10)
     return Light(
         sun=sun,
-        sun_colour=(1.5 - 1.3 * overcast) * np.array([1 + warm, 1.0, 1 - warm]),
-        ambient=(0.35 + 0.35 * overcast) * np.array([0.92, 1.0, 1.1]),
+        sun_colour=(1.7 - 1.6 * overcast) * np.array([1 + warm, 1.0, 1 - warm]),
+        ambient=(0.30 + 0.45 * overcast) * np.array([0.92, 1.0, 1.1]),
         sky=(np.array([0.75, 0.82, 0.88]), (1 - overcast) * np.array([0.22, 0.42, 0.80]) + overcast * np.array([0.6, 0.64, 0.7])),
-        haze_m=rng.uniform(200, 600),
+        haze_m=rng.uniform(500, 2000),
         exposure=rng.uniform(0.75, 1.25),
         slope=rng.uniform(-0.25, 0.25, 2),
         tiles=np.stack([rng.uniform(-1, 1, (_TILE, _TILE)), _smooth(rng)]).astype(np.float32),
@@ -59,39 +61,43 @@ def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
 
 def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the picture uint8 RGB [H,W,3] of `hits` along `rays` [N,6], N = H·W; `lit` bool [N]: not in shadow."""
-    sky = hits.cls == classes.SKY
-    distance = np.where(sky, 0, hits.distance_m)
+    sky = np.flatnonzero(hits.cls == classes.SKY)
+    distance = hits.distance_m.copy()
+    distance[sky] = 0
     points = rays[:, :3] + distance[:, None] * rays[:, 3:]
-    colour = hits.colour * (1 + _pattern(light, hits, points))[:, None]
+    sun_colour, ambient = light.sun_colour.astype(np.float32), light.ambient.astype(np.float32)
     direct = np.maximum(hits.normal @ light.sun.astype(np.float32), 0) * lit
     # Light from the sky reaches upward faces more.
-    colour *= direct[:, None] * light.sun_colour.astype(np.float32) + (
-        (0.75 + 0.25 * hits.normal[:, 2])[:, None] * light.ambient.astype(np.float32)
-    )
+    from_sky = 0.75 + 0.25 * hits.normal[:, 2]
+    colour = direct[:, None] * sun_colour + from_sky[:, None] * ambient
+    colour *= hits.colour
+    colour *= 1 + _pattern(light, hits, points)[:, None]
     horizon, zenith = (part.astype(np.float32) for part in light.sky)
-    clear = np.exp(-distance / light.haze_m)[:, None].astype(np.float32)
-    colour = colour * clear + horizon * (1 - clear)
+    colour += (1 - np.exp(-distance / np.float32(light.haze_m)))[:, None] * (horizon - colour)
     colour[sky] = _sky(light, rays[sky, 3:], horizon, zenith)
 
     height, width = size
-    across = 1 + light.slope[0] * np.linspace(-1, 1, width) + light.slope[1] * np.linspace(-1, 1, height)[:, None]
-    picture = colour.reshape(height, width, 3) * (light.exposure * across[..., None]).astype(np.float32)
-    return (255 * np.clip(picture, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    across = light.slope[0] * np.linspace(-1, 1, width) + light.slope[1] * np.linspace(-1, 1, height)[:, None]
+    colour *= (_GAMMA_STEPS * light.exposure * (1 + across)).astype(np.float32).reshape(-1, 1)
+    np.clip(colour, 0, _GAMMA_STEPS, out=colour)
+    picture: np.ndarray = _GAMMA[colour.astype(np.int16)]
+    return picture.reshape(height, width, 3)
 
 
 def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     """Return each surface's relative brightness [N]: grain, patches, windows."""
-    x, y, z = points.T
+    x, y, z = points.T.copy()
     ground = hits.ground >= 0
     # Vertical faces are patterned along the street and upwards.
-    along = np.where(ground, x, x * -hits.normal[:, 1] + y * hits.normal[:, 0] + 0.37 * x)
+    along = np.where(ground, x, np.float32(0.37) * x + y * hits.normal[:, 0] - x * hits.normal[:, 1])
     up = np.where(ground, y, z)
     leaves = hits.cls == classes.VEGETATION
-    grass = hits.ground == GRASS
-    grain = np.select([leaves, grass], [0.30, 0.22], 0.08)
-    cell = np.where(leaves, 0.35, 0.15)
-    pattern = grain * _look_up(light.tiles[0], along / cell, up / cell) + 0.16 * _look_up(light.tiles[1], along * 2, up * 2)
-    slabs = hits.ground == PAVEMENT
+    grain = np.full(len(x), 0.08, np.float32)
+    grain[leaves], grain[hits.ground == GRASS] = 0.30, 0.22
+    per_m = np.where(leaves, np.float32(1 / 0.35), np.float32(1 / 0.15))
+    pattern = grain * _look_up(light.tiles[0], along * per_m, up * per_m)
+    pattern += np.float32(0.16) * _look_up(light.tiles[1], along * 2, up * 2)
+    slabs = np.flatnonzero(hits.ground == PAVEMENT)
     joint = (np.mod(along[slabs], 0.8) < 0.07) | (np.mod(up[slabs], 0.8) < 0.07)
     pattern[slabs] -= 0.15 * joint
 
@@ -102,7 +108,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     pattern[wall] -= 0.65 * window + 0.12 * (np.mod(v, 2.9) < 0.2)
     fence = np.flatnonzero((hits.cls == classes.FENCE) & (hits.colour[:, 2] > 0.12) & (hits.colour[:, 0] < 0.6))
     pattern[fence] -= 0.35 * (np.mod(along[fence] - 0.37 * x[fence], 0.35) < 0.08)
-    return np.maximum(pattern, -0.9).astype(np.float32)
+    return np.maximum(pattern, np.float32(-0.9))
 
 
 def _sky(light: Light, direction: np.ndarray, horizon: np.ndarray, zenith: np.ndarray) -> np.ndarray:
@@ -114,7 +120,7 @@ def _sky(light: Light, direction: np.ndarray, horizon: np.ndarray, zenith: np.nd
 
 
 def _look_up(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return tile[np.floor(y).astype(np.int32) % _TILE, np.floor(x).astype(np.int32) % _TILE]
+    return tile[np.floor(y).astype(np.int32) & (_TILE - 1), np.floor(x).astype(np.int32) & (_TILE - 1)]
 
 
 def _smooth(rng: np.random.Generator) -> np.ndarray:

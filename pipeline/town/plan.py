@@ -87,13 +87,13 @@ def _bay_width(route: Route, rng: np.random.Generator, chance: float) -> np.ndar
     if rng.random() < chance:
         start = route.s_m[0]
         while start < route.s_m[-1]:
-            end = start + rng.uniform(15, 50)
+            end = start + rng.uniform(20, 60)
             width[(route.s_m >= start) & (route.s_m < end)] = BAY_M
-            start = end + rng.uniform(6, 25)
-    blocked = np.abs(route.curvature_1pm) > 0.035
+            start = end + rng.uniform(6, 20)
+    blocked = np.abs(route.curvature_1pm) > 0.055
     for junction in route.junctions_m:
-        blocked |= np.abs(route.s_m - junction) < 18
-    reach = round(4 / STEP_M)
+        blocked |= np.abs(route.s_m - junction) < 13
+    reach = round(2 / STEP_M)
     blocked = np.convolve(blocked, np.ones(2 * reach + 1), "same") > 0
     width[blocked] = 0
     ramp = round(2 / STEP_M)

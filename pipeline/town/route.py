@@ -66,10 +66,10 @@ class Route:
 
 
 def draw_route(rng: np.random.Generator, length_m: float) -> Route:
-    """Draw a route of at least `length_m` from the first frame on that keeps clear of itself."""
+    """Draw a route of at least `length_m` from the first frame on that keeps clear of itself and turns both ways."""
     while True:
         route = _draw(rng, length_m)
-        if _clear_of_itself(route):
+        if _turns_both_ways(route, length_m) and _clear_of_itself(route):
             return route
 
 
@@ -95,7 +95,7 @@ def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
 
 
 def _draw(rng: np.random.Generator, length_m: float) -> Route:
-    pieces: list[Piece] = [(BEHIND_M + rng.uniform(0, 12), 0.0, 0.0)]
+    pieces: list[Piece] = [(BEHIND_M + rng.uniform(0, 8), 0.0, 0.0)]
     turns: list[tuple[str, float, float]] = []  # kind, s where it begins, s where it ends
     while sum(piece[0] for piece in pieces) < BEHIND_M + length_m:
         sign = rng.choice([-1, 1])
@@ -107,7 +107,7 @@ def _draw(rng: np.random.Generator, length_m: float) -> Route:
             start = sum(piece[0] for piece in pieces)
             pieces += _manoeuvre(kind, side, rng)
             turns.append((kind, start, sum(piece[0] for piece in pieces)))
-            pieces.append((rng.uniform(2, 10), 0.0, 0.0))
+            pieces.append((rng.uniform(2, 8), 0.0, 0.0))
     s, xy, heading, curvature = trace(pieces)
     s = s - BEHIND_M
     route = Route(s, xy, heading, curvature, rng.uniform(3.3, 3.7), (), ())
@@ -123,12 +123,12 @@ def _draw(rng: np.random.Generator, length_m: float) -> Route:
 
 def _manoeuvre(kind: str, side: int, rng: np.random.Generator) -> list[Piece]:
     if kind == "turn":
-        return bend(side * np.deg2rad(rng.uniform(75, 100)), rng.uniform(8.5, 14), rng.uniform(5, 7))
+        return bend(side * np.deg2rad(rng.uniform(75, 100)), rng.uniform(9, 14), rng.uniform(7, 10))
     if kind == "bend":
-        return bend(side * np.deg2rad(rng.uniform(35, 75)), rng.uniform(13, 32), rng.uniform(7, 11))
+        return bend(side * np.deg2rad(rng.uniform(35, 75)), rng.uniform(12, 30), rng.uniform(7, 11))
     if kind == "sweep":
         return bend(side * np.deg2rad(rng.uniform(12, 30)), rng.uniform(40, 200), rng.uniform(10, 15))
-    return [(rng.uniform(18, 24), 0.0, 0.0)]
+    return [(rng.uniform(16, 22), 0.0, 0.0)]
 
 
 def _arms(kind: str, route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
@@ -148,6 +148,12 @@ def _arms(kind: str, route: Route, start: float, end: float, rng: np.random.Gene
     which = rng.integers(4)  # a plain corner | a T, coming from its stem | straight on closed | both
     arms = [float(heading_out + np.pi)] * (which in (1, 3)) + [float(heading_in)] * (which in (2, 3))
     return [Arm(middle, heading, True, length) for heading in arms]
+
+
+def _turns_both_ways(route: Route, length_m: float) -> bool:
+    """In the stretch that will be driven, sharp bends lie left and right; a short one has no room for both."""
+    driven = route.curvature_1pm[(route.s_m > 0) & (route.s_m < 0.7 * (length_m - AHEAD_M))]
+    return len(driven) * STEP_M < 60 or bool(driven.max() > 0.04 and driven.min() < -0.04)
 
 
 def _clear_of_itself(route: Route, room_m: float = 32.0) -> bool:

@@ -28,17 +28,18 @@ class Camera:
         self._size = rig.size
         forward = geometry.rays(rig.K, rig.size).reshape(-1, 3)
         self._z_per_m = (1 / np.linalg.norm(forward, axis=1)).astype(np.float32)  # depth along the axis per distance
-        self._directions = forward * self._z_per_m[:, None]
+        self._directions = (forward * self._z_per_m[:, None]).astype(np.float32)
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
 
     def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky, or beyond 255 m), classes uint8 [H,W]."""
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
-        met = np.flatnonzero(hits.cls != classes.SKY)
-        points = rays[met, :3] + hits.distance_m[met, None] * rays[met, 3:] + 0.01 * hits.normal[met]
-        lit = np.ones(len(rays), bool)
-        lit[met] = world.lit(points, light.sun)
+        facing = np.flatnonzero(hits.normal @ light.sun.astype(np.float32) > 0)  # the sky has no normal
+        points = rays[facing, :3] + hits.distance_m[facing, None] * rays[facing, 3:]
+        points += np.float32(0.01) * hits.normal[facing]  # off the surface, or it would shade itself
+        lit = np.zeros(len(rays), bool)
+        lit[facing] = world.lit(points, light.sun)
         picture = shade(light, hits, rays, lit, self._size)
         depth = np.where(hits.cls == classes.SKY, 0, hits.distance_m * self._z_per_m * 256)
         depth = np.where(depth < 65535, np.rint(depth), 0).astype(np.uint16)
@@ -52,8 +53,10 @@ class Scanner:
         rings, per_ring = rays
         elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
         azimuth = np.arange(per_ring)[None] * 2 * np.pi / per_ring
-        directions = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0 * azimuth]
-        self._directions = np.stack(directions, axis=-1).reshape(-1, 3)
+        level = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=-1)
+        up = np.array([0.0, 0.0, 1.0])
+        directions = np.cos(elevation)[..., None] * level + np.sin(elevation)[..., None] * up
+        self._directions = directions.reshape(-1, 3).astype(np.float32)
         self._T_imu_velo = np.linalg.inv(rig.T_velo_imu)
 
     def take(self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -70,5 +73,5 @@ class Scanner:
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3] = T_world_sensor[:3, 3]
-    rays[:, 3:] = directions @ T_world_sensor[:3, :3].T
+    rays[:, 3:] = directions @ T_world_sensor[:3, :3].T.astype(np.float32)
     return rays

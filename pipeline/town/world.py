@@ -55,9 +55,9 @@ class World:
             triangle = answer["primitive_ids"].numpy()[hit]
             distance[hit] = t[hit]
             cls[hit], colour[hit] = mesh.cls[triangle], mesh.colour[triangle]
-            normal[hit] = answer["primitive_normals"].numpy()[hit]
-        away = np.einsum("ij,ij->i", normal, rays[:, 3:]) > 0
-        normal[away] *= -1
+            facing = answer["primitive_normals"].numpy()[hit]
+            away = np.einsum("ij,ij->i", facing, rays[hit, 3:]) > 0
+            normal[hit] = np.where(away[:, None], -facing, facing)
         ground = self._cast_ground(rays, distance)
         met = np.flatnonzero(ground >= 0)
         cls[met], colour[met] = _GROUND_CLASS[ground[met]], self._ground_colours[ground[met]]

@@ -19,8 +19,8 @@ MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
 class UnifiedEncoder(nn.Module):
     """Image and intrinsics → depth in metres and 19 class logits of each pixel.
 
-    Both heads are one convolution on the backbone's features that predicts all pixels of a cell at once (sub-pixel
-    convolution): edges stay sharp, where an interpolated depth would put points into the void behind each car.
+    Both heads are 1x1 convolutions that predict all pixels of a feature's cell at once (sub-pixel convolution): edges
+    stay sharp, where an interpolated depth would put points into the void behind each car.
     """
 
     def __init__(self, backbone: str) -> None:
@@ -30,8 +30,9 @@ class UnifiedEncoder(nn.Module):
             raise ValueError(f"there is no backbone {backbone!r}: known: {', '.join(BACKBONES)}")
         self.backbone = BACKBONES[backbone]()
         cell = self.backbone.stride**2
-        self.depth_head = nn.Conv2d(self.backbone.channels, cell, 1)
-        self.class_head = nn.Conv2d(self.backbone.channels, cell * CLASSES, 1)
+        channels = self.backbone.channels
+        self.depth_head = nn.Sequential(nn.Conv2d(channels, channels, 1), nn.ReLU(), nn.Conv2d(channels, cell, 1))
+        self.class_head = nn.Conv2d(channels, cell * CLASSES, 1)
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         """Return depth [B,H,W] (metres along the optical axis, 0.5 to 120) and class logits [B,19,H,W].

@@ -87,7 +87,7 @@ def test_loss_ignores_what_is_unknown_and_matches_hand_values() -> None:
     logits[0, 3, 0, 0] = 50.0
     true_cls = torch.tensor([[[3, 255, 7]]])
     loss = depth_and_class_loss(depth, logits, true_depth, true_cls)
-    np.testing.assert_allclose(loss, [np.log(2) / 2, np.log(19) / 2], rtol=1e-5)
+    np.testing.assert_allclose(loss, [(np.log(2) / 2 + 0.5 / 2) / 2, np.log(19) / 2], rtol=1e-5)
 
 
 def test_loss_is_zero_and_differentiable_without_any_truth() -> None:

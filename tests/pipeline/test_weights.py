@@ -76,9 +76,9 @@ def test_load_names_the_first_tensor_that_does_not_fit(checkpoint: Path) -> None
     model = UnifiedEncoder("small")
     state = dict(read_weights(checkpoint, MEND).state)
     faults = {
-        r"lacks depth_head\.bias": {k: v for k, v in state.items() if k != "depth_head.bias"},
+        r"lacks class_head\.bias": {k: v for k, v in state.items() if k != "class_head.bias"},
         r"has extra, which the network has not": {**state, "extra": torch.zeros(1)},
-        r"has depth_head\.bias of shape \[9\], the network \[4\]": {**state, "depth_head.bias": torch.zeros(9)},
+        r"has class_head\.bias of shape \[9\], the network \[76\]": {**state, "class_head.bias": torch.zeros(9)},
     }
     for message, other in faults.items():
         write_weights(checkpoint, "small", other)

@@ -11,6 +11,7 @@ export DVC_NO_ANALYTICS := 1
 
 demo: setup            ## the whole chain on the embedded sample, then its table
 	dvc repro
+	@mkdir -p weights && cp data/encoder/encoder.pt weights/sample.pt
 	@cat data/report/table.md
 
 test: setup            ## all tests, with coverage of pipeline/ and models/

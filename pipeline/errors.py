@@ -1,5 +1,7 @@
 """The one exception that a user is meant to read."""
 
+from collections.abc import Sequence
+
 
 class InputError(ValueError):
     """Something outside the program is wrong: a file, a parameter, a machine.
@@ -13,7 +15,7 @@ class DamagedFile(InputError):
     """One frame's file cannot be read. ``ingest.on_damaged`` decides whether that ends the stage."""
 
 
-def closest(name: str, known: list[str]) -> str:
+def closest(name: str, known: Sequence[str]) -> str:
     """Return a clause for an error message: what of `known` the user may have meant by `name`."""
     import difflib
 

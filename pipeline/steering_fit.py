@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from pipeline import checkpoint, metrics, windows
 from pipeline.errors import InputError
-from pipeline.params import Train
+from pipeline.sections.train import Train
 
 WARM_UP = 0.05  # share of the steps in which the learning rate rises
 EVALUATION_WINDOWS = 96  # windows per batch when nothing is learned

@@ -3,21 +3,41 @@
 from pathlib import Path
 
 from pipeline import console
-from pipeline import params as parameters
-from pipeline.errors import InputError
+from pipeline.errors import InputError, closest
+from pipeline.params import load, load_entry, names
+from pipeline.sections.clouds import Clouds
+from pipeline.sections.encoder import Encoder
+from pipeline.sections.evaluate import Evaluate
+from pipeline.sections.graphs import Variant
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.labels import Labels
+from pipeline.sections.models import Model
+from pipeline.sections.perception import Perception
+from pipeline.sections.town import Town
+from pipeline.sections.train import Train
 
 
 def main(params: Path = Path("params.yaml")) -> None:
     """Read every section; build every model once, so that a network that cannot be is found now."""
-    parameters.check(params)
+    for section in (Town, Ingest, Labels, Perception, Clouds, Train, Evaluate):
+        load(section, params)
+    encoder = load(Encoder, params)
+    variants = names("graphs", params)
+    for name in variants:
+        load_entry(Variant, "graphs", name, params)
+    lines = {name: load_entry(Model, "models", name, params) for name in names("models", params)}
+    for name, line in lines.items():
+        if line.input not in variants:
+            near = closest(line.input, variants)
+            raise InputError(f"{params}: models.{name}.input = {line.input!r} is no variant of graphs: {near}")
+
     from models import steering_net, unified_encoder
 
-    backbone = parameters.load(parameters.Encoder, params).backbone
-    if backbone not in unified_encoder.BACKBONES:
-        known = " | ".join(unified_encoder.BACKBONES)
-        raise InputError(f"{params}: encoder.backbone = {backbone!r} is none of this project: choose {known}")
-    for name in parameters.names("models", params):
-        line = parameters.load_entry(parameters.Model, "models", name, params)
+    backbones = list(unified_encoder.BACKBONES)
+    if encoder.backbone not in backbones:
+        near = closest(encoder.backbone, backbones)
+        raise InputError(f"{params}: encoder.backbone = {encoder.backbone!r} is none of this project: {near}")
+    for name, line in lines.items():
         try:
             steering_net.build(line.model_dump())
         except ValueError as error:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline import cloud, console, drives, store
-from pipeline.params import Clouds, load
+from pipeline.params import load
+from pipeline.sections.clouds import Clouds
 
 Cloud = tuple[np.ndarray, np.ndarray]  # xyz [P,3], cls [P]
 

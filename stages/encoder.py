@@ -11,7 +11,8 @@ from typing import Any
 from pipeline import code, console, store
 from pipeline.drives import file_hash
 from pipeline.errors import InputError
-from pipeline.params import Encoder, load
+from pipeline.params import load
+from pipeline.sections.encoder import Encoder
 from pipeline.weights import find_weights, load_weights, read_weights, write_weights
 
 MEND = "Name another file in encoder.weights, or set it to null to fit from the start"

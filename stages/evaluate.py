@@ -9,7 +9,9 @@ import numpy as np
 import typer
 
 from pipeline import checkpoint, console, metrics, plots, store, windows
-from pipeline.params import SPLITS, Evaluate, Model, load
+from pipeline.params import SPLITS, load
+from pipeline.sections.evaluate import Evaluate
+from pipeline.sections.models import Model
 
 COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid")
 

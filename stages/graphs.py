@@ -8,7 +8,8 @@ import numpy as np
 import typer
 
 from pipeline import cloud, console, drives, graph, store
-from pipeline.params import Variant, load_entry
+from pipeline.params import load_entry
+from pipeline.sections.graphs import Variant
 
 
 def main(

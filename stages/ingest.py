@@ -13,7 +13,8 @@ from pipeline.classes import VOID
 from pipeline.drives import run_over_drives
 from pipeline.errors import DamagedFile, InputError
 from pipeline.geometry import scale_K
-from pipeline.params import Ingest, load
+from pipeline.params import load
+from pipeline.sections.ingest import Ingest
 
 MISSING = {
     "town": "{root} is missing. Make it: dvc repro town",

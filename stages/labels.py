@@ -10,7 +10,8 @@ import numpy as np
 from pipeline import console, steering, store
 from pipeline.drives import run_over_drives
 from pipeline.oxts import VF, VL, WU
-from pipeline.params import Labels, load
+from pipeline.params import load
+from pipeline.sections.labels import Labels
 
 
 def main(

@@ -9,7 +9,8 @@ import numpy as np
 from pipeline import console, store
 from pipeline.drives import Summary, run_over_drives
 from pipeline.image_metrics import Scores
-from pipeline.params import SPLITS, Perception, load
+from pipeline.params import SPLITS, load
+from pipeline.sections.perception import Perception
 
 MEND = "Make it again: dvc repro --force encoder"
 

@@ -7,7 +7,9 @@ from typing import Any
 
 from pipeline import console, figures
 from pipeline.drives import run_over_drives
-from pipeline.params import Ingest, Town, load
+from pipeline.params import load
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.town import Town
 from pipeline.town.drive import write_drive
 from pipeline.town.layout import read_views
 from pipeline.town.rig import make_rig, write_calibration

@@ -9,7 +9,9 @@ import typer
 
 from pipeline import checkpoint, code, console, drives, store, windows
 from pipeline.errors import InputError
-from pipeline.params import Model, Train, load, load_entry
+from pipeline.params import SPLITS, load, load_entry
+from pipeline.sections.models import Model
+from pipeline.sections.train import Train
 
 
 def main(
@@ -23,8 +25,9 @@ def main(
     line, section = load_entry(Model, "models", name, params), load(Train, params)
     variant = graphs / line.input
     splits = store.read_index(variant, stage="graphs")
-    train, val = (
-        windows.read_drives(variant, labels, store.of_split(splits, split), line.window) for split in ("train", "val")
+    # The test drives are read too, only to find out now, not after training, that this model has no frame in them.
+    train, val, _ = (
+        windows.read_drives(variant, labels, store.of_split(splits, split), line.window) for split in SPLITS
     )
     if not val:
         print(f"{name}: no validation drives, so no early stopping: the last epoch counts as the best", flush=True)

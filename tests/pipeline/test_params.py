@@ -8,7 +8,13 @@ import yaml
 
 from pipeline import params
 from pipeline.errors import InputError
-from pipeline.params import Clouds, Ingest, Labels, Model, Train, Variant
+from pipeline.sections.clouds import Clouds
+from pipeline.sections.graphs import Variant
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.labels import Labels
+from pipeline.sections.models import Model
+from pipeline.sections.train import Train
+from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -27,11 +33,6 @@ def edited(tmp_path: Path, key: str, value: Any) -> Path:
     path = tmp_path / "params.yaml"
     path.write_text(yaml.safe_dump(content))
     return path
-
-
-@pytest.mark.parametrize("file", sorted(path.name for path in ROOT.glob("params*.yaml")))
-def test_the_projects_own_files_are_right(file: str) -> None:
-    params.check(ROOT / file)
 
 
 def test_a_stage_needs_only_its_own_sections(tmp_path: Path) -> None:
@@ -66,7 +67,7 @@ def test_splits_keep_their_order(tmp_path: Path) -> None:
         ("label", {}, r"unknown section 'label': did you mean labels\?"),
         ("ingest.source", "nuscenes", r"ingest.source = 'nuscenes': Input should be 'town' or 'kitti'"),
         ("ingest.image_size", [96], r"ingest.image_size.* Field required|ingest.image_size.*missing"),
-        ("ingest.image_size", [96, 8], r"ingest.image_size = .*32 to 4096 pixels"),
+        ("ingest.image_size", [96, 8], r"ingest.image_size.1 = 8: Input should be greater than or equal to 32"),
         ("ingest.cameras", [], r"ingest.cameras = \[\]: List should have at least 1 item"),
         ("ingest.cameras", [4], r"ingest.cameras.0 = 4: Input should be less than or equal to 3"),
         ("ingest.drives.train", [], r"ingest.drives.train = \[\]: List should have at least 1 item"),
@@ -86,7 +87,7 @@ def test_splits_keep_their_order(tmp_path: Path) -> None:
 def test_a_wrong_value_is_named(tmp_path: Path, key: str, value: Any, message: str) -> None:
     path = edited(tmp_path, key, value)
     with pytest.raises(InputError, match=message) as error:
-        params.check(path)
+        check.main(path)
     assert str(path) in str(error.value)
 
 

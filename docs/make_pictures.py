@@ -1,0 +1,79 @@
+"""Draw README's pictures from what `make demo` left in data/: python docs/make_pictures.py [DRIVE FRAME]."""
+
+import csv
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from pipeline import classes, cloud, graph, store
+
+DATA, DOCS = Path("data"), Path(__file__).resolve().parent
+MODEL, VARIANT = "sa-gnn-ncp", "semantic"
+
+
+def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
+    """Draw one frame's way through the chain, and copy the sample's contact sheet and the steering diagram."""
+    figure = Figure(figsize=(13, 6.2), layout="constrained")
+    panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
+    with (
+        store.DriveReader(DATA / f"ingest/{drive}.h5", stage="ingest") as raw,
+        store.DriveReader(DATA / f"perception/{drive}.h5", stage="perception") as seen,
+    ):
+        row, seen_row = _row(raw, number), _row(seen, number)
+        panels["a"].imshow(raw.row("image", row))
+        depth_m = seen.row("depth_m", seen_row) / 256
+        panels["b"].imshow(np.where(depth_m > 0, np.log(np.maximum(depth_m, 1)), np.nan), cmap="turbo_r")
+        panels["c"].imshow(classes.colourise(seen.row("cls", seen_row)))
+    for key, title in zip("abc", ("image", "depth from the image", "classes, same forward pass"), strict=True):
+        panels[key].set_title(title)
+        panels[key].set_axis_off()
+
+    with store.DriveReader(DATA / f"clouds/pseudo/{drive}.h5", stage="clouds") as file:
+        row, ptr = _row(file, number), file["ptr"]
+        xyz, cls = (file.rows(key, ptr[row], ptr[row + 1]) for key in ("xyz", "cls"))
+    colour = classes.colourise(cls) / 255
+    panels["d"].scatter(xyz[:, 0], xyz[:, 2], s=0.6, c=colour, linewidths=0)
+    panels["d"].set_title(f"semantic cloud from above: {len(xyz):,} points")
+    chosen = cloud.sample(len(xyz), 300, np.random.default_rng(0))
+    made = graph.build(xyz[chosen], cls[chosen], 6, 0.2, np.random.default_rng(0))
+    _draw_graph(panels["e"], xyz[chosen], colour[chosen], made)
+    panels["e"].set_title(f"300 points of it: {made.edges_knn:,} kNN edges pruned to {made.edges_kept:,}")
+    for key in "de":
+        panels[key].set(xlim=(-22, 22), ylim=(0, 50), aspect="equal", xlabel="x in m", ylabel="z in m")
+    _draw_steering(panels["f"], drive, number)
+    figure.savefig(DOCS / "chain.png", dpi=85, metadata={"Software": None})
+
+    shutil.copyfile(DATA / f"evaluate/{MODEL}/steering.png", DOCS / "steering.png")
+    shutil.copyfile(DATA / "town/contact_sheet.png", DOCS / "town.png")
+
+
+def _row(file: store.DriveReader, number: int) -> int:
+    return int(np.flatnonzero(file.frame == number)[0])
+
+
+def _draw_graph(panel: Axes, xyz: np.ndarray, colour: np.ndarray, made: graph.Graph) -> None:
+    source = np.repeat(np.arange(len(made.degree)), made.degree)
+    ends = xyz[:, [0, 2]]
+    panel.add_collection(LineCollection(np.stack([ends[source], ends[made.indices]], axis=1), colors="0.6", linewidths=0.5))
+    panel.scatter(*ends.T, s=12, c=colour, linewidths=0, zorder=2)
+
+
+def _draw_steering(panel: Axes, drive: str, number: int) -> None:
+    with (DATA / f"evaluate/{MODEL}/predictions.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["drive"] == drive and row["predicted_rad"]]
+    frame = np.array([int(row["frame"]) for row in rows])
+    for key, colour, label in (("steering_rad", "tab:red", "driven"), ("predicted_rad", "tab:green", "predicted")):
+        panel.plot(frame, np.rad2deg([float(row[key]) for row in rows]), color=colour, label=label)
+    panel.axvline(number, color="0.7", linewidth=1)
+    panel.set(xlabel="frame of the test drive", ylabel="steering in deg, left +", title="steering from 8 such graphs")
+    panel.margins(x=0)
+    panel.legend(frameon=False)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2], *map(int, sys.argv[2:3]))

@@ -1,0 +1,14 @@
+"""Section ``labels``: the steering label."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pipeline.params import Positive, Section
+
+
+class Labels(Section):
+    key = "labels"
+    wheelbase_m: Positive
+    min_speed_mps: Annotated[float, Field(ge=0)]
+    standstill: Literal["invalid", "raw", "zero"]

@@ -1,0 +1,34 @@
+"""Section ``models``: the networks, one entry each."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from pipeline.params import Count, Fraction, Section
+
+
+class Wiring(Section):
+    """Neural circuit policy: neuron counts and fan-outs (Lechner et al. 2020)."""
+
+    inter: Count = 12
+    command: Count = 6
+    sensory_fanout: Count = 6
+    inter_fanout: Count = 4
+    recurrent_command_synapses: Annotated[int, Field(ge=0)] = 6
+    motor_fanin: Count = 6
+    seed: int = 0
+
+
+class Model(Section):
+    """One entry of ``models``: a spatial and a temporal network on a graph variant."""
+
+    input: str
+    spatial: str
+    temporal: str
+    window: Annotated[int, Field(ge=1, le=256, description="frames that a prediction sees")]
+    semantics: Fraction = 0.0
+    alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
+    layers: list[Count] = Field(default=[32, 32, 64], min_length=1, description="widths of the spatial network")
+    features: Count = 32
+    units: Count = 32
+    wiring: Wiring = Wiring()

@@ -1,0 +1,27 @@
+"""Section ``train``: fitting a model."""
+
+from typing import Annotated
+
+from pydantic import Field, field_validator
+
+from pipeline.params import Count, Positive, Section
+
+
+class Train(Section):
+    key = "train"
+    epochs: Count
+    patience: Count
+    seeds: list[int] = Field(min_length=1)
+    learning_rate: Positive
+    weight_decay: Annotated[float, Field(ge=0)]
+    clip_norm: Positive
+    run_windows: Count
+    batch_runs: Count
+    mirror: bool
+
+    @field_validator("seeds")
+    @classmethod
+    def _distinct(cls, seeds: list[int]) -> list[int]:
+        if len(set(seeds)) < len(seeds):
+            raise ValueError("a seed is named twice: each adds a training run, so name it once")
+        return seeds

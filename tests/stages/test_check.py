@@ -1,0 +1,55 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from pipeline.errors import InputError
+from stages import check
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", ["params.yaml", "params.kitti.yaml", "tests/params.real.yaml"])
+def test_the_projects_own_files_are_right(name: str) -> None:
+    check.main(ROOT / name)
+
+
+@pytest.mark.parametrize("name", ["params.kitti.yaml", "tests/params.real.yaml"])
+def test_the_other_files_have_every_key(name: str) -> None:
+    """A copy over params.yaml must not lose a knob."""
+    own, other = (yaml.safe_load((ROOT / path).read_text()) for path in ("params.yaml", name))
+    assert list(own) == list(other)
+    for section in own:
+        if section not in ("graphs", "models"):
+            assert list(own[section]) == list(other[section])
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        ("models.sa-gnn-ncp.input", "semantc", "is no variant of graphs: did you mean semantic?"),
+        ("models.sa-gnn-ncp.spatial", "cnnn", "spatial"),
+        ("models.sa-gnn-ncp.temporal", "gru", "temporal"),
+        ("models.sa-gnn-ncp.semantics", 1.5, "models.sa-gnn-ncp.semantics = 1.5"),
+        ("models.sa-gnn-ncp.window", 0, "models.sa-gnn-ncp.window = 0"),
+        ("graphs.semantic.keep_inter_class", 2, "graphs.semantic.keep_inter_class = 2"),
+        ("graphs.semantic.kk", 2, "unknown key graphs.semantic.kk"),
+        ("encoder.backbone", "smal", "encoder.backbone = 'smal'"),
+        ("train.epochs", "many", "train.epochs = 'many'"),
+        ("train.seeds", [0, 0], "a seed is named twice"),
+        ("evaluate.seed", None, "evaluate.seed"),
+    ],
+)
+def test_faults_are_found_wherever_they_are(tmp_path: Path, where: str, value: Any, message: str) -> None:
+    content = yaml.safe_load((ROOT / "params.yaml").read_text())
+    *path, key = where.split(".")
+    section = content
+    for part in path:
+        section = section[part]
+    section[key] = value
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(InputError) as caught:
+        check.main(tmp_path / "params.yaml")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)

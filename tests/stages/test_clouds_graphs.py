@@ -1,0 +1,153 @@
+"""Stages clouds and graphs, one after the other: what the one writes is what the other reads."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from pipeline import classes, cloud, geometry, store
+from pipeline.errors import InputError
+from stages import clouds, graphs
+from tests import street
+
+PARAMS = Path(__file__).resolve().parents[2] / "params.yaml"
+SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
+FULL, BLIND, CAMERA = SPLITS
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ingest and perception of a drive with everything, one without images, one without LiDAR; then clouds."""
+    folder = tmp_path_factory.mktemp("data")
+    street.write_drive(folder / "ingest", FULL, 4, lidar=True)
+    street.write_drive(folder / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
+    street.write_drive(folder / "ingest", CAMERA, 3)
+    for drive in SPLITS:
+        with (
+            store.DriveReader(folder / f"ingest/{drive}.h5", stage="ingest") as raw,
+            store.DriveWriter(folder / f"perception/{drive}.h5", stage="perception", drive=drive, params={}) as file,
+        ):
+            rows = np.flatnonzero(raw["has_image"])
+            scenes = [street.scene(row) for row in rows]
+            file.put("frame", raw.frame[rows])
+            file.put("time_s", raw.time_s[rows])
+            file.put("depth_m", np.array([depth * 256 for _, depth, _ in scenes], np.uint16).reshape(-1, *street.SIZE))
+            file.put("cls", np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *street.SIZE))
+    store.write_index(folder / "ingest", SPLITS)
+    store.write_index(folder / "perception", SPLITS)
+    _params(folder / "params.yaml")
+    _clouds(folder, folder / "clouds", folder / "params.yaml")
+    return folder
+
+
+def _params(path: Path, **changes: dict[str, object]) -> Path:
+    content = yaml.safe_load(PARAMS.read_text())
+    for section, values in changes.items():
+        content[section] = {**content[section], **values}
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def _clouds(data: Path, out: Path, params: Path) -> None:
+    clouds.main(data / "ingest", data / "perception", out, params, workers=1)
+
+
+def _graphs(data: Path, out: Path, variant: str, params: Path | None = None) -> Path:
+    graphs.main(variant, data / "clouds", out, params or data / "params.yaml", workers=1)
+    return out / variant
+
+
+def test_pseudo_clouds_are_the_pixels_in_space(data: Path) -> None:
+    with store.DriveReader(data / f"clouds/pseudo/{FULL}.h5", stage="clouds") as file:
+        ptr, xyz, cls = file["ptr"], file["xyz"], file["cls"]
+        assert file.frame.tolist() == [0, 1, 2, 3]
+    for frame in range(4):
+        _, depth, truth = street.scene(frame)
+        points, labels = xyz[ptr[frame] : ptr[frame + 1]], cls[ptr[frame] : ptr[frame + 1]]
+        assert len(points) == (depth > 0).sum()
+        uv, z = geometry.project(points.astype(np.float64), street.K)
+        u, v = np.rint(uv).astype(int).T
+        assert z == pytest.approx(depth[v, u], abs=1 / 256 + 1 / 1024)
+        assert (labels == truth[v, u]).all()
+        assert (cloud.morton_order(points) == np.arange(len(points))).all()
+
+
+def test_lidar_clouds_are_in_the_camera_frame(data: Path) -> None:
+    with (
+        store.DriveReader(data / f"clouds/lidar/{FULL}.h5", stage="clouds") as file,
+        store.DriveReader(data / f"ingest/{FULL}.h5", stage="ingest") as raw,
+    ):
+        a, b = raw["lidar_ptr"][1:3]
+        points = geometry.transform(raw["T_cam_velo"], raw["lidar"][a:b, :3].astype(np.float64))
+        c, d = file["ptr"][1:3]
+        assert np.abs(np.sort(file["xyz"][c:d], axis=0) - np.sort(points, axis=0)).max() < 0.001
+        assert {classes.ROAD, classes.BUILDING} <= set(file["cls"][c:d].tolist())
+
+
+def test_drives_without_a_modality_give_empty_files(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for kind, drive in (("pseudo", BLIND), ("lidar", CAMERA)):
+        assert store.read_index(data / "clouds" / kind, stage="clouds") == SPLITS
+        with store.DriveReader(data / f"clouds/{kind}/{drive}.h5", stage="clouds") as file:
+            assert file.shape("frame") == (0,)
+            assert file.shape("xyz") == (0, 3)
+            assert file["ptr"].tolist() == [0]
+    with store.DriveReader(data / f"clouds/lidar/{BLIND}.h5", stage="clouds") as file:
+        assert len(file["xyz"]) > 0
+        assert (file["cls"] == classes.VOID).all()  # no image, no class
+    made = _graphs(data, data / "graphs", "depth")
+    with store.DriveReader(made / f"{BLIND}.h5", stage="graphs") as file:
+        assert file.shape("xyz") == (0, 3)
+        assert file["indices_ptr"].tolist() == [0]
+
+
+def test_max_points_bounds_each_frame(data: Path, tmp_path: Path) -> None:
+    params = _params(tmp_path / "params.yaml", clouds={"max_points": 50, "max_depth_m": 20.0})
+    _clouds(data, tmp_path / "clouds", params)
+    with store.DriveReader(tmp_path / f"clouds/pseudo/{FULL}.h5", stage="clouds") as file:
+        assert np.diff(file["ptr"]).tolist() == [50] * 4
+        assert file["xyz"][:, 2].max() <= 20.0
+
+
+def test_graphs_hold_what_the_variant_says(data: Path, tmp_path: Path) -> None:
+    variants = {
+        "semantic": {"cloud": "pseudo", "points": 300, "k": 6, "keep_inter_class": 0.2},
+        "depth": {"cloud": "pseudo", "points": 300, "k": 6},
+    }
+    params = _params(tmp_path / "params.yaml", graphs=variants)
+    read = {}
+    for name in variants:
+        made = _graphs(data, tmp_path, name, params)
+        with store.DriveReader(made / f"{FULL}.h5", stage="graphs") as file:
+            read[name] = {key: file[key] for key in ("ptr", "xyz", "cls", "degree", "edges_knn", "edges_kept")}
+            assert file["indices_ptr"][-1] == len(file["indices"]) == file["degree"].sum(dtype=np.int64)
+            assert file["indices"].dtype == np.uint16
+    for columns in read.values():
+        assert np.diff(columns["ptr"]).tolist() == [300] * 4
+        assert (columns["edges_knn"] == 300 * 6).all()
+    # The same points, fewer edges between classes.
+    assert (read["semantic"]["xyz"] == read["depth"]["xyz"]).all()
+    assert (read["depth"]["edges_kept"] == read["depth"]["edges_knn"]).all()
+    assert (read["semantic"]["edges_kept"] < read["depth"]["edges_kept"]).all()
+
+
+def test_run_twice_gives_the_same_bytes_whatever_the_workers(data: Path, tmp_path: Path) -> None:
+    for out, workers in ((tmp_path / "a", 1), (tmp_path / "b", 2)):
+        clouds.main(data / "ingest", data / "perception", out / "clouds", data / "params.yaml", workers)
+        graphs.main("semantic", out / "clouds", out / "graphs", data / "params.yaml", workers)
+    files = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*") if path.is_file()]
+    assert len(files) == 2 * 4 + 4
+    assert all((tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes() for file in files)
+
+
+def test_unknown_variants_and_foreign_files_are_one_line(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"graphs has no 'semantics': did you mean semantic\?"):
+        _graphs(data, tmp_path, "semantics")
+    (tmp_path / "clouds").mkdir()
+    shutil.copytree(data / "ingest", tmp_path / "clouds/pseudo")
+    with pytest.raises(InputError, match=r"has stage 'ingest', schema 1; this code reads stage 'clouds'"):
+        _graphs(tmp_path, tmp_path / "graphs", "depth", data / "params.yaml")
+    (tmp_path / f"clouds/pseudo/{BLIND}.h5").unlink()
+    with pytest.raises(InputError, match=rf"lacks {BLIND}, named in its index.json. Get them: dvc pull clouds"):
+        _graphs(tmp_path, tmp_path / "graphs", "depth", data / "params.yaml")

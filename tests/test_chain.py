@@ -1,0 +1,202 @@
+"""The whole chain as a user runs it: `dvc repro` in a scratch copy of the repository, on a smaller sample and on real drives."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from pipeline import classes, code, store
+
+STAGE_ORDER = ["town", "ingest", "labels", "encoder", "perception", "clouds", "graphs", "train", "evaluate", "report"]
+DETERMINISTIC = ["town", "ingest", "labels", "clouds", "graphs", "evaluate", "report"]
+MODEL = "sa-gnn-ncp"
+
+
+def scratch_copy(folder: Path) -> Path:
+    """Copy the repository as git sees it, with edits that are not committed, into a repository of its own."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"], cwd=code.ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    for name in listed:
+        if (code.ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(code.ROOT / name, folder / name)
+    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    subprocess.run(["git", "add", "-A"], cwd=folder, check=True)
+    who = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
+    subprocess.run(["git", *who, "commit", "-qm", "scratch"], cwd=folder, check=True)
+    return folder
+
+
+def run(folder: Path, *command: str, check: bool = True) -> str:
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder)}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    output = done.stdout + done.stderr
+    assert not check or done.returncode == 0, output
+    assert check or done.returncode != 0, output
+    return output
+
+
+def stages_run(output: str) -> list[str]:
+    """The stages that DVC ran, without those that it took from its cache."""
+    return [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
+
+
+def files_of(folder: Path, stages: list[str]) -> dict[str, bytes]:
+    paths = [path for stage in stages for path in (folder / "data" / stage).rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample with fewer and smaller drives, driven through the whole chain once."""
+    folder = scratch_copy(tmp_path_factory.mktemp("sample"))
+    params = yaml.safe_load((folder / "params.yaml").read_text())
+    params["town"] |= {"frames": {"train": 70, "val": 30, "test": 120}}
+    drives = params["ingest"]["drives"]
+    params["ingest"]["drives"] = {"train": drives["train"][:6], "val": drives["val"][:1], "test": drives["test"]}
+    params["encoder"] |= {"epochs": 6, "frames": 300}
+    params["graphs"] = {name: variant | {"points": 400} for name, variant in params["graphs"].items()}
+    params["train"] |= {"epochs": 16}
+    (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
+    output = run(folder, "dvc", "repro")
+    (folder / "first.log").write_text(output)
+    return folder
+
+
+def test_the_chain_ends_with_a_model_that_steers_by_what_it_sees(sample: Path) -> None:
+    result = json.loads((sample / f"data/evaluate/{MODEL}/metrics.json").read_text())
+    assert result["test"]["nmse"] < 0.6
+    assert result["test"]["baselines"]["zero"]["nmse"] == 1.0
+    assert f"| {MODEL} | {result['test']['nmse']:.3f} |" in (sample / "data/report/table.md").read_text()
+
+
+def test_the_encoder_sees_depth_and_classes(sample: Path) -> None:
+    score = json.loads((sample / "data/perception/metrics.json").read_text())["test"]
+    text = json.dumps(score)
+    assert score["depth_dense"]["abs_rel"] < 0.25, text
+    assert score["classes"]["mean_iou"] > 0.45, text
+
+
+def test_every_stage_ran_once_in_order(sample: Path) -> None:
+    ran = [name.split("@")[0] for name in stages_run((sample / "first.log").read_text())]
+    assert [name for name in dict.fromkeys(ran) if name in STAGE_ORDER] == STAGE_ORDER
+    assert set(STAGE_ORDER) == {path.name for path in (sample / "data").iterdir() if path.is_dir()} - {".resume"}
+
+
+def test_again_runs_nothing(sample: Path) -> None:
+    output = run(sample, "dvc", "repro")
+    assert stages_run(output) == []
+    assert "Data and pipelines are up to date" in output
+
+
+def test_swapping_a_model_runs_its_training_and_what_follows_and_swapping_back_is_cached(sample: Path) -> None:
+    original = (sample / "params.yaml").read_text()
+    before = files_of(sample, ["train", "evaluate", "report"])
+    (sample / "params.yaml").write_text(original.replace("temporal: ncp", "temporal: lstm"))
+    swapped = [name for name in stages_run(run(sample, "dvc", "repro")) if name != "check"]
+    assert swapped == [f"train@{MODEL}", f"evaluate@{MODEL}", "report"]
+    assert files_of(sample, ["report"]) != {name: before[name] for name in before if "report" in name}
+    (sample / "params.yaml").write_text(original)
+    assert stages_run(run(sample, "dvc", "repro")) in ([], ["check"])
+    assert files_of(sample, ["train", "evaluate", "report"]) == before
+
+
+def test_stages_without_a_network_write_the_same_bytes_again(sample: Path) -> None:
+    before = files_of(sample, DETERMINISTIC)
+    run(sample, "dvc", "repro", "--force", "--single-item", "--no-run-cache", "town", "ingest", "labels", "clouds")
+    forced = ["graphs@semantic", "graphs@lidar", f"evaluate@{MODEL}", "report"]
+    run(sample, "dvc", "repro", "--force", "--single-item", "--no-run-cache", *forced)
+    assert files_of(sample, DETERMINISTIC) == before
+
+
+def test_a_machine_with_labels_and_graphs_alone_can_train(sample: Path, tmp_path: Path) -> None:
+    """Share by `dvc push`, go on elsewhere by `dvc pull`: no raw data, no images there."""
+    run(sample, "dvc", "remote", "add", "--force", "--default", "here", str(tmp_path / "remote"))
+    run(sample, "dvc", "push", "labels", "graphs@semantic")
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(sample, elsewhere, ignore=shutil.ignore_patterns("town", "cache", "tmp", "2026_*", "*.h5", "*.pt"))
+    shutil.copytree(sample / "pipeline/town", elsewhere / "pipeline/town")
+    for stage in STAGE_ORDER:
+        shutil.rmtree(elsewhere / "data" / stage, ignore_errors=True)
+    run(elsewhere, "dvc", "pull", "labels", "graphs@semantic")
+    made = sorted(path.name for path in (elsewhere / "data").iterdir() if path.is_dir())
+    assert made == ["graphs", "labels"]
+    run(elsewhere, "python", "-m", "stages.train", MODEL)
+    run(elsewhere, "python", "-m", "stages.evaluate", MODEL)
+    assert (elsewhere / f"data/evaluate/{MODEL}/metrics.json").is_file()
+
+
+def test_a_fault_in_the_params_is_one_line_before_anything_runs(sample: Path) -> None:
+    original = (sample / "params.yaml").read_text()
+    before = files_of(sample, STAGE_ORDER)
+    try:
+        (sample / "params.yaml").write_text(original.replace("input: semantic", "input: semantc"))
+        output = run(sample, "dvc", "repro", check=False)
+    finally:
+        (sample / "params.yaml").write_text(original)
+    assert "error: params.yaml: models.sa-gnn-ncp.input = 'semantc' is no variant of graphs: did you mean" in output
+    assert "Traceback" not in output
+    assert files_of(sample, STAGE_ORDER) == before
+
+
+@pytest.mark.real
+def test_real_drives_run_the_same_chain(sample: Path, real_kitti: Path, tmp_path: Path) -> None:
+    """Drive 0052 (colour, LiDAR) trains, 0042 (grey, turning, no LiDAR) is tested; classes come from the sample."""
+    folder = scratch_copy(tmp_path)
+    shutil.copyfile(folder / "tests/params.real.yaml", folder / "params.yaml")
+    (folder / "weights").mkdir()
+    shutil.copyfile(sample / "data/encoder/encoder.pt", folder / "weights/sample.pt")
+    (folder / "data/raw").symlink_to(real_kitti)
+    output = run(folder, "dvc", "repro")
+    assert "no validation drives, so no early stopping" in output
+    assert "2011_10_03_drive_0042" in next(line for line in output.splitlines() if line.startswith("no scans"))
+    colour, grey = "2011_09_26_drive_0052", "2011_10_03_drive_0042"
+
+    result = json.loads((folder / f"data/evaluate/{MODEL}/metrics.json").read_text())
+    assert result["drives"] == {"train": [colour], "val": [], "test": [grey]}
+    assert result["val"] is None
+    assert result["test"]["frames"] == 51 - 7
+    assert result["test"]["baselines"]["zero"]["nmse"] == 1.0
+    with store.DriveReader(folder / f"data/labels/{grey}.h5", stage="labels") as file:
+        assert file["valid"].all()
+        assert -0.14 < file["steering_rad"].min() < file["steering_rad"].max() < 0  # a right bend
+    with store.DriveReader(folder / f"data/ingest/{grey}.h5", stage="ingest") as file:
+        assert file.attrs["camera"] == 0
+        image = file["image"]
+        assert image.shape[0] == 51
+        assert (image[..., 0] == image[..., 2]).all()
+    for kind, drive, frames in (("pseudo", colour, 48), ("pseudo", grey, 51), ("lidar", colour, 48), ("lidar", grey, 0)):
+        _check_cloud(folder, kind, drive, frames)
+    params = yaml.safe_load((folder / "params.yaml").read_text())
+    params["models"][MODEL]["input"] = "lidar"
+    (folder / "params.yaml").write_text(yaml.safe_dump(params))
+    output = run(folder, "dvc", "repro", check=False)
+    assert f"with a valid label at its end in {grey}" in output
+
+
+def _check_cloud(folder: Path, kind: str, drive: str, frames: int) -> None:
+    with store.DriveReader(folder / f"data/clouds/{kind}/{drive}.h5", stage="clouds") as file:
+        ptr: Any = file["ptr"]
+        assert len(file.frame) == frames
+        if not frames:
+            assert len(file["xyz"]) == 0
+            return
+        assert np.diff(ptr).min() > 1000
+        xyz, cls = file["xyz"], file["cls"]
+    assert np.isfinite(xyz).all()
+    if kind == "lidar":
+        # The road that the scanner sees lies 1.65 m below the camera.
+        near = (np.abs(xyz[:, 0]) < 3) & (xyz[:, 2] > 4) & (xyz[:, 2] < 12)
+        assert np.median(xyz[near, 1]) == pytest.approx(1.65, abs=0.15)
+    else:
+        assert xyz[:, 2].min() > 0
+        assert not np.isin(cls, [classes.SKY, classes.VOID]).any()

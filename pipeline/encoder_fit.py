@@ -44,8 +44,9 @@ def fit(
 ) -> list[EpochLoss]:
     """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits [B,19,H,W]) in place; return its losses.
 
-    Parameters that do not require gradients stay as they are. After each epoch the state goes to `kept`; if that file
-    exists, fitting goes on from it, to the same result. Raises InputError if the loss is no longer finite.
+    A part (backbone, head) whose parameters require no gradients stays as it is, batch statistics included. After each
+    epoch the state goes to `kept`; if that file exists, fitting goes on from it, to the same result. Raises InputError
+    if the loss is no longer finite.
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -61,7 +62,8 @@ def fit(
     steps = math.ceil(len(examples) / batch)
     terminal = sys.stderr.isatty()
     bar = tqdm(total=epochs * steps, initial=len(curve) * steps, unit="batch", disable=not terminal)
-    model.train()
+    for part in model.children():
+        part.train(any(parameter.requires_grad for parameter in part.parameters()))
     for epoch in range(len(curve), epochs):
         start = time.perf_counter()
         sums = torch.zeros(2, dtype=torch.float64)
@@ -99,7 +101,7 @@ def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, 
     """Return [depth loss, cross-entropy], each a mean over the pixels that have a truth; zero for the one without any.
 
     The depth loss is the mean of |log d/d*| and |d - d*|/d*. Both are relative; the second, which is the abs rel that
-    is reported, weighs more what is taken for too far: thin things nearby, that the first gives up for their background.
+    is reported, weighs more what is taken for too far: thin things nearby, which the first gives up for what is behind.
 
     Args: depth [B,H,W] and logits [B,19,H,W] as predicted; true depth [B,H,W] in metres, 0 where unknown; true classes
     int64 [B,H,W], 255 where unknown.

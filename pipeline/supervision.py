@@ -102,6 +102,7 @@ class Supervision:
         self.frames_per_drive = {
             name: sum(row[0] == number for row in self._rows) for number, name in enumerate(drives)
         }
+        self.has_classes = any(bool(file["has_cls"].any()) for file in self._files)
         self.size = image_size(self._files[0])
         self._cache: dict[int, Example] = {}
         self._cached = len(self) * self.size[0] * self.size[1] * (3 + 4 + 1) <= CACHE_BYTES

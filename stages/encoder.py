@@ -29,6 +29,8 @@ def main(
         raise InputError(
             f"{params}: encoder.epochs = 0 needs encoder.weights: name a fitted checkpoint, or set epochs to 1 or more"
         )
+    if settings.weights is None and settings.frozen:
+        raise InputError(f"{params}: encoder.frozen keeps a backbone that weights bring: name them in encoder.weights")
     drives = store.of_split(store.read_index(ingest, stage="ingest"), "train")
     source = find_weights(settings.weights) if settings.weights else None
 
@@ -57,6 +59,13 @@ def main(
 
         key = _key(settings, source, [ingest / f"{drive}.h5" for drive in drives])
         with Supervision(ingest, drives, settings.frames) as examples:
+            if not examples.has_classes and not settings.frozen:
+                print(
+                    "note: no training drive has class truth: the class head stays as it is on a backbone that moves. "
+                    "encoder.frozen: true keeps the classes of encoder.weights",
+                    flush=True,
+                )
+            model.backbone.requires_grad_(not settings.frozen)
             supervision = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
             curve = fit(
                 model.to("cuda" if torch.cuda.is_available() else "cpu"),

@@ -11,6 +11,7 @@ class Encoder(Section):
     key = "encoder"
     backbone: str
     weights: str | None
+    frozen: Annotated[bool, Field(description="keep the backbone as it is and fit the heads alone")] = False
     epochs: Annotated[int, Field(ge=0)]
     frames: Count
     batch: Count

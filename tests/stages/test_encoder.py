@@ -4,10 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
 
 from pipeline import store
 from pipeline.errors import InputError
+from pipeline.weights import read_weights, write_weights
 from stages.encoder import main
 from tests import street
 
@@ -77,17 +79,26 @@ def test_weights_are_where_fitting_starts(ingest: Path) -> None:
     assert json.loads((more / "config.json").read_text())["losses"]["loss"] < 0.8 * first
 
 
-def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path) -> None:
+def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path, capsys: pytest.CaptureFixture[str]) -> None:
     street.write_drive(ingest, TRAIN, 9, dense=False, lidar=True)
-    losses = json.loads((run(ingest) / "config.json").read_text())["losses"]
+    fitted = run(ingest)
+    losses = json.loads((fitted / "config.json").read_text())["losses"]
     assert losses["depth"] > 0
     assert losses["classes"] == 0
+    assert "no training drive has class truth" in capsys.readouterr().out
+
+    frozen = run(ingest, "frozen", weights=str(fitted / "encoder.pt"), frozen=True)
+    assert "no training drive has class truth" not in capsys.readouterr().out
+    before, after = (read_weights(out / "encoder.pt", "").state for out in (fitted, frozen))
+    changed = {name.split(".")[0] for name in before if not torch.allclose(before[name], after[name], atol=1e-5)}
+    assert changed == {"depth_head"}
 
 
 def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, tmp_path: Path) -> None:
     (tmp_path / "bad.pt").write_bytes(b"no checkpoint")
     bad = {
         r"epochs = 0 needs encoder\.weights": {"epochs": 0},
+        r"frozen keeps a backbone that weights bring": {"frozen": True},
         r"backbone = large: known: .*small": {"backbone": "large"},
         r"nowhere\.pt is missing": {"weights": "nowhere.pt"},
         r"has the SHA-256": {"weights": f"{tmp_path / 'bad.pt'}#sha256={'1' * 64}"},
@@ -102,8 +113,6 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
 
 
 def test_weights_of_another_backbone_are_refused(ingest: Path, tmp_path: Path) -> None:
-    from pipeline.weights import write_weights
-
     write_weights(tmp_path / "other.pt", "swin-t", {})
     with pytest.raises(InputError, match=r"holds backbone 'swin-t', encoder\.backbone is 'small'"):
         run(ingest, weights=str(tmp_path / "other.pt"))

@@ -81,6 +81,8 @@ def run_over_drives(
     summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
     for drive, path in paths.items():
         target(drive).parent.mkdir(parents=True, exist_ok=True)
+        if target(drive).is_dir():
+            shutil.rmtree(target(drive))  # a file is replaced, a folder that is not empty would not be
         path.replace(target(drive))
     shutil.rmtree(kept)
     return summaries

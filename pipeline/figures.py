@@ -17,7 +17,8 @@ def colourise_depth(depth_m: np.ndarray, near_m: float = 4.0, far_m: float = 80.
 
     known = depth_m > 0
     share = np.log(np.where(known, depth_m, near_m) / near_m) / np.log(far_m / near_m)
-    picture = cv2.applyColorMap(np.uint8(255 * (1 - np.clip(share, 0, 1))), cv2.COLORMAP_TURBO)[..., ::-1]
+    level = (255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
+    picture = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_TURBO))[..., ::-1]
     return np.where(known[..., None], picture, 0).astype(np.uint8)
 
 

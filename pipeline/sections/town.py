@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from pipeline.params import Count, ImageSize, Section
 
@@ -20,4 +20,11 @@ class Town(Section):
     seed: int
     image_size: ImageSize
     frames: Frames
-    scan_rays: Annotated[tuple[int, int], Field(description="[rings, rays per ring] of the LiDAR")]
+    scan_rays: Annotated[tuple[Count, Count], Field(description="[rings, rays per ring] of the LiDAR")]
+
+    @field_validator("image_size")
+    @classmethod
+    def _size(cls, size: tuple[int, int]) -> tuple[int, int]:
+        if not all(32 <= side <= 4096 for side in size):
+            raise ValueError("each side must be 32 to 4096 pixels")
+        return size

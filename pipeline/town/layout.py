@@ -1,4 +1,7 @@
-"""KITTI raw's file layout, written. Truth lies beside it: truth/depth (16-bit, metres x 256) and truth/cls (trainIds)."""
+"""KITTI raw's file layout, written.
+
+Truth lies beside it: truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds).
+"""
 
 from pathlib import Path
 
@@ -6,7 +9,7 @@ import numpy as np
 
 from pipeline.png import read_png
 
-_NO_FILTER_FAST = 2  # zlib level: the time goes into rendering, not into packing
+_PNG_LEVEL = 2  # a higher one saves little and costs more than rendering
 
 
 class DriveFolder:
@@ -24,8 +27,10 @@ class DriveFolder:
             path.mkdir(parents=True)
         self._root = folder
 
-    def put(self, frame: int, rgb: np.ndarray, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray, oxts: np.ndarray) -> None:
-        """Write one frame: RGB uint8 [H,W,3], depth uint16 [H,W], classes uint8 [H,W], scan float32 [P,4], oxts [30]."""
+    def put(
+        self, frame: int, rgb: np.ndarray, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray, oxts: np.ndarray
+    ) -> None:
+        """Write one frame: RGB uint8 [H,W,3], depth uint16 [H,W], classes uint8 [H,W], scan float32 [P,4], 30 oxts."""
         name = f"{frame:010d}"
         for kind, image in (("image", rgb[..., ::-1]), ("depth", depth), ("cls", cls)):
             _write_png(self._folders[kind] / f"{name}.png", image)
@@ -34,7 +39,7 @@ class DriveFolder:
         (self._folders["oxts"] / f"{name}.txt").write_text(" ".join(words) + "\n", encoding="ascii")
 
     def put_timestamps(self, date: str, times_s: np.ndarray) -> None:
-        """Write timestamps.txt of all sensors, which fire together; `date` as 2026_01_01, `times_s` seconds of the day."""
+        """Write timestamps.txt of all sensors, which fire together; `date` as 2026_01_01, seconds of that day."""
         midnight = np.datetime64(date.replace("_", "-"), "ns")
         stamps = midnight + np.rint(times_s * 1e9).astype("timedelta64[ns]")
         text = "".join(f"{stamp}\n".replace("T", " ") for stamp in stamps)
@@ -45,7 +50,7 @@ class DriveFolder:
 def _write_png(path: Path, image: np.ndarray) -> None:
     import cv2
 
-    ok, content = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _NO_FILTER_FAST])
+    ok, content = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
     if not ok:
         raise OSError(f"{path}: this image cannot be written as PNG")
     path.write_bytes(content.tobytes())

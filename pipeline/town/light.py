@@ -6,11 +6,13 @@ import numpy as np
 
 from pipeline import classes
 from pipeline.town.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT
-from pipeline.town.world import Hits
+from pipeline.town.world import Hits, dot
 
 _TILE = 256  # side of the pattern tiles; a power of two, see _look_up
 _GAMMA_STEPS = 4095
 _GAMMA = np.rint(255 * (np.arange(_GAMMA_STEPS + 1) / _GAMMA_STEPS) ** (1 / 2.2)).astype(np.uint8)
+
+_BLUE, _GREY = np.array([0.22, 0.42, 0.80]), np.array([0.60, 0.64, 0.70])
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ def draw_light(rng: np.random.Generator) -> Light:
         sun=sun,
         sun_colour=(1.7 - 1.6 * overcast) * np.array([1 + warm, 1.0, 1 - warm]),
         ambient=(0.30 + 0.45 * overcast) * np.array([0.92, 1.0, 1.1]),
-        sky=(np.array([0.75, 0.82, 0.88]), (1 - overcast) * np.array([0.22, 0.42, 0.80]) + overcast * np.array([0.6, 0.64, 0.7])),
+        sky=(np.array([0.75, 0.82, 0.88]), (1 - overcast) * _BLUE + overcast * _GREY),
         haze_m=rng.uniform(500, 2000),
         exposure=rng.uniform(0.75, 1.25),
         slope=rng.uniform(-0.25, 0.25, 2),
@@ -66,7 +68,7 @@ def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tup
     distance[sky] = 0
     points = rays[:, :3] + distance[:, None] * rays[:, 3:]
     sun_colour, ambient = light.sun_colour.astype(np.float32), light.ambient.astype(np.float32)
-    direct = np.maximum(hits.normal @ light.sun.astype(np.float32), 0) * lit
+    direct = np.maximum(dot(hits.normal, light.sun.astype(np.float32)), 0) * lit
     # Light from the sky reaches upward faces more.
     from_sky = 0.75 + 0.25 * hits.normal[:, 2]
     colour = direct[:, None] * sun_colour + from_sky[:, None] * ambient
@@ -115,7 +117,7 @@ def _sky(light: Light, direction: np.ndarray, horizon: np.ndarray, zenith: np.nd
     up = np.clip(direction[:, 2], 0.02, 1)
     blend = np.sqrt(np.clip(up * 1.6, 0, 1))[:, None]
     cloud = _look_up(light.tiles[1], direction[:, 0] / up * 6, direction[:, 1] / up * 6) * light.clouds
-    glow = np.clip(direction @ light.sun.astype(np.float32), 0, 1)[:, None] ** 16 * light.sun_colour.mean() * 0.3
+    glow = np.clip(dot(direction, light.sun.astype(np.float32)), 0, 1)[:, None] ** 16 * light.sun_colour.mean() * 0.3
     return (horizon * (1 - blend) + zenith * blend + cloud[:, None] + glow).astype(np.float32)
 
 

@@ -34,7 +34,7 @@ def speed_profile(route: Route, cruise_mps: float, stops_m: tuple[float, ...] = 
     """Return the speed at each of the route's samples [N]: comfortable in bends, zero at `stops_m`."""
     curvature = np.maximum(np.abs(route.curvature_1pm), 1e-6)
     speed = np.minimum(cruise_mps, np.sqrt(LATERAL_MPS2 / curvature))
-    speed[[int(round((stop - route.s_m[0]) / STEP_M)) for stop in stops_m]] = 0.0
+    speed[[round((stop - route.s_m[0]) / STEP_M) for stop in stops_m]] = 0.0
     for i in range(1, len(speed)):
         speed[i] = min(speed[i], np.sqrt(speed[i - 1] ** 2 + 2 * ACCELERATE_MPS2 * STEP_M))
     for i in range(len(speed) - 2, -1, -1):
@@ -53,7 +53,7 @@ def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: floa
 
     The acceleration is constant between samples of the route, so position and speed are each other's exact integral.
     """
-    start = int(round(-route.s_m[0] / STEP_M))
+    start = round(-route.s_m[0] / STEP_M)
     s, v = route.s_m[start:], speed_mps[start:]
     stop = np.flatnonzero(v == 0)
     s, v = np.insert(s, stop, s[stop]), np.insert(v, stop, 0.0)  # two knots per stop: arrival and departure

@@ -66,12 +66,11 @@ def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_cha
     kind[to_road < 0.25] = KERBSTONE
     kind[road > 0] = ASPHALT
     paint = np.zeros_like(kind)
-    for side, edge in ((1, route.left_m), (-1, route.right_m)):
-        _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + side * bays[side][every])[0], origin, BAY)
+    for sign, edge in ((1, route.left_m), (-1, route.right_m)):
+        _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][every])[0], origin, BAY)
     clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
     for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
-        ends = route.at(s[i : i + 2], route.centre_m)[0]
-        _paint_line(paint, ends, origin)
+        _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
     if rng.random() < 0.5:
         for i in np.flatnonzero(clear[:-1]):
             _paint_line(paint, route.at(s[i : i + 2], route.right_m + 0.15)[0], origin)

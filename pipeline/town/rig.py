@@ -52,9 +52,10 @@ def make_rig(size: tuple[int, int]) -> Rig:
     T_velo_imu[:3, 3] = -0.81, 0.30, IMU_HEIGHT_M - 1.73
     R_rect = _rotation(-0.004, 0.007, -0.009)
     T_cam_velo = np.eye(4)
-    # The rectified cameras look level, straight ahead: what the scanner's and the raw camera's tilt leaves is taken up here.
+    # The rectified cameras look straight ahead but for the few milliradians of a mounting; the raw camera's and the
+    # scanner's own tilts cancel.
     T_cam_velo[:3, :3] = R_rect.T @ _rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
-    T_cam_velo[:3, 3] = R_rect.T @ [0.0, 0.08, -0.27]
+    T_cam_velo[:3, 3] = R_rect.T @ [0.0, -0.08, -0.27]
     return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
 
 
@@ -82,6 +83,12 @@ def _write(path: Path, lines: list[str]) -> None:
 
 
 def _rotation(x: float, y: float, z: float) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_euler("xyz", [x, y, z]).as_matrix()
+    """Turn about x, then y, then z, by angles in rad."""
+    R = np.eye(3)
+    for axis, angle in enumerate((x, y, z)):
+        c, s = np.cos(angle), np.sin(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+        R = turn @ R
+    return R

@@ -6,7 +6,7 @@ from pipeline import classes, geometry
 from pipeline.town.light import Light, shade
 from pipeline.town.motion import IMU_HEIGHT_M
 from pipeline.town.rig import Rig
-from pipeline.town.world import World
+from pipeline.town.world import World, dot
 
 ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
@@ -35,7 +35,7 @@ class Camera:
         """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky, or beyond 255 m), classes uint8 [H,W]."""
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
-        facing = np.flatnonzero(hits.normal @ light.sun.astype(np.float32) > 0)  # the sky has no normal
+        facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)  # the sky has no normal
         points = rays[facing, :3] + hits.distance_m[facing, None] * rays[facing, 3:]
         points += np.float32(0.01) * hits.normal[facing]  # off the surface, or it would shade itself
         lit = np.zeros(len(rays), bool)
@@ -73,5 +73,6 @@ class Scanner:
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3] = T_world_sensor[:3, 3]
-    rays[:, 3:] = directions @ T_world_sensor[:3, :3].T.astype(np.float32)
+    for axis, row in enumerate(T_world_sensor[:3, :3].astype(np.float32)):
+        rays[:, 3 + axis] = dot(directions, row)
     return rays

@@ -20,11 +20,11 @@ class Mesh:
     colour: np.ndarray
     cls: np.ndarray
 
-    def placed(self, x: float, y: float, heading_rad: float = 0.0, z: float = 0.0) -> "Mesh":
+    def placed(self, xy: np.ndarray | tuple[float, float], heading_rad: float = 0.0, z: float = 0.0) -> "Mesh":
         """Turned about z, then moved."""
         c, s = np.cos(heading_rad), np.sin(heading_rad)
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        return Mesh((self.vertices @ R.T + [x, y, z]).astype(np.float32), self.triangles, self.colour, self.cls)
+        return Mesh((self.vertices @ R.T + [xy[0], xy[1], z]).astype(np.float32), self.triangles, self.colour, self.cls)
 
 
 def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour | np.ndarray, cls: int) -> Mesh:
@@ -115,7 +115,7 @@ def tree(rng: np.random.Generator, height_m: float, leaves: Colour) -> Mesh:
 def lamp_post(height_m: float) -> Mesh:
     """A stout post with an arm over the road (towards +x)."""
     grey = (0.42, 0.44, 0.45)
-    arm = box((1.6, 0.22, 0.18), grey, classes.POLE).placed(0.7, 0, 0, height_m - 0.18)
+    arm = box((1.6, 0.22, 0.18), grey, classes.POLE).placed((0.7, 0.0), z=height_m - 0.18)
     return merge([cylinder(0.19, height_m, grey, classes.POLE), arm])
 
 
@@ -128,12 +128,12 @@ def car(rng: np.random.Generator) -> Mesh:
     glass, roof = (0.10, 0.13, 0.16), height - 0.1
     cabin_x = -0.06 * length
     parts = [
-        box((length, width, waist - 0.22), paint, classes.CAR).placed(0, 0, 0, 0.22),
-        box((0.62 * length, width - 0.12, roof - waist), glass, classes.CAR, taper=0.68).placed(cabin_x, 0, 0, waist),
-        box((0.44 * length, width - 0.14, 0.1), paint, classes.CAR).placed(cabin_x, 0, 0, roof),
-        box((0.06, width - 0.1, 0.16), (0.45, 0.03, 0.03), classes.CAR).placed(-length / 2, 0, 0, 0.66),
-        box((0.06, width - 0.1, 0.14), (0.9, 0.9, 0.8), classes.CAR).placed(length / 2, 0, 0, 0.6),
+        box((length, width, waist - 0.22), paint, classes.CAR).placed((0, 0.0), z=0.22),
+        box((0.62 * length, width - 0.12, roof - waist), glass, classes.CAR, 0.68).placed((cabin_x, 0.0), z=waist),
+        box((0.44 * length, width - 0.14, 0.1), paint, classes.CAR).placed((cabin_x, 0.0), z=roof),
+        box((0.06, width - 0.1, 0.16), (0.45, 0.03, 0.03), classes.CAR).placed((-length / 2, 0.0), z=0.66),
+        box((0.06, width - 0.1, 0.14), (0.9, 0.9, 0.8), classes.CAR).placed((length / 2, 0.0), z=0.6),
     ]
     for x in (-0.3, 0.31):
-        parts.append(box((0.62, width + 0.02, 0.6), (0.04, 0.04, 0.04), classes.CAR).placed(x * length, 0))
+        parts.append(box((0.62, width + 0.02, 0.6), (0.04, 0.04, 0.04), classes.CAR).placed((x * length, 0.0)))
     return merge(parts)

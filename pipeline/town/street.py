@@ -49,19 +49,18 @@ class _Ground:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self._taken = np.zeros(plan.kind.shape, np.uint8)
+        self._taken: np.ndarray = np.zeros(plan.kind.shape, np.uint8)
 
     def claim(self, corners: np.ndarray, clear_m: float) -> bool:
         """Take the convex footprint `corners` [N,2] if it is free and keeps `clear_m` from roads."""
-        lowest = np.floor((corners.min(axis=0) - self.plan.origin) / CELL_M).astype(int)
-        highest = np.ceil((corners.max(axis=0) - self.plan.origin) / CELL_M).astype(int) + 1
+        cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32)
+        lowest, highest = cells.min(axis=0), cells.max(axis=0) + 1
         if (lowest < 0).any() or highest[0] > self._taken.shape[1] or highest[1] > self._taken.shape[0]:
             return False
         window = (slice(lowest[1], highest[1]), slice(lowest[0], highest[0]))
-        print_ = np.zeros(self._taken[window].shape, np.uint8)
-        cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32) - lowest.astype(np.int32)
-        cv2.fillConvexPoly(print_, cells, 1)
-        inside = print_ > 0
+        footprint = np.zeros(self._taken[window].shape, np.uint8)
+        cv2.fillConvexPoly(footprint, cells - lowest, 1)
+        inside = footprint > 0
         if (self._taken[window][inside] > 0).any() or (self.plan.to_road_m[window][inside] < clear_m).any():
             return False
         self._taken[window][inside] = 1
@@ -123,7 +122,7 @@ def _houses(line: _Frontage, ground: _Ground, character: Character, rng: np.rand
             roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
             size = (length, depth, 2.9 * storeys + rng.uniform(0.2, 0.8))
             house = shapes.house(size, tuple(wall), _ROOFS[rng.integers(len(_ROOFS))], roof_m)
-            parts.append(house.placed(*xy, outward - np.pi / 2, KERB_M))
+            parts.append(house.placed(xy, outward - np.pi / 2, KERB_M))
             i += int(2 * (length + rng.uniform(*character.gap_m))) + 1
             if rng.random() < 0.3:
                 setback = rng.uniform(*character.setback_m)
@@ -139,19 +138,19 @@ def _furniture(line: _Frontage, ground: _Ground, character: Character, rng: np.r
         xy = line.edge[i] + 0.75 * _unit(line.outward_rad[i])
         if ground.claim(_footprint(xy, 0.0, (0.5, 0.5)), 0.4):
             post = shapes.lamp_post(rng.uniform(5.5, 7.5))
-            parts.append(post.placed(*xy, line.outward_rad[i] + np.pi, KERB_M))
+            parts.append(post.placed(xy, line.outward_rad[i] + np.pi, KERB_M))
     for i in range(int(rng.integers(10)), len(line.edge), 9):
         outward = line.outward_rad[i]
         if rng.random() < character.hedges:
             xy = line.edge[i] + (clear + 0.5) * _unit(outward)
             if ground.claim(_footprint(xy, outward, (4.4, 0.7)), clear):
-                parts.append(_hedge(rng).placed(*xy, outward - np.pi / 2, KERB_M))
+                parts.append(_hedge(rng).placed(xy, outward - np.pi / 2, KERB_M))
         if rng.random() < character.trees * 0.5:
             # Street trees stand in the pavement, garden trees behind it.
             back = clear - 0.5 if character.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
             xy = line.edge[i] + back * _unit(outward)
             if ground.claim(_footprint(xy, 0.0, (1.2, 1.2)), min(back - 0.7, clear)):
-                parts.append(_tree(rng, 5, 9).placed(*xy, rng.uniform(0, 6.28), KERB_M))
+                parts.append(_tree(rng, 5, 9).placed(xy, rng.uniform(0, 6.28), KERB_M))
     return parts
 
 
@@ -167,9 +166,10 @@ def _backdrop(ground: _Ground, character: Character, rng: np.random.Generator) -
             if ground.claim(_footprint(xy, heading, dims), 16):
                 wall = _WALLS[rng.integers(len(_WALLS))]
                 height = 2.9 * rng.integers(1, character.storeys[1] + 1) + 0.5
-                parts.append(shapes.house((*dims, height), wall, _ROOFS[rng.integers(4)], 2.5).placed(*xy, heading, KERB_M))
+                house = shapes.house((*dims, height), wall, _ROOFS[rng.integers(len(_ROOFS))], 2.5)
+                parts.append(house.placed(xy, heading, KERB_M))
         elif ground.claim(_footprint(xy, heading, (3, 3)), character.pavement_m + 6):
-            parts.append(_tree(rng, 6, 12).placed(*xy, heading, KERB_M))
+            parts.append(_tree(rng, 6, 12).placed(xy, heading, KERB_M))
     return parts
 
 
@@ -181,7 +181,7 @@ def _parked_cars(route: Route, plan: Plan, character: Character, rng: np.random.
             room = np.interp([s - 2.6, s, s + 2.6], route.s_m, plan.bays[side]).min()
             if room > 2.0 and rng.random() < character.parked:
                 xy, heading = route.at(s, edge + side * (1.0 + rng.uniform(-0.1, 0.1)))
-                parts.append(shapes.car(rng).placed(*xy, float(heading) + (np.pi if side > 0 else 0)))
+                parts.append(shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0)))
             s += 5.6 + rng.uniform(0, 0.8)
     return parts
 
@@ -198,7 +198,7 @@ def _barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
         for i, across in enumerate(boards):
             colour = (0.75, 0.08, 0.06) if i % 2 else (0.9, 0.9, 0.88)
             xy = middle + across * _unit(arm.heading_rad + np.pi / 2)
-            parts.append(shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE).placed(*xy, arm.heading_rad))
+            parts.append(shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE).placed(xy, arm.heading_rad))
     return parts
 
 

@@ -19,8 +19,7 @@ class Vehicle:
     heading_rad: np.ndarray
 
     def at(self, frame: int) -> Mesh:
-        x, y = self.xy[frame]
-        return self.shape.placed(float(x), float(y), float(self.heading_rad[frame]))
+        return self.shape.placed(self.xy[frame], float(self.heading_rad[frame]))
 
 
 def draw_traffic(route: Route, motion: Motion, rng: np.random.Generator) -> list[Vehicle]:

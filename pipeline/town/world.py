@@ -7,12 +7,13 @@ import numpy as np
 
 from pipeline import classes
 from pipeline.town.plan import ASPHALT, BAY, GRASS, KERB_M, KERBSTONE, MARKING, PAVEMENT, Plan
-from pipeline.town.shapes import Mesh, merge
+from pipeline.town.shapes import Mesh
 
 _GROUND_CLASS = np.zeros(6, np.uint8)
 _GROUND_CLASS[[GRASS, PAVEMENT, KERBSTONE]] = classes.TERRAIN, classes.SIDEWALK, classes.SIDEWALK
 _GROUND_CLASS[[ASPHALT, MARKING, BAY]] = classes.ROAD
-FAR_M = 500.0
+FAR_M = 500.0  # beyond it, the ground is sky
+_SHADOW_M = 150.0  # longest shadow
 
 
 @dataclass(frozen=True)
@@ -34,13 +35,10 @@ class World:
         """`ground_colours` [6,3]: albedo of each kind of the plan."""
         self.plan = plan
         self._ground_colours = ground_colours.astype(np.float32)
-        self._layers = [(_scene(street), street)]
+        self._layers = [_Layer(street)]
 
     def set_traffic(self, cars: list[Mesh]) -> None:
-        self._layers = self._layers[:1]
-        if cars:
-            traffic = merge(cars)
-            self._layers.append((_scene(traffic), traffic))
+        self._layers = [self._layers[0], *(_Layer(car, bounded=True) for car in cars)]
 
     def cast(self, rays: np.ndarray) -> Hits:
         """Return what `rays` float32 [N,6] (origin, unit direction) meet first."""
@@ -48,16 +46,13 @@ class World:
         distance = np.full(n, np.inf, np.float32)
         cls = np.full(n, classes.SKY, np.uint8)
         colour, normal = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
-        for scene, mesh in self._layers:
-            answer = scene.cast_rays(_tensor(rays))
-            t = answer["t_hit"].numpy()
-            hit = np.flatnonzero(t < distance)
-            triangle = answer["primitive_ids"].numpy()[hit]
-            distance[hit] = t[hit]
-            cls[hit], colour[hit] = mesh.cls[triangle], mesh.colour[triangle]
-            facing = answer["primitive_normals"].numpy()[hit]
-            away = np.einsum("ij,ij->i", facing, rays[hit, 3:]) > 0
-            normal[hit] = np.where(away[:, None], -facing, facing)
+        for layer in self._layers:
+            ray, t, triangle, facing = layer.cast(rays)
+            nearer = t < distance[ray]
+            ray, triangle, facing = ray[nearer], triangle[nearer], facing[nearer]
+            distance[ray], cls[ray], colour[ray] = t[nearer], layer.mesh.cls[triangle], layer.mesh.colour[triangle]
+            away = dot(facing, rays[ray, 3:]) > 0
+            normal[ray] = np.where(away[:, None], -facing, facing)
         ground = self._cast_ground(rays, distance)
         met = np.flatnonzero(ground >= 0)
         cls[met], colour[met] = _GROUND_CLASS[ground[met]], self._ground_colours[ground[met]]
@@ -68,8 +63,10 @@ class World:
         """Return bool [N]: nothing stands between `points` [N,3] and the sun in direction `sun` [3]."""
         rays = np.empty((len(points), 6), np.float32)
         rays[:, :3], rays[:, 3:] = points, sun
-        blocked = [scene.test_occlusions(_tensor(rays), 0.02, 150.0).numpy() for scene, _ in self._layers]
-        return ~np.any(blocked, axis=0)
+        lit = np.ones(len(points), bool)
+        for layer in self._layers:
+            lit[layer.blocks(rays)] = False
+        return lit
 
     def _cast_ground(self, rays: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """Lower `distance` in place where the ground is nearer; return the kind of ground there, else -1."""
@@ -89,16 +86,52 @@ class World:
         return kind
 
 
-def _scene(mesh: Mesh) -> Any:
+class _Layer:
+    """A mesh to cast rays at."""
+
+    def __init__(self, mesh: Mesh, bounded: bool = False) -> None:
+        """`bounded`: the mesh is small, most rays miss it."""
+        import open3d as o3d
+
+        self.mesh = mesh
+        # One building thread: Embree's parallel build is not promised to give the same tree twice.
+        self.scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self.scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
+        self._bounded = bounded
+        self._middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+        self._radius = float(np.linalg.norm(mesh.vertices - self._middle, axis=1).max()) + 0.01
+
+    def cast(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return of the rays that hit: index, distance, triangle, normal."""
+        near = self._near(rays)
+        answer = self.scene.cast_rays(_tensor(rays if near is None else rays[near]))
+        t = answer["t_hit"].numpy()
+        hit = np.flatnonzero(np.isfinite(t))
+        ray = hit if near is None else near[hit]
+        return ray, t[hit], answer["primitive_ids"].numpy()[hit], answer["primitive_normals"].numpy()[hit]
+
+    def blocks(self, rays: np.ndarray) -> np.ndarray:
+        """Return the indices of the rays that hit."""
+        near = self._near(rays)
+        shadow = self.scene.test_occlusions(_tensor(rays if near is None else rays[near]), 0.02, _SHADOW_M).numpy()
+        return np.flatnonzero(shadow) if near is None else near[shadow]
+
+    def _near(self, rays: np.ndarray) -> np.ndarray | None:
+        """Return the indices of the rays whose line meets the mesh's sphere; None (all) if it is not bounded."""
+        if not self._bounded:
+            return None
+        to = self._middle - rays[:, :3]
+        ahead = dot(to, rays[:, 3:])
+        aside = dot(to, to) - ahead**2
+        return np.flatnonzero((aside < self._radius**2) & (ahead > -self._radius))
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the products [...] of vectors [..., 3]. Unlike BLAS's, the result does not depend on threads."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
+def _tensor(array: np.ndarray) -> Any:
     import open3d as o3d
 
-    # One building thread: Embree's parallel build is not promised to give the same tree twice.
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(o3d.core.Tensor(mesh.vertices), o3d.core.Tensor(mesh.triangles))
-    return scene
-
-
-def _tensor(rays: np.ndarray) -> Any:
-    import open3d as o3d
-
-    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays, np.float32))
+    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(array))

@@ -1,0 +1,126 @@
+"""A rendered drive: its pictures, depths, scans and packets are of one and the same scene."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import classes, geometry
+from pipeline.kitti import RawDrive, read_scan
+from pipeline.oxts import read_times
+from pipeline.png import read_png
+from pipeline.town.drive import write_drive
+from pipeline.town.rig import make_rig, write_calibration
+
+NAME = "2026_01_01_drive_0001"
+SIZE = (96, 320)
+FRAMES = 12
+
+
+def render(folder: Path, name: str = NAME, seed: int = 0, frames: int = FRAMES) -> RawDrive:
+    path = folder / name[:10] / f"{name}_sync"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_drive(name, path, frames=frames, size=SIZE, scan_rays=(32, 200), seed=seed)
+    write_calibration(make_rig(SIZE), path.parent)
+    return RawDrive(path)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> RawDrive:
+    return render(tmp_path_factory.mktemp("town"))
+
+
+def test_every_frame_has_everything(drive: RawDrive) -> None:
+    for files in (drive.images(2), drive.scans, drive.oxts, drive.truth_depth, drive.truth_cls):
+        assert list(files) == list(range(FRAMES))
+    times = read_times(drive.oxts_times, list(range(FRAMES)))
+    assert times[-1] == pytest.approx(0.1036 * (FRAMES - 1), abs=0.005)
+    assert not list(drive.folder.parent.glob("*.tmp"))
+
+
+def test_scans_agree_with_dense_depth(drive: RawDrive) -> None:
+    camera = drive.camera([2])
+    assert camera is not None
+    assert camera.T_cam_velo is not None
+    errors = []
+    for frame in (0, FRAMES - 1):
+        depth = read_png(drive.truth_depth[frame]) / 256
+        points = geometry.transform(camera.T_cam_velo, read_scan(drive.scans[frame])[:, :3].astype(np.float64))
+        uv, z = geometry.project(points, camera.K)
+        inside = (z > 0) & (uv > 0).all(axis=1) & (uv[:, 0] < SIZE[1] - 1) & (uv[:, 1] < SIZE[0] - 1)
+        (u, v), z = np.floor(uv[inside]).astype(int).T, z[inside]
+        corners = np.stack([depth[v, u], depth[v, u + 1], depth[v + 1, u], depth[v + 1, u + 1]])
+        smooth = (corners.min(axis=0) > 0) & (corners.max(axis=0) < 1.15 * corners.min(axis=0))  # no silhouette
+        # Over a plane, the inverse of depth is linear in the pixel.
+        du, dv = (uv[inside] - np.stack([u, v], axis=-1)).T
+        weights = np.stack([(1 - du) * (1 - dv), du * (1 - dv), (1 - du) * dv, du * dv])
+        interpolated = 1 / np.sum(weights / np.maximum(corners, 1e-3), axis=0)
+        assert smooth.sum() > 300
+        errors.append(np.abs(interpolated - z)[smooth])
+    assert np.median(np.concatenate(errors)) < 0.05
+
+
+def test_depth_of_the_road_is_that_of_a_plane_1_65_m_below(drive: RawDrive) -> None:
+    camera = drive.camera([2])
+    assert camera is not None
+    depth, cls = read_png(drive.truth_depth[0]) / 256, read_png(drive.truth_cls[0])
+    height = geometry.back_project(depth, camera.K)[..., 1]
+    near_road = (cls == classes.ROAD) & (depth < 20)
+    assert near_road.sum() > 1000
+    assert np.abs(height[near_road] - 1.65).max() < 0.1
+    np.testing.assert_array_equal(depth[cls == classes.SKY], 0)
+
+
+def test_the_world_stands_still_while_the_car_moves(drive: RawDrive) -> None:
+    """Points of the first frame, moved by what oxts says the car did, land on the last frame's surfaces."""
+    camera, rig = drive.camera([2]), make_rig(SIZE)
+    assert camera is not None
+    rows = [np.loadtxt(drive.oxts[frame]) for frame in (0, FRAMES - 1)]
+    poses = []
+    for row in rows:
+        east = np.deg2rad(row[1] - rows[0][1]) * 6378137 * np.cos(np.deg2rad(rows[0][0]))
+        north = np.deg2rad(row[0] - rows[0][0]) * 6378137
+        c, s = np.cos(row[5]), np.sin(row[5])
+        poses.append(np.array([[c, -s, 0, east], [s, c, 0, north], [0, 0, 1, 0], [0, 0, 0, 1]]))
+    T_last_first = rig.T_cam2_imu @ np.linalg.inv(poses[1]) @ poses[0] @ np.linalg.inv(rig.T_cam2_imu)
+    depths = [read_png(drive.truth_depth[frame]) / 256 for frame in (0, FRAMES - 1)]
+    cls = read_png(drive.truth_cls[0])
+    still = (depths[0] > 0) & (depths[0] < 40) & np.isin(cls, [classes.BUILDING, classes.ROAD, classes.SIDEWALK])
+    points = geometry.transform(T_last_first, geometry.back_project(depths[0], camera.K)[still])
+    uv, z = geometry.project(points, camera.K)
+    inside = (z > 3) & (uv > 0.5).all(axis=1) & (uv[:, 0] < SIZE[1] - 1.5) & (uv[:, 1] < SIZE[0] - 1.5)
+    u, v = np.rint(uv[inside]).astype(int).T
+    assert inside.sum() > 2000
+    assert np.median(np.abs(depths[1][v, u] - z[inside]) / z[inside]) < 0.02
+
+
+def test_a_driver_sees_road_ahead(drive: RawDrive) -> None:
+    for frame in (0, FRAMES - 1):
+        cls, rgb = read_png(drive.truth_cls[frame]), read_png(drive.images(2)[frame])
+        assert (cls[-1, 140:180] == classes.ROAD).all()
+        assert {classes.ROAD, classes.SIDEWALK} < set(np.unique(cls).tolist())
+        assert 40 < rgb.mean() < 210
+        assert rgb.std() > 20
+
+
+def test_same_name_same_bytes_other_name_other_road(tmp_path: Path) -> None:
+    first, again = render(tmp_path / "a", frames=3), render(tmp_path / "b", frames=3)
+    other, reseeded = (
+        render(tmp_path / "a", "2026_01_01_drive_0002", frames=3),
+        render(tmp_path / "c", seed=1, frames=3),
+    )
+    files = [path for path in first.folder.rglob("*") if path.is_file()]
+    assert len(files) == 3 * 5 + 3
+    for path in files:
+        assert path.read_bytes() == (again.folder / path.relative_to(first.folder)).read_bytes(), path
+    for different in (other, reseeded):
+        assert different.truth_depth[0].read_bytes() != first.truth_depth[0].read_bytes()
+
+
+def test_an_interrupted_drive_is_replaced(tmp_path: Path) -> None:
+    left = tmp_path / "2026_01_01" / f"{NAME}_sync.tmp" / "oxts"
+    left.mkdir(parents=True)
+    (left / "rest").touch()
+    drive = render(tmp_path, frames=1)
+    assert list(drive.oxts) == [0]
+    assert not (drive.folder / "oxts" / "rest").exists()

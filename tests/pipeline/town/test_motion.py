@@ -1,0 +1,92 @@
+"""The oxts rows are one motion: positions, speeds, rates and accelerations are each other's integrals."""
+
+import numpy as np
+import pytest
+
+from pipeline.oxts import COLUMNS
+from pipeline.steering import steering_angle
+from pipeline.town import motion as motions
+from pipeline.town.motion import Motion
+from pipeline.town.route import AHEAD_M, Route, draw_route
+
+LAT, LON = 49.0, 8.4
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3])
+def driven(request: pytest.FixtureRequest) -> tuple[Route, Motion, dict[str, np.ndarray]]:
+    rng = np.random.default_rng(request.param)
+    times = motions.frame_times(rng, 200)
+    route = draw_route(rng, 9.0 * times[-1] + AHEAD_M)
+    stops = (40.0,) if request.param == 3 else ()
+    motion = motions.drive(route, motions.speed_profile(route, 9.0, stops), times, 2.0)
+    rows = motions.oxts_rows(route, motion, LAT, LON)
+    assert rows.shape == (200, 30)
+    return route, motion, dict(zip(COLUMNS, rows.T, strict=True))
+
+
+def test_speed_and_yaw_integrate_to_the_track(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
+    _, motion, oxts = driven
+    yaw = np.unwrap(oxts["yaw"])
+    # Simpson-like: the mean of the ends and twice the middle, whose heading is that of the mean yaw.
+    v, dt, turn = oxts["vf"], np.diff(motion.time_s), np.diff(yaw)
+    length = (v[1:] + v[:-1]) / 2 * dt * np.sinc(turn / 2 / np.pi)  # chord of an arc
+    middle = (yaw[1:] + yaw[:-1]) / 2
+    track = np.cumsum(length[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1), axis=0)
+    # Second route: KITTI's own Mercator projection.
+    scale = np.cos(np.deg2rad(oxts["lat"][0])) * 6378137.0
+    east = scale * np.deg2rad(oxts["lon"])
+    north = scale * np.log(np.tan(np.deg2rad(90 + oxts["lat"]) / 2))
+    measured = np.stack([east - east[0], north - north[0]], axis=-1)[1:]
+    assert np.linalg.norm(measured[-1]) > 30
+    assert np.linalg.norm(track - measured, axis=1).max() < 0.10
+
+
+def test_the_label_is_the_curvature_of_the_path(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
+    route, motion, oxts = driven
+    moving = oxts["vf"] > 1
+    label = steering_angle(oxts["wu"], oxts["vf"], 2.7)[moving]
+    np.testing.assert_allclose(label, np.arctan(2.7 * route.curvature(motion.s_m[moving])), atol=1e-12)
+    assert label.max() > 0.1  # left and right
+    assert label.min() < -0.1
+
+
+def test_rates_are_derivatives(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
+    _, motion, oxts = driven
+    dt = np.diff(motion.time_s)
+    turned = np.diff(np.unwrap(oxts["yaw"]))
+    np.testing.assert_allclose(turned, (oxts["wu"][1:] + oxts["wu"][:-1]) / 2 * dt, atol=3e-3)
+    np.testing.assert_allclose(np.hypot(oxts["vn"], oxts["ve"]), oxts["vf"], atol=1e-12)
+    np.testing.assert_allclose(
+        np.arctan2(oxts["vn"], oxts["ve"])[oxts["vf"] > 0], oxts["yaw"][oxts["vf"] > 0], atol=1e-9
+    )
+    np.testing.assert_allclose(oxts["al"], oxts["vf"] * oxts["wu"], atol=1e-12)
+    assert np.abs(oxts["al"]).max() <= motions.LATERAL_MPS2 + 0.01
+    assert np.abs(np.diff(oxts["vf"]) / dt).max() < 1.01 * motions.BRAKE_MPS2
+    assert 0.098 < dt.mean() < 0.108
+    assert 0 < dt.std() < 0.002
+
+
+def test_a_halt_lasts_as_long_as_it_should(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
+    _, motion, oxts = driven
+    standing = oxts["vf"] == 0
+    if not standing.any():
+        assert oxts["vf"].min() > 2
+        return
+    np.testing.assert_allclose(motion.s_m[standing], 40.0, atol=0.1)
+    assert np.ptp(motion.time_s[standing]) == pytest.approx(2.0, abs=0.22)
+
+
+def test_halts_lie_ahead_of_junctions() -> None:
+    rng = np.random.default_rng(0)
+    routes = [draw_route(rng, 200.0) for _ in range(12)]
+    halts = [(route, halt) for route in routes for halt in motions.draw_stops(rng, route, 80.0)]
+    assert 0 < len(halts) < 12
+    for route, halt in halts:
+        assert np.abs(np.array(route.junctions_m) - halt - 13.0).min() < 1e-9
+        assert 0 < halt < 80
+
+
+def test_too_short_a_route_is_refused() -> None:
+    route = draw_route(np.random.default_rng(0), 20.0)
+    with pytest.raises(ValueError, match="too short"):
+        motions.drive(route, motions.speed_profile(route, 9.0), np.array([0.0, 500.0]), 1.0)

@@ -1,0 +1,34 @@
+"""Calibration files, read back by the pipeline's own reader."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.calibration import cameras_in, read_camera
+from pipeline.geometry import transform
+from pipeline.town.motion import IMU_HEIGHT_M
+from pipeline.town.rig import make_rig, write_calibration
+
+
+def test_the_files_say_what_the_camera_does(tmp_path: Path) -> None:
+    rig = make_rig((188, 621))
+    write_calibration(rig, tmp_path / "2026_01_01")
+    assert cameras_in(tmp_path / "2026_01_01") == [0, 1, 2, 3]
+    camera = read_camera(tmp_path / "2026_01_01", 2)
+    assert camera.size == (188, 621)
+    np.testing.assert_allclose(camera.K, rig.K, atol=1e-9)
+    assert camera.T_cam_velo is not None
+    np.testing.assert_allclose(camera.T_cam_velo @ rig.T_velo_imu, rig.T_cam2_imu, atol=1e-9)
+    np.testing.assert_allclose(camera.T_cam_velo[:3, :3] @ camera.T_cam_velo[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_sensors_sit_where_kittis_do() -> None:
+    rig = make_rig((188, 621))
+    camera = transform(np.linalg.inv(rig.T_cam2_imu), np.zeros((1, 3)))[0]
+    scanner = transform(np.linalg.inv(rig.T_velo_imu), np.zeros((1, 3)))[0]
+    assert abs(camera[2] + IMU_HEIGHT_M - 1.65) < 0.02
+    assert abs(scanner[2] + IMU_HEIGHT_M - 1.73) < 0.02
+    ahead, left, up = rig.T_cam2_imu[:3, :3].T
+    np.testing.assert_allclose([ahead[2], left[0], up[1]], [1, -1, -1], atol=1e-3)  # z forward, x right, y down
+    np.testing.assert_allclose(rig.K[0, 0], 360.8)
+    np.testing.assert_allclose(rig.P_rect[2][0, 3], 44.9 / 2, atol=0.1)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
 from pipeline import checkpoint, metrics, windows
@@ -19,10 +20,11 @@ from pipeline.errors import InputError
 from pipeline.sections.train import Train
 
 WARM_UP = 0.05  # share of the steps in which the learning rate rises
+KIND = "steering net"  # of checkpoint
 EVALUATION_WINDOWS = 96  # windows per batch when nothing is learned
 
-Forward = Callable[[windows.Batch], Tensor]
-"""A batch of arrays → standardised predictions [W] on the network's device."""
+Forward = Callable[[Any, windows.Batch], Tensor]
+"""A network and a batch of arrays → standardised predictions [W] on the network's device."""
 
 
 @dataclass(frozen=True)
@@ -49,71 +51,120 @@ class Epoch:
     val_nmse: float
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """The curve, and the network's tensors after the best epoch."""
+class Fit:
+    """One training run: a network, the moving average of its weights, an optimiser, and the epochs so far.
 
-    curve: list[Epoch]
-    best: dict[str, Tensor]
-
-
-def fit(
-    net: nn.Module,
-    forward: Forward,
-    train: Sequence[windows.Drive],
-    val: Sequence[windows.Drive],
-    *,
-    window: int,
-    alpha: float,
-    settings: Train,
-    seed: int,
-    target: Target,
-    kept: Path,
-    about: Mapping[str, Any],
-    title: str,
-) -> Fitted:
-    """Fit `net` in place; its weights end as the last epoch's.
-
-    After each epoch the state goes to `kept`, and fitting goes on from there, to the same result, if that file exists.
-
-    Args:
-        window: frames per prediction; alpha: of the loss weights, per rad.
-        about: what the state file says of the run beside its tensors.
-        title: names the run in what is printed.
-
-    Raises InputError if the loss is no longer finite.
+    The average is what is validated and kept: single steps at a high learning rate jump about, their mean does not.
     """
-    kind = "steering net"
-    optimiser = torch.optim.AdamW(net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
-    curve: list[Epoch] = []
-    best = copy_of(net)
-    if kept.is_file():
-        state = checkpoint.read(kept, kind, f"Delete {kept} to start again")
-        net.load_state_dict(state["net"])
-        optimiser.load_state_dict(state["optimiser"])
-        curve, best = [Epoch(**row) for row in state["curve"]], state["best"]
-        print(f"{title}: {len(curve)} of {settings.epochs} epochs kept from the run before", flush=True)
 
-    started, done = time.perf_counter(), len(curve)
-    while len(curve) < settings.epochs and not out_of_patience(curve, settings.patience):
-        epoch = len(curve) + 1
-        loss, rate = _train_epoch(net, forward, optimiser, train, window, alpha, settings, seed, epoch, target)
-        if not math.isfinite(loss):
-            raise InputError(f"{title}: the loss of epoch {epoch} is {loss}: lower train.learning_rate or clip_norm")
-        mse, nmse = _validate(net, forward, val, window, target)
-        curve.append(Epoch(epoch, rate, loss, mse, nmse))
-        better = best_epoch(curve) == epoch
-        if better:
-            best = copy_of(net)
-        checkpoint.write(
-            kept,
-            {**about, "kind": kind, "epoch": epoch, "net": copy_of(net), "best": best}
-            | {"optimiser": optimiser.state_dict(), "curve": [asdict(row) for row in curve]},
-        )
-        eta = (time.perf_counter() - started) / (epoch - done) * (settings.epochs - epoch)
-        judged = f", validation nmse {nmse:.3f}{' (best)' if better else ''}" if val else ""
-        print(f"{title}: epoch {epoch}/{settings.epochs}, loss {loss:.4f}{judged}, {eta:.0f} s to go", flush=True)
-    return Fitted(curve, best)
+    def __init__(self, net: nn.Module, forward: Forward, window: int, alpha: float, settings: Train, seed: int) -> None:
+        """Letters as in the model's line: `window` frames per prediction, loss weights exp(`alpha` |Θ|)."""
+        self.net, self.forward, self.window, self.alpha = net, forward, window, alpha
+        self.settings, self.seed = settings, seed
+        self.average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(settings.average))  # type: ignore[no-untyped-call]
+        # Decay pulls matrices towards zero; an offset or a time constant has no reason to be small.
+        matrices = [parameter for parameter in net.parameters() if parameter.ndim > 1]
+        vectors = [parameter for parameter in net.parameters() if parameter.ndim <= 1]
+        groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
+        self.curve: list[Epoch] = []
+        self.best = copy_of(net)
+
+    def run(
+        self,
+        train: Sequence[windows.Drive],
+        val: Sequence[windows.Drive],
+        kept: Path,
+        about: Mapping[str, Any],
+        title: str,
+    ) -> None:
+        """Train until the last epoch, or until validation no longer improves; `best` and `curve` are the result.
+
+        After each epoch the state goes to `kept`, beside what `about` says of the run; if that file exists, training
+        goes on from there, to the same result. Raises InputError if the loss is no longer finite.
+        """
+        target, epochs = Target.of(train), self.settings.epochs
+        if kept.is_file():
+            self._load(checkpoint.read(kept, KIND, f"Delete {kept} to start again"))
+            print(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before", flush=True)
+        started, done = time.perf_counter(), len(self.curve)
+        while len(self.curve) < epochs and not out_of_patience(self.curve, self.settings.patience):
+            epoch = len(self.curve) + 1
+            loss, rate = self._train(train, target, epoch)
+            if not math.isfinite(loss):
+                raise InputError(
+                    f"{title}: the loss of epoch {epoch} is {loss}: lower train.learning_rate or clip_norm"
+                )
+            self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
+            better = best_epoch(self.curve) == epoch
+            if better:
+                self.best = copy_of(self.average.module)
+            checkpoint.write(kept, {**about, **self._state(), "kind": KIND, "epoch": epoch})
+            eta = (time.perf_counter() - started) / (epoch - done) * (epochs - epoch)
+            nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (best)' if better else ''}" if val else ""
+            print(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go", flush=True)
+
+    def _train(self, drives: Sequence[windows.Drive], target: Target, epoch: int) -> tuple[float, float]:
+        settings = self.settings
+        # Everything random in an epoch follows from its number: a resumed run goes on as if it had never stopped.
+        rng = np.random.default_rng([self.seed, epoch])
+        spans = windows.spans(drives, self.window, settings.run_windows, rng)
+        groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
+        self.net.train()
+        losses, masses, rate = [], [], 0.0
+        steps = zip(groups, windows.batches(drives, groups, self.window), strict=True)
+        bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=not sys.stderr.isatty())
+        for step, (group, batch) in enumerate(bar):
+            rate = settings.learning_rate * _schedule((epoch - 1 + step / len(groups)) / settings.epochs)
+            for parameters in self.optimiser.param_groups:
+                parameters["lr"] = rate
+            batch = augmented(batch, [span.stop - span.start for span in group], settings, rng)
+            predicted = self.forward(self.net, batch)
+            steering = torch.from_numpy(batch["steering_rad"]).to(predicted)
+            weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(self.alpha * steering.abs())
+            loss = weighted_mse(predicted, (steering - target.mean_rad) / target.std_rad, weight)
+            self.optimiser.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(self.net.parameters(), settings.clip_norm)
+            self.optimiser.step()
+            self.average.update_parameters(self.net)
+            losses.append(loss.item())
+            masses.append(float(weight.sum()))
+        return float(np.average(losses, weights=masses)), rate
+
+    def _validate(self, drives: Sequence[windows.Drive], target: Target) -> tuple[float, float]:
+        if not drives:
+            return math.nan, math.nan
+        found = np.concatenate(predict_drives(self.average.module, self.forward, drives, self.window, target))
+        steering = np.concatenate([drive.steering_rad for drive in drives])
+        judged = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(found)
+        result = metrics.scores(steering[judged], found[judged])
+        return result["mse_rad2"], result["nmse"]
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "net": copy_of(self.net),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "best": self.best,
+            "curve": [asdict(row) for row in self.curve],
+        }
+
+    def _load(self, state: Mapping[str, Any]) -> None:
+        self.net.load_state_dict(state["net"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
+
+
+def augmented(batch: windows.Batch, frames: Sequence[int], settings: Train, rng: np.random.Generator) -> windows.Batch:
+    """Mirror half of a batch's spans (`frames` long each), and make each one's world larger or smaller."""
+    if settings.mirror:
+        batch = windows.mirror(batch, np.repeat(rng.random(len(frames)) < 0.5, frames))
+    if settings.rescale > 1:
+        factor = settings.rescale ** rng.uniform(-1, 1, len(frames))
+        batch = windows.rescale(batch, np.repeat(factor, frames).astype(np.float32))
+    return batch
 
 
 def best_epoch(curve: Sequence[Epoch]) -> int:
@@ -141,7 +192,7 @@ def predict_drives(
     net.eval()
     with torch.inference_mode():
         for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
-            predicted = forward(batch).double().cpu().numpy()
+            predicted = forward(net, batch).double().cpu().numpy()
             found[span.drive][span.start + window - 1 : span.stop] = predicted * target.std_rad + target.mean_rad
     return found
 
@@ -151,56 +202,16 @@ def weighted_mse(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
     return (weight * (predicted - wanted).square()).sum() / weight.sum().clamp_min(torch.finfo(weight.dtype).tiny)
 
 
-def ms_per_frame(encode: Forward, drives: Sequence[windows.Drive], window: int) -> float:
-    """Return the median time of ``encode(batch)`` per frame of the batch, in ms, over a few batches after a warm-up."""
+def ms_per_frame(net: nn.Module, encode: Forward, drives: Sequence[windows.Drive], window: int) -> float:
+    """Return the median time of ``encode(net, batch)`` per frame, in ms, over a few batches after a warm-up."""
     groups = [[span] for span in windows.spans(drives, window, EVALUATION_WINDOWS)][:6]
     times = []
     with torch.inference_mode():
         for batch in windows.batches(drives, groups, window):
             started = time.perf_counter()
-            encode(batch).cpu()  # waits for the device
+            encode(net, batch).cpu()  # waits for the device
             times.append((time.perf_counter() - started) / (len(batch["ptr"]) - 1))
     return float(np.median(times[1:] or times)) * 1e3
-
-
-def _train_epoch(
-    net: nn.Module,
-    forward: Forward,
-    optimiser: torch.optim.Optimizer,
-    drives: Sequence[windows.Drive],
-    window: int,
-    alpha: float,
-    settings: Train,
-    seed: int,
-    epoch: int,
-    target: Target,
-) -> tuple[float, float]:
-    # Everything random in an epoch follows from its number: a resumed run goes on as if it had never stopped.
-    rng = np.random.default_rng([seed, epoch])
-    spans = windows.spans(drives, window, settings.run_windows, rng)
-    groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
-    net.train()
-    losses, masses, rate = [], [], 0.0
-    steps = zip(groups, windows.batches(drives, groups, window), strict=True)
-    bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=not sys.stderr.isatty())
-    for step, (group, batch) in enumerate(bar):
-        if settings.mirror:
-            flipped = np.repeat(rng.random(len(group)) < 0.5, [span.stop - span.start for span in group])
-            batch = windows.mirror(batch, flipped)
-        rate = settings.learning_rate * _schedule((epoch - 1 + step / len(groups)) / settings.epochs)
-        for parameters in optimiser.param_groups:
-            parameters["lr"] = rate
-        predicted = forward(batch)
-        steering = torch.from_numpy(batch["steering_rad"]).to(predicted)
-        weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(alpha * steering.abs())
-        loss = weighted_mse(predicted, (steering - target.mean_rad) / target.std_rad, weight)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)
-        optimiser.step()
-        losses.append(loss.item())
-        masses.append(float(weight.sum()))
-    return float(np.average(losses, weights=masses)), rate
 
 
 def _schedule(progress: float) -> float:
@@ -208,18 +219,6 @@ def _schedule(progress: float) -> float:
     if progress < WARM_UP:
         return 0.01 + 0.99 * progress / WARM_UP
     return 0.5 * (1 + math.cos(math.pi * (progress - WARM_UP) / (1 - WARM_UP)))
-
-
-def _validate(
-    net: nn.Module, forward: Forward, drives: Sequence[windows.Drive], window: int, target: Target
-) -> tuple[float, float]:
-    if not drives:
-        return math.nan, math.nan
-    found = np.concatenate(predict_drives(net, forward, drives, window, target))
-    steering = np.concatenate([drive.steering_rad for drive in drives])
-    judged = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(found)
-    result = metrics.scores(steering[judged], found[judged])
-    return result["mse_rad2"], result["nmse"]
 
 
 def write_curve(path: Path, curve: Sequence[Epoch]) -> None:

@@ -178,3 +178,13 @@ def mirror(batch: Batch, chosen: np.ndarray) -> Batch:
     xyz[np.repeat(chosen, np.diff(batch["ptr"])), 0] *= -1
     steering_rad[chosen[batch["windows"][:, -1]]] *= -1
     return batch | {"xyz": xyz, "steering_rad": steering_rad}
+
+
+def rescale(batch: Batch, factor: np.ndarray) -> Batch:
+    """Make the world of each frame `factor` [B] times as large, and its bends as much wider; every edge stays.
+
+    The bicycle model's tan Θ is wheelbase times curvature, and curvature is 1 / length. All frames of a span together.
+    """
+    xyz = batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]
+    steering_rad = np.arctan(np.tan(batch["steering_rad"]) / factor[batch["windows"][:, -1]])
+    return batch | {"xyz": xyz, "steering_rad": steering_rad}

@@ -1,7 +1,6 @@
 """Judge a trained model on each split, beside the trivial predictors: data/evaluate/<model>/."""
 
 import csv
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +32,7 @@ def main(
     section = load(Evaluate, params)
     again = f"Train it again: dvc repro --force train@{name}"
     config = store.read_json(train / name / "config.json", stage=f"train@{name}")
-    trained = checkpoint.read(train / name / "best.pt", "steering net", again)
+    trained = checkpoint.read(train / name / "best.pt", steering_fit.KIND, again)
     line, target = Model.model_validate(trained["model"]), steering_fit.Target(**trained["target"])
     net = steering_net.build(line.model_dump())
     checkpoint.load_state(net, trained["net"], train / name / "best.pt", again)
@@ -44,7 +43,7 @@ def main(
     result: dict[str, Any] = {"model": name, "drives": {split: store.of_split(splits, split) for split in SPLITS}}
     for split, drives in result["drives"].items():
         data = windows.read_drives(variant, labels, drives, line.window)
-        found = steering_fit.predict_drives(net, partial(steering_net.predict, net), data, line.window, target)
+        found = steering_fit.predict_drives(net, steering_net.predict, data, line.window, target)
         result_of_split = _judge(data, found, section, target.mean_rad) if data else None
         result[split] = result_of_split
     store.write_json(out / name / "metrics.json", result | {

@@ -1,7 +1,6 @@
 """Train one model on its graph variant: data/train/<model>/{best.pt, last.pt, config.json, curve.csv}."""
 
 import shutil
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -61,30 +60,27 @@ def _train(
         net = steering_net.build(line.model_dump()).to(device)
     except ValueError as error:
         raise InputError(f"models.{name}: {error}") from error
-    forward, encode = partial(steering_net.predict, net), partial(steering_net.encode, net)
-    target = steering_fit.Target.of(train)
+    fit = steering_fit.Fit(net, steering_net.predict, line.window, line.alpha, section, seed)
     settings = {"model": line.model_dump(), "train": section.model_dump(exclude={"seeds"}), "seed": seed}
     files = [drive.graphs for drive in train + val] + [drive.labels for drive in train + val]
     state = kept / f"{drives.resume_key('stages.train', settings, files)}.pt"
-    about = {"name": name, "splits": splits, "target": vars(target), "revision": code.revision(), **settings}
-    fitted = steering_fit.fit(
-        net, forward, train, val, window=line.window, alpha=line.alpha, settings=section, seed=seed, target=target,
-        kept=state, about=about, title=f"{name} seed {seed}",
-    )  # fmt: skip
-    best = steering_fit.best_epoch(fitted.curve)
+    target = vars(steering_fit.Target.of(train))
+    about = {"name": name, "splits": splits, "target": target, "revision": code.revision(), **settings}
+    fit.run(train, val, state, about, f"{name} seed {seed}")
+    best = steering_fit.best_epoch(fit.curve)
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(state, folder / "last.pt")
-    checkpoint.write(folder / "best.pt", {**about, "kind": "steering net", "epoch": best, "net": fitted.best})
-    steering_fit.write_curve(folder / "curve.csv", fitted.curve)
+    checkpoint.write(folder / "best.pt", {**about, "kind": steering_fit.KIND, "epoch": best, "net": fit.best})
+    steering_fit.write_curve(folder / "curve.csv", fit.curve)
     store.write_json(
         folder / "config.json",
         about
         | {
             "best_epoch": best,
-            "epochs": len(fitted.curve),
+            "epochs": len(fit.curve),
             "parameters": steering_net.parameter_count(net),
             # Measured here, so that stage evaluate has no clock in its files.
-            "encode_ms_per_frame": steering_fit.ms_per_frame(encode, val or train, line.window),
+            "encode_ms_per_frame": steering_fit.ms_per_frame(net, steering_net.encode, val or train, line.window),
         },
     )
 

@@ -18,6 +18,8 @@ class Train(Section):
     run_windows: Count
     batch_runs: Count
     mirror: bool
+    rescale: Annotated[float, Field(ge=1, le=2)]
+    average: Annotated[float, Field(ge=0, lt=1)]
 
     @field_validator("seeds")
     @classmethod

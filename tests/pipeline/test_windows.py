@@ -112,3 +112,13 @@ def test_labels_are_matched_by_frame_number(folder: Path) -> None:
     artefacts.write_labels(folder / f"labels/{drive}.h5", drive, np.arange(20) / 100, np.arange(20))
     with pytest.raises(InputError, match="no label for frame 20"):
         _read(folder)
+
+
+def test_a_world_twice_as_large_bends_half_as_much(folder: Path) -> None:
+    drives = _read(folder)
+    (batch,) = windows.batches(drives, [[windows.Span(0, 0, 10), windows.Span(1, 0, 9)]], 8)
+    scaled = windows.rescale(batch, np.repeat(np.array([2.0, 1.0], np.float32), [10, 9]))
+    points = batch["ptr"][10]
+    assert (scaled["xyz"][:points] == 2 * batch["xyz"][:points]).all()
+    assert (scaled["xyz"][points:] == batch["xyz"][points:]).all()
+    assert np.tan(scaled["steering_rad"]) == pytest.approx(np.tan(batch["steering_rad"]) / [2, 2, 2, 1, 1], rel=1e-6)

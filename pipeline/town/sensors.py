@@ -11,7 +11,7 @@ from pipeline.town.world import World, dot
 ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
 RANGE_NOISE_M = 0.015
-_BAND = 32768  # pixels computed together: few enough to stay in the processor's cache
+_BAND = 117000  # pixels computed together: few enough to stay in the processor's cache
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 

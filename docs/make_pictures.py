@@ -59,7 +59,9 @@ def _row(file: store.DriveReader, number: int) -> int:
 def _draw_graph(panel: Axes, xyz: np.ndarray, colour: np.ndarray, made: graph.Graph) -> None:
     source = np.repeat(np.arange(len(made.degree)), made.degree)
     ends = xyz[:, [0, 2]]
-    panel.add_collection(LineCollection(np.stack([ends[source], ends[made.indices]], axis=1), colors="0.6", linewidths=0.5))
+    panel.add_collection(
+        LineCollection(np.stack([ends[source], ends[made.indices]], axis=1), colors="0.6", linewidths=0.5)
+    )
     panel.scatter(*ends.T, s=12, c=colour, linewidths=0, zorder=2)
 
 

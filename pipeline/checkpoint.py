@@ -1,5 +1,6 @@
 """Files of tensors: written in one step, read without running anything they hold, loaded only if all fits."""
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,16 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
     """Write tensors and plain values under their names; nobody ever reads a half-written file."""
     import torch
 
+    # By way of memory: on a full disk torch's own writer raises RuntimeError, a plain file an OSError that says so.
+    buffer = io.BytesIO()
+    torch.save(dict(content), buffer)
     path.parent.mkdir(parents=True, exist_ok=True)
     tmp = path.with_name(path.name + ".tmp")
-    torch.save(dict(content), tmp)
-    tmp.replace(path)
+    try:
+        tmp.write_bytes(buffer.getbuffer())
+        tmp.replace(path)
+    finally:
+        tmp.unlink(missing_ok=True)
 
 
 def read(path: Path, kind: str, mend: str) -> dict[str, Any]:
@@ -35,7 +42,7 @@ def read(path: Path, kind: str, mend: str) -> dict[str, Any]:
     except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
         raise InputError(f"{path} is cut short, or holds more than tensors and plain values. {mend}") from error
     if not isinstance(content, dict) or content.get("kind") != kind:
-        raise InputError(f"{path} is no checkpoint of a {kind} of this project. {mend}")
+        raise InputError(f"{path} is no checkpoint of this project's {kind}. {mend}")
     return content
 
 

@@ -46,6 +46,7 @@ def run_over_drives(
     workers: int | None = None,
     resume: Path | None = None,
     target: Callable[[str], Path] | None = None,
+    effort: Callable[[str], float] | None = None,
     describe: Callable[[Summary], str] = str,
 ) -> dict[str, Summary]:
     """Call ``work(drive, path)`` for each of `drives`, in parallel, and leave each drive's file in `out`.
@@ -59,6 +60,8 @@ def run_over_drives(
         workers: processes; None means :func:`pipeline.console.default_workers`. Never changes a result.
         resume: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
         target: drive → where its file or folder ends up; default ``out/<drive>.h5``.
+        effort: drive → how long it takes, in any unit; the longest start first, so that no worker ends alone.
+            Default: the size of the input files.
         describe: one drive's summary → what the log prints of it.
 
     Returns: drive → summary, in the order of `drives`.
@@ -73,6 +76,7 @@ def run_over_drives(
         for drive in drives
     }
     todo = [drive for drive in drives if not paths[drive].exists() or not _sidecar(paths[drive]).is_file()]
+    todo.sort(key=effort or (lambda drive: _bytes(inputs(drive))), reverse=True)
     if len(todo) < len(drives):
         print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
     _run(work, {drive: paths[drive] for drive in todo}, workers or default_workers(), describe)
@@ -180,6 +184,10 @@ def _sidecar(path: Path) -> Path:
 
 def _size(path: Path) -> int:
     return sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size
+
+
+def _bytes(inputs: Sequence[Path | str]) -> int:
+    return sum(path.stat().st_size for path in inputs if isinstance(path, Path))
 
 
 def resume_key(module: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:

@@ -13,10 +13,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from pipeline import classes
+from pipeline import checkpoint, classes
 from pipeline.errors import InputError
+from pipeline.schedule import warm_up_cosine
 from pipeline.supervision import Supervision, augment
 
+KIND = "unified encoder in fitting"
 WARM_UP = 0.15  # share of the steps in which the learning rate rises
 WEIGHT_DECAY = 1e-4
 MAX_RELATIVE_ERROR = 6.0
@@ -53,8 +55,8 @@ def fit(
     optimiser = torch.optim.AdamW([p for p in model.parameters() if p.requires_grad], weight_decay=WEIGHT_DECAY)
     curve: list[EpochLoss] = []
     if kept.is_file():
-        state = torch.load(kept, weights_only=True, map_location=device)
-        model.load_state_dict(state["model"])
+        state = checkpoint.read(kept, KIND, f"Delete {kept} to start again")
+        model.load_state_dict(state["net"])
         optimiser.load_state_dict(state["optimiser"])
         curve = [EpochLoss(**row) for row in state["curve"]]
         print(f"{len(curve)} of {epochs} epochs kept from the run before", flush=True)
@@ -69,7 +71,7 @@ def fit(
         sums = torch.zeros(2, dtype=torch.float64)
         for step, (image, K, depth, cls) in enumerate(_batches(examples, batch, np.random.default_rng([seed, epoch]))):
             for group in optimiser.param_groups:
-                group["lr"] = learning_rate * schedule((epoch * steps + step) / (epochs * steps))
+                group["lr"] = learning_rate * warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
             depth_m, logits = model(image.to(device), K.to(device))
             losses = depth_and_class_loss(depth_m, logits, depth.to(device), cls.to(device))
             optimiser.zero_grad(set_to_none=True)
@@ -91,7 +93,8 @@ def fit(
             bar.set_postfix_str(line, refresh=False)
         else:
             print(f"{line}, {time.perf_counter() - start:.1f} s", flush=True)
-        _keep(kept, model, optimiser, curve)
+        state = {"net": model.state_dict(), "optimiser": optimiser.state_dict(), "curve": [vars(row) for row in curve]}
+        checkpoint.write(kept, {"kind": KIND, **state})
     bar.close()
     model.eval()
     return curve
@@ -116,13 +119,6 @@ def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, 
     return torch.stack([depth_loss, class_loss])
 
 
-def schedule(progress: float) -> float:
-    """Return the share of the learning rate at `progress` 0 to 1: up in a line, down in a cosine."""
-    if progress < WARM_UP:
-        return 0.05 + 0.95 * progress / WARM_UP
-    return 0.5 * (1 + math.cos(math.pi * (progress - WARM_UP) / (1 - WARM_UP)))
-
-
 def _batches(examples: Supervision, batch: int, rng: np.random.Generator) -> Iterator[tuple[Tensor, ...]]:
     order = rng.permutation(len(examples))
     for start in range(0, len(order), batch):
@@ -133,11 +129,3 @@ def _batches(examples: Supervision, batch: int, rng: np.random.Generator) -> Ite
             torch.from_numpy(np.stack([example.depth_m for example in chosen])),
             torch.from_numpy(np.stack([example.cls for example in chosen])).long(),
         )
-
-
-def _keep(path: Path, model: nn.Module, optimiser: torch.optim.Optimizer, curve: list[EpochLoss]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tmp = path.with_name(path.name + ".tmp")
-    rows = [vars(row) for row in curve]
-    torch.save({"model": model.state_dict(), "optimiser": optimiser.state_dict(), "curve": rows}, tmp)
-    tmp.replace(path)

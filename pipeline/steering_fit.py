@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from pipeline import checkpoint, metrics, windows
 from pipeline.errors import InputError
+from pipeline.schedule import warm_up_cosine
 from pipeline.sections.train import Train
 
 WARM_UP = 0.05  # share of the steps in which the learning rate rises
@@ -115,7 +116,7 @@ class Fit:
         steps = zip(groups, windows.batches(drives, groups, self.window), strict=True)
         bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=not sys.stderr.isatty())
         for step, (group, batch) in enumerate(bar):
-            rate = settings.learning_rate * _schedule((epoch - 1 + step / len(groups)) / settings.epochs)
+            rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(groups)) / settings.epochs, WARM_UP)
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
             batch = augmented(batch, [span.stop - span.start for span in group], settings, rng)
@@ -212,13 +213,6 @@ def ms_per_frame(net: nn.Module, encode: Forward, drives: Sequence[windows.Drive
             encode(net, batch).cpu()  # waits for the device
             times.append((time.perf_counter() - started) / (len(batch["ptr"]) - 1))
     return float(np.median(times[1:] or times)) * 1e3
-
-
-def _schedule(progress: float) -> float:
-    """Factor of the learning rate after a share of all steps: linear warm-up, then half a cosine to zero."""
-    if progress < WARM_UP:
-        return 0.01 + 0.99 * progress / WARM_UP
-    return 0.5 * (1 + math.cos(math.pi * (progress - WARM_UP) / (1 - WARM_UP)))
 
 
 def write_curve(path: Path, curve: Sequence[Epoch]) -> None:

@@ -1,4 +1,4 @@
-"""Weights of the unified encoder in a file: written, found, verified, loaded."""
+"""Weights of the unified encoder in a file: written, found, verified, read."""
 
 import re
 from collections.abc import Mapping
@@ -6,10 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline import checkpoint
 from pipeline.drives import file_hash
 from pipeline.errors import InputError
 
 SHA256 = re.compile(r"[0-9a-fA-F]{64}")
+
+
+KIND = "unified encoder"
 
 
 @dataclass(frozen=True)
@@ -25,14 +29,11 @@ def write_weights(path: Path, backbone: str, state: Mapping[str, Any]) -> None:
     """Write a checkpoint in one step: tensors and plain values only."""
     import torch
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tmp = path.with_name(path.name + ".tmp")
     # Strides are part of the file: a clone forgets whether the network ran with channels last.
     tensors = {
         name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in state.items()
     }
-    torch.save({"backbone": backbone, "state": tensors}, tmp)
-    tmp.replace(path)
+    checkpoint.write(path, {"kind": KIND, "backbone": backbone, "net": tensors})
 
 
 def find_weights(setting: str) -> tuple[Path, str]:
@@ -65,30 +66,5 @@ def read_weights(path: Path, mend: str) -> Weights:
 
     Raises InputError if it is missing, cut short or no checkpoint of a unified encoder.
     """
-    import torch
-
-    if not path.is_file():
-        raise InputError(f"{path} is missing. {mend}")
-    try:
-        content = torch.load(path, weights_only=True, map_location="cpu")
-    except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
-        raise InputError(f"{path} is cut short, or no checkpoint that holds tensors alone. {mend}") from error
-    if not isinstance(content, dict) or set(content) != {"backbone", "state"} or not isinstance(content["state"], dict):
-        raise InputError(f"{path} is no checkpoint of this project's unified encoder. {mend}")
-    return Weights(path, str(content["backbone"]), content["state"])
-
-
-def load_weights(model: Any, weights: Weights, mend: str) -> None:
-    """Copy `weights` into a torch module. Raises InputError unless names and shapes agree one by one."""
-    own = model.state_dict()
-    for name in sorted(own.keys() | weights.state.keys()):
-        if name not in weights.state:
-            fault = f"lacks {name}"
-        elif name not in own:
-            fault = f"has {name}, which the network has not"
-        elif weights.state[name].shape != own[name].shape:
-            fault = f"has {name} of shape {list(weights.state[name].shape)}, the network {list(own[name].shape)}"
-        else:
-            continue
-        raise InputError(f"{weights.path} does not fit backbone {weights.backbone!r} of this code: it {fault}. {mend}")
-    model.load_state_dict(weights.state, strict=True)
+    content = checkpoint.read(path, KIND, mend)
+    return Weights(path, str(content["backbone"]), content["net"])

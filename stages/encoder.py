@@ -1,19 +1,17 @@
 """Stage encoder: fit the unified encoder on the training drives, or take one that was fitted elsewhere."""
 
 import csv
-import hashlib
-import json
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline import code, console, store
-from pipeline.drives import file_hash
+from pipeline import checkpoint, console, store
+from pipeline.drives import resume_key
 from pipeline.errors import InputError
 from pipeline.params import load
 from pipeline.sections.encoder import Encoder
-from pipeline.weights import find_weights, load_weights, read_weights, write_weights
+from pipeline.weights import find_weights, read_weights, write_weights
 
 MEND = "Name another file in encoder.weights, or set it to null to fit from the start"
 
@@ -48,7 +46,7 @@ def main(
             raise InputError(
                 f"{source[0]} holds backbone {weights.backbone!r}, encoder.backbone is {settings.backbone!r}. {MEND}"
             )
-        load_weights(model, weights, MEND)
+        checkpoint.load_state(model, weights.state, source[0], MEND)
 
     curve: Sequence[Any] = []
     supervision: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
@@ -57,7 +55,8 @@ def main(
         from pipeline.encoder_fit import fit
         from pipeline.supervision import Supervision
 
-        key = _key(settings, source, [ingest / f"{drive}.h5" for drive in drives])
+        files = [ingest / f"{drive}.h5" for drive in drives]
+        key = resume_key("stages.encoder", settings.model_dump(), [source[1] if source else "", *files])
         with Supervision(ingest, drives, settings.frames) as examples:
             if not examples.has_classes and not settings.frozen:
                 print(
@@ -96,11 +95,6 @@ def main(
         + (f", starting from {source[0]}" if source and curve else ""),
         flush=True,
     )
-
-
-def _key(settings: Encoder, source: tuple[Path, str] | None, files: Sequence[Path]) -> str:
-    parts = [settings.model_dump_json(), json.dumps(source, default=str), code.fingerprint("stages.encoder")]
-    return hashlib.sha256("\0".join([*parts, *(file_hash(file) for file in files)]).encode()).hexdigest()[:32]
 
 
 if __name__ == "__main__":

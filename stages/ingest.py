@@ -41,9 +41,10 @@ def main(
     root = town if settings.source == "town" else raw
     if not root.is_dir():
         raise InputError(MISSING[settings.source].format(root=root))
+    found = kitti.find_drives(root, list(splits))
     attributes = {
-        drive: {"split": splits[drive], "source": settings.source, "fingerprint": found.fingerprint(settings.cameras)}
-        for drive, found in kitti.find_drives(root, list(splits)).items()
+        drive: {"split": splits[drive], "source": settings.source, "fingerprint": files.fingerprint(settings.cameras)}
+        for drive, files in found.items()
     }
     summaries = run_over_drives(
         partial(ingest, root=root, attributes=attributes, settings=settings),
@@ -53,6 +54,7 @@ def main(
         inputs=lambda drive: list(attributes[drive].values()),
         settings=settings.model_dump(exclude={"drives"}),
         workers=workers,
+        effort=lambda drive: len(found[drive].oxts),
         describe=describe,
     )
     store.write_index(out, splits)

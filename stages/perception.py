@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import console, store
+from pipeline import checkpoint, console, store
 from pipeline.drives import Summary, run_over_drives
 from pipeline.image_metrics import Scores
 from pipeline.params import SPLITS, load
@@ -90,14 +90,14 @@ def _load_model(path: Path) -> Any:
 
     from models.unified_encoder import UnifiedEncoder
     from pipeline.errors import InputError
-    from pipeline.weights import load_weights, read_weights
+    from pipeline.weights import read_weights
 
     weights = read_weights(path, MEND)
     try:
         model = UnifiedEncoder(weights.backbone)
     except ValueError as error:
         raise InputError(f"{path}: {error}. {MEND}") from error
-    load_weights(model, weights, MEND)
+    checkpoint.load_state(model, weights.state, path, MEND)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # 1.6x faster on a CPU, measured
     return model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
 

@@ -37,6 +37,7 @@ def main(
         settings=settings.model_dump(),
         workers=workers,
         target=folders.__getitem__,
+        effort=lambda drive: getattr(settings.frames, splits[drive]),
         describe=describe,
     )
     rig = make_rig(settings.image_size)

@@ -1,16 +1,12 @@
 """Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is non-commercial)."""
 
 import os
-import os
 from pathlib import Path
 
 # The tests' networks are tiny: threads that wait for each other cost more than they bring. Before torch is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import pytest  # noqa: E402
-
-# Tensors in tests are tiny: threads would only wait for each other. Read when torch is first imported.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+import pytest
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

@@ -1,4 +1,4 @@
-"""The whole chain as a user runs it: `dvc repro` in a scratch copy of the repository, on a smaller sample and on real drives."""
+"""The whole chain as a user runs it: `dvc repro` in a scratch copy, on a smaller sample and real drives."""
 
 import json
 import os
@@ -174,7 +174,12 @@ def test_real_drives_run_the_same_chain(sample: Path, real_kitti: Path, tmp_path
         image = file["image"]
         assert image.shape[0] == 51
         assert (image[..., 0] == image[..., 2]).all()
-    for kind, drive, frames in (("pseudo", colour, 48), ("pseudo", grey, 51), ("lidar", colour, 48), ("lidar", grey, 0)):
+    for kind, drive, frames in (
+        ("pseudo", colour, 48),
+        ("pseudo", grey, 51),
+        ("lidar", colour, 48),
+        ("lidar", grey, 0),
+    ):
         _check_cloud(folder, kind, drive, frames)
     params = yaml.safe_load((folder / "params.yaml").read_text())
     params["models"][MODEL]["input"] = "lidar"

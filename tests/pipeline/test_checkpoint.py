@@ -20,7 +20,7 @@ def test_bad_files_are_one_line_that_says_how_to_mend(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"x\.pt is missing\. Do this"):
         checkpoint.read(path, "thing", "Do this")
     checkpoint.write(path, {"kind": "thing"})
-    with pytest.raises(InputError, match="no checkpoint of a other"):
+    with pytest.raises(InputError, match="no checkpoint of this project's other"):
         checkpoint.read(path, "other", "Do this")
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(InputError, match=r"is cut short.* Do this"):

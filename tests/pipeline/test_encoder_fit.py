@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -6,8 +7,8 @@ import torch
 from torch import nn
 
 from models.unified_encoder import UnifiedEncoder
-from pipeline import encoder_fit
-from pipeline.encoder_fit import EpochLoss, depth_and_class_loss, fit, schedule
+from pipeline import checkpoint
+from pipeline.encoder_fit import EpochLoss, depth_and_class_loss, fit
 from pipeline.errors import InputError
 from pipeline.supervision import Supervision
 from tests import street
@@ -41,15 +42,15 @@ def test_same_seed_same_weights_and_a_killed_run_goes_on_to_the_same(
     whole, curve = _fit(examples, tmp_path / "a.pt")
     again, _ = _fit(examples, tmp_path / "b.pt")
 
-    keep = encoder_fit._keep
+    write = checkpoint.write
 
-    def kill_after_two(path: Path, model: nn.Module, optimiser: torch.optim.Optimizer, rows: list[EpochLoss]) -> None:
-        keep(path, model, optimiser, rows)
-        if len(rows) == 2:
+    def kill_after_two(path: Path, content: dict[str, Any]) -> None:
+        write(path, content)
+        if len(content["curve"]) == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(encoder_fit, "_keep", kill_after_two)
+        patch.setattr(checkpoint, "write", kill_after_two)
         with pytest.raises(KeyboardInterrupt):
             _fit(examples, tmp_path / "c.pt")
     resumed, resumed_curve = _fit(examples, tmp_path / "c.pt")
@@ -97,13 +98,3 @@ def test_loss_is_zero_and_differentiable_without_any_truth() -> None:
     assert loss.tolist() == [0, 0]
     assert depth.grad is not None
     assert not depth.grad.any()
-
-
-def test_schedule_rises_then_falls_to_nothing() -> None:
-    rates = [schedule(i / 100) for i in range(101)]
-    top = int(np.argmax(rates))
-    assert 0 < top < 50
-    assert rates[top] == pytest.approx(1, abs=0.01)
-    assert np.all(np.diff(rates[: top + 1]) > 0)
-    assert np.all(np.diff(rates[top:]) < 0)
-    assert rates[-1] == pytest.approx(0)

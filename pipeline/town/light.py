@@ -61,13 +61,8 @@ def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
     return colours
 
 
-def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return the colours uint8 RGB [N,3] of `hits` along `rays` [N,6].
-
-    Args:
-        lit: bool [N], not in shadow.
-        place: [N,2] in the picture, across and down, -1 to 1.
-    """
+def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the picture uint8 RGB [H,W,3] of `hits` along `rays` [N,6], N = H·W; `lit` bool [N]: not in shadow."""
     sky = np.flatnonzero(hits.cls == classes.SKY)
     distance = hits.distance_m.copy()
     distance[sky] = 0
@@ -83,12 +78,12 @@ def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, place: np
     colour += (1 - np.exp(-distance / np.float32(light.haze_m)))[:, None] * (horizon - colour)
     colour[sky] = _sky(light, rays[sky, 3:], horizon, zenith)
 
-    slope = light.slope.astype(np.float32)
-    brightness = 1 + slope[0] * place[:, 0] + slope[1] * place[:, 1]
-    colour *= (np.float32(_GAMMA_STEPS * light.exposure) * brightness)[:, None]
+    height, width = size
+    across = light.slope[0] * np.linspace(-1, 1, width) + light.slope[1] * np.linspace(-1, 1, height)[:, None]
+    colour *= (_GAMMA_STEPS * light.exposure * (1 + across)).astype(np.float32).reshape(-1, 1)
     np.clip(colour, 0, _GAMMA_STEPS, out=colour)
     picture: np.ndarray = _GAMMA[colour.astype(np.int16)]
-    return picture
+    return picture.reshape(height, width, 3)
 
 
 def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:

@@ -11,7 +11,6 @@ from pipeline.town.world import World, dot
 ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
 RANGE_NOISE_M = 0.015
-_BAND = 117000  # pixels computed together: few enough to stay in the processor's cache
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 
@@ -30,34 +29,21 @@ class Camera:
         forward = geometry.rays(rig.K, rig.size).reshape(-1, 3)
         self._z_per_m = (1 / np.linalg.norm(forward, axis=1)).astype(np.float32)  # depth along the axis per distance
         self._directions = (forward * self._z_per_m[:, None]).astype(np.float32)
-        down, across = np.meshgrid(*(np.linspace(-1, 1, side) for side in rig.size), indexing="ij")
-        self._place = np.stack([across, down], axis=-1).reshape(-1, 2).astype(np.float32)
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
 
     def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky, or beyond 255 m), classes uint8 [H,W]."""
-        height, width = self._size
-        picture = np.empty((height * width, 3), np.uint8)
-        depth = np.empty(height * width, np.uint16)
-        cls = np.empty(height * width, np.uint8)
-        for start in range(0, len(picture), _BAND):
-            band = slice(start, start + _BAND)
-            picture[band], depth[band], cls[band] = self._take_band(world, light, T_world_imu, band)
-        return picture.reshape(height, width, 3), depth.reshape(self._size), cls.reshape(self._size)
-
-    def _take_band(
-        self, world: World, light: Light, T_world_imu: np.ndarray, band: slice
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        rays = _rays(T_world_imu @ self._T_imu_cam, self._directions[band])
+        rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
         facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)  # the sky has no normal
         points = rays[facing, :3] + hits.distance_m[facing, None] * rays[facing, 3:]
         points += np.float32(0.01) * hits.normal[facing]  # off the surface, or it would shade itself
         lit = np.zeros(len(rays), bool)
         lit[facing] = world.lit(points, light.sun)
-        picture = shade(light, hits, rays, lit, self._place[band])
-        depth = np.where(hits.cls == classes.SKY, 0, hits.distance_m * self._z_per_m[band] * 256)
-        return picture, np.where(depth < 65535, np.rint(depth), 0).astype(np.uint16), hits.cls
+        picture = shade(light, hits, rays, lit, self._size)
+        depth = np.where(hits.cls == classes.SKY, 0, hits.distance_m * self._z_per_m * 256)
+        depth = np.where(depth < 65535, np.rint(depth), 0).astype(np.uint16)
+        return picture, depth.reshape(self._size), hits.cls.reshape(self._size)
 
 
 class Scanner:

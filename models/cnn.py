@@ -22,7 +22,9 @@ class SteeringCNN(nn.Module):
         super().__init__()
         maps = CONVOLUTIONS[-1][0]
         if features % maps:
-            raise ValueError(f"features = {features}: cnn gives each of its {maps} maps as many: use a multiple of {maps}")
+            raise ValueError(
+                f"features = {features}: cnn gives each of its {maps} maps as many: use a multiple of {maps}"
+            )
         layers: list[nn.Module] = []
         channels, (height, width) = 3, image_size
         for after, side, stride in CONVOLUTIONS:

@@ -221,10 +221,10 @@ def ms_per_frame(net: nn.Module, encode: Forward, drives: Sequence[windows.Drive
     groups = [[span] for span in windows.spans(drives, window, EVALUATION_WINDOWS)][:6]
     times = []
     with torch.inference_mode():
-        for batch in windows.batches(drives, groups, window):
+        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
             started = time.perf_counter()
             encode(net, batch).cpu()  # waits for the device
-            times.append((time.perf_counter() - started) / (len(batch["ptr"]) - 1))
+            times.append((time.perf_counter() - started) / (span.stop - span.start))
     return float(np.median(times[1:] or times)) * 1e3
 
 

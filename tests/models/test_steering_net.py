@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 import torch
 
-from models.frames import GraphBatch
+from models.frames import GraphBatch, ImageBatch
 from models.steering_net import EATS, SPATIAL, TEMPORAL, build, parameter_count
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
@@ -43,6 +43,42 @@ def test_shared_frames_equal_naive_windows(make_batch, line, spatial, temporal):
     loss, gradients = loss_and_gradients(shared)
     torch.testing.assert_close((loss, gradients), loss_and_gradients(naive), **TOLERANCE)
     assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+
+
+@pytest.mark.parametrize("spatial", sorted(EATS))
+def test_shared_frames_equal_naive_windows_for_sets_and_images(make_sets, line, spatial):
+    torch.manual_seed(0)
+    features = {"features": 8}  # a multiple of the CNN's maps
+    counts = [20, 9, 30, 12, 1, 25]
+    image = torch.randint(0, 256, (6, 32, 40, 3), dtype=torch.uint8)
+    net = build({**line, **features, "spatial": spatial}, EATS[spatial], levels=2, image_size=(32, 40)).double()
+    batch = make_sets(counts) if spatial == "pointnet2" else ImageBatch(image)
+    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
+    shared = net(batch, WINDOWS, dt_s)
+    frames = [make_sets(counts, only=n) if spatial == "pointnet2" else ImageBatch(image[n : n + 1]) for n in range(6)]
+    features = torch.cat([net.encode(frame) for frame in frames])
+    naive = torch.cat([
+        net.temporal(net.temporal.sense(features[window])[None], dt_s[w : w + 1])[0][:, -1, 0]
+        for w, window in enumerate(WINDOWS)
+    ])  # fmt: skip
+    torch.testing.assert_close(shared, naive, **TOLERANCE)
+    gradients = torch.autograd.grad(shared.square().sum(), list(net.parameters()))
+    assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+
+
+@pytest.mark.parametrize(
+    ("spatial", "kind", "message"),
+    [
+        ("cnn", "graph", "cnn eats images .*, and input: semantic holds kNN graphs"),
+        ("cnn", "pointnet2", "cnn eats images .* holds points with neighbourhood: pointnet2"),
+        ("gnn", "image", "gnn eats kNN graphs, and input: semantic holds images"),
+        ("gnn", "pointnet2", "gnn eats kNN graphs, and input: semantic holds points with"),
+        ("pointnet2", "graph", "pointnet2 eats points with .* holds kNN graphs"),
+    ],
+)
+def test_a_network_on_an_input_that_it_does_not_eat(line, spatial, kind, message):
+    with pytest.raises(ValueError, match=f"spatial: {message}.*: change one"):
+        build({**line, "spatial": spatial}, kind, levels=2, image_size=(32, 40))
 
 
 def test_same_seed_same_network(line):

@@ -8,18 +8,24 @@ import torch
 from torch import Tensor, nn
 
 from models import frames
+from models.cfc import CfC
 from models.cnn import SteeringCNN
+from models.edgeconv import EdgeConvLayer
+from models.eq4 import Eq4
+from models.gatv2 import GATv2Layer
 from models.gcn import GCNLayer
 from models.graph_network import GraphNetwork
 from models.ltc import LTC
 from models.pointnet2 import PointNet2
 from models.recurrent import LSTM, RecurrentCell
-from models.wiring import ncp
+from models.wiring import Wiring, ncp
 
 Line = dict[str, Any]  # a model's line of params.yaml
 
 SPATIAL: dict[str, Callable[[Line], nn.Module]] = {
     "gnn": lambda line: GraphNetwork(GCNLayer, line["layers"], line["features"], line["semantics"]),
+    "edgeconv": lambda line: GraphNetwork(EdgeConvLayer, line["layers"], line["features"], line["semantics"]),
+    "gatv2": lambda line: GraphNetwork(GATv2Layer, line["layers"], line["features"], line["semantics"]),
     "pointnet2": lambda line: PointNet2(line["levels"], line["width"], line["features"], line["semantics"]),
     "cnn": lambda line: SteeringCNN(line["image_size"], line["features"]),
 }
@@ -30,8 +36,10 @@ KINDS = {
     "pointnet2": "points with neighbourhood: pointnet2",
     "image": "images (a variant with cloud: none)",
 }
+CELL: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4, "cfc": CfC}
+DEFAULT_CELL = "ltc"  # of a line that names none, whatever its temporal network
 TEMPORAL: dict[str, Callable[[Line], RecurrentCell]] = {
-    "ncp": lambda line: LTC(ncp(line["features"], **line["wiring"])),
+    "ncp": lambda line: CELL[line["cell"]](ncp(line["features"], **line["wiring"])),
     "lstm": lambda line: LSTM(line["features"], line["units"]),
 }
 
@@ -73,19 +81,21 @@ def build(line: Line, kind: str = "graph", levels: int = 0, image_size: tuple[in
     """Build the network of a model's line of params.yaml, with new weights from torch's random state.
 
     Args:
-        line: `spatial`, `temporal`, `features`, and what the two need: `layers`, `width` and `semantics`; `units` or
-            `wiring`.
+        line: `spatial`, `temporal`, `features`, and what the two need: `layers`, `width` and `semantics`;
+            `units` (lstm), or `cell` and `wiring` (ncp).
         kind: what the frames of the line's input are, a key of KINDS.
         levels: PointNet++'s samplings in the input, if it is of that kind.
         image_size: (H,W) pixels of the input's images, if it is of that kind.
     Raises:
-        ValueError: an unknown network (lists the known ones), an input that it does not eat, a semantics out of [0,1],
-            an impossible wiring.
+        ValueError: an unknown network or cell (lists the known ones), a cell for a network that has no choice of one,
+            an input that the spatial network does not eat, a semantics out of [0,1], an impossible wiring.
     """
-    parts: list[tuple[str, list[str]]] = [("spatial", list(SPATIAL)), ("temporal", list(TEMPORAL))]
-    for part, known in parts:
+    parts: dict[str, list[str]] = {"spatial": list(SPATIAL), "temporal": list(TEMPORAL), "cell": list(CELL)}
+    for part, known in parts.items():
         if line[part] not in known:
             raise ValueError(f"{part}: {line[part]!r} is no network of this project: choose {' | '.join(known)}")
+    if line["temporal"] != "ncp" and line["cell"] != DEFAULT_CELL:
+        raise ValueError(f"cell: {line['cell']!r} is a cell of temporal: ncp, not of {line['temporal']}: leave it out")
     eats = EATS.get(line["spatial"], "graph")
     if eats != kind:
         raise ValueError(

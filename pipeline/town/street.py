@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from pipeline import classes
-from pipeline.town import shapes
+from pipeline.town import edges, shapes
+from pipeline.town.lots import Frontage, Ground, footprint, frontages, unit
 from pipeline.town.plan import CELL_M, KERB_M, Plan
 from pipeline.town.route import Route
 from pipeline.town.shapes import Mesh
@@ -44,70 +44,20 @@ def draw_character(rng: np.random.Generator) -> Character:
     return table[str(quarter)]
 
 
-class _Ground:
-    """The plan, with what is already built on."""
-
-    def __init__(self, plan: Plan) -> None:
-        self.plan = plan
-        self._taken: np.ndarray = np.zeros(plan.kind.shape, np.uint8)
-
-    def claim(self, corners: np.ndarray, clear_m: float) -> bool:
-        """Take the convex footprint `corners` [N,2] if it is free and keeps `clear_m` from roads."""
-        cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32)
-        lowest, highest = cells.min(axis=0), cells.max(axis=0) + 1
-        if (lowest < 0).any() or highest[0] > self._taken.shape[1] or highest[1] > self._taken.shape[0]:
-            return False
-        window = (slice(lowest[1], highest[1]), slice(lowest[0], highest[0]))
-        footprint = np.zeros(self._taken[window].shape, np.uint8)
-        cv2.fillConvexPoly(footprint, cells - lowest, 1)
-        inside = footprint > 0
-        if (self._taken[window][inside] > 0).any() or (self.plan.to_road_m[window][inside] < clear_m).any():
-            return False
-        self._taken[window][inside] = 1
-        return True
-
-
 def build_street(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> Mesh:
     """Return everything that stands still, apart from the ground itself."""
-    ground = _Ground(plan)
-    parts = [_kerbs(plan), _horizon(plan, rng), *_barriers(route, rng)]
+    ground = Ground(plan)
+    parts = [edges.kerbs(plan), edges.horizon(plan, rng), *edges.barriers(route, rng)]
     parts += _parked_cars(route, plan, character, rng)
-    for frontage in _frontages(route, plan):
+    for frontage in frontages(route, plan):
         parts += _houses(frontage, ground, character, rng)
-    for frontage in _frontages(route, plan):
+    for frontage in frontages(route, plan):
         parts += _furniture(frontage, ground, character, rng)
     parts += _backdrop(ground, character, rng)
     return shapes.merge(parts)
 
 
-@dataclass(frozen=True)
-class _Frontage:
-    """One side of a road: the line of its edge, [N,2] every half metre, and the outward headings [N]."""
-
-    edge: np.ndarray
-    outward_rad: np.ndarray
-
-
-def _frontages(route: Route, plan: Plan) -> list[_Frontage]:
-    s = np.arange(route.s_m[0], route.s_m[-1], 0.5)
-    sides = []
-    for side, edge in ((1, route.left_m), (-1, route.right_m)):
-        bay = np.interp(s, route.s_m, plan.bays[side])
-        xy, heading = route.at(s, edge + side * bay)
-        sides.append(_Frontage(xy, heading + side * np.pi / 2))
-    for arm in route.arms:
-        along = np.arange(6, arm.length_m + 6, 0.5)[:, None] * _unit(arm.heading_rad)
-        for side in (1, -1):
-            outward = arm.heading_rad + side * np.pi / 2
-            xy = arm.xy + along + (route.lane_m + 0.25) * _unit(outward)
-            sides.append(_Frontage(xy, np.full(len(xy), outward)))
-        across = np.arange(-12, 12, 0.5)[:, None] * _unit(arm.heading_rad + np.pi / 2)  # closes the arm's far end
-        xy = arm.xy + arm.length_m * _unit(arm.heading_rad) + across
-        sides.append(_Frontage(xy, np.full(len(xy), arm.heading_rad)))
-    return sides
-
-
-def _houses(line: _Frontage, ground: _Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _houses(line: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     parts, i = [], int(rng.integers(4))
     setback = rng.uniform(*character.setback_m)
     while i < len(line.edge):
@@ -115,8 +65,8 @@ def _houses(line: _Frontage, ground: _Ground, character: Character, rng: np.rand
         middle = min(i + int(length), len(line.edge) - 1)  # half the length in half-metre steps
         outward = line.outward_rad[middle]
         back = character.pavement_m + setback + rng.uniform(0, 0.8) + depth / 2
-        xy = line.edge[middle] + back * _unit(outward)
-        if ground.claim(_footprint(xy, outward, (length, depth)), character.pavement_m + character.setback_m[0] * 0.6):
+        xy = line.edge[middle] + back * unit(outward)
+        if ground.claim(footprint(xy, outward, (length, depth)), character.pavement_m + character.setback_m[0] * 0.6):
             wall = np.array(_WALLS[rng.integers(len(_WALLS))]) * rng.uniform(0.85, 1.1)
             storeys = rng.integers(character.storeys[0], character.storeys[1] + 1)
             roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
@@ -131,30 +81,30 @@ def _houses(line: _Frontage, ground: _Ground, character: Character, rng: np.rand
     return parts
 
 
-def _furniture(line: _Frontage, ground: _Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _furniture(line: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     parts: list[Mesh] = []
     clear = character.pavement_m
     for i in range(int(rng.integers(20)), len(line.edge), int(rng.integers(38, 56))):  # lamp posts near the kerb
-        xy = line.edge[i] + 0.75 * _unit(line.outward_rad[i])
-        if ground.claim(_footprint(xy, 0.0, (0.5, 0.5)), 0.4):
+        xy = line.edge[i] + 0.75 * unit(line.outward_rad[i])
+        if ground.claim(footprint(xy, 0.0, (0.5, 0.5)), 0.4):
             post = shapes.lamp_post(rng.uniform(5.5, 7.5))
             parts.append(post.placed(xy, line.outward_rad[i] + np.pi, KERB_M))
     for i in range(int(rng.integers(10)), len(line.edge), 9):
         outward = line.outward_rad[i]
         if rng.random() < character.hedges:
-            xy = line.edge[i] + (clear + 0.5) * _unit(outward)
-            if ground.claim(_footprint(xy, outward, (4.4, 0.7)), clear):
+            xy = line.edge[i] + (clear + 0.5) * unit(outward)
+            if ground.claim(footprint(xy, outward, (4.4, 0.7)), clear):
                 parts.append(_hedge(rng).placed(xy, outward - np.pi / 2, KERB_M))
         if rng.random() < character.trees * 0.5:
             # Street trees stand in the pavement, garden trees behind it.
             back = clear - 0.5 if character.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
-            xy = line.edge[i] + back * _unit(outward)
-            if ground.claim(_footprint(xy, 0.0, (1.2, 1.2)), min(back - 0.7, clear)):
+            xy = line.edge[i] + back * unit(outward)
+            if ground.claim(footprint(xy, 0.0, (1.2, 1.2)), min(back - 0.7, clear)):
                 parts.append(_tree(rng, 5, 9).placed(xy, rng.uniform(0, 6.28), KERB_M))
     return parts
 
 
-def _backdrop(ground: _Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     """Trees and houses farther from the road, so that gaps between the first row do not show emptiness."""
     parts = []
     size = np.array(ground.plan.kind.shape[::-1]) * CELL_M
@@ -163,12 +113,12 @@ def _backdrop(ground: _Ground, character: Character, rng: np.random.Generator) -
         heading = rng.uniform(0, 6.28)
         if rng.random() < 0.25:
             dims = (rng.uniform(8, 16), rng.uniform(8, 12))
-            if ground.claim(_footprint(xy, heading, dims), 16):
+            if ground.claim(footprint(xy, heading, dims), 16):
                 wall = _WALLS[rng.integers(len(_WALLS))]
                 height = 2.9 * rng.integers(1, character.storeys[1] + 1) + 0.5
                 house = shapes.house((*dims, height), wall, _ROOFS[rng.integers(len(_ROOFS))], 2.5)
                 parts.append(house.placed(xy, heading, KERB_M))
-        elif ground.claim(_footprint(xy, heading, (3, 3)), character.pavement_m + 6):
+        elif ground.claim(footprint(xy, heading, (3, 3)), character.pavement_m + 6):
             parts.append(_tree(rng, 6, 12).placed(xy, heading, KERB_M))
     return parts
 
@@ -183,22 +133,6 @@ def _parked_cars(route: Route, plan: Plan, character: Character, rng: np.random.
                 xy, heading = route.at(s, edge + side * (1.0 + rng.uniform(-0.1, 0.1)))
                 parts.append(shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0)))
             s += 5.6 + rng.uniform(0, 0.8)
-    return parts
-
-
-def _barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
-    """Red and white boards across the roads that are closed, just beyond the junction."""
-    parts = []
-    half = route.lane_m + 0.25
-    for arm in route.arms:
-        if not arm.closed:
-            continue
-        middle = arm.xy + (half + rng.uniform(2.0, 3.5)) * _unit(arm.heading_rad)
-        boards = np.arange(-half + 0.35, half, 0.7)
-        for i, across in enumerate(boards):
-            colour = (0.75, 0.08, 0.06) if i % 2 else (0.9, 0.9, 0.88)
-            xy = middle + across * _unit(arm.heading_rad + np.pi / 2)
-            parts.append(shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE).placed(xy, arm.heading_rad))
     return parts
 
 
@@ -217,38 +151,3 @@ def _tree(rng: np.random.Generator, low_m: float, high_m: float) -> Mesh:
 def _leaves(rng: np.random.Generator) -> shapes.Colour:
     r, g, b = np.array(_LEAVES[rng.integers(len(_LEAVES))]) * rng.uniform(0.8, 1.2)
     return (float(r), float(g), float(b))
-
-
-def _kerbs(plan: Plan) -> Mesh:
-    """Vertical faces along the roads' outlines."""
-    parts = []
-    for outline in plan.kerbs():
-        n = len(outline)
-        vertices = np.concatenate([np.column_stack([outline, np.full(n, z)]) for z in (0.0, KERB_M)])
-        i, j = np.arange(n), (np.arange(n) + 1) % n
-        faces = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
-        parts.append(shapes.mesh(vertices, faces, (0.5, 0.5, 0.49), classes.SIDEWALK))
-    return shapes.merge(parts)
-
-
-def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
-    """A ring of woods around everything."""
-    size = np.array(plan.kind.shape[::-1]) * CELL_M
-    middle, radius, n = plan.origin + size / 2, np.linalg.norm(size) / 2 + 25, 160
-    angle = np.arange(n) * 2 * np.pi / n
-    ring = middle + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    heights = 9 + 5 * rng.random(n) + 4 * np.sin(angle * 3 + rng.uniform(0, 6.28))
-    vertices = np.concatenate([np.column_stack([ring, np.zeros(n)]), np.column_stack([ring, heights])])
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    faces = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
-    return shapes.mesh(vertices, faces, (0.13, 0.20, 0.10), classes.VEGETATION)
-
-
-def _footprint(xy: np.ndarray, outward_rad: float, size: tuple[float, float]) -> np.ndarray:
-    """Corners [4,2] of a rectangle `size` (along the street, away from it)."""
-    along, away = _unit(outward_rad - np.pi / 2) * size[0] / 2, _unit(outward_rad) * size[1] / 2
-    return np.array([xy + along + away, xy - along + away, xy - along - away, xy + along - away])
-
-
-def _unit(heading_rad: float) -> np.ndarray:
-    return np.array([np.cos(heading_rad), np.sin(heading_rad)])

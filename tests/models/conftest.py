@@ -70,6 +70,7 @@ def line() -> dict[str, object]:
         "input": "semantic",
         "spatial": "gnn",
         "temporal": "ncp",
+        "cell": "ltc",
         "window": 4,
         "semantics": 1.0,
         "alpha": 0.0,

@@ -3,17 +3,19 @@ import dataclasses
 import pytest
 import torch
 
+from models.edgeconv import EdgeConvLayer
 from models.frames import GraphBatch
+from models.gatv2 import GATv2Layer
 from models.gcn import GCNLayer
 from models.graph_network import GraphNetwork
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 
 
-@pytest.fixture
-def network():
+@pytest.fixture(params=[GCNLayer, EdgeConvLayer, GATv2Layer])
+def network(request):
     torch.manual_seed(0)
-    return GraphNetwork(GCNLayer, [8, 16], features=5, semantics=1.0).double()
+    return GraphNetwork(request.param, [8, 16], features=5, semantics=1.0).double()
 
 
 def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:

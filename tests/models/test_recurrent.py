@@ -1,16 +1,17 @@
 import pytest
 import torch
 
-from models.ltc import LTC
 from models.recurrent import LSTM, RecurrentCell
+from models.steering_net import CELL
 from models.wiring import ncp
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
+CELLS = ["lstm", *sorted(CELL)]
 
 
 def cell_of(name: str) -> RecurrentCell:
     torch.manual_seed(0)
-    return {"lstm": lambda: LSTM(5, 7), "ncp": lambda: LTC(ncp(5))}[name]().double()
+    return (LSTM(5, 7) if name == "lstm" else CELL[name](ncp(5))).double()
 
 
 def test_lstm_equals_torch_forward_and_gradients():
@@ -32,7 +33,7 @@ def test_lstm_equals_torch_forward_and_gradients():
     torch.testing.assert_close(ours, peers, **TOLERANCE)
 
 
-@pytest.mark.parametrize("name", ["lstm", "ncp"])
+@pytest.mark.parametrize("name", CELLS)
 def test_streaming_equals_windowed_when_the_state_is_carried(name):
     cell = cell_of(name)
     x = torch.randn(2, 9, 5, dtype=torch.float64)
@@ -49,7 +50,7 @@ def test_streaming_equals_windowed_when_the_state_is_carried(name):
     assert not torch.allclose(cell(cell.sense(x[:, 5:]), dt_s[:, 5:])[0], whole[:, 5:])  # the state matters
 
 
-@pytest.mark.parametrize("name", ["lstm", "ncp"])
+@pytest.mark.parametrize("name", CELLS)
 def test_windows_do_not_see_each_other(name):
     cell = cell_of(name)
     x = torch.randn(4, 3, 5, dtype=torch.float64)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from models.frames import GraphBatch, ImageBatch
-from models.steering_net import EATS, SPATIAL, TEMPORAL, build, parameter_count
+from models.steering_net import CELL, DEFAULT_CELL, EATS, SPATIAL, TEMPORAL, build, parameter_count
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
@@ -23,11 +23,13 @@ def select(batch: GraphBatch, frames: list[int]) -> GraphBatch:
     return GraphBatch(xyz, cls, torch.tensor([0, *(len(piece[0]) for piece in pieces)]).cumsum(0), degree, indices)
 
 
-@pytest.mark.parametrize("temporal", sorted(TEMPORAL))
+@pytest.mark.parametrize(
+    ("temporal", "cell"), [*((name, DEFAULT_CELL) for name in TEMPORAL), ("ncp", "eq4"), ("ncp", "cfc")]
+)
 @pytest.mark.parametrize("spatial", sorted(SPATIAL.keys() - EATS.keys()))
-def test_shared_frames_equal_naive_windows(make_batch, line, spatial, temporal):
+def test_shared_frames_equal_naive_windows(make_batch, line, spatial, temporal, cell):
     torch.manual_seed(0)
-    net = build({**line, "spatial": spatial, "temporal": temporal}).double()
+    net = build({**line, "spatial": spatial, "temporal": temporal, "cell": cell}).double()
     batch = make_batch([9, 12, 7, 9, 0, 20])
     dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
 
@@ -99,20 +101,35 @@ def test_only_the_last_frames_prediction_is_returned(make_batch, line):
     assert not torch.equal(net(batch, last, dt_s), net(moved, last, dt_s))
 
 
-def test_mixed_precision_keeps_the_recursion_exact(make_batch, line):
-    net = build(line)
-    batch, dt_s = make_batch([12, 12, 12]), torch.full((1, 3), 0.1)
+@pytest.mark.parametrize("cell", sorted(CELL))
+@pytest.mark.parametrize("spatial", sorted(SPATIAL))
+def test_mixed_precision_keeps_the_recursion_exact(make_batch, make_sets, line, spatial, cell):
+    torch.manual_seed(0)
+    kind = EATS.get(spatial, "graph")
+    net = build({**line, "features": 8, "spatial": spatial, "cell": cell}, kind, levels=2, image_size=(32, 40))
+    image = torch.randint(0, 256, (3, 32, 40, 3), dtype=torch.uint8)
+    batch = {"graph": make_batch([12, 12, 12]), "pointnet2": make_sets([12, 12, 12]), "image": ImageBatch(image)}[kind]
+    dt_s = torch.full((1, 3), 0.1)
     windows = torch.tensor([[0, 1, 2]])
     with torch.autocast("cpu", dtype=torch.bfloat16):
         mixed = net(batch, windows, dt_s)
+        mixed.sum().backward()
     assert mixed.dtype == torch.float32
+    assert all(parameter.grad.isfinite().all() for parameter in net.parameters())
     torch.testing.assert_close(mixed, net(batch, windows, dt_s), rtol=0, atol=0.1)
 
 
-@pytest.mark.parametrize(("part", "known"), [("spatial", "gnn"), ("temporal", "ncp | lstm")])
+@pytest.mark.parametrize(
+    ("part", "known"), [("spatial", "gnn | edgeconv | gatv2"), ("temporal", "ncp | lstm"), ("cell", "ltc | eq4 | cfc")]
+)
 def test_unknown_network_lists_the_known(line, part, known):
     with pytest.raises(ValueError, match=rf"{part}: 'gru' is no network .*{known}".replace("|", r"\|")):
         build({**line, part: "gru"})
+
+
+def test_a_cell_needs_a_network_that_has_cells(line):
+    with pytest.raises(ValueError, match=r"cell: 'cfc' is a cell of temporal: ncp, not of lstm"):
+        build({**line, "temporal": "lstm", "cell": "cfc"})
 
 
 @pytest.mark.parametrize("wiring", [{"motor_fanin": 6}, {"sensory_fanout": 9}])
@@ -125,4 +142,8 @@ def test_parameter_count_of_the_default_line(line):
     line |= {"layers": [32, 32, 64], "features": 32, "units": 32, "wiring": {}}
     spatial = (25 + 1) * 32 + (32 + 1) * 32 + (32 + 1) * 64 + (128 + 1) * 32
     assert parameter_count(build(line)) == spatial + 4 * (32 * 6 + 60) + 3 * 19 + 2 * 32 + 2
+    assert parameter_count(build({**line, "cell": "eq4"})) == spatial + (32 * 6 + 60) + 19 + 32 * 19 + 2
+    layers = [(32, 12, 32 * 6), (12, 6, 12 * 4), (6, 1, 6)]  # heard, neurons, synapses between
+    cfc = sum(2 * (synapses + own**2) + 2 * (heard + own) * own + 4 * own for heard, own, synapses in layers)
+    assert parameter_count(build({**line, "cell": "cfc"})) == spatial + cfc + 2
     assert parameter_count(build({**line, "temporal": "lstm"})) == spatial + 4 * 32 * (32 + 32 + 2) + 33

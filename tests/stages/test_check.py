@@ -31,6 +31,7 @@ def test_the_other_files_have_every_key(name: str) -> None:
         ("models.sa-gnn-ncp.input", "semantc", "is no variant of graphs: did you mean semantic?"),
         ("models.sa-gnn-ncp.spatial", "cnnn", "spatial"),
         ("models.sa-gnn-ncp.temporal", "gru", "temporal"),
+        ("models.sa-gnn-ncp.cell", "cfcc", "cell: 'cfcc' is no network of this project: choose ltc | eq4 | cfc"),
         ("models.sa-gnn-ncp.semantics", 1.5, "models.sa-gnn-ncp.semantics = 1.5"),
         ("models.sa-gnn-ncp.window", 0, "models.sa-gnn-ncp.window = 0"),
         ("graphs.semantic.keep_inter_class", 2, "graphs.semantic.keep_inter_class = 2"),

@@ -138,6 +138,16 @@ def test_further_seeds_stand_beside_the_first(folder: Path) -> None:
     assert any(not torch.equal(first[name], second[name]) for name in first)
 
 
+@pytest.mark.parametrize("line", [{"spatial": "edgeconv", "cell": "eq4"}, {"spatial": "gatv2", "cell": "cfc"}], ids=str)
+def test_other_networks_train_and_are_judged(folder: Path, line: dict[str, object]) -> None:
+    write_params(folder, line, epochs=2)
+    made = run_train(folder)
+    whole = torch.load(made / "best.pt", weights_only=True)
+    assert line.items() <= whole["model"].items()
+    assert all(weight.isfinite().all() for weight in whole["net"].values())
+    assert json.loads((run_evaluate(folder) / "metrics.json").read_text())["test"]["mse_rad2"] > 0
+
+
 @pytest.mark.parametrize(
     ("write", "line", "epochs"),
     [
@@ -182,6 +192,7 @@ def test_a_checkpoint_for_other_inputs_is_refused(folder: Path) -> None:
         ({"spatial": "cnn"}, "models.net: spatial: cnn eats images .* and input: semantic holds kNN graphs"),
         ({"spatial": "pointnet2"}, "models.net: spatial: pointnet2 eats points .* holds kNN graphs"),
         ({"temporal": "gru"}, "models.net: temporal.*gru.*ncp.*lstm"),
+        ({"temporal": "lstm", "cell": "eq4"}, "models.net: cell.*eq4.*ncp, not of lstm"),
         ({"window": 61}, "no window of 61 consecutive frames"),
     ],
 )

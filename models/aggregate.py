@@ -1,0 +1,85 @@
+"""What nodes learn from their neighbours where that is no matrix product, without ever holding a row per edge."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+EDGES = 1 << 14  # per chunk: at 64 channels its rows are 4 MB in float32, which a core's cache nearly holds
+Chunks = list[tuple[Tensor, Tensor]]
+"""(node numbers [n], their neighbours' numbers [n,d]) of nodes with equally many neighbours."""
+
+
+def neighbourhoods(degree: Tensor, indices: Tensor, *, loops: bool) -> Chunks:
+    """Cut a graph in chunks of about EDGES edges.
+
+    Args:
+        degree: [N], neighbours per node.
+        indices: int64 [E], neighbours of node 0, of node 1, …
+        loops: whether each node counts as its own first neighbour. Without, lonely nodes are in no chunk.
+    """
+    starts = degree.long().cumsum(0) - degree.long()
+    chunks: Chunks = []
+    for count in degree.bincount().nonzero()[:, 0].tolist():
+        if not count and not loops:
+            continue
+        nodes = (degree == count).nonzero()[:, 0]
+        neighbours = indices[starts[nodes, None] + torch.arange(count, device=degree.device)]
+        if loops:
+            neighbours = torch.cat([nodes[:, None], neighbours], dim=1)
+        rows = max(1, EDGES // neighbours.shape[1])
+        chunks += zip(torch.split(nodes, rows), torch.split(neighbours, rows), strict=True)
+    return chunks
+
+
+def aggregate(function: Callable[..., Tensor], chunks: Chunks, x: Tensor, own: Tensor, *shared: Tensor) -> Tensor:
+    """Apply `function` to each node's neighbours: memory grows with nodes, not with edges.
+
+    Args:
+        function: (x of the neighbours [n,d,C], `own` of the nodes [n,C], *shared) → [n,C]; run again for gradients.
+        chunks: of `neighbourhoods`.
+        x, own: [N,C]
+        shared: parameters of `function`.
+    Returns:
+        [N,C]; zeros for nodes in no chunk.
+    """
+    result: Tensor = _Aggregate.apply(function, chunks, x, own, *shared)  # type: ignore[no-untyped-call]
+    return result
+
+
+class _Aggregate(torch.autograd.Function):
+    """One gather per chunk, and again in backward; gradients add up in place, on a CPU in a fixed order."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, function: Callable[..., Tensor], chunks: Chunks, x: Tensor, own: Tensor, *shared: Tensor
+    ) -> Tensor:
+        ctx.function, ctx.chunks = function, chunks
+        ctx.save_for_backward(x, own, *shared)
+        out = torch.zeros_like(own)
+        with torch.autocast(x.device.type, enabled=False):  # backward runs outside of it and must see the same numbers
+            for nodes, neighbours in chunks:
+                out[nodes] = function(_rows(x, neighbours), own[nodes], *shared)
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        x, own, *shared = ctx.saved_tensors
+        of_x, of_own, *of_shared = (torch.zeros_like(tensor) for tensor in (x, own, *shared))
+        for nodes, neighbours in ctx.chunks:
+            pieces = [piece.detach().requires_grad_() for piece in (_rows(x, neighbours), own[nodes], *shared)]
+            with torch.enable_grad(), torch.autocast(x.device.type, enabled=False):
+                out = ctx.function(*pieces)
+            of_rows, of_nodes, *of_parameters = torch.autograd.grad(out, pieces, gradient[nodes])
+            of_x.index_add_(0, neighbours.flatten(), of_rows.flatten(0, 1))
+            of_own[nodes] = of_nodes
+            for total, part in zip(of_shared, of_parameters, strict=True):
+                total += part
+        return None, None, of_x, of_own, *of_shared
+
+
+def _rows(x: Tensor, neighbours: Tensor) -> Tensor:
+    return x.index_select(0, neighbours.flatten()).view(*neighbours.shape, -1)  # [n,d,C]

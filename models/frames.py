@@ -1,4 +1,4 @@
-"""Frames as the spatial networks see them: many point clouds side by side, their features, their pooling."""
+"""Frames as the spatial networks see them: images, or many point clouds side by side; points' features and pooling."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -45,6 +45,70 @@ class GraphBatch:
         return dataclasses.replace(self, **{name: tensor.to(device) for name, tensor in tensors.items()})
 
 
+@dataclass(frozen=True)
+class Level:
+    """One sampling and grouping of B frames' points: M centres with n neighbours each.
+
+    centres int64 [M], neighbours int64 [M,n]: row numbers in the batch's points, or in the centres of the level before;
+    ptr int64 [B+1], frame b owns the rows ptr[b]:ptr[b+1].
+    """
+
+    centres: Tensor
+    neighbours: Tensor
+    ptr: Tensor
+
+
+@dataclass(frozen=True)
+class SetBatch:
+    """B frames' clouds with PointNet++'s neighbourhoods; xyz, cls and ptr as in GraphBatch."""
+
+    xyz: Tensor
+    cls: Tensor
+    ptr: Tensor
+    levels: tuple[Level, ...]
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Self:
+        """Return the batch of xyz, cls, ptr, and of centres_1, neighbours_1, centres_1_ptr, centres_2, …"""
+        xyz, trainid, ptr = (torch.from_numpy(arrays[name]) for name in ("xyz", "cls", "ptr"))
+        count = sum(name.startswith("neighbours_") for name in arrays)
+        levels = tuple(
+            Level(*(torch.from_numpy(arrays[name]) for name in (f"centres_{n}", f"neighbours_{n}", f"centres_{n}_ptr")))
+            for n in range(1, count + 1)
+        )
+        return cls(xyz, trainid, ptr, levels)
+
+    def to(self, device: torch.device | str) -> Self:
+        """Return the batch on `device`."""
+        levels = tuple(
+            Level(level.centres.to(device), level.neighbours.to(device), level.ptr.to(device)) for level in self.levels
+        )
+        return dataclasses.replace(
+            self, xyz=self.xyz.to(device), cls=self.cls.to(device), ptr=self.ptr.to(device), levels=levels
+        )
+
+
+@dataclass(frozen=True)
+class ImageBatch:
+    """B frames' images: RGB uint8 [B,H,W,3]."""
+
+    image: Tensor
+
+    def to(self, device: torch.device | str) -> Self:
+        """Return the batch on `device`."""
+        return dataclasses.replace(self, image=self.image.to(device))
+
+
+Batch = GraphBatch | SetBatch | ImageBatch
+
+
+def of_arrays(arrays: Mapping[str, np.ndarray]) -> Batch:
+    """Return the batch that the arrays' names tell of; arrays of other names are ignored."""
+    if "image" in arrays:
+        return ImageBatch(torch.from_numpy(arrays["image"]))
+    return GraphBatch.of_arrays(arrays) if "degree" in arrays else SetBatch.of_arrays(arrays)
+
+
 def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
     """Describe each point by its place and, weighted by `semantics`, by its class (paper eq. 7).
 
@@ -72,3 +136,11 @@ def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
         for points in torch.split(x, ptr.diff().tolist())
     ]
     return torch.stack(pooled)
+
+
+def max_pool(x: Tensor, ptr: Tensor) -> Tensor:
+    """Return each frame's max over its points: [N,C], ptr [B+1] → [B,C]; zeros for a frame without points."""
+    return torch.stack([
+        points.amax(0) if len(points) else points.new_zeros(x.shape[1])
+        for points in torch.split(x, ptr.diff().tolist())
+    ])  # fmt: skip

@@ -7,14 +7,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from models import frames
 from models.cfc import CfC
+from models.cnn import SteeringCNN
 from models.edgeconv import EdgeConvLayer
 from models.eq4 import Eq4
-from models.frames import GraphBatch
 from models.gatv2 import GATv2Layer
 from models.gcn import GCNLayer
 from models.graph_network import GraphNetwork
 from models.ltc import LTC
+from models.pointnet2 import PointNet2
 from models.recurrent import LSTM, RecurrentCell
 from models.wiring import Wiring, ncp
 
@@ -24,6 +26,15 @@ SPATIAL: dict[str, Callable[[Line], nn.Module]] = {
     "gnn": lambda line: GraphNetwork(GCNLayer, line["layers"], line["features"], line["semantics"]),
     "edgeconv": lambda line: GraphNetwork(EdgeConvLayer, line["layers"], line["features"], line["semantics"]),
     "gatv2": lambda line: GraphNetwork(GATv2Layer, line["layers"], line["features"], line["semantics"]),
+    "pointnet2": lambda line: PointNet2(line["levels"], line["width"], line["features"], line["semantics"]),
+    "cnn": lambda line: SteeringCNN(line["image_size"], line["features"]),
+}
+# What a spatial network's frames must be; those that are not named eat kNN graphs.
+EATS = {"pointnet2": "pointnet2", "cnn": "image"}
+KINDS = {
+    "graph": "kNN graphs",
+    "pointnet2": "points with neighbourhood: pointnet2",
+    "image": "images (a variant with cloud: none)",
 }
 CELL: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4, "cfc": CfC}
 DEFAULT_CELL = "ltc"  # of a line that names none, whatever its temporal network
@@ -41,12 +52,12 @@ class SteeringNet(nn.Module):
         self.spatial = spatial
         self.temporal = temporal
 
-    def encode(self, batch: GraphBatch) -> Tensor:
+    def encode(self, batch: frames.Batch) -> Tensor:
         """Return what the spatial network sees in each frame, [B,F]."""
         features: Tensor = self.spatial(batch)
         return features
 
-    def forward(self, batch: GraphBatch, windows: Tensor, dt_s: Tensor) -> Tensor:
+    def forward(self, batch: frames.Batch, windows: Tensor, dt_s: Tensor) -> Tensor:
         """Predict the (standardised) steering at each window's last frame.
 
         Windows may overlap: each frame is encoded once, however many windows hold it.
@@ -66,15 +77,18 @@ class SteeringNet(nn.Module):
         return out[:, -1, 0]
 
 
-def build(line: Line) -> SteeringNet:
+def build(line: Line, kind: str = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
     """Build the network of a model's line of params.yaml, with new weights from torch's random state.
 
     Args:
-        line: `spatial`, `temporal`, `features`, and what the two need: `layers` and `semantics`; `units` (lstm),
-            or `cell` and `wiring` (ncp).
+        line: `spatial`, `temporal`, `features`, and what the two need: `layers`, `width` and `semantics`;
+            `units` (lstm), or `cell` and `wiring` (ncp).
+        kind: what the frames of the line's input are, a key of KINDS.
+        levels: PointNet++'s samplings in the input, if it is of that kind.
+        image_size: (H,W) pixels of the input's images, if it is of that kind.
     Raises:
         ValueError: an unknown network or cell (lists the known ones), a cell for a network that has no choice of one,
-            a semantics out of [0,1], an impossible wiring.
+            an input that the spatial network does not eat, a semantics out of [0,1], an impossible wiring.
     """
     parts: dict[str, list[str]] = {"spatial": list(SPATIAL), "temporal": list(TEMPORAL), "cell": list(CELL)}
     for part, known in parts.items():
@@ -82,7 +96,13 @@ def build(line: Line) -> SteeringNet:
             raise ValueError(f"{part}: {line[part]!r} is no network of this project: choose {' | '.join(known)}")
     if line["temporal"] != "ncp" and line["cell"] != DEFAULT_CELL:
         raise ValueError(f"cell: {line['cell']!r} is a cell of temporal: ncp, not of {line['temporal']}: leave it out")
-    return SteeringNet(SPATIAL[line["spatial"]](line), TEMPORAL[line["temporal"]](line))
+    eats = EATS.get(line["spatial"], "graph")
+    if eats != kind:
+        raise ValueError(
+            f"spatial: {line['spatial']} eats {KINDS[eats]}, and input: {line['input']} holds {KINDS[kind]}: change one"
+        )
+    spatial = SPATIAL[line["spatial"]]({**line, "levels": levels, "image_size": image_size})
+    return SteeringNet(spatial, TEMPORAL[line["temporal"]](line))
 
 
 def parameter_count(model: nn.Module) -> int:
@@ -91,13 +111,13 @@ def parameter_count(model: nn.Module) -> int:
 
 
 def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
-    """Return the network's output [W] for a batch of arrays: those of GraphBatch, `windows` [W,T] and `dt_s` [W,T]."""
+    """Return the network's output [W] for arrays: those of a batch of frames, `windows` [W,T] and `dt_s` [W,T]."""
     device = next(net.parameters()).device
     windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
-    output: Tensor = net(GraphBatch.of_arrays(arrays).to(device), windows, dt_s)
+    output: Tensor = net(frames.of_arrays(arrays).to(device), windows, dt_s)
     return output
 
 
 def encode(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
     """Return the spatial features [B,F] of a batch of arrays."""
-    return net.encode(GraphBatch.of_arrays(arrays).to(next(net.parameters()).device))
+    return net.encode(frames.of_arrays(arrays).to(next(net.parameters()).device))

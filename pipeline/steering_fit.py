@@ -88,6 +88,9 @@ class Fit:
         if kept.is_file():
             self._load(checkpoint.read(kept, KIND, f"Delete {kept} to start again"))
             print(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before", flush=True)
+        if self.alpha:
+            count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
+            print(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}", flush=True)
         started, done = time.perf_counter(), len(self.curve)
         while len(self.curve) < epochs and not out_of_patience(self.curve, self.settings.patience):
             epoch = len(self.curve) + 1
@@ -198,6 +201,16 @@ def predict_drives(
     return found
 
 
+def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
+    """Return (Σw)² / Σw² of the loss weights w = exp(alpha |Θ|) over the valid frames (Kish's effective sample size).
+
+    As many frames of equal weight would say as much; a large alpha leaves the loss to a few.
+    """
+    bend = np.abs(np.concatenate([drive.steering_rad[drive.valid] for drive in drives]))
+    weight = np.exp(alpha * (bend - bend.max()))  # the factor cancels, and nothing overflows
+    return float(weight.sum() ** 2 / (weight**2).sum())
+
+
 def weighted_mse(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
     """Σ w (Θ̂ - Θ)² / Σ w over windows [W] (paper eq. 9); 0 if all weights are 0."""
     return (weight * (predicted - wanted).square()).sum() / weight.sum().clamp_min(torch.finfo(weight.dtype).tiny)
@@ -208,10 +221,10 @@ def ms_per_frame(net: nn.Module, encode: Forward, drives: Sequence[windows.Drive
     groups = [[span] for span in windows.spans(drives, window, EVALUATION_WINDOWS)][:6]
     times = []
     with torch.inference_mode():
-        for batch in windows.batches(drives, groups, window):
+        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
             started = time.perf_counter()
             encode(net, batch).cpu()  # waits for the device
-            times.append((time.perf_counter() - started) / (len(batch["ptr"]) - 1))
+            times.append((time.perf_counter() - started) / (span.stop - span.start))
     return float(np.median(times[1:] or times)) * 1e3
 
 

@@ -13,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import store
+from pipeline import frames, store
 from pipeline.errors import InputError
 
 NOMINAL_DT_S = 0.1  # KITTI's synced stream: 10 Hz
 
 Batch = dict[str, np.ndarray]
-"""What a network eats, as arrays. B frames, N points, W windows of T frames:
-xyz float32 [N,3], cls uint8 [N], ptr int64 [B+1], degree uint8 [N], indices int64 [E] (numbers within the batch);
+"""What a network eats, as arrays. B frames, W windows of T frames: the frames as in pipeline/frames.py;
 windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the frame before),
 steering_rad float32 [W] and valid bool [W] at each window's last frame."""
 
@@ -123,60 +122,45 @@ def spans(drives: Sequence[Drive], length: int, windows: int, rng: np.random.Gen
 
 def batches(drives: Sequence[Drive], groups: Sequence[Sequence[Span]], length: int) -> Iterator[Batch]:
     """Read each group of spans as one batch. Files stay open while the iterator lives."""
-    files: dict[int, tuple[store.DriveReader, np.ndarray, np.ndarray]] = {}
+    files: dict[int, frames.Reader] = {}
     with ExitStack() as opened:
         for group in groups:
             for number in {span.drive for span in group} - files.keys():
                 file = opened.enter_context(store.DriveReader(drives[number].graphs, stage="graphs"))
-                files[number] = file, file["ptr"], file["indices_ptr"]
-            yield _concatenate([_read_span(drives, span, *files[span.drive], length) for span in group])
+                files[number] = frames.Reader(file)
+            read = frames.concatenate([files[span.drive].read(span.start, span.stop) for span in group])
+            yield read | _windows(drives, group, length)
 
 
-def _read_span(
-    drives: Sequence[Drive], span: Span, file: store.DriveReader, ptr: np.ndarray, indices_ptr: np.ndarray, length: int
-) -> Batch:
-    drive, rows = drives[span.drive], slice(span.start, span.stop)
-    first, last = ptr[span.start], ptr[span.stop]
-    indices = file.rows("indices", indices_ptr[span.start], indices_ptr[span.stop]).astype(np.int64)
-    # Stored numbers count from 0 in each frame; a batch counts on.
-    indices += np.repeat(ptr[rows] - first, np.diff(indices_ptr[span.start : span.stop + 1]))
-    windows = np.arange(span.stop - span.start - length + 1)[:, None] + np.arange(length)  # [W,T]
-    row = span.start + windows[:, -1]
-    return {
-        "xyz": file.rows("xyz", first, last),
-        "cls": file.rows("cls", first, last),
-        "degree": file.rows("degree", first, last),
-        "indices": indices,
-        "ptr": ptr[span.start : span.stop + 1] - first,
-        "windows": windows,
-        "dt_s": drive.dt_s[rows][windows],
-        "steering_rad": drive.steering_rad[row].astype(np.float32),
-        "valid": drive.valid[row],
-    }
-
-
-def _concatenate(parts: list[Batch]) -> Batch:
-    batch = {key: np.concatenate([part[key] for part in parts]) for key in parts[0] if key not in _NUMBERED}
-    nodes = np.cumsum([0] + [len(part["xyz"]) for part in parts])
-    frames = np.cumsum([0] + [len(part["ptr"]) - 1 for part in parts])
-    batch["indices"] = np.concatenate([part["indices"] + first for part, first in zip(parts, nodes, strict=False)])
-    batch["windows"] = np.concatenate([part["windows"] + first for part, first in zip(parts, frames, strict=False)])
-    ptr = [part["ptr"][:-1] + first for part, first in zip(parts, nodes, strict=False)]
-    batch["ptr"] = np.concatenate([*ptr, nodes[-1:]])
-    return batch
-
-
-_NUMBERED = ("indices", "windows", "ptr")
+def _windows(drives: Sequence[Drive], group: Sequence[Span], length: int) -> Batch:
+    parts, before = [], 0  # frames of the batch before the span
+    for span in group:
+        drive, rows = drives[span.drive], slice(span.start, span.stop)
+        windows = np.arange(span.stop - span.start - length + 1)[:, None] + np.arange(length)  # [W,T]
+        row = span.start + windows[:, -1]
+        parts.append({
+            "windows": windows + before,
+            "dt_s": drive.dt_s[rows][windows],
+            "steering_rad": drive.steering_rad[row].astype(np.float32),
+            "valid": drive.valid[row],
+        })  # fmt: skip
+        before += span.stop - span.start
+    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
 
 def mirror(batch: Batch, chosen: np.ndarray) -> Batch:
-    """Reflect the spans' windows and points left-right: x → −x, steering → −steering; every edge stays.
+    """Reflect the spans' windows and points, or images, left-right: x → −x, steering → −steering; every edge stays.
 
     `chosen` bool [B]: which of the batch's frames to reflect; all frames of a span together.
     """
-    xyz, steering_rad = batch["xyz"].copy(), batch["steering_rad"].copy()
-    xyz[np.repeat(chosen, np.diff(batch["ptr"])), 0] *= -1
+    steering_rad = batch["steering_rad"].copy()
     steering_rad[chosen[batch["windows"][:, -1]]] *= -1
+    if "image" in batch:  # KITTI's optical axis meets the image within 2 % of its middle
+        image = batch["image"].copy()
+        image[chosen] = image[chosen, :, ::-1]
+        return batch | {"image": image, "steering_rad": steering_rad}
+    xyz = batch["xyz"].copy()
+    xyz[np.repeat(chosen, np.diff(batch["ptr"])), 0] *= -1
     return batch | {"xyz": xyz, "steering_rad": steering_rad}
 
 
@@ -184,7 +168,10 @@ def rescale(batch: Batch, factor: np.ndarray) -> Batch:
     """Make the world of each frame `factor` [B] times as large, and its bends as much wider; every edge stays.
 
     The bicycle model's tan Θ is wheelbase times curvature, and curvature is 1 / length. All frames of a span together.
+    Images stay as they are, and so does their steering: a larger world gives the same image.
     """
+    if "image" in batch:
+        return batch
     xyz = batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]
     steering_rad = np.arctan(np.tan(batch["steering_rad"]) / factor[batch["windows"][:, -1]])
     return batch | {"xyz": xyz, "steering_rad": steering_rad}

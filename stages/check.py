@@ -21,14 +21,12 @@ def main(params: Path = Path("params.yaml")) -> None:
     """Read every section; build every model once, so that a network that cannot be is found now."""
     for section in (Town, Ingest, Labels, Perception, Clouds, Train, Evaluate):
         load(section, params)
-    encoder = load(Encoder, params)
-    variants = names("graphs", params)
-    for name in variants:
-        load_entry(Variant, "graphs", name, params)
+    encoder, image_size = load(Encoder, params), load(Ingest, params).image_size
+    variants = {name: load_entry(Variant, "graphs", name, params) for name in names("graphs", params)}
     lines = {name: load_entry(Model, "models", name, params) for name in names("models", params)}
     for name, line in lines.items():
         if line.input not in variants:
-            near = closest(line.input, variants)
+            near = closest(line.input, list(variants))
             raise InputError(f"{params}: models.{name}.input = {line.input!r} is no variant of graphs: {near}")
 
     from models import steering_net, unified_encoder
@@ -39,7 +37,8 @@ def main(params: Path = Path("params.yaml")) -> None:
         raise InputError(f"{params}: encoder.backbone = {encoder.backbone!r} is none of this project: {near}")
     for name, line in lines.items():
         try:
-            steering_net.build(line.model_dump())
+            variant = variants[line.input]
+            steering_net.build(line.model_dump(), variant.kind, len(variant.levels), image_size)
         except ValueError as error:
             raise InputError(f"{params}: models.{name}: {error}") from error
 

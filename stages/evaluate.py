@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pipeline import checkpoint, console, metrics, plots, store, windows
+from pipeline import checkpoint, console, frames, metrics, plots, store, windows
+from pipeline.errors import InputError
 from pipeline.params import SPLITS, load
 from pipeline.sections.evaluate import Evaluate
 from pipeline.sections.models import Model
@@ -34,12 +35,15 @@ def main(
     config = store.read_json(train / name / "config.json", stage=f"train@{name}")
     trained = checkpoint.read(train / name / "best.pt", steering_fit.KIND, again)
     line, target = Model.model_validate(trained["model"]), steering_fit.Target(**trained["target"])
-    net = steering_net.build(line.model_dump())
+    variant = graphs / line.input
+    splits = store.read_index(variant, stage="graphs")
+    try:
+        net = steering_net.build(line.model_dump(), **frames.contents(variant / f"{next(iter(splits))}.h5"))
+    except ValueError as error:
+        raise InputError(f"models.{name}: {error}. {again}") from error
     checkpoint.load_state(net, trained["net"], train / name / "best.pt", again)
     net.to("cuda" if torch.cuda.is_available() else "cpu")
 
-    variant = graphs / line.input
-    splits = store.read_index(variant, stage="graphs")
     result: dict[str, Any] = {"model": name, "drives": {split: store.of_split(splits, split) for split in SPLITS}}
     for split, drives in result["drives"].items():
         data = windows.read_drives(variant, labels, drives, line.window)
@@ -85,11 +89,13 @@ def _judge(
     }
 
 
-def _edges_per_frame(drives: list[windows.Drive]) -> float:
-    """Return the mean number of kNN edges that pruning left, over the drives' frames."""
+def _edges_per_frame(drives: list[windows.Drive]) -> float | None:
+    """Return the mean number of kNN edges that pruning left, over the drives' frames; None if the input has none."""
     kept = []
     for drive in drives:
         with store.DriveReader(drive.graphs, stage="graphs") as file:
+            if "edges_kept" not in file:
+                return None
             kept.append(file["edges_kept"])
     return float(np.concatenate(kept).mean())
 

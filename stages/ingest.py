@@ -1,5 +1,6 @@
 """Read raw drives once, and write all that later stages need from them: one HDF5 file per drive."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -58,6 +59,10 @@ def main(
         describe=describe,
     )
     store.write_index(out, splits)
+    # `graphs` depends on data/clouds/<cloud>. For a variant with cloud: none that is this file, which changes when what
+    # the variant copies from here changes, and only then.
+    seen = {drive: {"split": splits[drive], "sha256": summary["sha256"]} for drive, summary in summaries.items()}
+    store.write_json(out.parent / "clouds/none/images.json", seen)
     for name, what in (("image", "images"), ("lidar", "scans")):
         lacking = [drive for drive, summary in summaries.items() if not summary[name]]
         if lacking:
@@ -87,14 +92,17 @@ def ingest(
     dump = settings.model_dump(exclude={"drives"})
     with store.DriveWriter(path, stage="ingest", drive=drive, params={"ingest": dump}) as file:
         file.attrs |= {**attributes[drive], "camera": camera.number if camera else -1}
+        time_s = oxts.read_times(raw.oxts_times, frames)
         file.put("frame", np.array(frames, np.int32))
-        file.put("time_s", oxts.read_times(raw.oxts_times, frames), "s")
+        file.put("time_s", time_s, "s")
         file.put("oxts", np.array(list(packets.values())), "as KITTI's oxts/dataformat.txt")
         if camera:
             file.put("K", scale_K(camera.K, camera.size, settings.image_size), "pixels")
         if camera and camera.T_cam_velo is not None:
             file.put("T_cam_velo", camera.T_cam_velo, "m")
 
+        digest = hashlib.sha256()  # of the images, their size, frame numbers and times
+        digest.update(np.array(settings.image_size).tobytes())
         for name, (reader, channels, dtype, unit, absent) in PIXELS.items():
             files = pictures.get(name, {})
             has = np.zeros(len(frames), np.uint8)
@@ -105,6 +113,8 @@ def ingest(
                 for index, pixels in read.each(name, resized, files, frames):
                     file.fill(name, index, pixels)
                     has[index] = 1
+                    if name == "image":
+                        digest.update(np.array([frames[index], time_s[index]]).tobytes() + pixels.tobytes())
             file.put(f"has_{name}", has)
             counts[name] = int(has.sum())
 
@@ -117,6 +127,7 @@ def ingest(
         file.put("has_lidar", (points > 0).astype(np.uint8))
         counts["lidar"] = int(np.count_nonzero(points))
     unlabelled = (set(pictures.get("image", {})) | set(scans)) - set(raw.oxts)
+    counts["sha256"] = digest.hexdigest()
     return counts | {"damaged": dict(read.damaged), "without_oxts": len(unlabelled)}
 
 

@@ -42,10 +42,11 @@ def table(results: dict[str, Any], absent: list[str]) -> str:
     for model, result in results.items():
         test = result["test"]
         other = [f"{result[split]['nmse']:.3f}" if result[split] else "none" for split in ("train", "val")]
+        edges = result["edges_per_frame"]
         cells = [
             f"{test['nmse']:.3f}", "{:.3f} to {:.3f}".format(*test["nmse_ci95"]), f"{test['mse_rad2']:.5f}",
             f"{test['mae_deg']:.2f}", " / ".join(other), f"{result['parameters']:,}",
-            f"{result['edges_per_frame']:.0f}", f"{result['encode_ms_per_frame']:.2f}",
+            "none" if edges is None else f"{edges:.0f}", f"{result['encode_ms_per_frame']:.2f}",
         ]  # fmt: skip
         lines.append(f"| {model} | {' | '.join(cells)} |")
     first = next(iter(results.values()), None)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline import checkpoint, code, console, drives, store, windows
+from pipeline import checkpoint, code, console, drives, frames, store, windows
 from pipeline.errors import InputError
 from pipeline.params import SPLITS, load, load_entry
 from pipeline.sections.models import Model
@@ -57,7 +57,7 @@ def _train(
     torch.manual_seed(seed)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
-        net = steering_net.build(line.model_dump()).to(device)
+        net = steering_net.build(line.model_dump(), **frames.contents(train[0].graphs)).to(device)
     except ValueError as error:
         raise InputError(f"models.{name}: {error}") from error
     fit = steering_fit.Fit(net, steering_net.predict, line.window, line.alpha, section, seed)
@@ -78,6 +78,7 @@ def _train(
         | {
             "best_epoch": best,
             "epochs": len(fit.curve),
+            "effective_frames": steering_fit.effective_frames(train, line.alpha),
             "parameters": steering_net.parameter_count(net),
             # Measured here, so that stage evaluate has no clock in its files.
             "encode_ms_per_frame": steering_fit.ms_per_frame(net, steering_net.encode, val or train, line.window),

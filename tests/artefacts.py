@@ -1,10 +1,11 @@
 """Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without running those before."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from pipeline import graph, store
+from pipeline import graph, neighbourhoods, store
 from pipeline.classes import BUILDING, ROAD
 
 
@@ -55,13 +56,55 @@ def write_graphs(
         file.put("edges_kept", np.array([one.edges_kept for one in made], np.int32))
 
 
-def write_dataset(root: Path, splits: dict[str, str], frames: int = 30, points: int = 60, seed: int = 0) -> None:
-    """Write ``root/graphs/semantic`` and ``root/labels``: drives of bends both ways, drive → split as given."""
+def write_sets(
+    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
+) -> None:
+    """Write a file of variant pointnet2 whose frames [F] show roads that bend as `steering_rad` says.
+
+    The clouds differ in size, and the last one is smaller than the number of centres.
+    """
+    counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
+    clouds = [bend(float(np.tan(steering)) / 2.7, n, rng) for steering, n in zip(steering_rad, counts, strict=True)]
+    levels = [neighbourhoods.levels(xyz, [(16, 8.0, 6), (5, 16.0, 4)], rng) for xyz, _ in clouds]
+    with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
+        file.put("frame", frame.astype(np.int32))
+        file.put("time_s", frame * 0.1, unit="s")
+        file.put("xyz", np.concatenate([xyz for xyz, _ in clouds]))
+        file.put("cls", np.concatenate([cls for _, cls in clouds]))
+        file.put("ptr", store.pointers(counts))
+        for number, made in enumerate(zip(*levels, strict=True), start=1):
+            file.put(f"centres_{number}", np.concatenate([level.centres for level in made]).astype(np.uint16))
+            file.put(f"neighbours_{number}", np.concatenate([level.neighbours for level in made]).astype(np.uint16))
+            file.put(f"centres_{number}_ptr", store.pointers(len(level.centres) for level in made))
+
+
+def write_images(
+    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
+) -> None:
+    """Write a file of a variant without a cloud: a bright stripe leans as the road bends. `points` says nothing."""
+    rows, columns = np.mgrid[:32, :48]
+    with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
+        file.put("frame", frame.astype(np.int32))
+        file.put("time_s", frame * 0.1, unit="s")
+        middle = 24 - 100 * steering_rad[:, None, None] * (32 - rows) / 32
+        stripe = np.where(np.abs(columns - middle) < 3, 200, 60)[..., None]
+        file.put("image", (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8))
+
+
+def write_dataset(
+    root: Path,
+    splits: dict[str, str],
+    frames: int = 30,
+    points: int = 60,
+    seed: int = 0,
+    write: Callable[..., None] = write_graphs,
+) -> None:
+    """Write ``root/graphs/semantic`` (as `write` does) and ``root/labels``: drives of bends both ways."""
     rng = np.random.default_rng(seed)
     for drive in splits:
         phase, rate = rng.uniform(0, 6), rng.uniform(0.1, 0.3)
         steering_rad = 0.12 * np.sin(phase + rate * np.arange(frames))
-        write_graphs(root / "graphs" / "semantic" / f"{drive}.h5", drive, steering_rad, np.arange(frames), points, rng)
+        write(root / "graphs" / "semantic" / f"{drive}.h5", drive, steering_rad, np.arange(frames), points, rng)
         write_labels(root / "labels" / f"{drive}.h5", drive, steering_rad, np.arange(frames))
     store.write_index(root / "graphs" / "semantic", splits)
     store.write_index(root / "labels", splits)

@@ -1,17 +1,53 @@
 """Section ``graphs``: what the networks eat, one entry per variant."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from pipeline.params import Count, Fraction, Section
+from pipeline.params import Count, Fraction, Positive, Section
+
+Kind = Literal["graph", "pointnet2", "image"]
 
 
 class Variant(Section):
-    """One entry of ``graphs``: what a network eats."""
+    """One entry of ``graphs``: what a network eats. Without a cloud it is the images."""
 
-    cloud: Literal["pseudo", "lidar"]
-    points: Count
-    k: Annotated[int, Field(ge=1, le=32)]
+    cloud: Literal["pseudo", "lidar", "none"]
+    neighbourhood: Literal["knn", "pointnet2"] = "knn"
+    points: Count = 0  # 0, which nobody can give: not given
+    k: Annotated[int, Field(ge=1, le=32)] = 0
     keep_inter_class: Fraction = 1.0
+    # Of each level of PointNet++, the reference's sizes (SSG). Its radii, 0.2 and 0.4, are for objects in a unit
+    # sphere; a street is seen to some 40 m.
+    centres: list[Count] = Field(default=[512, 128], min_length=1)
+    radius_m: list[Positive] = Field(default=[8.0, 16.0], min_length=1)
+    neighbours: list[Count] = Field(default=[32, 64], min_length=1)
     seed: int = 0
+
+    @property
+    def kind(self) -> Kind:
+        """What the variant's frames are."""
+        if self.cloud == "none":
+            return "image"
+        return "pointnet2" if self.neighbourhood == "pointnet2" else "graph"
+
+    @property
+    def levels(self) -> list[tuple[int, float, int]]:
+        """Centres, radius and neighbours of each level of PointNet++."""
+        return list(zip(self.centres, self.radius_m, self.neighbours, strict=True))
+
+    @model_validator(mode="after")
+    def _says_what_it_needs_and_no_more(self) -> Self:
+        sizes = {"centres", "radius_m", "neighbours"}
+        what, needed, possible = {
+            "graph": ("a kNN graph", {"points", "k"}, {"cloud", "neighbourhood", "keep_inter_class", "seed"}),
+            "pointnet2": ("neighbourhood: pointnet2", {"points"}, {"cloud", "neighbourhood", "seed"} | sizes),
+            "image": ("a variant without a cloud", set(), {"cloud"}),
+        }[self.kind]
+        for key in sorted(needed - self.model_fields_set):
+            raise ValueError(f"{what} needs {key}")
+        for key in sorted(self.model_fields_set - needed - possible):
+            raise ValueError(f"{key} says nothing to {what}: leave it out")
+        if len({len(self.centres), len(self.radius_m), len(self.neighbours)}) > 1:
+            raise ValueError("centres, radius_m and neighbours must have one number for each level")
+        return self

@@ -29,7 +29,8 @@ class Model(Section):
     window: Annotated[int, Field(ge=1, le=256, description="frames that a prediction sees")]
     semantics: Fraction = 0.0
     alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
-    layers: list[Count] = Field(default=[32, 32, 64], min_length=1, description="widths of the spatial network")
+    layers: list[Count] = Field(default=[32, 32, 64], min_length=1, description="widths of the spatial network gnn")
+    width: Annotated[float, Field(gt=0, le=4, description="pointnet2: factor on the reference's channels")] = 1.0
     features: Count = 32
     units: Count = 32
     wiring: Wiring = Wiring()

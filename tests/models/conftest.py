@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 
-from models.frames import GraphBatch
+from models.frames import GraphBatch, SetBatch
+from pipeline import frames, neighbourhoods
 
 MakeBatch = Callable[..., GraphBatch]
+MakeSets = Callable[..., SetBatch]
 
 
 @pytest.fixture
@@ -32,6 +35,27 @@ def make_batch() -> MakeBatch:
 
 
 @pytest.fixture
+def make_sets() -> MakeSets:
+    """make_sets([points per frame], only=None) → two levels of neighbourhoods; `only`: that frame alone."""
+
+    def frame(count: int, seed: int) -> frames.Arrays:
+        rng = np.random.default_rng(seed)
+        xyz = rng.uniform([-10, -1, 0], [10, 2, 30], (count, 3))
+        cls = np.where(np.arange(count) % 7, rng.integers(0, 19, count), 255).astype(np.uint8)
+        arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, count])}
+        for number, level in enumerate(neighbourhoods.levels(xyz, [(12, 8.0, 5), (4, 16.0, 6)], rng), start=1):
+            arrays |= {f"centres_{number}": level.centres, f"neighbours_{number}": level.neighbours}
+            arrays[f"centres_{number}_ptr"] = np.array([0, len(level.centres)])
+        return arrays
+
+    def make(counts: list[int], only: int | None = None) -> SetBatch:
+        made = [frame(count, seed) for seed, count in enumerate(counts)]
+        return SetBatch.of_arrays(frames.concatenate(made if only is None else made[only : only + 1]))
+
+    return make
+
+
+@pytest.fixture
 def line() -> dict[str, object]:
     """A small model's line of params.yaml."""
     wiring = {
@@ -51,6 +75,7 @@ def line() -> dict[str, object]:
         "semantics": 1.0,
         "alpha": 0.0,
         "layers": [8, 12],
+        "width": 0.125,
         "features": 6,
         "units": 7,
         "wiring": {**wiring, "seed": 0},

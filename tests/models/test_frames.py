@@ -1,13 +1,21 @@
 import pytest
 import torch
 
-from models.frames import CLASSES, GEOMETRY, mean_max_pool, node_features
+from models.frames import CLASSES, GEOMETRY, ImageBatch, mean_max_pool, node_features
 
 
 def test_batch_moves_all_its_tensors(make_batch):
     batch = make_batch([5, 3]).to("meta")
     assert batch.frames == 2
     assert {getattr(batch, name).device.type for name in ("xyz", "cls", "ptr", "degree", "indices")} == {"meta"}
+
+
+def test_batches_of_sets_and_images_move_all_their_tensors(make_sets):
+    batch = make_sets([9, 5]).to("meta")
+    tensors = [batch.xyz, batch.cls, batch.ptr]
+    tensors += [getattr(level, name) for level in batch.levels for name in ("centres", "neighbours", "ptr")]
+    assert {tensor.device.type for tensor in tensors} == {"meta"}
+    assert ImageBatch(torch.zeros(1, 2, 3, 3)).to("meta").image.is_meta
 
 
 def test_classes_enter_in_proportion_to_semantics(make_batch):

@@ -3,8 +3,8 @@ import dataclasses
 import pytest
 import torch
 
-from models.frames import GraphBatch
-from models.steering_net import CELL, DEFAULT_CELL, SPATIAL, TEMPORAL, build, parameter_count
+from models.frames import GraphBatch, ImageBatch
+from models.steering_net import CELL, DEFAULT_CELL, EATS, SPATIAL, TEMPORAL, build, parameter_count
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
@@ -26,7 +26,7 @@ def select(batch: GraphBatch, frames: list[int]) -> GraphBatch:
 @pytest.mark.parametrize(
     ("temporal", "cell"), [*((name, DEFAULT_CELL) for name in TEMPORAL), ("ncp", "eq4"), ("ncp", "cfc")]
 )
-@pytest.mark.parametrize("spatial", sorted(SPATIAL))
+@pytest.mark.parametrize("spatial", sorted(SPATIAL.keys() - EATS.keys()))
 def test_shared_frames_equal_naive_windows(make_batch, line, spatial, temporal, cell):
     torch.manual_seed(0)
     net = build({**line, "spatial": spatial, "temporal": temporal, "cell": cell}).double()
@@ -45,6 +45,42 @@ def test_shared_frames_equal_naive_windows(make_batch, line, spatial, temporal, 
     loss, gradients = loss_and_gradients(shared)
     torch.testing.assert_close((loss, gradients), loss_and_gradients(naive), **TOLERANCE)
     assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+
+
+@pytest.mark.parametrize("spatial", sorted(EATS))
+def test_shared_frames_equal_naive_windows_for_sets_and_images(make_sets, line, spatial):
+    torch.manual_seed(0)
+    features = {"features": 8}  # a multiple of the CNN's maps
+    counts = [20, 9, 30, 12, 1, 25]
+    image = torch.randint(0, 256, (6, 32, 40, 3), dtype=torch.uint8)
+    net = build({**line, **features, "spatial": spatial}, EATS[spatial], levels=2, image_size=(32, 40)).double()
+    batch = make_sets(counts) if spatial == "pointnet2" else ImageBatch(image)
+    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
+    shared = net(batch, WINDOWS, dt_s)
+    frames = [make_sets(counts, only=n) if spatial == "pointnet2" else ImageBatch(image[n : n + 1]) for n in range(6)]
+    features = torch.cat([net.encode(frame) for frame in frames])
+    naive = torch.cat([
+        net.temporal(net.temporal.sense(features[window])[None], dt_s[w : w + 1])[0][:, -1, 0]
+        for w, window in enumerate(WINDOWS)
+    ])  # fmt: skip
+    torch.testing.assert_close(shared, naive, **TOLERANCE)
+    gradients = torch.autograd.grad(shared.square().sum(), list(net.parameters()))
+    assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+
+
+@pytest.mark.parametrize(
+    ("spatial", "kind", "message"),
+    [
+        ("cnn", "graph", "cnn eats images .*, and input: semantic holds kNN graphs"),
+        ("cnn", "pointnet2", "cnn eats images .* holds points with neighbourhood: pointnet2"),
+        ("gnn", "image", "gnn eats kNN graphs, and input: semantic holds images"),
+        ("gnn", "pointnet2", "gnn eats kNN graphs, and input: semantic holds points with"),
+        ("pointnet2", "graph", "pointnet2 eats points with .* holds kNN graphs"),
+    ],
+)
+def test_a_network_on_an_input_that_it_does_not_eat(line, spatial, kind, message):
+    with pytest.raises(ValueError, match=f"spatial: {message}.*: change one"):
+        build({**line, "spatial": spatial}, kind, levels=2, image_size=(32, 40))
 
 
 def test_same_seed_same_network(line):
@@ -67,10 +103,13 @@ def test_only_the_last_frames_prediction_is_returned(make_batch, line):
 
 @pytest.mark.parametrize("cell", sorted(CELL))
 @pytest.mark.parametrize("spatial", sorted(SPATIAL))
-def test_mixed_precision_keeps_the_recursion_exact(make_batch, line, spatial, cell):
+def test_mixed_precision_keeps_the_recursion_exact(make_batch, make_sets, line, spatial, cell):
     torch.manual_seed(0)
-    net = build({**line, "spatial": spatial, "cell": cell})
-    batch, dt_s = make_batch([12, 12, 12]), torch.full((1, 3), 0.1)
+    kind = EATS.get(spatial, "graph")
+    net = build({**line, "features": 8, "spatial": spatial, "cell": cell}, kind, levels=2, image_size=(32, 40))
+    image = torch.randint(0, 256, (3, 32, 40, 3), dtype=torch.uint8)
+    batch = {"graph": make_batch([12, 12, 12]), "pointnet2": make_sets([12, 12, 12]), "image": ImageBatch(image)}[kind]
+    dt_s = torch.full((1, 3), 0.1)
     windows = torch.tensor([[0, 1, 2]])
     with torch.autocast("cpu", dtype=torch.bfloat16):
         mixed = net(batch, windows, dt_s)

@@ -122,3 +122,27 @@ def test_a_world_twice_as_large_bends_half_as_much(folder: Path) -> None:
     assert (scaled["xyz"][:points] == 2 * batch["xyz"][:points]).all()
     assert (scaled["xyz"][points:] == batch["xyz"][points:]).all()
     assert np.tan(scaled["steering_rad"]) == pytest.approx(np.tan(batch["steering_rad"]) / [2, 2, 2, 1, 1], rel=1e-6)
+
+
+def test_images_are_mirrored_left_right_and_know_no_scale(tmp_path: Path) -> None:
+    artefacts.write_dataset(tmp_path, DRIVES, frames=12, write=artefacts.write_images)
+    (batch,) = windows.batches(_read(tmp_path), [[windows.Span(0, 0, 10), windows.Span(1, 1, 10)]], 8)
+    chosen = np.repeat([True, False], [10, 9])
+    mirrored = windows.mirror(batch, chosen)
+    assert (mirrored["image"][:10] == batch["image"][:10, :, ::-1]).all()
+    assert (mirrored["image"][10:] == batch["image"][10:]).all()
+    assert (mirrored["steering_rad"] == batch["steering_rad"] * [-1, -1, -1, 1, 1]).all()
+    # A larger world gives the same image, so the image cannot tell of wider bends.
+    scaled = windows.rescale(batch, np.full(19, 2, np.float32))
+    assert all((scaled[key] == batch[key]).all() for key in batch)
+
+
+def test_neighbourhoods_stay_in_mirrored_and_rescaled_worlds(tmp_path: Path) -> None:
+    artefacts.write_dataset(tmp_path, DRIVES, frames=12, write=artefacts.write_sets)
+    (batch,) = windows.batches(_read(tmp_path), [[windows.Span(0, 0, 10)]], 8)
+    for changed, factor in (
+        (windows.mirror(batch, np.full(10, True)), [-1, 1, 1]),
+        (windows.rescale(batch, np.full(10, 2, np.float32)), 2),
+    ):
+        assert (changed["xyz"] == batch["xyz"] * factor).all()
+        assert all((changed[key] == batch[key]).all() for key in batch if key not in ("xyz", "steering_rad"))

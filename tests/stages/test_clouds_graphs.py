@@ -132,12 +132,70 @@ def test_graphs_hold_what_the_variant_says(data: Path, tmp_path: Path) -> None:
     assert (read["semantic"]["edges_kept"] < read["depth"]["edges_kept"]).all()
 
 
+SETS = {
+    "cloud": "pseudo", "points": 300, "neighbourhood": "pointnet2", "centres": [20, 6], "radius_m": [4, 9],
+    "neighbours": [8, 5],
+}  # fmt: skip
+
+
+def test_pointnet2_neighbours_lie_in_the_balls_of_the_variant(data: Path, tmp_path: Path) -> None:
+    variants = {"sets": SETS, "depth": {"cloud": "pseudo", "points": 300, "k": 6}}
+    params = _params(tmp_path / "params.yaml", graphs=variants)
+    with store.DriveReader(_graphs(data, tmp_path, "depth", params) / f"{FULL}.h5", stage="graphs") as file:
+        xyz = file["xyz"]
+    with store.DriveReader(_graphs(data, tmp_path, "sets", params) / f"{FULL}.h5", stage="graphs") as file:
+        assert (file["xyz"] == xyz).all()  # the same points as of a graph
+        assert np.diff(file["centres_1_ptr"]).tolist() == [20] * 4
+        assert np.diff(file["centres_2_ptr"]).tolist() == [6] * 4
+        assert (file.shape("neighbours_1"), file.shape("neighbours_2")) == ((80, 8), (24, 5))
+        assert file["neighbours_1"].dtype == np.uint16
+        for frame in range(4):
+            points = xyz[frame * 300 :][:300]
+            for number, count, radius_m in ((1, 20, 4), (2, 6, 9)):
+                rows = slice(frame * count, (frame + 1) * count)
+                centres = points[file[f"centres_{number}"][rows]]
+                offset = points[file[f"neighbours_{number}"][rows]] - centres[:, None]
+                assert np.linalg.norm(offset, axis=2).max() <= radius_m
+                assert len(np.unique(file[f"centres_{number}"][rows])) == count
+                points = centres
+    made = _graphs(data, tmp_path, "sets", params)
+    with store.DriveReader(made / f"{BLIND}.h5", stage="graphs") as file:
+        assert file.shape("neighbours_1") == (0, 8)
+        assert file["centres_2_ptr"].tolist() == [0]
+
+
+def test_images_are_ingests_frame_by_frame(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "ingest").mkdir()
+    for path in (data / "ingest").iterdir():
+        shutil.copyfile(path, tmp_path / "ingest" / path.name)
+    with store.DriveWriter(tmp_path / f"ingest/{FULL}.h5", stage="ingest", drive=FULL, params={}) as file:
+        with store.DriveReader(data / f"ingest/{FULL}.h5", stage="ingest") as raw:
+            image, time_s = raw["image"], raw["time_s"]
+        file.put("frame", np.array([3, 4, 6, 9], np.int32))
+        file.put("time_s", time_s)
+        file.put("has_image", np.array([1, 0, 1, 1], np.uint8))
+        file.put("image", image)
+    params = _params(tmp_path / "params.yaml", graphs={"image": {"cloud": "none"}})
+    # Neither clouds nor perception are read.
+    graphs.main("image", tmp_path / "nowhere", tmp_path / "graphs", params, 1, tmp_path / "ingest")
+    assert f"image: no frames in {BLIND}" in capsys.readouterr().out
+    with store.DriveReader(tmp_path / f"graphs/image/{FULL}.h5", stage="graphs") as file:
+        assert file.frame.tolist() == [3, 6, 9]
+        assert (file.time_s == time_s[[0, 2, 3]]).all()
+        assert (file["image"] == image[[0, 2, 3]]).all()
+    with store.DriveReader(tmp_path / f"graphs/image/{BLIND}.h5", stage="graphs") as file:
+        assert file.shape("image") == (0, *street.SIZE, 3)
+    assert store.read_index(tmp_path / "graphs/image", stage="graphs") == SPLITS
+
+
 def test_run_twice_gives_the_same_bytes_whatever_the_workers(data: Path, tmp_path: Path) -> None:
+    params = _params(tmp_path / "params.yaml", graphs={"sets": SETS})
     for out, workers in ((tmp_path / "a", 1), (tmp_path / "b", 2)):
         clouds.main(data / "ingest", data / "perception", out / "clouds", data / "params.yaml", workers)
-        graphs.main("semantic", out / "clouds", out / "graphs", data / "params.yaml", workers)
+        for name in ("semantic", "sets", "image"):
+            graphs.main(name, out / "clouds", out / "graphs", params, workers, data / "ingest")
     files = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*") if path.is_file()]
-    assert len(files) == 2 * 4 + 4
+    assert len(files) == 2 * 4 + 3 * 4
     assert all((tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes() for file in files)
 
 

@@ -1,5 +1,6 @@
 """Stage ingest on small drives in KITTI raw's layout, sound and damaged."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -59,6 +60,27 @@ def test_everything_of_a_drive(tmp_path: Path) -> None:
         assert (file.attrs["split"], file.attrs["source"]) == ("train", "kitti")
         assert len(file.attrs["fingerprint"]) == 64
     assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", OTHER: "test"}
+
+
+def test_what_variants_without_a_cloud_depend_on_changes_with_the_images_alone(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path / "raw")
+
+    def listed(**settings: Any) -> Any:
+        run(tmp_path, **settings).__exit__()
+        return json.loads((tmp_path / "data/clouds/none/images.json").read_text())
+
+    first = listed()
+    assert {drive: about["split"] for drive, about in first.items()} == {DRIVE: "train", OTHER: "test"}
+    assert first[DRIVE]["sha256"] != first[OTHER]["sha256"]
+    for path in (tmp_path / "raw").rglob("*.bin"):
+        path.write_bytes(path.read_bytes()[:-16])  # a point less
+    assert listed() == first
+    assert listed(lidar=False) == first
+    picture = cv2.imread(str(folder / "image_02/data/0000000002.png"))
+    write_png(folder / "image_02/data/0000000002.png", picture[::-1].copy())
+    changed = listed()
+    assert changed[DRIVE]["sha256"] != first[DRIVE]["sha256"]
+    assert changed[OTHER] == first[OTHER]
 
 
 def test_files_are_byte_identical_whoever_writes_them(tmp_path: Path) -> None:

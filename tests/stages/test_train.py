@@ -1,5 +1,6 @@
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -148,9 +149,48 @@ def test_other_networks_train_and_are_judged(folder: Path, line: dict[str, objec
 
 
 @pytest.mark.parametrize(
+    ("write", "line", "epochs"),
+    [
+        (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4),
+        (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10),
+    ],
+)
+def test_sets_and_images_go_the_same_way(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], write: Callable[..., None], line: dict[str, object], epochs: int
+) -> None:
+    artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, write=write)
+    write_params(tmp_path, line, epochs=epochs, average=0.0)
+    run_train(tmp_path)
+    config = json.loads((tmp_path / "train/net/config.json").read_text())
+    frames = 3 * 60
+    if "alpha" in line:
+        assert (
+            f"weighted by alpha 5, {frames} frames count as {config['effective_frames']:.0f}" in capsys.readouterr().out
+        )
+        assert 100 < config["effective_frames"] < frames
+    else:
+        assert config["effective_frames"] == pytest.approx(frames)
+    result = json.loads((run_evaluate(tmp_path) / "metrics.json").read_text())
+    assert result["test"]["nmse"] < 0.5
+    assert result["edges_per_frame"] is None
+    report.main(tmp_path / "evaluate", tmp_path / "report", tmp_path / "params.yaml")
+    assert "| none |" in (tmp_path / "report/table.md").read_text()
+
+
+def test_a_checkpoint_for_other_inputs_is_refused(folder: Path) -> None:
+    run_train(folder)
+    artefacts.write_dataset(folder, SPLITS, frames=60, points=60, write=artefacts.write_images)
+    with pytest.raises(InputError, match=r"models.net: spatial: gnn eats kNN graphs, .*force train@net"):
+        run_evaluate(folder)
+    assert not (folder / "evaluate").exists()
+
+
+@pytest.mark.parametrize(
     ("line", "message"),
     [
         ({"spatial": "cnnn"}, "models.net: spatial.*cnnn.*gnn"),
+        ({"spatial": "cnn"}, "models.net: spatial: cnn eats images .* and input: semantic holds kNN graphs"),
+        ({"spatial": "pointnet2"}, "models.net: spatial: pointnet2 eats points .* holds kNN graphs"),
         ({"temporal": "gru"}, "models.net: temporal.*gru.*ncp.*lstm"),
         ({"temporal": "lstm", "cell": "eq4"}, "models.net: cell.*eq4.*ncp, not of lstm"),
         ({"window": 61}, "no window of 61 consecutive frames"),

@@ -7,11 +7,12 @@ BIN := $(VENV)/bin
 export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
 
-.PHONY: demo test lint format setup libusb
+.PHONY: demo test lint format setup system
 
 demo: setup            ## the whole chain on the embedded sample, then its table
 	dvc repro
-	@mkdir -p weights && cp data/encoder/encoder.pt weights/sample.pt
+	@# What params.kitti.yaml starts from: the sample's encoder, never one that real drives have changed.
+	@if grep -q '^  source: town' params.yaml; then mkdir -p weights && cp data/encoder/encoder.pt weights/sample.pt; fi
 	@cat data/report/table.md
 
 test: setup            ## all tests, with coverage of pipeline/ and models/
@@ -27,16 +28,21 @@ format: setup
 	ruff check --fix .
 	ruff format .
 
-setup: libusb $(VENV)/.installed
+setup: system $(VENV)/.installed
 
 $(VENV)/.installed: pyproject.toml constraints.txt
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt torch
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
-# Open3D links against it; Debian and Ubuntu leave it out of minimal installations.
-libusb:
-	@PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libusb-1.0.so.0 && exit 0; \
-	if [ "$$(id -u)" = 0 ]; then apt-get update -qq && apt-get install -y -qq libusb-1.0-0; \
-	else echo "Open3D needs libusb: sudo apt-get install libusb-1.0-0" >&2; exit 1; fi
+# Open3D links against libusb, and Debian ships Python without venv: root gets both, others are told.
+system:
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' || \
+	{ echo "$(PYTHON) is not 3.11 or 3.12: make PYTHON=python3.11 …" >&2; exit 1; }
+	@missing=""; \
+	PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libusb-1.0.so.0 || missing="libusb-1.0-0"; \
+	$(PYTHON) -c 'import ensurepip' 2>/dev/null || missing="$$missing python3-venv"; \
+	[ -z "$$missing" ] || \
+	if [ "$$(id -u)" = 0 ]; then apt-get update -qq && apt-get install -y -qq $$missing; \
+	else echo "missing: sudo apt-get install $$missing" >&2; exit 1; fi

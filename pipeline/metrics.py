@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 
-def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> dict[str, float]:
+def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> dict[str, Any]:
     """Return mse_rad2, rmse_deg, mae_deg and nmse of predictions [N].
 
-    nmse = MSE / MSE of always predicting zero: 1 is useless, 0 perfect.
+    nmse = MSE / MSE of always predicting zero: 1 is useless, 0 perfect, None where every label is 0.
     """
     error = predicted_rad - steering_rad
     mse = float(np.mean(error**2))
@@ -20,7 +20,7 @@ def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> dict[str, flo
         "mse_rad2": mse,
         "rmse_deg": float(np.rad2deg(np.sqrt(mse))),
         "mae_deg": float(np.rad2deg(np.mean(np.abs(error)))),
-        "nmse": mse / zero if zero > 0 else float("inf"),
+        "nmse": mse / zero if zero > 0 else None,
     }
 
 
@@ -33,23 +33,26 @@ def nmse_interval(
 
     Args:
         steering_rad, predicted_rad, drive: [N] in time order; `drive` numbers the drives.
-        block: rows per block; shortened to the shortest drive.
+        block: rows per block; a drive that is shorter is a block of its own.
         samples: bootstrap samples.
     """
-    block = min([block, *np.unique(drive, return_counts=True)[1].tolist()])
+    first = np.flatnonzero(np.diff(drive, prepend=drive[0] - 1))  # [D] where drives begin
+    length = np.minimum(block, np.diff(first, append=len(drive)))  # a drive shorter than a block is one
+    last = np.append(first[1:], len(drive)) - length  # [D] the last start of a block
+    starts = np.concatenate([np.arange(a, b + 1) for a, b in zip(first, last, strict=True)])
+    length = np.repeat(length, last - first + 1)
     squared = np.stack([(predicted_rad - steering_rad) ** 2, steering_rad**2])  # [2,N]
     sums = np.concatenate([np.zeros((2, 1)), np.cumsum(squared, axis=1)], axis=1)
-    starts = np.arange(len(drive) - block + 1)
-    starts = starts[drive[starts] == drive[starts + block - 1]]
-    of_block = sums[:, starts + block] - sums[:, starts]  # [2,S]
-    draws = np.random.default_rng(seed).integers(len(starts), size=(samples, -(-len(drive) // block)))
+    of_block = sums[:, starts + length] - sums[:, starts]  # [2,S]
+    count = int(np.ceil(len(drive) / length.mean()))
+    draws = np.random.default_rng(seed).integers(len(starts), size=(samples, count))
     error, zero = of_block[:, draws].sum(axis=2)  # [samples] each
     with np.errstate(divide="ignore", invalid="ignore"):
         low, high = np.nanpercentile(np.where(zero > 0, error / zero, np.nan), [2.5, 97.5])
     return float(low), float(high)
 
 
-def baselines(steering_rad: np.ndarray, previous_rad: np.ndarray, train_mean_rad: float) -> dict[str, dict[str, float]]:
+def baselines(steering_rad: np.ndarray, previous_rad: np.ndarray, train_mean_rad: float) -> dict[str, dict[str, Any]]:
     """Return the scores of three predictors that see nothing of the road.
 
     zero: always straight. train_mean: the mean of the training labels. persistence: the true angle of the last valid

@@ -12,9 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pipeline.errors import InputError, closest
 
-Drive = Annotated[str, Field(pattern=r"^\d{4}_\d{2}_\d{2}_drive_\d{4}$", description="as 2011_09_26_drive_0052")]
+_DRIVE = r"^\d{4}_(0[1-9]|1[0-2])_(0[1-9]|[12]\d|3[01])_drive_\d{4}$"
+Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052")]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
+Seed = Annotated[int, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=32, le=4096)]
 ImageSize = Annotated[tuple[Side, Side], Field(description="[H, W] in pixels")]
@@ -83,4 +85,6 @@ def _parse(kind: type[S], value: Any, path: Path, where: str) -> S:
             raise InputError(f"{path}: unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
         if first["type"] == "missing":
             raise InputError(f"{path}: {key} is missing: take it from the project's own params.yaml") from error
-        raise InputError(f"{path}: {key} = {first['input']!r}: {first['msg'].removeprefix('Value error, ')}") from error
+        # A rule on a whole section would print all of it.
+        value = "" if isinstance(first["input"], dict) else f" = {first['input']!r}"
+        raise InputError(f"{path}: {key}{value}: {first['msg'].removeprefix('Value error, ')}") from error

@@ -62,6 +62,10 @@ def read_drives(graphs: Path, labels: Path, names: Sequence[str], length: int) -
             f"{graphs}: no window of {length} consecutive frames with a valid label at its end in {', '.join(names)} "
             f"(longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
         )
+    if names and not any(drive.steering_rad[drive.valid].any() for drive in drives):
+        raise InputError(
+            f"{labels}: every valid label of {', '.join(names)} is 0, nothing to learn or judge: add drives"
+        )
     return drives
 
 

@@ -23,22 +23,28 @@ def main(
     """Back-project depth with K⁻¹ (paper eq. 6, 7) and bring LiDAR scans into the camera frame."""
     section = load(Clouds, params)
     splits = store.read_index(ingest, stage="ingest")
-    for kind, work in {"pseudo": _pseudo, "lidar": _lidar}.items():
-        summaries = drives.run_over_drives(
-            partial(work, ingest=ingest, perception=perception, section=section),
-            list(splits),
-            module="stages.clouds",
-            out=out / kind,
-            resume=out.parent / ".resume" / f"{out.name}-{kind}",
-            inputs=lambda drive: [ingest / f"{drive}.h5", perception / f"{drive}.h5"],
-            settings=section.model_dump(),
-            workers=workers,
-            describe=lambda summary: f"{summary['frames']} frames, {summary['points']} points",
-        )
+    # One run for both kinds: a stage that is killed keeps what is finished of either.
+    names = [f"{kind}/{drive}" for kind in KINDS for drive in splits]
+    summaries = drives.run_over_drives(
+        partial(_clouds, ingest=ingest, perception=perception, section=section),
+        names,
+        module="stages.clouds",
+        out=out,
+        inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
+        settings={"clouds": section.model_dump()},
+        workers=workers,
+        describe=lambda summary: f"{summary['frames']} frames, {summary['points']} points",
+    )
+    for kind in KINDS:
         store.write_index(out / kind, splits)
-        empty = [drive for drive, summary in summaries.items() if not summary["frames"]]
+        empty = [drive for drive in splits if not summaries[f"{kind}/{drive}"]["frames"]]
         if empty:
             print(f"{kind}: no clouds for {', '.join(empty)} (nothing to make them from)")
+
+
+def _clouds(name: str, path: Path, ingest: Path, perception: Path, section: Clouds) -> drives.Summary:
+    kind, drive = name.split("/")
+    return KINDS[kind](drive, path, ingest, perception, section)
 
 
 def _pseudo(drive: str, path: Path, ingest: Path, perception: Path, section: Clouds) -> drives.Summary:
@@ -77,7 +83,7 @@ def _write(
 ) -> drives.Summary:
     """Write the clouds ``frame(0)``, ``frame(1)``, … of the KITTI frames `numbers`."""
     counts = []
-    with store.DriveWriter(path, stage="clouds", drive=drive, params=section.model_dump()) as file:
+    with store.DriveWriter(path, stage="clouds", drive=drive, params={"clouds": section.model_dump()}) as file:
         file.put("frame", numbers)
         file.put("time_s", time_s, unit="s")
         file.append("xyz", np.empty((0, 3), np.float32), unit="m")
@@ -93,6 +99,8 @@ def _write(
         file.put("ptr", store.pointers(counts), unit="row")
     return {"frames": len(counts), "points": sum(counts)}
 
+
+KINDS = {"pseudo": _pseudo, "lidar": _lidar}
 
 if __name__ == "__main__":
     console.run(main)

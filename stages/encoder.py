@@ -23,12 +23,6 @@ def main(
 ) -> None:
     """Write encoder.pt, config.json and curve.csv. Only the drives of split train are opened."""
     settings = load(Encoder, params)
-    if settings.weights is None and settings.epochs == 0:
-        raise InputError(
-            f"{params}: encoder.epochs = 0 needs encoder.weights: name a fitted checkpoint, or set epochs to 1 or more"
-        )
-    if settings.weights is None and settings.frozen:
-        raise InputError(f"{params}: encoder.frozen keeps a backbone that weights bring: name them in encoder.weights")
     drives = store.of_split(store.read_index(ingest, stage="ingest"), "train")
     source = find_weights(settings.weights) if settings.weights else None
 

@@ -47,7 +47,7 @@ def main(
 def _points(drive: str, path: Path, source: Path, variant: Variant) -> drives.Summary:
     with (
         store.DriveReader(source / f"{drive}.h5", stage="clouds") as points,
-        store.DriveWriter(path, stage="graphs", drive=drive, params=variant.model_dump()) as file,
+        store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": variant.model_dump()}) as file,
     ):
         file.put("frame", points.frame)
         file.put("time_s", points.time_s, unit="s")
@@ -119,7 +119,7 @@ class _Sets:
 def _images(drive: str, path: Path, source: Path, variant: Variant) -> drives.Summary:
     with (
         store.DriveReader(source / f"{drive}.h5", stage="ingest") as raw,
-        store.DriveWriter(path, stage="graphs", drive=drive, params=variant.model_dump()) as file,
+        store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": variant.model_dump()}) as file,
     ):
         rows = np.flatnonzero(raw["has_image"])
         file.put("frame", raw.frame[rows])

@@ -80,6 +80,8 @@ def ingest(
     if not packets:
         raise InputError(f"{raw.folder / 'oxts' / 'data'} holds no packets, and labels are made of them: extract it")
     frames = list(packets)
+    # Lines of timestamps.txt go with the packets that are there, damaged ones too.
+    time_s = oxts.read_times(raw.oxts_times, list(raw.oxts))[np.isin(list(raw.oxts), frames)]
     scans = raw.scans if settings.lidar else {}
     camera = raw.camera(settings.cameras)
     if scans and (camera is None or camera.T_cam_velo is None):
@@ -92,7 +94,6 @@ def ingest(
     dump = settings.model_dump(exclude={"drives"})
     with store.DriveWriter(path, stage="ingest", drive=drive, params={"ingest": dump}) as file:
         file.attrs |= {**attributes[drive], "camera": camera.number if camera else -1}
-        time_s = oxts.read_times(raw.oxts_times, frames)
         file.put("frame", np.array(frames, np.int32))
         file.put("time_s", time_s, "s")
         file.put("oxts", np.array(list(packets.values())), "as KITTI's oxts/dataformat.txt")

@@ -36,6 +36,8 @@ def main(
         folder = out / name / (f"seed-{seed}" if position else "")
         _train(name, line, section, seed, splits, train, val, folder, kept)
     shutil.rmtree(kept)
+    for stale in set((out / name).glob("seed-*")) - {out / name / f"seed-{seed}" for seed in section.seeds[1:]}:
+        shutil.rmtree(stale)
 
 
 def _train(
@@ -63,7 +65,7 @@ def _train(
     fit = steering_fit.Fit(net, steering_net.predict, line.window, line.alpha, section, seed)
     settings = {"model": line.model_dump(), "train": section.model_dump(exclude={"seeds"}), "seed": seed}
     files = [drive.graphs for drive in train + val] + [drive.labels for drive in train + val]
-    state = kept / f"{drives.resume_key('stages.train', settings, files)}.pt"
+    state = kept / f"{drives.resume_key('stages.train', settings | {'splits': splits}, files)}.pt"
     target = vars(steering_fit.Target.of(train))
     about = {"name": name, "splits": splits, "target": target, "revision": code.revision(), **settings}
     fit.run(train, val, state, about, f"{name} seed {seed}")

@@ -145,6 +145,20 @@ def test_a_fault_in_the_params_is_one_line_before_anything_runs(sample: Path) ->
     assert files_of(sample, STAGE_ORDER) == before
 
 
+def test_a_damaged_frame_is_one_line_and_leaves_what_was_there(sample: Path) -> None:
+    scan = sorted((sample / "data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
+    before, sound = files_of(sample, STAGE_ORDER[1:]), scan.read_bytes()
+    try:
+        scan.write_bytes(sound[:-7])
+        output = run(sample, "dvc", "repro", "ingest", "--single-item", check=False)
+    finally:
+        scan.write_bytes(sound)
+    assert f"error: data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data/{scan.name} is cut" in output
+    assert "Traceback" not in output
+    assert files_of(sample, STAGE_ORDER[1:]) == before
+    assert stages_run(run(sample, "dvc", "repro")) == []
+
+
 @pytest.mark.real
 def test_real_drives_run_the_same_chain(sample: Path, real_kitti: Path, tmp_path: Path) -> None:
     """Drive 0052 (colour, LiDAR) trains, 0042 (grey, turning, no LiDAR) is tested; classes come from the sample."""

@@ -1,10 +1,10 @@
 """Section ``clouds``: semantic point clouds."""
 
-from pipeline.params import Count, Positive, Section
+from pipeline.params import Count, Positive, Section, Seed
 
 
 class Clouds(Section):
     key = "clouds"
     max_points: Count
     max_depth_m: Positive
-    seed: int
+    seed: Seed

@@ -1,8 +1,8 @@
 """Section ``evaluate``: judging a model."""
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from pipeline.params import Count, Positive, Section
+from pipeline.params import Count, Positive, Section, Seed
 
 
 class Evaluate(Section):
@@ -10,4 +10,11 @@ class Evaluate(Section):
     bootstrap_samples: Count
     bootstrap_block_frames: Count
     curvature_bins_1pm: list[Positive] = Field(min_length=1, description="edges between the bins of |curvature|")
-    seed: int
+    seed: Seed
+
+    @field_validator("curvature_bins_1pm")
+    @classmethod
+    def _ascending(cls, edges: list[float]) -> list[float]:
+        if sorted(set(edges)) != edges:
+            raise ValueError("the edges between bins must ascend")
+        return edges

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.params import Count, Fraction, Positive, Section
+from pipeline.params import Count, Fraction, Positive, Section, Seed
 
 Kind = Literal["graph", "pointnet2", "image"]
 
@@ -22,7 +22,7 @@ class Variant(Section):
     centres: list[Count] = Field(default=[512, 128], min_length=1)
     radius_m: list[Positive] = Field(default=[8.0, 16.0], min_length=1)
     neighbours: list[Count] = Field(default=[32, 64], min_length=1)
-    seed: int = 0
+    seed: Seed = 0
 
     @property
     def kind(self) -> Kind:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.params import Count, Fraction, Section
+from pipeline.params import Count, Fraction, Section, Seed
 
 
 class Wiring(Section):
@@ -16,7 +16,7 @@ class Wiring(Section):
     inter_fanout: Count = 4
     recurrent_command_synapses: Annotated[int, Field(ge=0)] = 6
     motor_fanin: Count = 6
-    seed: int = 0
+    seed: Seed = 0
 
 
 class Model(Section):

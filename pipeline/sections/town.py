@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from pipeline.params import Count, ImageSize, Section
+from pipeline.params import Count, ImageSize, Section, Seed
 
 
 class Frames(Section):
@@ -17,7 +17,7 @@ class Frames(Section):
 
 class Town(Section):
     key = "town"
-    seed: int
+    seed: Seed
     image_size: ImageSize
     frames: Frames
     scan_rays: Annotated[tuple[Count, Count], Field(description="[rings, rays per ring] of the LiDAR")]

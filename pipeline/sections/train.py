@@ -4,14 +4,14 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from pipeline.params import Count, Positive, Section
+from pipeline.params import Count, Positive, Section, Seed
 
 
 class Train(Section):
     key = "train"
     epochs: Count
     patience: Count
-    seeds: list[int] = Field(min_length=1)
+    seeds: list[Seed] = Field(min_length=1)
     learning_rate: Positive
     weight_decay: Annotated[float, Field(ge=0)]
     clip_norm: Positive
@@ -23,7 +23,7 @@ class Train(Section):
 
     @field_validator("seeds")
     @classmethod
-    def _distinct(cls, seeds: list[int]) -> list[int]:
+    def _distinct(cls, seeds: list[Seed]) -> list[int]:
         if len(set(seeds)) < len(seeds):
             raise ValueError("a seed is named twice: each adds a training run, so name it once")
         return seeds

@@ -41,6 +41,20 @@ def test_interval_draws_blocks_within_drives_only() -> None:
     assert metrics.nmse_interval(steering, predicted, drive, block=500, samples=500, seed=0) == (low, high)
 
 
+def test_a_short_drive_does_not_shorten_the_blocks_of_a_long_one() -> None:
+    rng = np.random.default_rng(0)
+    error = np.repeat(rng.normal(size=30), 20)  # errs alike for 20 frames
+    steering = np.ones(600)
+    alone = metrics.nmse_interval(steering, 1 + error, np.zeros(600), 100, 2000, seed=0)
+    drive = np.concatenate([np.zeros(600), np.ones(2)])
+    joined = metrics.nmse_interval(np.ones(602), np.append(1 + error, [1, 1]), drive, 100, 2000, seed=0)
+    assert joined == pytest.approx(alone, rel=0.1)
+
+
+def test_labels_that_are_all_zero_have_no_nmse() -> None:
+    assert metrics.scores(np.zeros(3), np.ones(3))["nmse"] is None
+
+
 def test_persistence_uses_the_last_valid_frame_before() -> None:
     steering = np.array([0.1, 0.2, 0.3, 0.4])
     valid = np.array([True, False, True, True])

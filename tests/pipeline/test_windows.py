@@ -105,6 +105,13 @@ def test_a_split_without_valid_targets_is_an_error(folder: Path) -> None:
         _read(folder)
 
 
+def test_drives_whose_labels_are_all_zero_are_an_error(folder: Path) -> None:
+    for drive in DRIVES:
+        artefacts.write_labels(folder / f"labels/{drive}.h5", drive, np.zeros(23), np.arange(23))
+    with pytest.raises(InputError, match=r"every valid label of .* is 0, nothing to learn or judge"):
+        _read(folder)
+
+
 def test_labels_are_matched_by_frame_number(folder: Path) -> None:
     drive = next(iter(DRIVES))
     artefacts.write_labels(folder / f"labels/{drive}.h5", drive, np.arange(40) / 100, np.arange(40))

@@ -97,8 +97,8 @@ def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path, capsys: pytest.Cap
 def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, tmp_path: Path) -> None:
     (tmp_path / "bad.pt").write_bytes(b"no checkpoint")
     bad = {
-        r"epochs = 0 needs encoder\.weights": {"epochs": 0},
-        r"frozen keeps a backbone that weights bring": {"frozen": True},
+        r"encoder: epochs: 0 uses weights as they are": {"epochs": 0},
+        r"encoder: frozen: true keeps a backbone": {"frozen": True},
         r"backbone = large: known: .*small": {"backbone": "large"},
         r"nowhere\.pt is missing": {"weights": "nowhere.pt"},
         r"has the SHA-256": {"weights": f"{tmp_path / 'bad.pt'}#sha256={'1' * 64}"},

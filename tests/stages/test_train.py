@@ -185,6 +185,20 @@ def test_a_checkpoint_for_other_inputs_is_refused(folder: Path) -> None:
     assert not (folder / "evaluate").exists()
 
 
+def test_a_killed_run_is_not_resumed_on_another_split(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was trained on must not become validation: the files are the same, only their roles differ."""
+    keys = []
+    for splits in (SPLITS, {**SPLITS, "2026_01_01_drive_0003": "val"}):
+        store.write_index(folder / "graphs/semantic", splits)
+        with monkeypatch.context() as patch:
+            patch.setattr(steering_fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+            with pytest.raises(KeyboardInterrupt):
+                run_train(folder)
+        keys.append({path.name for path in (folder / ".resume/train-net").glob("*.pt")})
+    assert len(keys[0]) == 1
+    assert len(keys[1]) == 2
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from pipeline import classes, cloud, graph, store
 
 DATA, DOCS = Path("data"), Path(__file__).resolve().parent
-MODEL, VARIANT = "sa-gnn-ncp", "semantic"
+MODEL = "sa-gnn-ncp"
 
 
 def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
-    """Draw one frame's way through the chain, and copy the sample's contact sheet and the steering diagram."""
+    """Draw one frame's way through the chain, and copy the sample's contact sheet."""
     figure = Figure(figsize=(13, 6.2), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
     with (
@@ -48,7 +48,6 @@ def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
     _draw_steering(panels["f"], drive, number)
     figure.savefig(DOCS / "chain.png", dpi=85, metadata={"Software": None})
 
-    shutil.copyfile(DATA / f"evaluate/{MODEL}/steering.png", DOCS / "steering.png")
     shutil.copyfile(DATA / "town/contact_sheet.png", DOCS / "town.png")
 
 

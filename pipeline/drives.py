@@ -88,7 +88,7 @@ def run_over_drives(
         if target(drive).is_dir():
             shutil.rmtree(target(drive))  # a file is replaced, a folder that is not empty would not be
         path.replace(target(drive))
-    # DVC leaves a stage's earlier files in place (persist), so that an error costs none: drop those of other drives.
+    # Earlier files may still be there (persist in dvc.yaml): drop those of other drives.
     for stale in set(out.rglob("*.h5")) - {target(drive) for drive in drives}:
         stale.unlink()
     shutil.rmtree(kept)

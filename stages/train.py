@@ -36,8 +36,6 @@ def main(
         folder = out / name / (f"seed-{seed}" if position else "")
         _train(name, line, section, seed, splits, train, val, folder, kept)
     shutil.rmtree(kept)
-    for stale in set((out / name).glob("seed-*")) - {out / name / f"seed-{seed}" for seed in section.seeds[1:]}:
-        shutil.rmtree(stale)
 
 
 def _train(

@@ -10,12 +10,12 @@ from stages import check
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("name", ["params.yaml", "params.kitti.yaml", "tests/params.real.yaml"])
+@pytest.mark.parametrize("name", ["params.yaml", "params.kitti.yaml", "params.replay.yaml", "tests/params.real.yaml"])
 def test_the_projects_own_files_are_right(name: str) -> None:
     check.main(ROOT / name)
 
 
-@pytest.mark.parametrize("name", ["params.kitti.yaml", "tests/params.real.yaml"])
+@pytest.mark.parametrize("name", ["params.kitti.yaml", "params.replay.yaml", "tests/params.real.yaml"])
 def test_the_other_files_have_every_key(name: str) -> None:
     """A copy over params.yaml must not lose a knob."""
     own, other = (yaml.safe_load((ROOT / path).read_text()) for path in ("params.yaml", name))

@@ -9,14 +9,15 @@ from pipeline.tables import PAPER
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
+OTHERS = ["params.kitti.yaml", "params.table2.yaml", "params.replay.yaml", "tests/params.real.yaml"]
 
 
-@pytest.mark.parametrize("name", ["params.yaml", "params.kitti.yaml", "params.table2.yaml", "tests/params.real.yaml"])
+@pytest.mark.parametrize("name", ["params.yaml", *OTHERS])
 def test_the_projects_own_files_are_right(name: str) -> None:
     check.main(ROOT / name)
 
 
-@pytest.mark.parametrize("name", ["params.kitti.yaml", "params.table2.yaml", "tests/params.real.yaml"])
+@pytest.mark.parametrize("name", OTHERS)
 def test_the_other_files_have_every_key(name: str) -> None:
     """A copy over params.yaml must not lose a knob."""
     own, other = (yaml.safe_load((ROOT / path).read_text()) for path in ("params.yaml", name))

@@ -39,7 +39,7 @@ def main(
         list(splits),
         module="stages.town",
         out=out,
-        inputs=lambda drive: [splits[drive], *(recorded[drive].oxts_files if recorded else [])],
+        inputs=lambda drive: [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
         settings=settings.model_dump(),
         workers=workers,
         target=folders.__getitem__,

@@ -68,27 +68,26 @@ def _lay_road(xy: np.ndarray, heading: np.ndarray, driven: np.ndarray, lane_m: f
     new = np.concatenate([[True], (driven[1:] < rearmost[:-1]) | (driven[1:] > foremost[:-1])])
     order = np.flatnonzero(new)[np.argsort(driven[new])]
     grid = np.arange(driven[order[0]], driven[order[-1]] + STEP_M, STEP_M)
-    track = np.stack([np.interp(grid, driven[order], xy[order, axis]) for axis in (0, 1)], axis=-1)
-    yaw = np.interp(grid, driven[order], heading[order])
+    x, y, yaw = (np.interp(grid, driven[order], values[order]) for values in (*xy.T, heading))
+    track = np.stack([x, y], axis=-1)
 
-    reach = 4 * round(_SMOOTH_M / STEP_M)
-    last = min(round(_END_M / STEP_M), len(grid) - 1)
-    per_m = 1 / max(last * STEP_M, _END_M)
-    behind = _run_out(yaw[0] + np.pi, (yaw[last] - yaw[0]) * per_m * -1, BEHIND_M + reach * STEP_M)[::-1]
-    ahead = _run_out(yaw[-1], (yaw[-1] - yaw[-1 - last]) * per_m, AHEAD_M + reach * STEP_M)
+    spare = 4 * round(_SMOOTH_M / STEP_M)  # samples that smoothing takes off at each end
+    end = min(round(_END_M / STEP_M), len(grid) - 1)
+    behind = _run_out(yaw[0] + np.pi, (yaw[0] - yaw[end]) / _END_M, BEHIND_M + spare * STEP_M)[::-1]
+    ahead = _run_out(yaw[-1], (yaw[-1] - yaw[-1 - end]) / _END_M, AHEAD_M + spare * STEP_M)
     line = np.concatenate([track[0] + behind, track, track[-1] + ahead])
-    kernel = np.exp(-((np.arange(-reach, reach + 1) * STEP_M / _SMOOTH_M) ** 2) / 2)
+    kernel = np.exp(-((np.arange(-spare, spare + 1) * STEP_M / _SMOOTH_M) ** 2) / 2)
     line = np.stack([np.convolve(line[:, axis], kernel / kernel.sum(), "valid") for axis in (0, 1)], axis=-1)
 
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at_grid = length[len(behind) - reach :][: len(grid)]
+    first = len(behind) - spare  # of the line's samples, the track's first
+    s_of_grid = length[first : first + len(grid)] - length[first]
     s = np.arange(0.0, length[-1], STEP_M)
     line = np.stack([np.interp(s, length, line[:, axis]) for axis in (0, 1)], axis=-1)
     along = np.gradient(line, axis=0)
     road_heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
-    curvature = np.gradient(road_heading) / STEP_M
-    route = Route(s - at_grid[0], line, road_heading, curvature, lane_m, (), ())
-    return route, np.interp(driven, grid, at_grid) - at_grid[0]
+    route = Route(s - length[first], line, road_heading, np.gradient(road_heading) / STEP_M, lane_m, (), ())
+    return route, np.interp(driven, grid, s_of_grid)
 
 
 def _run_out(heading: float, curvature_1pm: float, length_m: float) -> np.ndarray:
@@ -115,7 +114,7 @@ def _is_free(arm: Arm, route: Route) -> bool:
     """Neither the arm nor the barrier across its mouth is in the way of any stretch of the route."""
     out = np.array([np.cos(arm.heading_rad), np.sin(arm.heading_rad)])
     half = route.lane_m + 0.25
-    along, across = np.meshgrid(half + np.arange(*BARRIER_M, 0.5), np.linspace(-half, half, 9))
+    along, across = np.meshgrid(half + np.linspace(*BARRIER_M, 4), np.linspace(-half, half, 9))
     barrier = arm.xy + along[..., None] * out + across[..., None] * [-out[1], out[0]]
     to_route = np.linalg.norm(barrier.reshape(-1, 1, 2) - route.xy, axis=-1)
     return arm_is_clear(arm, route.xy) and bool(to_route.min() > _BESIDE_M + 1.0)

@@ -3,7 +3,6 @@
 With town.replay it is built along the tracks of real drives, of which only oxts is needed.
 """
 
-import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -34,18 +33,18 @@ def main(
     splits = ingest.drives.splits()
     folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in splits}
     recorded = find_recorded(settings, list(splits))
+    frames = {drive: getattr(settings.frames, split) for drive, split in splits.items()}
+    frames |= {drive: min(frames[drive], len(raw.oxts)) for drive, raw in recorded.items()}
     run_over_drives(
         partial(render, splits=splits, settings=settings),
         list(splits),
         module="stages.town",
         out=out,
-        inputs=lambda drive: [splits[drive], *(recorded[drive].oxts_files if recorded else [])],
+        inputs=lambda drive: [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
         settings=settings.model_dump(),
         workers=workers,
         target=folders.__getitem__,
-        effort=lambda drive: min(
-            getattr(settings.frames, splits[drive]), len(recorded[drive].oxts) if recorded else sys.maxsize
-        ),
+        effort=frames.__getitem__,
         describe=describe,
     )
     rig = make_rig(settings.image_size)

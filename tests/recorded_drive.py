@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.kitti import RawDrive
-from pipeline.oxts import AF, VE, VF, VN, WU, YAW
+from pipeline.oxts import AF, VF, WU, YAW
 from pipeline.town.recording import make_recording
 
 DRIVE = "2011_09_26_drive_0007"
@@ -28,7 +28,6 @@ def drive_along(
     rows = np.zeros((len(time), 30))
     rows[:, :2], rows[:, 25:] = (49.0, 8.4), (4, 9, 4, 4, 4)
     rows[:, YAW], rows[:, VF], rows[:, WU] = np.arctan2(np.sin(yaw), np.cos(yaw)), speed_mps, speed_mps * curvature_1pm
-    rows[:, VE], rows[:, VN] = speed_mps * np.cos(yaw), speed_mps * np.sin(yaw)
     rows[:, AF] = np.gradient(speed_mps, DT_S)
     return rows, track
 

@@ -47,7 +47,7 @@ def write_drive(
     """
     rng = np.random.default_rng(_seed(seed, drive))
     recording = read_recording(recorded, frames) if recorded else None
-    journey = replay(recording, rng) if recording else draw_journey(rng, frames)
+    journey = replay(drive, recording, rng) if recording else draw_journey(rng, frames)
     route, motion = journey.route, journey.motion
     character = draw_character(rng)
     plan = draw_plan(route, rng, character.pavement_m, character.bays)

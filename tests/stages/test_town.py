@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -9,6 +10,7 @@ from pipeline import code
 from pipeline.errors import InputError
 from pipeline.kitti import find_drives
 from stages import town
+from tests.recorded_drive import drive_along, write_recorded
 
 DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_03_drive_0001"]
 
@@ -59,3 +61,67 @@ def test_bad_settings_are_named(tmp_path: Path, settings: dict[str, object]) -> 
     with pytest.raises(InputError, match=f"town.{next(iter(settings))}"):
         town.main(out=tmp_path / "town", params=params)
     assert not (tmp_path / "town").exists()
+
+
+def replay_params(path: Path, root: Path, drives: list[str], **frames: int) -> Path:
+    params = yaml.safe_load(write_params(path, replay=str(root)).read_text(encoding="utf-8"))
+    params["town"]["frames"] = {"train": 3, "val": 1, "test": 2} | frames
+    params["ingest"]["drives"] = {"train": drives[:-1], "val": [], "test": drives[-1:]}
+    path.write_text(yaml.safe_dump(params), encoding="utf-8")
+    return path
+
+
+def test_replayed_drives_are_the_recorded_ones_capped_by_split(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows, _ = drive_along(np.full(5, 6.0), np.full(5, 0.05))
+    recorded = {drive: write_recorded(tmp_path / "raw", rows, range(3, 8), drive) for drive in DRIVES}
+    params = replay_params(tmp_path / "params.yaml", tmp_path / "raw", DRIVES, train=9)
+    town.main(out=tmp_path / "town", params=params, workers=1)
+    rendered = find_drives(tmp_path / "town", DRIVES)
+    for drive, last in zip(DRIVES, (7, 7, 4), strict=True):
+        assert list(rendered[drive].images(2)) == list(rendered[drive].oxts) == list(range(3, last + 1))
+        for frame, path in rendered[drive].oxts.items():
+            assert path.read_bytes() == recorded[drive].oxts[frame].read_bytes()
+        assert rendered[drive].camera([2]) is not None
+    assert "drive_0001: 5 frames, 2.4 m" in capsys.readouterr().out
+
+
+def test_a_replay_that_was_stopped_goes_on_but_not_with_other_packets(tmp_path: Path) -> None:
+    out, raw = tmp_path / "town", tmp_path / "raw"
+    rows, _ = drive_along(np.full(4, 6.0), np.zeros(4))
+    first, second = (write_recorded(raw, rows, drive=drive) for drive in DRIVES[:2])
+    params = replay_params(tmp_path / "params.yaml", raw, DRIVES[:2])
+    sound = second.oxts[1].read_bytes()
+    second.oxts[1].write_bytes(sound[:50])
+    with pytest.raises(InputError, match=r"0000000001\.txt has \d+ of 30 oxts columns$"):
+        town.main(out=out, params=params, workers=1)
+    second.oxts[1].write_bytes(sound)
+    changed = first.oxts[2].read_bytes().replace(b"49 8.4 ", b"49 8.5 ")
+    first.oxts[2].write_bytes(changed)
+    town.main(out=out, params=params, workers=1)
+    assert find_drives(out, DRIVES[:1])[DRIVES[0]].oxts[2].read_bytes() == changed
+
+
+def test_what_a_replay_lacks_is_one_line(tmp_path: Path) -> None:
+    params = replay_params(tmp_path / "params.yaml", tmp_path / "raw", DRIVES[:2])
+    rows, _ = drive_along(np.full(2, 6.0), np.zeros(2))
+
+    def complaint() -> str:
+        with pytest.raises(InputError) as caught:
+            town.main(out=tmp_path / "town", params=params)
+        assert not (tmp_path / "town").exists()
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    assert complaint().endswith("raw is missing. Link it: ln -s /path/to/kitti " + str(tmp_path / "raw"))
+    (tmp_path / "raw").mkdir()
+    assert "holds no drives" in complaint()
+    write_recorded(tmp_path / "raw", rows, drive=DRIVES[0])
+    assert f"has no drive {DRIVES[1]}, named in ingest.drives" in complaint()
+    drive = write_recorded(tmp_path / "raw", rows, drive=DRIVES[1])
+    drive.oxts_times.rename(tmp_path / "timestamps.txt")
+    assert complaint().endswith("timestamps.txt is missing: extract the drive's oxts folder with its timestamps.txt")
+    for path in drive.oxts.values():
+        path.unlink()
+    assert "holds no packets" in complaint()

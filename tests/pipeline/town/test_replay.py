@@ -9,7 +9,7 @@ import pytest
 from pipeline import classes
 from pipeline.errors import InputError
 from pipeline.kitti import RawDrive, find_drives
-from pipeline.oxts import VE, VF, VN, WU, YAW, read_times
+from pipeline.oxts import VF, WU, YAW, read_times
 from pipeline.png import read_png
 from pipeline.steering import label
 from pipeline.town.drive import write_drive
@@ -29,7 +29,7 @@ SIZE = (96, 320)
 
 
 def journey_of(rows: np.ndarray, folder: Path, seed: int = 0) -> Journey:
-    return replay(read_recording(write_recorded(folder, rows), len(rows)), np.random.default_rng(seed))
+    return replay(DRIVE, read_recording(write_recorded(folder, rows), len(rows)), np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_the_road_bends_as_the_label_says(trip: Journey, block: Journey) -> None
     for journey, rows in ((trip, town_trip()[0]), (block, round_the_block()[0])):
         correlation, error = agreement(journey, rows)
         assert correlation > 0.99
-        assert error < 0.02
+        assert error < 0.01
 
 
 def test_the_car_is_where_it_was_and_on_its_road(trip: Journey) -> None:
@@ -80,7 +80,7 @@ def test_standing_and_rolling_back_leave_no_fold(trip: Journey) -> None:
 def test_noise_of_a_standing_car_does_not_bend_the_road(tmp_path: Path) -> None:
     speed = np.concatenate([np.linspace(6, 0, 30), np.zeros(100), np.linspace(0, 6, 30)])
     rows, _ = drive_along(speed, np.zeros(160))
-    rows[30:130, [VF, VE, VN]] += np.random.default_rng(0).normal(0, 0.05, (100, 3))
+    rows[30:130, [VF, YAW]] += np.random.default_rng(0).normal(0, [0.05, 0.001], (100, 2))
     journey = journey_of(rows, tmp_path)
     assert np.abs(journey.route.curvature_1pm).max() < 0.02
 
@@ -153,17 +153,10 @@ def test_cars_do_not_drive_through_the_ego(block: Journey) -> None:
     assert hidden > 0
 
 
-def test_a_track_that_contradicts_its_headings_is_refused(tmp_path: Path) -> None:
-    rows, _ = drive_along(np.full(60, 6.0), np.zeros(60))
-    rows[40:, YAW] += 0.8
-    with pytest.raises(InputError, match=r"^frame 4\d is .* degrees off the track .*ingest\.drives$"):
-        journey_of(rows, tmp_path)
-
-
 def test_reversing_onto_another_track_is_refused(tmp_path: Path) -> None:
     speed = np.concatenate([np.full(60, 6.0), np.full(60, -3.0)])
     rows, _ = drive_along(speed, np.where(speed < 0, 1 / 8, 0.0))
-    with pytest.raises(InputError, match="off the track"):
+    with pytest.raises(InputError, match=rf"^{DRIVE} turns round in several moves: at frame \d+ .*ingest\.drives$"):
         journey_of(rows, tmp_path)
 
 
@@ -218,7 +211,7 @@ def test_a_driver_sees_the_road_bend_as_he_steers(tmp_path: Path) -> None:
 @pytest.mark.real
 def test_real_tracks_make_roads_that_bend_as_their_labels(real_kitti: Path, tmp_path: Path) -> None:
     drives = ["2011_09_26_drive_0022", "2011_09_30_drive_0027", "2011_09_30_drive_0034", "2011_09_26_drive_0017"]
-    wanted = tuple(f"{drive[:10]}/{drive}_sync/oxts" for drive in [*drives, "2011_09_26_drive_0093"])
+    wanted = tuple(f"{drive[:10]}/{drive}_sync/oxts" for drive in drives)
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         members = [member for member in archive if member.name.removeprefix("./").startswith(wanted)]
         archive.extractall(tmp_path, members, filter="data")
@@ -228,10 +221,8 @@ def test_real_tracks_make_roads_that_bend_as_their_labels(real_kitti: Path, tmp_
 
     for drive in drives[:3]:
         taken = recording(drive)
-        correlation, error = agreement(replay(taken, np.random.default_rng(0)), taken.rows)
+        correlation, error = agreement(replay(drive, taken, np.random.default_rng(0)), taken.rows)
         assert correlation > 0.97
-        assert error < 0.05
-    standing = replay(recording(drives[3]), np.random.default_rng(0))
+        assert error < 0.025
+    standing = replay(drives[3], recording(drives[3]), np.random.default_rng(0))
     assert np.ptp(standing.motion.s_m) < 0.5
-    with pytest.raises(InputError, match="off the track"):  # velocities and headings contradict each other
-        replay(recording("2011_09_26_drive_0093"), np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""What one training step of each model costs at the paper's sizes: seconds, memory, bytes. docs/scale.md has a result."""
+"""What one training step of each model costs at the paper's sizes: seconds, memory, bytes. See docs/scale.md."""
 
 import contextlib
 import multiprocessing
@@ -12,17 +12,19 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import typer
 
 from benchmarks import town_frames
 from pipeline import console, frames, windows
+from pipeline.errors import InputError, closest
 from pipeline.params import load, load_entry, names
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
 
+T = TypeVar("T")
 READINGS = 3  # of a step's frames; the median counts
 
 
@@ -39,13 +41,18 @@ class Row:
     read_s: float  # a step's frames, from files that the system has in memory
     peak_bytes: int  # resident memory of the process, all included
     bare_bytes: int  # the same before there was a network or a frame
+    flop: float  # per frame, as benchmarks/work.py counts
+    moved_bytes: float  # per frame, likewise
+    operators: int  # per step
     disk_bytes: float  # per frame, in the graph file
     device: str
 
 
 def main(
     models: Annotated[list[str] | None, typer.Argument(metavar="MODEL", help="default: all of the params file")] = None,
-    params: Annotated[Path, typer.Option(help="models that are comments count too")] = Path("params.kitti.yaml"),
+    params: Annotated[
+        Path, typer.Option(exists=True, dir_okay=False, help="models that are comments count too")
+    ] = Path("params.kitti.yaml"),
     steps: Annotated[int, typer.Option(min=1, help="timed, after one that is not")] = 3,
 ) -> None:
     """Measure one training step of each model on generated frames, and print a Markdown table.
@@ -57,7 +64,10 @@ def main(
         folder = Path(scratch)
         settings = folder / "params.yaml"
         town_frames.write_params(params, settings, frames=1)
-        lines = {name: load_entry(Model, "models", name, settings) for name in models or names("models", settings)}
+        known = names("models", settings)
+        for name in set(models or []) - set(known):
+            raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
+        lines = {name: load_entry(Model, "models", name, settings) for name in models or known}
         longest = max(line.window for line in lines.values())
         town_frames.write_params(params, settings, frames=step_frames(longest, load(Train, settings)))
         _apart(town_frames.make, settings, folder, sorted({line.input for line in lines.values()}))
@@ -74,6 +84,7 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
     """Train model `name` of the params file for `steps` + 2 steps on the frames that town_frames made in `folder`."""
     import torch
 
+    from benchmarks import work
     from models import steering_net
     from pipeline import steering_fit
 
@@ -88,34 +99,47 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
         start = time.perf_counter()
         (batch,) = windows.batches([drive], [group], line.window)
         reading.append(time.perf_counter() - start)
-    frame = describe(batch)
-    sizes = len(group) * count, len(batch["windows"])
+    frame, total, predictions = describe(batch), len(group) * count, len(batch["windows"])
     del batch
 
     torch.manual_seed(0)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     net = steering_net.build(line.model_dump(), **frames.contents(drive.graphs)).to(device)
-    starts: list[float] = []
-
-    def forward(net: Any, batch: windows.Batch) -> torch.Tensor:
-        starts.append(time.perf_counter())
-        return steering_net.predict(net, batch)
-
     # An epoch cuts runs at random places. Ours are as long as a step's, and must stay whole.
     whole = section.model_copy(update={"epochs": 1, "run_windows": 1 << 40})
-    fit = steering_fit.Fit(net, forward, line.window, line.alpha, whole, seed=0)
-    fit.run([drive] * ((steps + 2) * section.batch_runs), [], folder / f"{name}.pt", {}, name)
+
+    def train(steps: int, probe: Callable[[], T]) -> list[T]:
+        """Train for `steps` steps; return what `probe` says as the forward pass of each begins."""
+        found = []
+
+        def forward(net: Any, batch: windows.Batch) -> torch.Tensor:
+            found.append(probe())
+            return steering_net.predict(net, batch)
+
+        fit = steering_fit.Fit(net, forward, line.window, line.alpha, whole, seed=0)
+        with tempfile.TemporaryDirectory() as kept:
+            fit.run([drive] * (steps * section.batch_runs), [], Path(kept) / "state.pt", {}, name)
+        return found
+
     # From one forward pass to the next: backward pass, clipping, update, average, and the next step's reading.
-    times = [after - before for before, after in pairwise(starts)]
+    times = [after - before for before, after in pairwise(train(steps + 2, time.perf_counter))]
+    peak_bytes = _peak_bytes()
+    with work.Counter() as counter:
+        before, after = train(2, lambda: counter.work)
+    flop, moved_bytes, operators = np.subtract(after, before)
     return Row(
         name,
         frame,
-        *sizes,
+        frames=total,
+        windows=predictions,
         parameters=steering_net.parameter_count(net),
         step_s=statistics.median(times[1:]),
         read_s=statistics.median(reading),
-        peak_bytes=_peak_bytes(),
+        peak_bytes=peak_bytes,
         bare_bytes=bare_bytes,
+        flop=flop / total,
+        moved_bytes=moved_bytes / total,
+        operators=int(operators),
         disk_bytes=drive.graphs.stat().st_size / len(drive.frame),
         device=f"{device.type}, {torch.get_num_threads()} threads",
     )
@@ -135,23 +159,36 @@ def describe(batch: windows.Batch) -> str:
 
 
 def table(rows: list[Row]) -> str:
-    """Return the rows as Markdown."""
-    head = [
-        *("model", "a frame", "frames a step", "windows a step", "parameters", "s a step", "ms a frame"),
-        *("of it reading", "peak MB", "MB a frame on disk"),
-    ]
-    body = [
-        [
-            *(row.model, row.frame, str(row.frames), str(row.windows), f"{row.parameters:,}", f"{row.step_s:.2f}"),
-            *(f"{1e3 * row.step_s / row.frames:.0f}", f"{1e3 * row.read_s / row.frames:.1f}"),
-            *(f"{row.peak_bytes / 1e6:,.0f}", f"{row.disk_bytes / 1e6:.2f}"),
-        ]
-        for row in rows
-    ]
+    """Return the rows as Markdown: what was measured, then what was counted."""
     bare = statistics.median(row.bare_bytes for row in rows) / 1e6
-    return "\n".join(
-        f"| {' | '.join(cells)} |" for cells in [head, ["---"] * 2 + ["--:"] * (len(head) - 2), *body]
-    ) + f"\n\n{rows[0].device}; a process with torch and nothing else: {bare:,.0f} MB"  # fmt: skip
+    measured = [
+        *("model", "a frame", "frames a step", "s a step", "ms a frame", "of it reading", "peak MB"),
+        *("MB a frame on disk",),
+    ]
+    counted = ["model", "parameters", "windows a step", "GFLOP a frame", "MB moved a frame", "operators a step"]
+    return "\n".join([
+        *_lines(measured, [
+            [
+                *(row.model, row.frame, str(row.frames), f"{row.step_s:.2f}", f"{1e3 * row.step_s / row.frames:.0f}"),
+                *(f"{1e3 * row.read_s / row.frames:.1f}", f"{row.peak_bytes / 1e6:,.0f}"),
+                f"{row.disk_bytes / 1e6:.2f}",
+            ]
+            for row in rows
+        ]),
+        f"\n{rows[0].device}; a process with torch and nothing else: {bare:,.0f} MB\n",
+        *_lines(counted, [
+            [
+                *(row.model, f"{row.parameters:,}", str(row.windows), f"{row.flop / 1e9:.2f}"),
+                *(f"{row.moved_bytes / 1e6:.0f}", f"{row.operators:,}"),
+            ]
+            for row in rows
+        ]),
+    ])  # fmt: skip
+
+
+def _lines(head: list[str], body: list[list[str]]) -> list[str]:
+    rule = ["---" if cell in ("model", "a frame") else "--:" for cell in head]
+    return [f"| {' | '.join(cells)} |" for cells in (head, rule, *body)]
 
 
 def _apart(function: Callable[..., Any], *arguments: Any) -> Any:

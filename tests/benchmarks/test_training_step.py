@@ -13,7 +13,7 @@ from pipeline.sections.models import Model
 from pipeline.sections.train import Train
 
 KITTI = Path(__file__).resolve().parents[2] / "params.kitti.yaml"
-PAPER = "sa-gnn-ncp do-gnn-ncp gnn-ncp gnn-lstm pointnet2-ncp pointnet2-lstm cnn-ncp".split()
+PAPER = ["sa-gnn-ncp", "do-gnn-ncp", "gnn-ncp", "gnn-lstm", "pointnet2-ncp", "pointnet2-lstm", "cnn-ncp"]
 FRAMES, WINDOWS = 18, 3  # 18 frames hold 3 windows of 16
 
 
@@ -68,8 +68,11 @@ def test_a_frame_is_described_by_what_is_in_it(folder: Path) -> None:
 
 
 def test_the_table_has_a_line_for_each_row() -> None:
-    row = training_step.Row("a", "43,000 points", 31, 24, 5_000, 6.2, 0.31, 2_000_000_000, 300_000_000, 5e5, "cpu")
+    row = training_step.Row(
+        "a", "43,000 points", 31, 24, 5_000, 6.2, 0.31, 2_000_000_000, 300_000_000, 1.5e9, 6e8, 4321, 5e5, "cpu"
+    )
     head, rule, *body = training_step.table([row, row]).splitlines()
     assert head.count("|") == rule.count("|") == body[0].count("|")
-    assert body[0] == body[1] == "| a | 43,000 points | 31 | 24 | 5,000 | 6.20 | 200 | 10.0 | 2,000 | 0.50 |"
-    assert body[-1] == "cpu; a process with torch and nothing else: 300 MB"
+    assert body[0] == body[1] == "| a | 43,000 points | 31 | 6.20 | 200 | 10.0 | 2,000 | 0.50 |"
+    assert body[3] == "cpu; a process with torch and nothing else: 300 MB"
+    assert body[-1] == body[-2] == "| a | 5,000 | 24 | 1.50 | 600 | 4,321 |"

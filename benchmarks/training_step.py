@@ -65,8 +65,9 @@ def main(
         settings = folder / "params.yaml"
         town_frames.write_params(params, settings, frames=1)
         known = names("models", settings)
-        for name in set(models or []) - set(known):
-            raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
+        for name in models or []:
+            if name not in known:
+                raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
         lines = {name: load_entry(Model, "models", name, settings) for name in models or known}
         longest = max(line.window for line in lines.values())
         town_frames.write_params(params, settings, frames=step_frames(longest, load(Train, settings)))

@@ -1,4 +1,4 @@
-# make demo · make test · make lint: each sets up what it needs (Debian, Python 3.11 or 3.12).
+# make demo · make table2 · make replay · make test · make lint: each sets up what it needs (Debian, Python 3.11 or 3.12).
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -7,13 +7,25 @@ BIN := $(VENV)/bin
 export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
 
-.PHONY: demo test lint format setup system
+.PHONY: demo table2 replay test lint format setup system
 
 demo: setup            ## the whole chain on the embedded sample, then its table
 	dvc repro
 	@# What params.kitti.yaml starts from: the sample's encoder, never one that real drives have changed.
 	@if grep -q '^  source: town' params.yaml; then mkdir -p weights && cp data/encoder/encoder.pt weights/sample.pt; fi
 	@cat data/report/table.md
+
+# table2: every model of the paper's tables, on the sample. replay: the sample along the recorded drives of data/raw.
+# The same chain with params.NAME.yaml, in a copy of the code under runs/NAME: params.yaml and data/ stay as they are.
+# What is there already, here or from an earlier run, comes from the one cache.
+table2 replay: setup
+	@mkdir -p runs/$@/data data/report
+	@rm -rf runs/$@/pipeline runs/$@/models runs/$@/stages
+	@cp -R pipeline models stages dvc.yaml runs/$@/ && cp params.$@.yaml runs/$@/params.yaml
+	@cp data/.gitignore runs/$@/data/ && ln -sfn ../../../data/raw runs/$@/data/raw
+	@cd runs/$@ && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
+	@for kind in md csv; do cp runs/$@/data/report/table.$$kind data/report/$@.$$kind; done
+	@cat data/report/$@.md
 
 test: setup            ## all tests, with coverage of pipeline/ and models/
 	pytest --cov --cov-report=term:skip-covered --cov-fail-under=90

@@ -31,7 +31,8 @@ class SteeringCNN(nn.Module):
             # "Same": a stride of 1 keeps the size, a stride of 2 halves it, rounded up.
             layers += [nn.Conv2d(channels, after, side, stride, padding=side // 2), nn.ReLU()]
             channels, height, width = after, -(-height // stride), -(-width // stride)
-        self.convolutions = nn.Sequential(*layers)
+        # Weights in the order in which images lie in memory: a seventh faster on a CPU.
+        self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.weight = nn.Parameter(torch.empty(maps, height * width, features // maps))
         self.bias = nn.Parameter(torch.zeros(maps, features // maps))
         nn.init.uniform_(self.weight, -((height * width) ** -0.5), (height * width) ** -0.5)  # as nn.Linear

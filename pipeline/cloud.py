@@ -59,6 +59,14 @@ def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(drive.encode()), frame])
 
 
+def cropped(xyz: np.ndarray, left_near_right_far_m: tuple[float, float, float, float] | None) -> np.ndarray:
+    """Return the indices of the points [P,3] whose x and z (camera frame) lie in the crop; all if there is none."""
+    if left_near_right_far_m is None:
+        return np.arange(len(xyz))
+    xz, bounds = xyz[:, [0, 2]], np.array(left_near_right_far_m)
+    return np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
+
+
 def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Return at most `limit` of the indices 0..count-1, drawn without replacement, ascending: Morton order survives."""
     if count <= limit:

@@ -47,6 +47,10 @@ class RawDrive:
     def oxts_times(self) -> Path:
         return self.folder / "oxts" / "timestamps.txt"
 
+    @property
+    def oxts_files(self) -> list[Path]:
+        return [*self.oxts.values(), self.oxts_times]
+
     def fingerprint(self, cameras: Sequence[int]) -> str:
         """Return a hash of the drive's names and sizes, and of the contents of its oxts and calibration.
 
@@ -56,7 +60,7 @@ class RawDrive:
         big = [self.scans, self.truth_depth, self.truth_cls, *(self.images(camera) for camera in cameras)]
         for path in (path for paths in big for path in paths.values()):
             digest.update(f"{path.relative_to(self.folder)} {path.stat().st_size}\n".encode())
-        small = [*self.oxts.values(), self.oxts_times, *sorted(self.calibration.glob("calib_*.txt"))]
+        small = [*self.oxts_files, *sorted(self.calibration.glob("calib_*.txt"))]
         for path in (path for path in small if path.is_file()):
             content = path.read_bytes()
             digest.update(f"{path.relative_to(self.calibration)} {len(content)}\n".encode() + content)

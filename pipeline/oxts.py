@@ -14,6 +14,8 @@ COLUMNS = (
 )  # fmt: skip
 # Speeds forward and to the left, m/s, parallel to the earth's surface; yaw rate about the upward axis, rad/s, left +.
 VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
+# Heading, rad, counter-clockwise from east; speeds to the north and to the east, m/s; forward acceleration, m/s².
+YAW, VN, VE, AF = (COLUMNS.index(name) for name in ("yaw", "vn", "ve", "af"))
 
 
 def read_row(path: Path) -> np.ndarray:

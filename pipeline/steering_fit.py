@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
 from pipeline import checkpoint, metrics, windows
+from pipeline.distributed import World
 from pipeline.errors import InputError
 from pipeline.schedule import warm_up_cosine
 from pipeline.sections.train import Train
@@ -58,10 +60,25 @@ class Fit:
     The average is what is validated and kept: single steps at a high learning rate jump about, their mean does not.
     """
 
-    def __init__(self, net: nn.Module, forward: Forward, window: int, alpha: float, settings: Train, seed: int) -> None:
-        """Letters as in the model's line: `window` frames per prediction, loss weights exp(`alpha` |Θ|)."""
+    def __init__(
+        self,
+        net: nn.Module,
+        forward: Forward,
+        window: int,
+        alpha: float,
+        settings: Train,
+        seed: int,
+        world: World = World(),
+    ) -> None:
+        """Letters as in the model's line: `window` frames per prediction, loss weights exp(`alpha` |Θ|).
+
+        The processes of a `world` share each step's runs; the result is that of one process, up to rounding.
+        """
         self.net, self.forward, self.window, self.alpha = net, forward, window, alpha
-        self.settings, self.seed = settings, seed
+        self.settings, self.seed, self.world = settings, seed, world
+        # What learns: the same network, but that its gradients are the mean over all processes.
+        self.learner: nn.Module = DistributedDataParallel(net, broadcast_buffers=False) if world.size > 1 else net
+        self.device = next(net.parameters()).device
         self.average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(settings.average))  # type: ignore[no-untyped-call]
         # Decay pulls matrices towards zero; an offset or a time constant has no reason to be small.
         matrices = [parameter for parameter in net.parameters() if parameter.ndim > 1]
@@ -87,10 +104,10 @@ class Fit:
         target, epochs = Target.of(train), self.settings.epochs
         if kept.is_file():
             self._load(checkpoint.read(kept, KIND, f"Delete {kept} to start again"))
-            print(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before", flush=True)
+            self._say(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before")
         if self.alpha:
             count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
-            print(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}", flush=True)
+            self._say(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}")
         started, done = time.perf_counter(), len(self.curve)
         while len(self.curve) < epochs and not out_of_patience(self.curve, self.settings.patience):
             epoch = len(self.curve) + 1
@@ -103,10 +120,15 @@ class Fit:
             better = best_epoch(self.curve) == epoch
             if better:
                 self.best = copy_of(self.average.module)
-            checkpoint.write(kept, {**about, **self._state(), "kind": KIND, "epoch": epoch})
+            if self.world.leads:
+                checkpoint.write(kept, {**about, **self._state(), "kind": KIND, "epoch": epoch})
             eta = (time.perf_counter() - started) / (epoch - done) * (epochs - epoch)
             nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (best)' if better else ''}" if val else ""
-            print(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go", flush=True)
+            self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go")
+
+    def _say(self, line: str) -> None:
+        if self.world.leads:
+            print(line, flush=True)
 
     def _train(self, drives: Sequence[windows.Drive], target: Target, epoch: int) -> tuple[float, float]:
         settings = self.settings
@@ -114,32 +136,43 @@ class Fit:
         rng = np.random.default_rng([self.seed, epoch])
         spans = windows.spans(drives, self.window, settings.run_windows, rng)
         groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
-        self.net.train()
-        losses, masses, rate = [], [], 0.0
-        steps = zip(groups, windows.batches(drives, groups, self.window), strict=True)
-        bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=not sys.stderr.isatty())
-        for step, (group, batch) in enumerate(bar):
+        # A process without a run of its own takes part with one that counts nothing.
+        shares = [self.world.share(len(group)) for group in groups]
+        own = [[group[run] for run in share or [0]] for group, share in zip(groups, shares, strict=True)]
+        self.learner.train()
+        total, rate = torch.zeros(2, dtype=torch.float64, device=self.device), 0.0  # sums of weight · error², weight
+        steps = zip(groups, shares, own, windows.batches(drives, own, self.window), strict=True)
+        hidden = not (self.world.leads and sys.stderr.isatty())
+        bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=hidden)
+        for step, (group, share, runs, batch) in enumerate(bar):
             rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(groups)) / settings.epochs, WARM_UP)
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
-            batch = augmented(batch, [span.stop - span.start for span in group], settings, rng)
-            predicted = self.forward(self.net, batch)
+            change = Change.draw(len(group), settings, rng)  # of all processes' runs
+            batch = change.of(share or [0]).apply(batch, [span.stop - span.start for span in runs])
+            with autocast(self.device, settings.precision):
+                predicted = self.forward(self.learner, batch)
             steering = torch.from_numpy(batch["steering_rad"]).to(predicted)
             weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(self.alpha * steering.abs())
-            loss = weighted_mse(predicted, (steering - target.mean_rad) / target.std_rad, weight)
+            weight = weight if share else torch.zeros_like(weight)
+            mass = self.world.sum(weight.sum())
+            error = weighted_error(predicted, (steering - target.mean_rad) / target.std_rad, weight)
             self.optimiser.zero_grad(set_to_none=True)
-            loss.backward()  # type: ignore[no-untyped-call]
+            # The learner averages over the processes; their errors add up.
+            (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(self.net.parameters(), settings.clip_norm)
             self.optimiser.step()
             self.average.update_parameters(self.net)
-            losses.append(loss.item())
-            masses.append(float(weight.sum()))
-        return float(np.average(losses, weights=masses)), rate
+            total += torch.stack([error.detach(), weight.sum()])
+        error_sum, weight_sum = self.world.sum(total).tolist()
+        return error_sum / weight_sum, rate
 
     def _validate(self, drives: Sequence[windows.Drive], target: Target) -> tuple[float, float]:
         if not drives:
             return math.nan, math.nan
-        found = np.concatenate(predict_drives(self.average.module, self.forward, drives, self.window, target))
+        found = np.concatenate(
+            predict_drives(self.average.module, self.forward, drives, self.window, target, self.world)
+        )
         steering = np.concatenate([drive.steering_rad for drive in drives])
         judged = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(found)
         result = metrics.scores(steering[judged], found[judged])
@@ -161,14 +194,39 @@ class Fit:
         self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
 
 
-def augmented(batch: windows.Batch, frames: Sequence[int], settings: Train, rng: np.random.Generator) -> windows.Batch:
-    """Mirror half of a batch's spans (`frames` long each), and make each one's world larger or smaller."""
-    if settings.mirror:
-        batch = windows.mirror(batch, np.repeat(rng.random(len(frames)) < 0.5, frames))
-    if settings.rescale > 1:
-        factor = settings.rescale ** rng.uniform(-1, 1, len(frames))
-        batch = windows.rescale(batch, np.repeat(factor, frames).astype(np.float32))
-    return batch
+@dataclass(frozen=True)
+class Change:
+    """What augmentation does to each of a step's runs [R]: whether it is mirrored, and how much larger its world is."""
+
+    mirrored: np.ndarray
+    factor: np.ndarray
+
+    @classmethod
+    def draw(cls, runs: int, settings: Train, rng: np.random.Generator) -> "Change":
+        mirrored = rng.random(runs) < 0.5 if settings.mirror else np.zeros(runs, bool)
+        factor = settings.rescale ** rng.uniform(-1, 1, runs) if settings.rescale > 1 else np.ones(runs)
+        return cls(mirrored, factor.astype(np.float32))
+
+    def of(self, runs: Sequence[int]) -> "Change":
+        return Change(self.mirrored[list(runs)], self.factor[list(runs)])
+
+    def apply(self, batch: windows.Batch, frames: Sequence[int]) -> windows.Batch:
+        """Change a batch whose runs are `frames` long each."""
+        batch = windows.mirror(batch, np.repeat(self.mirrored, frames))
+        return windows.rescale(batch, np.repeat(self.factor, frames))
+
+
+def autocast(device: torch.device, precision: str) -> torch.autocast:
+    """Return the context for a forward pass in `precision`, of section train: bfloat16 products, or as weights are."""
+    native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+    return torch.autocast(
+        device.type, torch.bfloat16, enabled=precision == "bfloat16" or (precision == "auto" and native)
+    )
+
+
+def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
+    """Return where the run of each seed is kept: the first one's files are the model's, others get a folder in it."""
+    return {seed: model / f"seed-{seed}" if position else model for position, seed in enumerate(seeds)}
 
 
 def best_epoch(curve: Sequence[Epoch]) -> int:
@@ -188,16 +246,28 @@ def copy_of(net: nn.Module) -> dict[str, Tensor]:
 
 
 def predict_drives(
-    net: nn.Module, forward: Forward, drives: Sequence[windows.Drive], window: int, target: Target
+    net: nn.Module,
+    forward: Forward,
+    drives: Sequence[windows.Drive],
+    window: int,
+    target: Target,
+    world: World = World(),
 ) -> list[np.ndarray]:
-    """Return the steering in rad that `net` predicts for each drive's frames, [G] each; NaN where no window ends."""
-    found = [np.full(len(drive.frame), np.nan) for drive in drives]
-    groups = [[span] for span in windows.spans(drives, window, EVALUATION_WINDOWS)]
+    """Return the steering in rad that `net` predicts for each drive's frames, [G] each; NaN where no window ends.
+
+    The processes of a `world` share the work, and all get the whole.
+    """
+    spans = windows.spans(drives, window, EVALUATION_WINDOWS)
+    own = [spans[index] for index in world.share(len(spans))]
+    predicted = []
     net.eval()
     with torch.inference_mode():
-        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
-            predicted = forward(net, batch).double().cpu().numpy()
-            found[span.drive][span.start + window - 1 : span.stop] = predicted * target.std_rad + target.mean_rad
+        for batch in windows.batches(drives, [[span] for span in own], window):
+            predicted.append(forward(net, batch).double().cpu().numpy() * target.std_rad + target.mean_rad)
+    found = [np.full(len(drive.frame), np.nan) for drive in drives]
+    for part in world.gather(list(zip(own, predicted, strict=True))):
+        for span, values in part:
+            found[span.drive][span.start + window - 1 : span.stop] = values
     return found
 
 
@@ -211,9 +281,9 @@ def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
     return float(weight.sum() ** 2 / (weight**2).sum())
 
 
-def weighted_mse(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
-    """Σ w (Θ̂ - Θ)² / Σ w over windows [W] (paper eq. 9); 0 if all weights are 0."""
-    return (weight * (predicted - wanted).square()).sum() / weight.sum().clamp_min(torch.finfo(weight.dtype).tiny)
+def weighted_error(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
+    """Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 once divided by Σ w."""
+    return (weight * (predicted - wanted).square()).sum()
 
 
 def ms_per_frame(net: nn.Module, encode: Forward, drives: Sequence[windows.Drive], window: int) -> float:

@@ -2,7 +2,7 @@
 
 import csv
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -12,6 +12,9 @@ from pipeline.errors import InputError
 from pipeline.params import SPLITS, load
 from pipeline.sections.evaluate import Evaluate
 from pipeline.sections.models import Model
+
+if TYPE_CHECKING:
+    from models.steering_net import SteeringNet
 
 COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid")
 
@@ -24,58 +27,99 @@ def main(
     out: Annotated[Path, typer.Option(help="the model gets a folder in it")] = Path("data/evaluate"),
     params: Path = Path("params.yaml"),
 ) -> None:
-    """Write metrics.json, predictions.csv and a plot of the test drives. Invalid frames have no say in any figure."""
+    """Write metrics.json, predictions.csv and a plot of the test drives; predictions of further seeds in folders.
+
+    Invalid frames have no say in any figure. Figures are means over the seeds.
+    """
+    from pipeline import steering_fit
+
+    section = load(Evaluate, params)
+    config = store.read_json(train / name / "config.json", stage=f"train@{name}")
+    line = Model.model_validate(config["model"])
+    variant = graphs / line.input
+    splits = store.read_index(variant, stage="graphs")
+    data = {split: windows.read_drives(variant, labels, store.of_split(splits, split), line.window) for split in SPLITS}
+    found = {
+        seed: _predict(name, folder, seed, line, variant, data)
+        for seed, folder in steering_fit.folders(train / name, config["seeds"]).items()
+    }
+
+    result: dict[str, Any] = {
+        "model": name,
+        "line": line.model_dump(),
+        "seeds": list(found),
+        "drives": {split: store.of_split(splits, split) for split in SPLITS},
+        "parameters": config["parameters"],
+        "encode_ms_per_frame": config["encode_ms_per_frame"],
+        **_sizes(data["test"]),
+    }
+    for split, drives in data.items():
+        of_seeds = [predicted[split] for predicted in found.values()]
+        result[split] = _judge(drives, of_seeds, section, config["target"]["mean_rad"]) if drives else None
+    store.write_json(out / name / "metrics.json", result)
+    for seed, folder in steering_fit.folders(out / name, config["seeds"]).items():
+        _write_predictions(folder / "predictions.csv", data["test"], found[seed]["test"])
+    test = result["test"]
+    title = f"{name}: nmse {test['nmse']:.3f}" + (f" (mean of {len(found)} seeds, one shown)" if len(found) > 1 else "")
+    plots.steering(out / name / "steering.png", data["test"], found[config["seeds"][0]]["test"], title)
+    spread = "" if test["nmse_std"] is None else f" ± {test['nmse_std']:.3f} over {len(found)} seeds"
+    low, high = test["nmse_ci95"]
+    print(
+        f"{name}: test nmse {test['nmse']:.3f}{spread} [{low:.3f}, {high:.3f}], "
+        f"mean error {test['mae_deg']:.2f} deg over {test['frames']} frames"
+    )
+
+
+def _predict(
+    name: str, folder: Path, seed: int, line: Model, variant: Path, data: dict[str, list[windows.Drive]]
+) -> dict[str, list[np.ndarray]]:
+    """Return for each split what the network of one seed predicts, [G] rad for each drive."""
     import torch
 
     from models import steering_net
     from pipeline import steering_fit
 
-    section = load(Evaluate, params)
     again = f"Train it again: dvc repro --force train@{name}"
-    config = store.read_json(train / name / "config.json", stage=f"train@{name}")
-    trained = checkpoint.read(train / name / "best.pt", steering_fit.KIND, again)
-    line, target = Model.model_validate(trained["model"]), steering_fit.Target(**trained["target"])
-    variant = graphs / line.input
-    splits = store.read_index(variant, stage="graphs")
+    trained = checkpoint.read(folder / "best.pt", steering_fit.KIND, again)
+    if (trained["name"], trained["model"], trained["seed"]) != (name, line.model_dump(), seed):
+        raise InputError(
+            f"{folder / 'best.pt'} is of model {trained['name']}, seed {trained['seed']}, and not what config.json "
+            f"beside it says. {again}"
+        )
+    net = _build(name, line, variant, again)
+    checkpoint.load_state(net, trained["net"], folder / "best.pt", again)
+    net.to("cuda" if torch.cuda.is_available() else "cpu")
+    target = steering_fit.Target(**trained["target"])
+    return {
+        split: steering_fit.predict_drives(net, steering_net.predict, drives, line.window, target)
+        for split, drives in data.items()
+    }
+
+
+def _build(name: str, line: Model, variant: Path, again: str) -> "SteeringNet":
+    from models import steering_net
+
+    first = next(iter(store.read_index(variant, stage="graphs")))
     try:
-        net = steering_net.build(line.model_dump(), **frames.contents(variant / f"{next(iter(splits))}.h5"))
+        return steering_net.build(line.model_dump(), **frames.contents(variant / f"{first}.h5"))
     except ValueError as error:
         raise InputError(f"models.{name}: {error}. {again}") from error
-    checkpoint.load_state(net, trained["net"], train / name / "best.pt", again)
-    net.to("cuda" if torch.cuda.is_available() else "cpu")
-
-    result: dict[str, Any] = {"model": name, "drives": {split: store.of_split(splits, split) for split in SPLITS}}
-    for split, drives in result["drives"].items():
-        data = windows.read_drives(variant, labels, drives, line.window)
-        found = steering_fit.predict_drives(net, steering_net.predict, data, line.window, target)
-        result_of_split = _judge(data, found, section, target.mean_rad) if data else None
-        result[split] = result_of_split
-    store.write_json(out / name / "metrics.json", result | {
-        "parameters": config["parameters"],
-        "encode_ms_per_frame": config["encode_ms_per_frame"],
-        "edges_per_frame": _edges_per_frame(data),
-    })  # fmt: skip
-    # `data` and `found` are those of the last split, test.
-    _write_predictions(out / name / "predictions.csv", data, found)
-    plots.steering(out / name / "steering.png", data, found, f"{name}: nmse {result['test']['nmse']:.3f}")
-    low, high = result["test"]["nmse_ci95"]
-    print(
-        f"{name}: test nmse {result['test']['nmse']:.3f} [{low:.3f}, {high:.3f}], "
-        f"mean error {result['test']['mae_deg']:.2f} deg over {result['test']['frames']} frames"
-    )
 
 
 def _judge(
-    drives: list[windows.Drive], predicted_rad: list[np.ndarray], section: Evaluate, train_mean_rad: float
+    drives: list[windows.Drive], predicted_rad: list[list[np.ndarray]], section: Evaluate, train_mean_rad: float
 ) -> dict[str, Any]:
-    """Return the figures of one split; frames that are invalid or too early for a whole window do not count."""
-    judged = [drive.valid & ~np.isnan(found) for drive, found in zip(drives, predicted_rad, strict=True)]
+    """Return the figures of one split, of predictions by seed and drive.
+
+    Frames that are invalid or too early for a whole window do not count.
+    """
+    judged = [drive.valid & ~np.isnan(found) for drive, found in zip(drives, predicted_rad[0], strict=True)]
 
     def column(of_drive: list[np.ndarray]) -> np.ndarray:
         return np.concatenate([values[rows] for values, rows in zip(of_drive, judged, strict=True)])
 
     steering = column([drive.steering_rad for drive in drives])
-    found = column(predicted_rad)
+    found = np.stack([column(of_seed) for of_seed in predicted_rad])  # [S,N]
     before = column([metrics.last_valid(drive.steering_rad, drive.valid) for drive in drives])
     number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])
     curvature = column([drive.curvature_1pm for drive in drives])
@@ -83,24 +127,29 @@ def _judge(
         steering, found, number, section.bootstrap_block_frames, section.bootstrap_samples, section.seed
     )
     return metrics.scores(steering, found) | {
+        "nmse_std": metrics.nmse_std(steering, found),
         "nmse_ci95": list(interval),
         "baselines": metrics.baselines(steering, before, train_mean_rad),
         "by_curvature": metrics.by_curvature(steering, found, curvature, section.curvature_bins_1pm),
     }
 
 
-def _edges_per_frame(drives: list[windows.Drive]) -> float | None:
-    """Return the mean number of kNN edges that pruning left, over the drives' frames; None if the input has none."""
-    kept = []
+def _sizes(drives: list[windows.Drive]) -> dict[str, float | None]:
+    """Return means over the drives' frames: points, kNN edges before and after pruning; None for what there is not."""
+    counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}
     for drive in drives:
         with store.DriveReader(drive.graphs, stage="graphs") as file:
-            if "edges_kept" not in file:
-                return None
-            kept.append(file["edges_kept"])
-    return float(np.concatenate(kept).mean())
+            if "ptr" in file:
+                counts["points"].append(np.diff(file["ptr"]))
+            for name in ("edges_knn", "edges_kept"):
+                if name in file:
+                    counts[name].append(file[name])
+    points, knn, kept = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
+    return {"points_per_frame": points, "edges_per_frame": kept, "edges_per_frame_unpruned": knn}
 
 
 def _write_predictions(path: Path, drives: list[windows.Drive], predicted_rad: list[np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)

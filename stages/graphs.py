@@ -58,9 +58,10 @@ def _points(drive: str, path: Path, source: Path, variant: Variant) -> drives.Su
         nodes = []
         for row, number in enumerate(points.frame):
             rng = cloud.frame_rng(variant.seed, drive, int(number))
-            chosen = cloud.sample(ptr[row + 1] - ptr[row], variant.points, rng)
-            xyz = points.rows("xyz", ptr[row], ptr[row + 1])[chosen]
-            cls = points.rows("cls", ptr[row], ptr[row + 1])[chosen]
+            xyz, cls = (points.rows(name, ptr[row], ptr[row + 1]) for name in ("xyz", "cls"))
+            inside = cloud.cropped(xyz, variant.crop_m)
+            chosen = inside[cloud.sample(len(inside), variant.points, rng)]
+            xyz, cls = xyz[chosen], cls[chosen]
             file.append("xyz", xyz)
             file.append("cls", cls)
             neighbourhood.append(xyz, cls, rng)

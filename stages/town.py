@@ -1,12 +1,17 @@
-"""The embedded sample: a procedural street world in KITTI raw's layout, so that everything runs without KITTI."""
+"""The embedded sample: a procedural street world in KITTI raw's layout, so that everything runs without KITTI.
 
-from collections.abc import Mapping
+With town.replay it is built along the tracks of real drives, of which only oxts is needed.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pipeline import console, figures
+from pipeline import console, figures, kitti
 from pipeline.drives import run_over_drives
+from pipeline.errors import InputError
 from pipeline.params import load
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.town import Town
@@ -28,22 +33,35 @@ def main(
         return
     splits = ingest.drives.splits()
     folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in splits}
+    recorded = find_recorded(settings, list(splits))
     run_over_drives(
         partial(render, splits=splits, settings=settings),
         list(splits),
         module="stages.town",
         out=out,
-        inputs=lambda drive: [splits[drive]],
+        inputs=lambda drive: [splits[drive], *(recorded[drive].oxts_files if recorded else [])],
         settings=settings.model_dump(),
         workers=workers,
         target=folders.__getitem__,
-        effort=lambda drive: getattr(settings.frames, splits[drive]),
+        effort=lambda drive: min(
+            getattr(settings.frames, splits[drive]), len(recorded[drive].oxts) if recorded else sys.maxsize
+        ),
         describe=describe,
     )
     rig = make_rig(settings.image_size)
     for date in sorted({folder.parent for folder in folders.values()}):
         write_calibration(rig, date)
     figures.write_rgb(out / "contact_sheet.png", figures.contact_sheet(read_views(list(folders.values()), count=7)))
+
+
+def find_recorded(settings: Town, drives: Sequence[str]) -> dict[str, kitti.RawDrive]:
+    """Return the real drives to drive along; none without town.replay."""
+    if settings.replay is None:
+        return {}
+    root = Path(settings.replay)
+    if not root.is_dir():
+        raise InputError(f"town.replay = {root} is missing. Link it: ln -s /path/to/kitti {root}")
+    return kitti.find_drives(root, drives)
 
 
 def render(drive: str, path: Path, splits: Mapping[str, str], settings: Town) -> dict[str, Any]:
@@ -55,6 +73,7 @@ def render(drive: str, path: Path, splits: Mapping[str, str], settings: Town) ->
         size=settings.image_size,
         scan_rays=settings.scan_rays,
         seed=settings.seed,
+        recorded=find_recorded(settings, [drive]).get(drive),
     )
 
 

@@ -1,8 +1,12 @@
-"""Train one model on its graph variant: data/train/<model>/{best.pt, last.pt, config.json, curve.csv}."""
+"""Train one model on its graph variant: data/train/<model>/{best.pt, last.pt, config.json, curve.csv}.
+
+On several GPUs, or machines: torchrun --nproc-per-node 2 -m stages.train MODEL.
+"""
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,6 +15,10 @@ from pipeline.errors import InputError
 from pipeline.params import SPLITS, load, load_entry
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
+
+if TYPE_CHECKING:
+    from models.steering_net import SteeringNet
+    from pipeline.steering_fit import Fit
 
 
 def main(
@@ -21,69 +29,79 @@ def main(
     params: Path = Path("params.yaml"),
 ) -> None:
     """Fit the model to the training drives, stop when the validation error no longer falls, keep the best epoch."""
+    import torch
+
+    from models import steering_net
+    from pipeline import distributed, steering_fit
+
     line, section = load_entry(Model, "models", name, params), load(Train, params)
+    section = section.model_copy(update={"learning_rate": line.learning_rate or section.learning_rate})
     variant = graphs / line.input
     splits = store.read_index(variant, stage="graphs")
     # The test drives are read too, only to find out now, not after training, that this model has no frame in them.
     train, val, _ = (
         windows.read_drives(variant, labels, store.of_split(splits, split), line.window) for split in SPLITS
     )
-    if not val:
-        print(f"{name}: no validation drives, so no early stopping: the last epoch counts as the best", flush=True)
+    files = [file for drive in train + val for file in (drive.graphs, drive.labels)]
     kept = out.parent / ".resume" / f"{out.name}-{name}"
-    for position, seed in enumerate(section.seeds):
-        # The first seed's files are the model's; further seeds tell how much its figures vary.
-        folder = out / name / (f"seed-{seed}" if position else "")
-        _train(name, line, section, seed, splits, train, val, folder, kept)
-    shutil.rmtree(kept)
+    with distributed.joined() as (world, device):
+        if world.size > section.batch_runs:
+            raise InputError(
+                f"{params}: train.batch_runs = {section.batch_runs}: the runs of a step cannot be spread over "
+                f"{world.size} processes: raise it, or start fewer"
+            )
+        if not val and world.leads:
+            print(f"{name}: no validation drives, so no early stopping: the last epoch counts as the best", flush=True)
+        for seed, folder in steering_fit.folders(out / name, section.seeds).items():
+            torch.manual_seed(seed)
+            net = _build(name, line, train[0].graphs).to(
+                device, torch.float64 if section.precision == "float64" else None
+            )
+            fit = steering_fit.Fit(net, steering_net.predict, line.window, line.alpha, section, seed, world)
+            settings = {"model": line.model_dump(), "train": section.model_dump(exclude={"seeds"}), "seed": seed}
+            about = {
+                "name": name,
+                "splits": splits,
+                "target": vars(steering_fit.Target.of(train)),
+                "revision": code.revision(),
+                **settings,
+            }
+            state = kept / f"{drives.resume_key('stages.train', settings | {'splits': splits}, files)}.pt"
+            fit.run(train, val, state, about, f"{name} seed {seed}")
+            if world.leads:
+                more = {
+                    "seeds": section.seeds,
+                    "effective_frames": steering_fit.effective_frames(train, line.alpha),
+                    "parameters": steering_net.parameter_count(net),
+                    # Measured here, so that stage evaluate has no clock in its files.
+                    "encode_ms_per_frame": steering_fit.ms_per_frame(
+                        net, steering_net.encode, val or train, line.window
+                    ),
+                }
+                _write(folder, fit, state, about, more)
+    if world.leads:
+        shutil.rmtree(kept)
 
 
-def _train(
-    name: str,
-    line: Model,
-    section: Train,
-    seed: int,
-    splits: dict[str, str],
-    train: list[windows.Drive],
-    val: list[windows.Drive],
-    folder: Path,
-    kept: Path,
-) -> None:
-    import torch
-
+def _build(name: str, line: Model, graphs: Path) -> "SteeringNet":
     from models import steering_net
-    from pipeline import steering_fit
 
-    torch.manual_seed(seed)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
-        net = steering_net.build(line.model_dump(), **frames.contents(train[0].graphs)).to(device)
+        return steering_net.build(line.model_dump(), **frames.contents(graphs))
     except ValueError as error:
         raise InputError(f"models.{name}: {error}") from error
-    fit = steering_fit.Fit(net, steering_net.predict, line.window, line.alpha, section, seed)
-    settings = {"model": line.model_dump(), "train": section.model_dump(exclude={"seeds"}), "seed": seed}
-    files = [drive.graphs for drive in train + val] + [drive.labels for drive in train + val]
-    state = kept / f"{drives.resume_key('stages.train', settings | {'splits': splits}, files)}.pt"
-    target = vars(steering_fit.Target.of(train))
-    about = {"name": name, "splits": splits, "target": target, "revision": code.revision(), **settings}
-    fit.run(train, val, state, about, f"{name} seed {seed}")
+
+
+def _write(folder: Path, fit: "Fit", state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
+    """Write a finished run's files; `state` is what its last epoch left."""
+    from pipeline import steering_fit
+
     best = steering_fit.best_epoch(fit.curve)
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(state, folder / "last.pt")
     checkpoint.write(folder / "best.pt", {**about, "kind": steering_fit.KIND, "epoch": best, "net": fit.best})
     steering_fit.write_curve(folder / "curve.csv", fit.curve)
-    store.write_json(
-        folder / "config.json",
-        about
-        | {
-            "best_epoch": best,
-            "epochs": len(fit.curve),
-            "effective_frames": steering_fit.effective_frames(train, line.alpha),
-            "parameters": steering_net.parameter_count(net),
-            # Measured here, so that stage evaluate has no clock in its files.
-            "encode_ms_per_frame": steering_fit.ms_per_frame(net, steering_net.encode, val or train, line.window),
-        },
-    )
+    store.write_json(folder / "config.json", {**about, "best_epoch": best, "epochs": len(fit.curve), **more})
 
 
 if __name__ == "__main__":

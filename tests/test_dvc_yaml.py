@@ -23,7 +23,7 @@ def test_one_name_four_places() -> None:
         for out in _outs(stage):
             # Which images there are, for variants without a cloud, is known once ingest has run.
             own = "ingest" if out == "data/clouds/none" else out.split("/")[1]
-            assert re.fullmatch(r"data/\w+(/\$\{key\}|/pseudo|/lidar|/none)?", out)
+            assert re.fullmatch(r"data/\w+(/\$\{key\}|/pseudo|/lidar|/none|/table\.(md|csv))?", out)
             assert own == name
 
 

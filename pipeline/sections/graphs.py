@@ -17,6 +17,10 @@ class Variant(Section):
     points: Count = 0  # 0, which nobody can give: not given
     k: Annotated[int, Field(ge=1, le=32)] = 0
     keep_inter_class: Fraction = 1.0
+    crop_m: Annotated[
+        tuple[float, float, float, float] | None,
+        Field(description="[left, near, right, far] in metres of the camera's x and z; points outside are left out"),
+    ] = None
     # Of each level of PointNet++, the reference's sizes (SSG). Its radii, 0.2 and 0.4, are for objects in a unit
     # sphere; a street is seen to some 40 m.
     centres: list[Count] = Field(default=[512, 128], min_length=1)
@@ -39,9 +43,10 @@ class Variant(Section):
     @model_validator(mode="after")
     def _says_what_it_needs_and_no_more(self) -> Self:
         sizes = {"centres", "radius_m", "neighbours"}
+        anyhow = {"cloud", "neighbourhood", "crop_m", "seed"}
         what, needed, possible = {
-            "graph": ("a kNN graph", {"points", "k"}, {"cloud", "neighbourhood", "keep_inter_class", "seed"}),
-            "pointnet2": ("neighbourhood: pointnet2", {"points"}, {"cloud", "neighbourhood", "seed"} | sizes),
+            "graph": ("a kNN graph", {"points", "k"}, anyhow | {"keep_inter_class"}),
+            "pointnet2": ("neighbourhood: pointnet2", {"points"}, anyhow | sizes),
             "image": ("a variant without a cloud", set(), {"cloud"}),
         }[self.kind]
         for key in sorted(needed - self.model_fields_set):
@@ -50,4 +55,6 @@ class Variant(Section):
             raise ValueError(f"{key} says nothing to {what}: leave it out")
         if len({len(self.centres), len(self.radius_m), len(self.neighbours)}) > 1:
             raise ValueError("centres, radius_m and neighbours must have one number for each level")
+        if self.crop_m and not (self.crop_m[0] < self.crop_m[2] and self.crop_m[1] < self.crop_m[3]):
+            raise ValueError("crop_m = [left, near, right, far] needs left < right and near < far")
         return self

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.params import Count, Fraction, Section, Seed
+from pipeline.params import Count, Fraction, Positive, Section, Seed
 
 
 class Wiring(Section):
@@ -27,6 +27,7 @@ class Model(Section):
     temporal: str
     cell: Annotated[str, Field(description="neuron of temporal ncp: ltc | eq4 (the paper's, as printed) | cfc")] = "ltc"
     window: Annotated[int, Field(ge=1, le=256, description="frames that a prediction sees")]
+    learning_rate: Annotated[Positive | None, Field(description="instead of train.learning_rate")] = None
     semantics: Fraction = 0.0
     alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
     layers: list[Count] = Field(default=[32, 32, 64], min_length=1, description="widths of the spatial network gnn")

@@ -8,7 +8,7 @@ from pipeline.params import Count, ImageSize, Section, Seed
 
 
 class Frames(Section):
-    """Frames per drive of each split."""
+    """Frames per drive of each split; of a replayed drive at most so many, its first ones."""
 
     train: Count
     val: Count
@@ -19,6 +19,7 @@ class Town(Section):
     key = "town"
     seed: Seed
     image_size: ImageSize
+    replay: Annotated[str, Field(min_length=1)] | None
     frames: Frames
     scan_rays: Annotated[tuple[Count, Count], Field(description="[rings, rays per ring] of the LiDAR")]
 

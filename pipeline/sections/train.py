@@ -1,6 +1,6 @@
 """Section ``train``: fitting a model."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
@@ -20,6 +20,7 @@ class Train(Section):
     mirror: bool
     rescale: Annotated[float, Field(ge=1, le=2)]
     average: Annotated[float, Field(ge=0, lt=1)]
+    precision: Literal["auto", "bfloat16", "float32", "float64"]
 
     @field_validator("seeds")
     @classmethod

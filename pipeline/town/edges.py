@@ -9,6 +9,8 @@ from pipeline.town.plan import CELL_M, KERB_M, Plan
 from pipeline.town.route import Route
 from pipeline.town.shapes import Mesh
 
+BARRIER_M = (2.0, 3.5)  # from the junction's edge to the barrier of a closed arm
+
 
 def kerbs(plan: Plan) -> Mesh:
     """Vertical faces along the roads' outlines."""
@@ -42,7 +44,7 @@ def barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
     for arm in route.arms:
         if not arm.closed:
             continue
-        middle = arm.xy + (half + rng.uniform(2.0, 3.5)) * unit(arm.heading_rad)
+        middle = arm.xy + (half + rng.uniform(*BARRIER_M)) * unit(arm.heading_rad)
         boards = np.arange(-half + 0.35, half, 0.7)
         for i, across in enumerate(boards):
             colour = (0.75, 0.08, 0.06) if i % 2 else (0.9, 0.9, 0.88)

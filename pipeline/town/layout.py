@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.png import read_png
+from pipeline.town.recording import Recording
 
 _PNG_LEVEL = 2  # a higher one saves little and costs more than rendering
 
@@ -27,24 +28,19 @@ class DriveFolder:
             path.mkdir(parents=True)
         self._root = folder
 
-    def put(
-        self, frame: int, rgb: np.ndarray, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray, oxts: np.ndarray
-    ) -> None:
-        """Write one frame: RGB uint8 [H,W,3], depth uint16 [H,W], classes uint8 [H,W], scan float32 [P,4], 30 oxts."""
+    def put(self, frame: int, rgb: np.ndarray, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray) -> None:
+        """Write a frame: RGB uint8 [H,W,3], depth uint16 [H,W], classes uint8 [H,W], scan float32 [P,4]."""
         name = f"{frame:010d}"
         for kind, image in (("image", rgb[..., ::-1]), ("depth", depth), ("cls", cls)):
             _write_png(self._folders[kind] / f"{name}.png", image)
         (self._folders["scan"] / f"{name}.bin").write_bytes(scan.astype("<f4").tobytes())
-        words = [f"{value:.13g}" for value in oxts[:25]] + [f"{value:.0f}" for value in oxts[25:]]
-        (self._folders["oxts"] / f"{name}.txt").write_text(" ".join(words) + "\n", encoding="ascii")
 
-    def put_timestamps(self, date: str, times_s: np.ndarray) -> None:
-        """Write timestamps.txt of all sensors, which fire together; `date` as 2026_01_01, seconds of that day."""
-        midnight = np.datetime64(date.replace("_", "-"), "ns")
-        stamps = midnight + np.rint(times_s * 1e9).astype("timedelta64[ns]")
-        text = "".join(f"{stamp}\n".replace("T", " ") for stamp in stamps)
+    def put_recording(self, recording: Recording) -> None:
+        """Write the oxts files, and timestamps.txt of all sensors, which fire together."""
+        for frame, packet in recording.packets.items():
+            (self._folders["oxts"] / f"{frame:010d}.txt").write_bytes(packet)
         for sensor in ("image_02", "velodyne_points", "oxts"):
-            (self._root / sensor / "timestamps.txt").write_text(text, encoding="ascii")
+            (self._root / sensor / "timestamps.txt").write_bytes(recording.timestamps)
 
 
 def _write_png(path: Path, image: np.ndarray) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from pipeline.town.meetings import Meetings, find_meetings
 from pipeline.town.route import STEP_M, Route
 
 CELL_M = 0.1
@@ -50,7 +51,8 @@ def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_cha
     every = slice(None, None, round(0.5 / STEP_M))
     s = route.s_m[every]
 
-    bays = {side: _bay_width(route, rng, bay_chance) for side in (1, -1)}
+    meetings = find_meetings(route)
+    bays = {side: _bay_width(route, meetings, rng, bay_chance) for side in (1, -1)}
     left = route.at(s, route.left_m + bays[1][every])[0]
     right = route.at(s, route.right_m - bays[-1][every])[0]
     _paint_band(road, left, right, origin, 1)
@@ -69,6 +71,7 @@ def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_cha
     for sign, edge in ((1, route.left_m), (-1, route.right_m)):
         _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][every])[0], origin, BAY)
     clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
+    clear &= ~meetings.junction[every] & (meetings.earlier_m[every] > 6)  # a street driven again has its markings
     for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
         _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
     if rng.random() < 0.5:
@@ -80,7 +83,7 @@ def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_cha
     return Plan(kind, to_road, origin, bays)
 
 
-def _bay_width(route: Route, rng: np.random.Generator, chance: float) -> np.ndarray:
+def _bay_width(route: Route, meetings: Meetings, rng: np.random.Generator, chance: float) -> np.ndarray:
     """Parking bays come in stretches, and never in sharp bends or at junctions."""
     width = np.zeros(len(route.s_m))
     if rng.random() < chance:
@@ -92,6 +95,7 @@ def _bay_width(route: Route, rng: np.random.Generator, chance: float) -> np.ndar
     blocked = np.abs(route.curvature_1pm) > 0.055
     for junction in route.junctions_m:
         blocked |= np.abs(route.s_m - junction) < 13
+    blocked |= meetings.other_m < 14
     reach = round(2 / STEP_M)
     blocked = np.convolve(blocked, np.ones(2 * reach + 1), "same") > 0
     width[blocked] = 0

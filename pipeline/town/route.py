@@ -114,7 +114,8 @@ def _draw(rng: np.random.Generator, length_m: float) -> Route:
     junctions, arms = [], []
     for kind, start, end in turns:
         if kind in ("turn", "crossing"):
-            found = _arms(kind, route, start - BEHIND_M, end - BEHIND_M, rng)
+            draw = turn_arms if kind == "turn" else _crossing_arms
+            found = draw(route, start - BEHIND_M, end - BEHIND_M, rng)
             arms += found
             if found:
                 junctions.append((start + end) / 2 - BEHIND_M)
@@ -131,16 +132,21 @@ def _manoeuvre(kind: str, side: int, rng: np.random.Generator) -> list[Piece]:
     return [(rng.uniform(16, 22), 0.0, 0.0)]
 
 
-def _arms(kind: str, route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
+def _crossing_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
+    first, heading_in = route.at(start, route.centre_m)
+    last, _ = route.at(end, route.centre_m)
+    length = rng.uniform(28, 45)
+    square = heading_in + np.pi / 2 + np.deg2rad(rng.uniform(-10, 10))
+    sides = [[0.0], [np.pi], [0.0, np.pi]][rng.integers(3)]
+    return [Arm((first + last) / 2, float(square + turn), False, length) for turn in sides]
+
+
+def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
+    """Draw which of the ways that the ego does not take exist where it turns from s `start` to `end`: closed ones."""
     first, heading_in = route.at(start, route.centre_m)
     last, heading_out = route.at(end, route.centre_m)
     length = rng.uniform(28, 45)
-    if kind == "crossing":
-        middle = (first + last) / 2
-        square = heading_in + np.pi / 2 + np.deg2rad(rng.uniform(-10, 10))
-        sides = [[0.0], [np.pi], [0.0, np.pi]][rng.integers(3)]
-        return [Arm(middle, float(square + turn), False, length) for turn in sides]
-    # Turning: the roads' middle lines meet at the junction; every way but the driven one is closed or absent.
+    # The roads' middle lines meet at the junction; every way but the driven one is closed or absent.
     into = np.array([np.cos(heading_in), np.sin(heading_in)])
     out = np.array([np.cos(heading_out), np.sin(heading_out)])
     along = np.linalg.solve(np.stack([into, -out], axis=1), last - first)[0]
@@ -148,6 +154,13 @@ def _arms(kind: str, route: Route, start: float, end: float, rng: np.random.Gene
     which = rng.integers(4)  # a plain corner | a T, coming from its stem | straight on closed | both
     arms = [float(heading_out + np.pi)] * (which in (1, 3)) + [float(heading_in)] * (which in (2, 3))
     return [Arm(middle, heading, True, length) for heading in arms]
+
+
+def arm_is_clear(arm: Arm, xy: np.ndarray) -> bool:
+    """No point of the path xy [N,2] comes close to the arm beyond its mouth."""
+    along = np.arange(14, arm.length_m)[:, None]
+    points = arm.xy + along * [np.cos(arm.heading_rad), np.sin(arm.heading_rad)]
+    return not (np.linalg.norm(points[:, None] - xy[None], axis=-1) < 8).any()
 
 
 def _turns_both_ways(route: Route, length_m: float) -> bool:
@@ -163,9 +176,4 @@ def _clear_of_itself(route: Route, room_m: float = 32.0) -> bool:
     far = np.abs(s[:, None] - s[None]) > 60
     if (np.linalg.norm(xy[:, None] - xy[None], axis=-1)[far] < room_m).any():
         return False
-    for arm in route.arms:
-        along = np.arange(14, arm.length_m)[:, None]
-        points = arm.xy + along * [np.cos(arm.heading_rad), np.sin(arm.heading_rad)]
-        if (np.linalg.norm(points[:, None] - xy[None], axis=-1) < 8).any():
-            return False
-    return True
+    return all(arm_is_clear(arm, xy) for arm in route.arms)

@@ -130,8 +130,11 @@ def _parked_cars(route: Route, plan: Plan, character: Character, rng: np.random.
         while s < route.s_m[-1] - 3:
             room = np.interp([s - 2.6, s, s + 2.6], route.s_m, plan.bays[side]).min()
             if room > 2.0 and rng.random() < character.parked:
-                xy, heading = route.at(s, edge + side * (1.0 + rng.uniform(-0.1, 0.1)))
-                parts.append(shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0)))
+                offset = edge + side * (1.0 + rng.uniform(-0.1, 0.1))
+                xy, heading = route.at(s, offset)
+                car = shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0))
+                if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset) - 0.2:  # on no other stretch of road
+                    parts.append(car)
             s += 5.6 + rng.uniform(0, 0.8)
     return parts
 

@@ -5,9 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.town import shapes
+from pipeline.town.journey import Journey
 from pipeline.town.motion import Motion
-from pipeline.town.route import Route
+from pipeline.town.route import IMU_LEFT_M, Route
 from pipeline.town.shapes import Mesh
+
+SIGHT_M = 100.0  # farther cars are not drawn
+_ROOM_M = (4.5, 2.4)  # between the middles of two cars, along and across
+_AXLE_TO_MIDDLE_M = 1.3  # the IMU sits over the rear axle
 
 
 @dataclass(frozen=True)
@@ -43,3 +48,18 @@ def draw_traffic(route: Route, motion: Motion, rng: np.random.Generator) -> list
         xy, heading = route.at(np.where(np.isnan(lead_s), beyond, lead_s) + 6.0, route.centre_m - route.lane_m / 2)
         vehicles.append(Vehicle(shapes.car(rng), xy, heading))
     return vehicles
+
+
+def shown(vehicle: Vehicle, journey: Journey) -> np.ndarray:
+    """Return bool [F]: the vehicle is in sight.
+
+    Where a road leads back to itself, lanes of one stretch are crossed by another's: an encounter, from coming into
+    sight to going out of it, in which the vehicle and the ego would touch does not take place.
+    """
+    to = vehicle.xy - journey.xy
+    near = np.linalg.norm(to, axis=1) < SIGHT_M
+    c, s = np.cos(journey.heading_rad), np.sin(journey.heading_rad)
+    along, across = to[:, 0] * c + to[:, 1] * s - _AXLE_TO_MIDDLE_M, to[:, 1] * c - to[:, 0] * s + IMU_LEFT_M
+    touches = (np.abs(along) < _ROOM_M[0]) & (np.abs(across) < _ROOM_M[1])
+    encounter = np.cumsum(np.diff(near, prepend=False)) * near  # numbered; 0: out of sight
+    return near & ~np.isin(encounter, encounter[touches & near])

@@ -31,6 +31,24 @@ def test_interval_covers_the_truth_about_as_often_as_it_says() -> None:
     assert 48 <= hits <= 60
 
 
+def test_scores_of_seeds_are_means_and_the_interval_is_that_of_the_mean_error() -> None:
+    rng = np.random.default_rng(0)
+    steering, drive = rng.normal(size=400), np.repeat([0, 1], 200)
+    seeds = steering + rng.normal(size=(3, 400)) * np.array([[0.3], [0.5], [0.7]])
+    alone = [metrics.scores(steering, of_seed) for of_seed in seeds]
+    both = metrics.scores(steering, seeds)
+    assert both["frames"] == 400
+    for key in ("mse_rad2", "nmse", "mae_deg"):
+        assert both[key] == pytest.approx(np.mean([scores[key] for scores in alone]))
+    assert metrics.nmse_std(steering, seeds) == pytest.approx(np.std([scores["nmse"] for scores in alone], ddof=1))
+    assert metrics.nmse_std(steering, seeds[:1]) is None
+    # An error whose square is the seeds' mean square, frame by frame, has the same interval.
+    typical = steering + np.sqrt(((seeds - steering) ** 2).mean(axis=0))
+    assert metrics.nmse_interval(steering, seeds, drive, 50, 300, 0) == pytest.approx(
+        metrics.nmse_interval(steering, typical, drive, 50, 300, 0)
+    )
+
+
 def test_interval_draws_blocks_within_drives_only() -> None:
     steering = np.concatenate([np.full(20, 0.1), np.full(20, 0.3)])
     predicted = np.concatenate([np.zeros(20), np.full(20, 0.3)])
@@ -39,6 +57,15 @@ def test_interval_draws_blocks_within_drives_only() -> None:
     # Two blocks are drawn, each a whole drive: error ratios 1, 0.1 (one of each) and 0.
     assert (low, high) == (0.0, 1.0)
     assert metrics.nmse_interval(steering, predicted, drive, block=500, samples=500, seed=0) == (low, high)
+
+
+def test_bins_show_what_driving_straight_on_would_score() -> None:
+    steering, curvature = np.array([0.0, 0.01, 0.2, -0.3]), np.array([0.0, 0.001, 0.07, -0.1])
+    straight, slight, sharp = metrics.by_curvature(steering, np.full(4, 0.01), curvature, [0.005, 0.03])
+    assert [row["frames"] for row in (straight, slight, sharp)] == [2, 0, 2]
+    assert "zero" not in slight
+    assert sharp["zero"]["mse_rad2"] == pytest.approx((0.04 + 0.09) / 2)
+    assert straight["mse_rad2"] == pytest.approx(0.0001 / 2)
 
 
 def test_a_short_drive_does_not_shorten_the_blocks_of_a_long_one() -> None:

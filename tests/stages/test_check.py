@@ -5,17 +5,19 @@ import pytest
 import yaml
 
 from pipeline.errors import InputError
+from pipeline.tables import PAPER
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
+OTHERS = ["params.kitti.yaml", "params.table2.yaml", "params.replay.yaml", "tests/params.real.yaml"]
 
 
-@pytest.mark.parametrize("name", ["params.yaml", "params.kitti.yaml", "tests/params.real.yaml"])
+@pytest.mark.parametrize("name", ["params.yaml", *OTHERS])
 def test_the_projects_own_files_are_right(name: str) -> None:
     check.main(ROOT / name)
 
 
-@pytest.mark.parametrize("name", ["params.kitti.yaml", "tests/params.real.yaml"])
+@pytest.mark.parametrize("name", OTHERS)
 def test_the_other_files_have_every_key(name: str) -> None:
     """A copy over params.yaml must not lose a knob."""
     own, other = (yaml.safe_load((ROOT / path).read_text()) for path in ("params.yaml", name))
@@ -23,6 +25,12 @@ def test_the_other_files_have_every_key(name: str) -> None:
     for section in own:
         if section not in ("graphs", "models"):
             assert list(own[section]) == list(other[section])
+
+
+def test_table2_shares_the_samples_artefacts() -> None:
+    own, table2 = (yaml.safe_load((ROOT / path).read_text()) for path in ("params.yaml", "params.table2.yaml"))
+    assert {key for key in own if own[key] != table2[key]} == {"models", "train"}
+    assert {**PAPER, "sa-gnn-ncp-unpruned": None}.keys() == table2["models"].keys()
 
 
 @pytest.mark.parametrize(
@@ -39,6 +47,8 @@ def test_the_other_files_have_every_key(name: str) -> None:
         ("models.sa-gnn-ncp.input", "lidar-pointnet2", "gnn eats kNN graphs"),
         ("models.sa-gnn-ncp.spatial", "cnn", "cnn eats images (a variant with cloud: none), and input: semantic holds"),
         ("models.sa-gnn-ncp.spatial", "pointnet2", "pointnet2 eats points with neighbourhood: pointnet2"),
+        ("graphs.lidar.crop_m", [9, 0, -9, 40], "needs left < right and near < far"),
+        ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m says nothing to a variant without a cloud"),
         ("graphs.semantic.kk", 2, "unknown key graphs.semantic.kk"),
         ("encoder.backbone", "smal", "encoder.backbone = 'smal'"),
         ("train.epochs", "many", "train.epochs = 'many'"),

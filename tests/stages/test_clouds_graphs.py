@@ -132,6 +132,29 @@ def test_graphs_hold_what_the_variant_says(data: Path, tmp_path: Path) -> None:
     assert (read["semantic"]["edges_kept"] < read["depth"]["edges_kept"]).all()
 
 
+def test_a_crop_keeps_what_lies_in_it(data: Path, tmp_path: Path) -> None:
+    crop = [-6.0, 4.0, 5.0, 12.0]
+    whole = {"cloud": "lidar", "points": 10**6, "k": 6}
+    params = _params(tmp_path / "params.yaml", graphs={"whole": whole, "near": {**whole, "crop_m": crop}})
+    xyz, ptr = {}, {}
+    for name in ("whole", "near"):
+        with store.DriveReader(_graphs(data, tmp_path, name, params) / f"{FULL}.h5", stage="graphs") as file:
+            xyz[name], ptr[name] = file["xyz"], file["ptr"]
+    x, _, z = xyz["whole"].T
+    inside = (crop[0] <= x) & (x <= crop[2]) & (crop[1] <= z) & (z <= crop[3])
+    assert 0 < inside.sum() < len(x)
+    np.testing.assert_array_equal(xyz["near"], xyz["whole"][inside])
+    assert ptr["near"].tolist() == [0, *np.cumsum(inside)[ptr["whole"][1:] - 1]]
+
+
+def test_a_crop_without_a_point_gives_an_empty_frame(data: Path, tmp_path: Path) -> None:
+    nowhere = {"cloud": "lidar", "points": 100, "k": 6, "crop_m": [900, 900, 901, 901]}
+    params = _params(tmp_path / "params.yaml", graphs={"nowhere": nowhere})
+    with store.DriveReader(_graphs(data, tmp_path, "nowhere", params) / f"{FULL}.h5", stage="graphs") as file:
+        assert not file["ptr"].any()
+        assert len(file["ptr"]) == len(file.frame) + 1 > 1
+
+
 SETS = {
     "cloud": "pseudo", "points": 300, "neighbourhood": "pointnet2", "centres": [20, 6], "radius_m": [4, 9],
     "neighbours": [8, 5],

@@ -1,6 +1,11 @@
+import csv
 import json
+import re
 import shutil
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +13,7 @@ import pytest
 import torch
 import yaml
 
-from pipeline import steering_fit, store
+from pipeline import distributed, steering_fit, store, windows
 from pipeline.errors import InputError
 from stages import evaluate, report, train
 from tests import artefacts
@@ -131,11 +136,74 @@ def test_without_validation_drives_the_last_epoch_counts(folder: Path, capsys: p
     assert result["val"] is None
 
 
-def test_further_seeds_stand_beside_the_first(folder: Path) -> None:
-    write_params(folder, seeds=[0, 7], epochs=1)
+def test_figures_are_means_over_seeds(folder: Path) -> None:
+    write_params(folder, seeds=[0, 7], epochs=2)
     made = run_train(folder)
     first, second = (torch.load(made / path, weights_only=True)["net"] for path in ("best.pt", "seed-7/best.pt"))
     assert any(not torch.equal(first[name], second[name]) for name in first)
+    judged = run_evaluate(folder)
+    both = json.loads((judged / "metrics.json").read_text())["test"]
+    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+    assert "Means over 2 seeds" in (folder / "report/table.md").read_text()
+
+    alone = []
+    for seed in (0, 7):
+        write_params(folder, seeds=[seed], epochs=2)
+        run_train(folder)
+        alone.append(json.loads((run_evaluate(folder) / "metrics.json").read_text())["test"])
+        own = judged / ("predictions.csv" if seed == 0 else "seed-7/predictions.csv")
+        assert own.exists()
+    for key in ("mse_rad2", "nmse", "mae_deg"):
+        assert both[key] == pytest.approx((alone[0][key] + alone[1][key]) / 2)
+    assert both["nmse_std"] == pytest.approx(abs(alone[0]["nmse"] - alone[1]["nmse"]) / np.sqrt(2))
+    assert alone[0]["nmse_std"] is None
+
+
+def test_two_processes_train_as_one(folder: Path) -> None:
+    """torchrun's processes share each step's runs: in float64 the losses are those of one process, to rounding."""
+    epochs, seed = 4, 0
+    write_params(folder, precision="float64", epochs=epochs, run_windows=24, batch_runs=2)
+    arguments = [f"--{key}={folder / key}" for key in ("graphs", "labels")] + [f"--params={folder / 'params.yaml'}"]
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    command = [*torchrun, "-m", "stages.train", "net", *arguments, f"--out={folder / 'two'}"]
+    done = subprocess.run(command, cwd=PARAMS.parent, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("epoch 1/4") == 1  # one of them speaks
+    alone = torch.load(run_train(folder) / "last.pt", weights_only=True)
+    two = torch.load(folder / "two/net/last.pt", weights_only=True)
+    assert two["net"]["spatial.layers.0.weight"].dtype == torch.float64
+    for of_two, of_one in zip(two["curve"], alone["curve"], strict=True):
+        assert of_two["train_loss"] == pytest.approx(of_one["train_loss"], rel=1e-9)
+        assert of_two["val_mse_rad2"] == pytest.approx(of_one["val_mse_rad2"], rel=1e-9)
+    for name, tensor in alone["net"].items():
+        torch.testing.assert_close(two["net"][name], tensor, rtol=1e-7, atol=1e-9)
+    assert not (folder / ".resume" / "two-net").exists()
+    # Some steps had one run only: a process without a run took part, and did not count.
+    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", store.of_split(SPLITS, "train"), 4)
+    spans = [len(windows.spans(drives, 4, 24, np.random.default_rng([seed, epoch]))) for epoch in range(1, epochs + 1)]
+    assert any(count % 2 for count in spans)
+
+
+def test_more_processes_than_runs_in_a_step_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def three() -> Iterator[tuple[distributed.World, torch.device]]:
+        yield distributed.World(1, 3), torch.device("cpu")
+
+    monkeypatch.setattr(distributed, "joined", three)
+    with pytest.raises(InputError, match=r"train.batch_runs = 2: .* cannot be spread over 3 processes"):
+        run_train(folder)
+    assert not (folder / "train").exists()
+
+
+def test_bfloat16_products_train_nearly_the_same(folder: Path) -> None:
+    losses = {}
+    for precision in ("float32", "bfloat16"):
+        write_params(folder, precision=precision)
+        whole = torch.load(run_train(folder) / "last.pt", weights_only=True)
+        losses[precision] = [row["train_loss"] for row in whole["curve"]]
+        assert all(tensor.dtype in (torch.float32, torch.int64) for tensor in whole["net"].values())
+    assert losses["bfloat16"] != losses["float32"]
+    assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.05)
 
 
 @pytest.mark.parametrize("line", [{"spatial": "edgeconv", "cell": "eq4"}, {"spatial": "gatv2", "cell": "cfc"}], ids=str)
@@ -224,7 +292,24 @@ def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
     content = torch.load(made / "best.pt", weights_only=True)
     content["model"]["features"] = 9
     torch.save(content, made / "best.pt")
+    with pytest.raises(InputError, match=r"best\.pt is of model net, seed 0, and not what .* --force train@net"):
+        run_evaluate(folder)
+    config = json.loads((made / "config.json").read_text())
+    config["model"]["features"] = 9
+    (made / "config.json").write_text(json.dumps(config))
     with pytest.raises(InputError, match=r"best\.pt does not fit .* dvc repro --force train@net"):
+        run_evaluate(folder)
+    assert not (folder / "evaluate").exists()
+
+
+def test_a_checkpoint_of_another_model_is_refused(folder: Path) -> None:
+    made = run_train(folder)
+    content = torch.load(made / "best.pt", weights_only=True)
+    torch.save(content | {"name": "other"}, made / "best.pt")
+    with pytest.raises(InputError, match=r"best\.pt is of model other, seed 0, .*Train it again"):
+        run_evaluate(folder)
+    (made / "best.pt").write_bytes((made / "last.pt").read_bytes()[:-100])
+    with pytest.raises(InputError, match=r"best\.pt is cut short.* dvc repro --force train@net"):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()
 
@@ -240,7 +325,13 @@ def test_evaluate_and_report_are_byte_identical_when_run_twice(folder: Path) -> 
 
     first = made()
     assert first == made()
-    assert {Path(name).name for name in first} >= {"metrics.json", "predictions.csv", "steering.png", "table.md"}
+    assert {Path(name).name for name in first} >= {
+        "metrics.json",
+        "predictions.csv",
+        "steering.png",
+        "table.md",
+        "table.csv",
+    }
 
 
 def test_predictions_csv_covers_every_frame(folder: Path) -> None:
@@ -265,4 +356,9 @@ def test_report_names_models_that_are_not_here(folder: Path) -> None:
     text = (folder / "report" / "table.md").read_text()
     assert "| net | " in text
     assert "other is not evaluated on this machine: dvc pull evaluate@other" in text
-    assert text.count("| *zero* | 1.000 |") == 1
+    assert len(re.findall(r"\| \*zero\* \|.*\| 1\.000 \|", text)) == 1
+    with (folder / "report" / "table.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["model"] for row in rows] == ["net", "zero", "train_mean", "persistence"]
+    assert float(rows[0]["test_nmse_low"]) <= float(rows[0]["test_nmse_high"])
+    assert rows[1]["test_nmse"] == "1.0"

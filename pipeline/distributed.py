@@ -1,0 +1,60 @@
+"""The processes that share one training run, as `torchrun` starts them."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+import torch
+from torch import Tensor, distributed
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class World:
+    """This process's number among `size` of them; alone by default."""
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process is the one that prints and writes."""
+        return self.rank == 0
+
+    def share(self, count: int) -> list[int]:
+        """Return which of `count` things are this process's; none if there are too few."""
+        return list(range(self.rank, count, self.size))
+
+    def sum(self, tensor: Tensor) -> Tensor:
+        """Add up the processes' tensors, in place."""
+        if self.size > 1:
+            distributed.all_reduce(tensor)
+        return tensor
+
+    def gather(self, part: T) -> list[T]:
+        """Return the processes' parts in the order of their numbers."""
+        if self.size == 1:
+            return [part]
+        parts: list[T] = [part] * self.size
+        distributed.all_gather_object(parts, part)
+        return parts
+
+
+@contextmanager
+def joined() -> Iterator[tuple[World, torch.device]]:
+    """Join the processes that torchrun started, each on a GPU of its own if there are any; yield place and device."""
+    cuda = torch.cuda.is_available()
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if cuda else torch.device("cpu")
+    if int(os.environ.get("WORLD_SIZE", 1)) == 1:
+        yield World(), device
+        return
+    if cuda:
+        torch.cuda.set_device(device)
+    distributed.init_process_group("nccl" if cuda else "gloo")
+    try:
+        yield World(distributed.get_rank(), distributed.get_world_size()), device
+    finally:
+        distributed.destroy_process_group()

@@ -1,0 +1,237 @@
+"""A replayed drive: the road lies under the recorded track, nothing stands in its way, and oxts stays as it was."""
+
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import classes
+from pipeline.errors import InputError
+from pipeline.kitti import RawDrive, find_drives
+from pipeline.oxts import VE, VF, VN, WU, YAW, read_times
+from pipeline.png import read_png
+from pipeline.steering import label
+from pipeline.town.drive import write_drive
+from pipeline.town.journey import Journey
+from pipeline.town.light import draw_ground_colours
+from pipeline.town.meetings import find_meetings
+from pipeline.town.plan import draw_plan
+from pipeline.town.recording import Recording, read_recording
+from pipeline.town.replay import replay
+from pipeline.town.route import AHEAD_M, BEHIND_M, IMU_LEFT_M
+from pipeline.town.street import build_street, draw_character
+from pipeline.town.traffic import SIGHT_M, draw_traffic, shown
+from pipeline.town.world import World
+from tests.recorded_drive import DRIVE, drive_along, round_the_block, town_trip, write_recorded
+
+SIZE = (96, 320)
+
+
+def journey_of(rows: np.ndarray, folder: Path, seed: int = 0) -> Journey:
+    return replay(read_recording(write_recorded(folder, rows), len(rows)), np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def trip(tmp_path_factory: pytest.TempPathFactory) -> Journey:
+    return journey_of(town_trip()[0], tmp_path_factory.mktemp("raw"))
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Journey:
+    return journey_of(round_the_block()[0], tmp_path_factory.mktemp("raw"))
+
+
+def agreement(journey: Journey, rows: np.ndarray) -> tuple[float, float]:
+    """Correlation of the recorded label with that of the road where the car is, and their squared error's share."""
+    recorded, valid = label(rows[:, WU], rows[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid")
+    road = np.arctan(2.7 * journey.route.curvature(journey.motion.s_m))[valid]
+    error = np.mean((road - recorded[valid]) ** 2) / np.mean(recorded[valid] ** 2)
+    return float(np.corrcoef(road, recorded[valid])[0, 1]), float(error)
+
+
+def test_the_road_bends_as_the_label_says(trip: Journey, block: Journey) -> None:
+    for journey, rows in ((trip, town_trip()[0]), (block, round_the_block()[0])):
+        correlation, error = agreement(journey, rows)
+        assert correlation > 0.99
+        assert error < 0.02
+
+
+def test_the_car_is_where_it_was_and_on_its_road(trip: Journey) -> None:
+    rows, track, driven = town_trip()
+    assert np.linalg.norm(trip.xy - track, axis=1).max() < 0.05
+    np.testing.assert_allclose(np.cos(trip.heading_rad - rows[:, YAW]), 1, atol=1e-9)
+    on_road, along = trip.route.at(trip.motion.s_m)
+    assert np.linalg.norm(trip.xy - on_road, axis=1).max() < 0.3
+    assert np.abs(trip.heading_rad - along).max() < np.deg2rad(4)
+    # A smooth road is a little shorter than the track; standing and rolling back show in s as in the distance.
+    assert np.abs(trip.motion.s_m - driven).max() < 0.01 * driven.max()
+    assert trip.motion.s_m[125] < trip.motion.s_m[90] - 3
+    np.testing.assert_allclose(trip.motion.s_m[75:90], trip.motion.s_m[75], atol=1e-6)
+
+
+def test_standing_and_rolling_back_leave_no_fold(trip: Journey) -> None:
+    route = trip.route
+    np.testing.assert_allclose(np.linalg.norm(np.diff(route.xy, axis=0), axis=1), 0.1, atol=0.001)
+    assert np.abs(route.curvature_1pm).max() < 0.09
+    assert np.abs(np.diff(route.curvature_1pm)).max() < 0.003
+
+
+def test_noise_of_a_standing_car_does_not_bend_the_road(tmp_path: Path) -> None:
+    speed = np.concatenate([np.linspace(6, 0, 30), np.zeros(100), np.linspace(0, 6, 30)])
+    rows, _ = drive_along(speed, np.zeros(160))
+    rows[30:130, [VF, VE, VN]] += np.random.default_rng(0).normal(0, 0.05, (100, 3))
+    journey = journey_of(rows, tmp_path)
+    assert np.abs(journey.route.curvature_1pm).max() < 0.02
+
+
+def test_the_road_goes_on_at_both_ends_and_straightens(tmp_path: Path) -> None:
+    rows, _ = drive_along(np.full(40, 6.0), np.full(40, 1 / 12))  # begins and ends in the bend
+    route = journey_of(rows, tmp_path).route
+    assert route.s_m[0] == pytest.approx(-BEHIND_M, abs=0.2)
+    assert route.s_m[-1] == pytest.approx(39 * 0.6 + AHEAD_M, abs=1)
+    driven = (route.s_m > 0) & (route.s_m < 39 * 0.6)
+    np.testing.assert_allclose(route.curvature_1pm[driven], 1 / 12, rtol=0.2)
+    outer = (route.s_m < -20) | (route.s_m > 39 * 0.6 + 20)
+    assert np.abs(route.curvature_1pm[outer]).max() < 1e-3
+
+
+def test_a_drive_that_only_stands_has_a_straight_road(tmp_path: Path) -> None:
+    rows, _ = drive_along(np.zeros(5), np.zeros(5), heading_rad=2.0)
+    journey = journey_of(rows, tmp_path)
+    np.testing.assert_allclose(np.unwrap(journey.route.heading_rad), 2.0, atol=1e-6)
+    np.testing.assert_allclose(journey.motion.s_m, 0, atol=1e-9)
+    np.testing.assert_allclose(journey.route.at(0.0)[0], [0, 0], atol=1e-6)
+
+
+def test_the_second_round_is_found(block: Journey) -> None:
+    s, meetings = block.route.s_m, find_meetings(block.route)
+    first, again, away = (s > 0) & (s < 35), (s > 280) & (s < 310), (s > 70) & (s < 240)
+    assert meetings.other_m[first | again].max() < 1
+    assert meetings.earlier_m[again].max() < 1
+    assert meetings.earlier_m[first].min() > 50
+    assert meetings.other_m[away].min() > 20
+    assert meetings.junction[(s > 320) & (s < 330)].all()  # where the second round leaves the first
+    assert not meetings.junction[first | again | away].any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_stands_on_driven_road(block: Journey, tmp_path: Path, seed: int) -> None:
+    """Rays along both flanks of the car and its middle, from each frame to the next, meet nothing."""
+    journey = journey_of(round_the_block()[0], tmp_path, seed)
+    rng = np.random.default_rng(seed)
+    character = draw_character(rng)
+    plan = draw_plan(journey.route, rng, character.pavement_m, 1.0)
+    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
+    left = np.stack([-np.sin(journey.heading_rad), np.cos(journey.heading_rad)], axis=-1)
+    for offset in (-1.0, 0.0, 1.0):
+        places = journey.xy + (offset - IMU_LEFT_M) * left
+        step = np.diff(places, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        for height in (0.4, 1.5):
+            starts = np.column_stack([places[:-1], np.full(len(step), height)])
+            rays = np.column_stack([starts, step / length[:, None], np.zeros(len(step))]).astype(np.float32)
+            assert (world.cast(rays).distance_m > length).all()
+    # The car's middle is on road throughout, never on pavement.
+    assert (plan.to_road_m[plan.cells(journey.xy - IMU_LEFT_M * left)] == 0).all()
+    assert journey.route.arms  # closed ways at some of the corners
+    assert all(arm.closed for arm in journey.route.arms)
+
+
+def test_cars_do_not_drive_through_the_ego(block: Journey) -> None:
+    middle = block.xy + 1.3 * np.stack([np.cos(block.heading_rad), np.sin(block.heading_rad)], axis=-1)
+    met, hidden = 0, 0
+    for seed in range(12):
+        for vehicle in draw_traffic(block.route, block.motion, np.random.default_rng(seed)):
+            seen, apart = shown(vehicle, block), np.linalg.norm(vehicle.xy - middle, axis=1)
+            assert apart[seen].min(initial=SIGHT_M) > 2.3
+            near = np.linalg.norm(vehicle.xy - block.xy, axis=1) < SIGHT_M
+            met, hidden = met + int(seen.any()), hidden + int((near & ~seen).any())
+            # No car appears or vanishes in sight.
+            np.testing.assert_array_equal(np.diff(seen)[near[1:] & near[:-1]], False)
+    assert met > 30
+    assert hidden > 0
+
+
+def test_a_track_that_contradicts_its_headings_is_refused(tmp_path: Path) -> None:
+    rows, _ = drive_along(np.full(60, 6.0), np.zeros(60))
+    rows[40:, YAW] += 0.8
+    with pytest.raises(InputError, match=r"^frame 4\d is .* degrees off the track .*ingest\.drives$"):
+        journey_of(rows, tmp_path)
+
+
+def test_reversing_onto_another_track_is_refused(tmp_path: Path) -> None:
+    speed = np.concatenate([np.full(60, 6.0), np.full(60, -3.0)])
+    rows, _ = drive_along(speed, np.where(speed < 0, 1 / 8, 0.0))
+    with pytest.raises(InputError, match="off the track"):
+        journey_of(rows, tmp_path)
+
+
+def test_times_of_a_cut_out_drive_are_never_guessed(tmp_path: Path) -> None:
+    rows, _ = drive_along(np.full(12, 6.0), np.zeros(12))
+    raw = write_recorded(tmp_path, rows, range(30, 42))
+    lines = raw.oxts_times.read_bytes().splitlines(keepends=True)
+    raw.oxts_times.write_bytes(b"".join(lines[30:]))  # one line per packet
+    assert len(read_recording(raw, 12).packets) == 12
+    with pytest.raises(InputError, match=r"raise town\.frames to 12$"):
+        read_recording(raw, 5)
+
+
+def render(folder: Path, recorded: RawDrive, frames: int) -> RawDrive:
+    path = folder / DRIVE[:10] / f"{DRIVE}_sync"
+    path.parent.mkdir(parents=True)
+    write_drive(DRIVE, path, frames=frames, size=SIZE, scan_rays=(32, 60), seed=0, recorded=recorded)
+    return RawDrive(path)
+
+
+def test_rendered_frames_keep_numbers_times_and_packets(tmp_path: Path) -> None:
+    recorded = write_recorded(tmp_path / "raw", town_trip()[0][::20], range(7, 18))
+    drive, again = (render(tmp_path / name, recorded, frames=9) for name in ("a", "b"))
+    for files in (drive.images(2), drive.scans, drive.oxts, drive.truth_depth, drive.truth_cls):
+        assert list(files) == list(range(7, 16))
+    for frame, path in drive.oxts.items():
+        assert path.read_bytes() == recorded.oxts[frame].read_bytes()
+    for sensor in ("oxts", "image_02", "velodyne_points"):
+        assert (drive.folder / sensor / "timestamps.txt").read_bytes() == recorded.oxts_times.read_bytes()
+    np.testing.assert_allclose(read_times(drive.oxts_times, list(drive.oxts)), np.arange(9) * 0.1, atol=1e-9)
+    for path in drive.folder.rglob("*"):
+        if path.is_file():
+            assert path.read_bytes() == (again.folder / path.relative_to(drive.folder)).read_bytes(), path
+
+
+def test_a_driver_sees_the_road_bend_as_he_steers(tmp_path: Path) -> None:
+    """The camera stands on road, which 12 to 20 m ahead lies to the side that the car turns to."""
+    rows, _ = drive_along(np.full(65, 12.0), np.repeat([0, 1 / 25, -1 / 25], [25, 20, 20]))
+    drive = render(tmp_path / "out", write_recorded(tmp_path / "raw", rows), frames=65)
+    ahead = []
+    for frame, sign in ((2, 0), (25, 1), (45, -1)):
+        cls, depth = read_png(drive.truth_cls[frame]), read_png(drive.truth_depth[frame]) / 256
+        assert (cls[-1, 140:180] == classes.ROAD).all()
+        band = (cls == classes.ROAD) & (depth > 12) & (depth < 20)
+        assert band.sum() > 50
+        ahead.append((sign, 160 - np.nonzero(band)[1].mean()))  # pixels to the left
+    straight = ahead[0][1]
+    for sign, left in ahead[1:]:
+        assert sign * (left - straight) > 15
+
+
+@pytest.mark.real
+def test_real_tracks_make_roads_that_bend_as_their_labels(real_kitti: Path, tmp_path: Path) -> None:
+    drives = ["2011_09_26_drive_0022", "2011_09_30_drive_0027", "2011_09_30_drive_0034", "2011_09_26_drive_0017"]
+    wanted = tuple(f"{drive[:10]}/{drive}_sync/oxts" for drive in [*drives, "2011_09_26_drive_0093"])
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        members = [member for member in archive if member.name.removeprefix("./").startswith(wanted)]
+        archive.extractall(tmp_path, members, filter="data")
+
+    def recording(drive: str) -> Recording:
+        return read_recording(find_drives(tmp_path, [drive])[drive], 10_000)
+
+    for drive in drives[:3]:
+        taken = recording(drive)
+        correlation, error = agreement(replay(taken, np.random.default_rng(0)), taken.rows)
+        assert correlation > 0.97
+        assert error < 0.05
+    standing = replay(recording(drives[3]), np.random.default_rng(0))
+    assert np.ptp(standing.motion.s_m) < 0.5
+    with pytest.raises(InputError, match="off the track"):  # velocities and headings contradict each other
+        replay(recording("2011_09_26_drive_0093"), np.random.default_rng(0))

@@ -1,0 +1,56 @@
+"""Frames at a params file's sizes where there is no KITTI: the town, seen by sensors like KITTI's, through the stages.
+
+So neighbourhoods, pruning, order in memory and compression are those of a street, not of random numbers.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from pipeline import store
+from stages import clouds, graphs, ingest, labels, town
+
+DRIVE = "2026_01_01_drive_0002"  # soon bends: labels that are all zero are refused
+KITTI = {"image_size": [375, 1242], "scan_rays": [64, 2000]}
+_INACTIVE = re.compile(r"^# (?=[\w-]+:\s+\{)", re.MULTILINE)  # a model's line that waits as a comment
+
+
+def write_params(source: Path, out: Path, frames: int, sensors: dict[str, list[int]] = KITTI) -> None:
+    """Write the params file `source` to `out` with all its models active and one town drive of `frames` frames.
+
+    `sensors`: image_size and scan_rays of section ``town``.
+    """
+    content = yaml.safe_load(_INACTIVE.sub("  ", source.read_text(encoding="utf-8")))
+    content["town"] |= {**sensors, "frames": {"train": frames, "val": 1, "test": 1}}
+    # The other split must not be empty.
+    content["ingest"] |= {"source": "town", "drives": {"train": [DRIVE], "test": ["2026_01_03_drive_0001"]}}
+    out.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+def make(params: Path, folder: Path, variants: Sequence[str]) -> None:
+    """Write ``folder/labels`` and ``folder/graphs/<variant>`` of each of `variants`, by the project's own stages.
+
+    In place of stage perception, the renderer's own depth and classes: no encoder is fitted for a matter of sizes.
+    """
+    town.main(folder / "town", params)
+    ingest.main(folder / "town", folder / "raw", folder / "ingest", params)
+    labels.main(folder / "ingest", folder / "labels", params)
+    for drive in store.read_index(folder / "ingest", stage="ingest"):
+        _perceive(folder / f"ingest/{drive}.h5", folder / f"perception/{drive}.h5", drive)
+    clouds.main(folder / "ingest", folder / "perception", folder / "clouds", params)
+    for variant in variants:
+        graphs.main(variant, folder / "clouds", folder / "graphs", params, ingest=folder / "ingest")
+
+
+def _perceive(source: Path, out: Path, drive: str) -> None:
+    with (
+        store.DriveReader(source, stage="ingest") as raw,
+        store.DriveWriter(out, stage="perception", drive=drive, params={}) as file,
+    ):
+        file.put("frame", raw.frame)
+        file.put("time_s", raw.time_s, unit="s")
+        file.put("depth_m", raw["depth"].astype(np.uint16), unit="1/256 m, 0 = none")
+        file.put("cls", raw["cls"], unit="Cityscapes trainId")

@@ -1,0 +1,210 @@
+"""What one training step of each model costs at the paper's sizes: seconds, memory, bytes. See docs/scale.md."""
+
+import contextlib
+import multiprocessing
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+import typer
+
+from benchmarks import town_frames
+from pipeline import console, frames, windows
+from pipeline.errors import InputError, closest
+from pipeline.params import load, load_entry, names
+from pipeline.sections.models import Model
+from pipeline.sections.train import Train
+
+T = TypeVar("T")
+READINGS = 3  # of a step's frames; the median counts
+
+
+@dataclass(frozen=True)
+class Row:
+    """One model's figures. Times are medians; `step_s` includes reading and augmenting the frames."""
+
+    model: str
+    frame: str  # what one is
+    frames: int  # per step
+    windows: int  # per step
+    parameters: int
+    step_s: float
+    read_s: float  # a step's frames, from files that the system has in memory
+    peak_bytes: int  # resident memory of the process, all included
+    bare_bytes: int  # the same before there was a network or a frame
+    flop: float  # per frame, as benchmarks/work.py counts
+    moved_bytes: float  # per frame, likewise
+    operators: int  # per step
+    disk_bytes: float  # per frame, in the graph file
+    device: str
+
+
+def main(
+    models: Annotated[list[str] | None, typer.Argument(metavar="MODEL", help="default: all of the params file")] = None,
+    params: Annotated[
+        Path, typer.Option(exists=True, dir_okay=False, help="models that are comments count too")
+    ] = Path("params.kitti.yaml"),
+    steps: Annotated[int, typer.Option(min=1, help="timed, after one that is not")] = 3,
+) -> None:
+    """Measure one training step of each model on generated frames, and print a Markdown table.
+
+    Each model has a process of its own, so that its peak memory is its own. What stages and training print goes to
+    stderr.
+    """
+    with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
+        folder = Path(scratch)
+        settings = folder / "params.yaml"
+        town_frames.write_params(params, settings, frames=1)
+        known = names("models", settings)
+        for name in models or []:
+            if name not in known:
+                raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
+        lines = {name: load_entry(Model, "models", name, settings) for name in models or known}
+        longest = max(line.window for line in lines.values())
+        town_frames.write_params(params, settings, frames=step_frames(longest, load(Train, settings)))
+        _apart(town_frames.make, settings, folder, sorted({line.input for line in lines.values()}))
+        rows = [_apart(measure, name, settings, folder, steps) for name in lines]
+    print(table(rows))
+
+
+def step_frames(window: int, section: Train) -> int:
+    """Return how many consecutive frames hold the windows of one run."""
+    return section.run_windows + window - 1
+
+
+def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
+    """Train model `name` of the params file for `steps` + 2 steps on the frames that town_frames made in `folder`."""
+    import torch
+
+    from benchmarks import work
+    from models import steering_net
+    from pipeline import steering_fit
+
+    bare_bytes = _peak_bytes()
+    line, section = load_entry(Model, "models", name, params), load(Train, params)
+    count = step_frames(line.window, section)
+    (drive,) = windows.read_drives(folder / "graphs" / line.input, folder / "labels", [town_frames.DRIVE], line.window)
+    drive = replace(drive, runs=((0, count),))
+    group = [windows.Span(0, 0, count)] * section.batch_runs
+    reading = []
+    for _ in range(READINGS):
+        start = time.perf_counter()
+        (batch,) = windows.batches([drive], [group], line.window)
+        reading.append(time.perf_counter() - start)
+    frame, total, predictions = describe(batch), len(group) * count, len(batch["windows"])
+    del batch
+
+    torch.manual_seed(0)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    net = steering_net.build(line.model_dump(), **frames.contents(drive.graphs)).to(device)
+    # An epoch cuts runs at random places. Ours are as long as a step's, and must stay whole.
+    whole = section.model_copy(update={"epochs": 1, "run_windows": 1 << 40})
+
+    def train(steps: int, probe: Callable[[], T]) -> list[T]:
+        """Train for `steps` steps; return what `probe` says as the forward pass of each begins."""
+        found = []
+
+        def forward(net: Any, batch: windows.Batch) -> torch.Tensor:
+            found.append(probe())
+            return steering_net.predict(net, batch)
+
+        fit = steering_fit.Fit(net, forward, line.window, line.alpha, whole, seed=0)
+        with tempfile.TemporaryDirectory() as kept:
+            fit.run([drive] * (steps * section.batch_runs), [], Path(kept) / "state.pt", {}, name)
+        return found
+
+    # From one forward pass to the next: backward pass, clipping, update, average, and the next step's reading.
+    times = [after - before for before, after in pairwise(train(steps + 2, time.perf_counter))]
+    peak_bytes = _peak_bytes()
+    with work.Counter() as counter:
+        before, after = train(2, lambda: counter.work)
+    flop, moved_bytes, operators = np.subtract(after, before)
+    return Row(
+        name,
+        frame,
+        frames=total,
+        windows=predictions,
+        parameters=steering_net.parameter_count(net),
+        step_s=statistics.median(times[1:]),
+        read_s=statistics.median(reading),
+        peak_bytes=peak_bytes,
+        bare_bytes=bare_bytes,
+        flop=flop / total,
+        moved_bytes=moved_bytes / total,
+        operators=int(operators),
+        disk_bytes=drive.graphs.stat().st_size / len(drive.frame),
+        device=f"{device.type}, {torch.get_num_threads()} threads",
+    )
+
+
+def describe(batch: windows.Batch) -> str:
+    """Say what a frame of the batch is, on average."""
+    if "image" in batch:
+        height, width = batch["image"].shape[1:3]
+        return f"{height} × {width} pixels"
+    count = len(batch["ptr"]) - 1
+    text = f"{len(batch['xyz']) / count:,.0f} points"
+    if "indices" in batch:
+        return f"{text}, {len(batch['indices']) / count:,.0f} neighbours"
+    sets = [array for name, array in sorted(batch.items()) if name.startswith("neighbours_")]
+    return ", ".join([text, *(f"{len(array) / count:,.0f} × {array.shape[1]}" for array in sets)])
+
+
+def table(rows: list[Row]) -> str:
+    """Return the rows as Markdown: what was measured, then what was counted."""
+    bare = statistics.median(row.bare_bytes for row in rows) / 1e6
+    measured = [
+        *("model", "a frame", "frames a step", "s a step", "ms a frame", "of it reading", "peak MB"),
+        *("MB a frame on disk",),
+    ]
+    counted = ["model", "parameters", "windows a step", "GFLOP a frame", "MB moved a frame", "operators a step"]
+    return "\n".join([
+        *_lines(measured, [
+            [
+                *(row.model, row.frame, str(row.frames), f"{row.step_s:.2f}", f"{1e3 * row.step_s / row.frames:.0f}"),
+                *(f"{1e3 * row.read_s / row.frames:.1f}", f"{row.peak_bytes / 1e6:,.0f}"),
+                f"{row.disk_bytes / 1e6:.2f}",
+            ]
+            for row in rows
+        ]),
+        f"\n{rows[0].device}; a process with torch and nothing else: {bare:,.0f} MB\n",
+        *_lines(counted, [
+            [
+                *(row.model, f"{row.parameters:,}", str(row.windows), f"{row.flop / 1e9:.2f}"),
+                *(f"{row.moved_bytes / 1e6:.0f}", f"{row.operators:,}"),
+            ]
+            for row in rows
+        ]),
+    ])  # fmt: skip
+
+
+def _lines(head: list[str], body: list[list[str]]) -> list[str]:
+    rule = ["---" if cell in ("model", "a frame") else "--:" for cell in head]
+    return [f"| {' | '.join(cells)} |" for cells in (head, rule, *body)]
+
+
+def _apart(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call it in a new process."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_to_stderr) as pool:
+        return pool.submit(function, *arguments).result()
+
+
+def _to_stderr() -> None:
+    sys.stdout = sys.stderr
+
+
+def _peak_bytes() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024  # Linux counts in KiB
+
+
+if __name__ == "__main__":
+    console.run(main)

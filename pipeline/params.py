@@ -81,7 +81,10 @@ def _parse(kind: type[S], value: Any, path: Path, where: str) -> S:
         first = error.errors()[0]
         key = ".".join([where, *(str(part) for part in first["loc"])])
         if first["type"] == "extra_forbidden":
-            known = list(kind.model_fields)
+            section: Any = kind
+            for part in first["loc"][:-1]:
+                section = section.model_fields[part].annotation
+            known = list(section.model_fields)
             raise InputError(f"{path}: unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
         if first["type"] == "missing":
             raise InputError(f"{path}: {key} is missing: take it from the project's own params.yaml") from error

@@ -1,6 +1,6 @@
 """Train one model on its graph variant: data/train/<model>/{best.pt, last.pt, config.json, curve.csv}.
 
-On several GPUs, or machines: torchrun --nproc-per-node 2 -m stages.train MODEL.
+On several GPUs: torchrun --nproc-per-node 2 -m stages.train MODEL; all processes must see the same files.
 """
 
 import shutil

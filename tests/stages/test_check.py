@@ -50,6 +50,12 @@ def test_table2_shares_the_samples_artefacts() -> None:
         ("graphs.lidar.crop_m", [9, 0, -9, 40], "needs left < right and near < far"),
         ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m says nothing to a variant without a cloud"),
         ("graphs.semantic.kk", 2, "unknown key graphs.semantic.kk"),
+        (
+            "models.sa-gnn-ncp.wiring",
+            {"comand": 5},
+            "unknown key models.sa-gnn-ncp.wiring.comand: did you mean command?",
+        ),
+        ("models.sa-gnn-ncp.wiring", {"motor_fanin": 7}, "motor_fanin = 7, but there are command = 6 neurons"),
         ("encoder.backbone", "smal", "encoder.backbone = 'smal'"),
         ("train.epochs", "many", "train.epochs = 'many'"),
         ("train.seeds", [0, 0], "a seed is named twice"),

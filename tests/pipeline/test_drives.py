@@ -153,7 +153,7 @@ if __name__ == "__main__":
     else:
         process.send_signal(number)
     _, errors = process.communicate(timeout=30)
-    assert process.returncode == status
+    assert process.returncode == status, errors
     if number == signal.SIGINT:
         assert errors.startswith("error: interrupted")
         assert errors.count("\n") == 1

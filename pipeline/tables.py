@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from pipeline.params import SPLITS
+
 Result = dict[str, Any]  # a model's metrics.json
 
 # Train and test MSE of the paper's Table 2.
@@ -25,7 +27,6 @@ READING = (
     "see no road; persistence is told the true angle of the frame before, which no model is."
 )
 BASELINES = ("zero", "train_mean", "persistence")
-SPLITS = ("train", "val", "test")
 COLUMNS = (
     "model", "input", "frames", "points", "parameters", "edges (unpruned)", "MSE rad² train / val / test", "test nmse",
     "95 % interval", "MAE deg", "ms per frame", "paper",

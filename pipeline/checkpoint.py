@@ -33,17 +33,25 @@ def read(path: Path, kind: str, mend: str) -> dict[str, Any]:
 
     Raises InputError if it is missing, cut short, or another kind of file.
     """
+    content = load(path, mend)
+    if not isinstance(content, dict) or content.get("kind") != kind:
+        raise InputError(f"{path} is no checkpoint of this project's {kind}. {mend}")
+    return content
+
+
+def load(path: Path, mend: str) -> Any:
+    """Return what a file of torch.save holds, tensors on the CPU; code in it is refused, never run.
+
+    Raises InputError if it is missing, cut short, or holds more than tensors and plain values.
+    """
     import torch
 
     if not path.is_file():
         raise InputError(f"{path} is missing. {mend}")
     try:
-        content = torch.load(path, weights_only=True, map_location="cpu")
+        return torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
         raise InputError(f"{path} is cut short, or holds more than tensors and plain values. {mend}") from error
-    if not isinstance(content, dict) or content.get("kind") != kind:
-        raise InputError(f"{path} is no checkpoint of this project's {kind}. {mend}")
-    return content
 
 
 def load_state(module: Any, state: Mapping[str, Any], path: Path, mend: str) -> None:

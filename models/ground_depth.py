@@ -4,41 +4,47 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.backbones import Part
 from models.heads import MAX_DEPTH_M, MIN_DEPTH_M
 
 CAMERA_HEIGHT_M = 1.65  # KITTI's, and the sample's
 GROUND = (0, 1, 9)  # road, sidewalk, terrain
 MAX_GROUND_M = 80.0
 WIDTH = 32
+DROPPED = 0.2  # share of the features left out in training: frames of one place know it by heart
 MAX_CORRECTION = 0.7  # of the logarithm: half as far to twice as far
 
 
-class GroundDepth(Part):
-    """Flat ground times the exponential of a bounded correction; without any fitting, the flat ground itself.
+class GroundDepth(nn.Module):
+    """Flat ground times the exponential of a bounded correction; without any fitting, the flat ground itself."""
 
-    Its features are a tuple: a coarse map [B,coarse,h/8,w/8], a fine one [B,fine,h,w] at half the size of the (padded)
-    image, and class logits [B,≥19,h,w].
-    """
-
-    def __init__(self, coarse: int, fine: int) -> None:
+    def __init__(self, channels: int, classes: int) -> None:
+        """`channels` and `classes` are those of the features and the logits that it reads."""
         super().__init__()
-        self.coarse, self.fine = nn.Conv2d(coarse, WIDTH, 1), nn.Conv2d(fine, WIDTH, 1)
+        self.seen = nn.Sequential(nn.Dropout2d(DROPPED), nn.Conv2d(channels, WIDTH, 1))
+        self.assumed = nn.Conv2d(classes + 2, WIDTH, 3, padding=1)
         last = nn.Conv2d(WIDTH, 4, 1, bias=False)
         nn.init.zeros_(last.weight)
         self.layers = nn.Sequential(nn.ReLU(), nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2), nn.ReLU(), last)
 
-    def forward(self, features: tuple[Tensor, Tensor, Tensor], rays: Tensor) -> Tensor:
-        """Return depth [B,H,W] in metres of the image whose rays are [B,2,H,W]."""
-        coarse, fine, logits = features
+    def forward(self, features: Tensor, logits: Tensor, rays: Tensor) -> Tensor:
+        """Return depth [B,H,W] in metres.
+
+        Args:
+            features: [B,channels,h,w], h and w at least half of H and W; what is more lies right and below.
+            logits: of the classes, [B,classes,h,w], the first 19 those of Cityscapes.
+            rays: slopes [B,2,H,W] of the image's pixels.
+        """
+        h, w = features.shape[-2:]
         height, width = rays.shape[-2:]
-        x = F.interpolate(self.coarse(coarse), fine.shape[-2:], mode="bilinear", align_corners=False) + self.fine(fine)
-        correction = F.pixel_shuffle(self.layers(x), 2)[:, 0, :height, :width]
+        rays = F.pad(rays, (0, 2 * w - width, 0, 2 * h - height), mode="replicate")  # [B,2,2h,2w]
         with torch.no_grad():
-            size = 2 * fine.shape[-2], 2 * fine.shape[-1]
-            cls = F.interpolate(logits, size, mode="bilinear", align_corners=True).argmax(dim=1)[:, :height, :width]
-            flat = ground_plane_depth(cls, rays)
-        return (flat * torch.exp(MAX_CORRECTION * torch.tanh(correction))).clamp(MIN_DEPTH_M, MAX_DEPTH_M)
+            enlarged = F.interpolate(logits, (2 * h, 2 * w), mode="bilinear", align_corners=True)
+            flat = ground_plane_depth(enlarged.argmax(dim=1), rays)  # [B,2h,2w]
+            assumed = torch.cat([torch.log(flat)[:, None] / 4, 3 * rays[:, 1:]], dim=1)  # about -1 to 1
+        x = self.seen(features) + self.assumed(torch.cat([logits.softmax(dim=1), F.avg_pool2d(assumed, 2)], dim=1))
+        correction = F.pixel_shuffle(self.layers(x), 2)[:, 0]  # [B,2h,2w]
+        depth = (flat * torch.exp(MAX_CORRECTION * torch.tanh(correction))).clamp(MIN_DEPTH_M, MAX_DEPTH_M)
+        return depth[..., :height, :width]
 
 
 def ground_plane_depth(cls: Tensor, rays: Tensor) -> Tensor:

@@ -73,6 +73,7 @@ def fit(
         part.train(any(parameter.requires_grad for parameter in part.parameters()))
     for epoch in range(len(curve), epochs):
         start = time.perf_counter()
+        torch.manual_seed(seed + epoch)  # what a head drops out at random is the same in a run that was resumed
         sums = torch.zeros(2, dtype=torch.float64)
         for step, (image, K, depth, cls) in enumerate(_batches(examples, batch, np.random.default_rng([seed, epoch]))):
             for group in optimiser.param_groups:

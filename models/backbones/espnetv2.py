@@ -24,13 +24,12 @@ PYRAMID = (2.0, 1.5, 1.0, 0.5, 0.1)  # scales of the pyramid pooling
 
 def espnetv2(scale: float) -> Parts:
     """Return the parts of a network of width `scale`, 1.0 or 2.0."""
-    return Parts(ESPNetv2(scale), GroundDepth(CHANNELS[scale][-1], DECODED[-1]), DecodedClasses())
+    return Parts(ESPNetv2(scale), DecodedDepth(), DecodedClasses())
 
 
 class Features(NamedTuple):
-    """Encoder's [B,d,h/8,w/8], decoder's [B,32,h,w] and logits [B,20,h,w], at half the size of the padded image."""
+    """What the decoder knows [B,32,h,w] and its logits [B,20,h,w], at half the size of the padded image."""
 
-    encoded: Tensor
     decoded: Tensor
     logits: Tensor
 
@@ -61,7 +60,20 @@ class ESPNetv2(Backbone):
         y = self.bu_dec_l2(self.bu_br_l2(self.merge_enc_dec_l2(l3) + doubled(y)))  # [B,48,H/8,W/8]
         y = self.bu_dec_l3(self.bu_br_l3(self.merge_enc_dec_l3(l2) + doubled(y)))  # [B,32,H/4,W/4]
         y = self.bu_br_l4(self.merge_enc_dec_l4(l1) + doubled(y))  # [B,32,H/2,W/2]
-        return Features(l4, y, self.bu_dec_l4(y))
+        return Features(y, self.bu_dec_l4(y))
+
+
+class DecodedDepth(Part):
+    """Flat ground under the decoder's classes, corrected by what the decoder knows."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ground = GroundDepth(DECODED[-1], LOGITS)
+
+    def forward(self, features: Features, rays: Tensor) -> Tensor:
+        """Return depth [B,H,W] in metres."""
+        depth: Tensor = self.ground(features.decoded, features.logits, rays)
+        return depth
 
 
 class DecodedClasses(Part):

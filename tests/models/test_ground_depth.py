@@ -21,16 +21,16 @@ def test_unfitted_it_is_the_flat_ground_and_fitted_it_follows_what_it_is_taught(
     cls = torch.from_numpy(street.scene(0)[2]).long()
     h, w = street.SIZE[0] // 2, street.SIZE[1] // 2
     logits = 50.0 * torch.nn.functional.one_hot(cls[::2, ::2], 19).permute(2, 0, 1)[None].float()
-    features = (torch.rand(1, 8, h // 8, w // 8), torch.rand(1, 4, h, w), logits)
+    features = torch.rand(1, 4, h, w)
     rays = ray_slopes(K, torch.Size(street.SIZE))
-    head = GroundDepth(8, 4)
-    flat = head(features, rays).detach()
-    coarse = torch.nn.functional.interpolate(logits, street.SIZE, mode="bilinear", align_corners=True).argmax(1)
-    torch.testing.assert_close(flat, ground_plane_depth(coarse, rays).clamp(max=120.0))
+    head = GroundDepth(4, 19)
+    flat = head(features, logits, rays).detach()
+    enlarged = torch.nn.functional.interpolate(logits, street.SIZE, mode="bilinear", align_corners=True).argmax(1)
+    torch.testing.assert_close(flat, ground_plane_depth(enlarged, rays).clamp(max=120.0))
     optimiser = torch.optim.Adam(head.parameters(), lr=0.01)
     for _ in range(60):
-        loss = torch.log(head(features, rays) / (0.8 * flat)).abs().mean()
+        loss = torch.log(head(features, logits, rays) / (0.8 * flat)).abs().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-    assert loss < 0.03
+    assert torch.log(head.eval()(features, logits, rays) / (0.8 * flat)).abs().mean() < 0.06  # from 0.22

@@ -1,5 +1,7 @@
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -46,6 +48,18 @@ def test_published_tensors_are_found_alone_or_beside_settings(tmp_path: Path, wr
     state = {"conv.weight": torch.arange(3.0)}
     torch.save({wrapper: state, "meta": {"epoch": 3}} if wrapper else state, tmp_path / "file.pth")
     assert torch.equal(read_published(tmp_path / "file.pth", MEND)["conv.weight"], state["conv.weight"])
+
+
+def test_numbers_as_numpy_1_wrote_them_do_not_hinder(tmp_path: Path) -> None:
+    """DINOv2's depth heads hold such, in what their training left beside the tensors."""
+    meta = {"abs_rel": np.float64(0.08), "step": np.int64(38400)}
+    torch.save({"state_dict": {"conv.weight": torch.arange(3.0)}, "meta": meta}, tmp_path / "new.pth")
+    with zipfile.ZipFile(tmp_path / "new.pth") as new, zipfile.ZipFile(tmp_path / "old.pth", "w") as old:
+        for item in new.infolist():
+            old.writestr(item, new.read(item).replace(b"numpy._core.multiarray", b"numpy.core.multiarray"))
+    assert b"numpy.core.multiarray" in (tmp_path / "old.pth").read_bytes()
+    for name in ("new.pth", "old.pth"):
+        assert read_published(tmp_path / name, MEND)["conv.weight"].tolist() == [0, 1, 2]
 
 
 def test_published_files_that_are_none_are_refused(tmp_path: Path) -> None:

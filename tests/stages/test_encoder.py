@@ -138,7 +138,7 @@ def test_a_published_backbone_stays_and_its_depth_head_is_fitted(ingest: Path, t
     out = run(ingest, backbone="espnetv2-s1", weights={"backbone": file}, frozen=True)
     fitted = read_weights(out / "encoder.pt", "").state
     assert all(torch.equal(fitted[f"backbone.{name}"], tensor) for name, tensor in state.items())
-    assert fitted["depth_head.layers.3.weight"].any()  # it starts at zero
+    assert fitted["depth_head.ground.layers.3.weight"].any()  # it starts at zero
     sources = json.loads((out / "config.json").read_text())["sources"]
     assert [(source["part"], source["path"]) for source in sources] == [("backbone", file)]
     with pytest.raises(InputError, match="names no depth_head: name one, or let"):

@@ -68,7 +68,7 @@ def main(
                 teacher=class_teacher(teach) if teach else None,
             )
     elif given:
-        for part in {"backbone", *HEADS} - given:
+        for part in sorted({"backbone", *HEADS} - given):
             if any(True for _ in getattr(model, part).parameters()):
                 raise InputError(f"{params}: encoder.weights names no {part}: name one, or let encoder.epochs fit it")
 

@@ -33,17 +33,37 @@ def read(path: Path, kind: str, mend: str) -> dict[str, Any]:
 
     Raises InputError if it is missing, cut short, or another kind of file.
     """
+    content = load(path, mend)
+    if not isinstance(content, dict) or content.get("kind") != kind:
+        raise InputError(f"{path} is no checkpoint of this project's {kind}. {mend}")
+    return content
+
+
+def load(path: Path, mend: str) -> Any:
+    """Return what a file of torch.save holds, tensors and numbers on the CPU; code in it is refused, never run.
+
+    Raises InputError if it is missing, cut short, or holds more than tensors and plain values.
+    """
+    import numpy as np
     import torch
+    from numpy._core.multiarray import scalar
+
+    # DINOv2's published depth heads hold numpy numbers beside their tensors, pickled under numpy 1's name.
+    numbers: list[Any] = [
+        (scalar, "numpy.core.multiarray.scalar"),
+        scalar,
+        np.dtype,
+        np.dtypes.Float64DType,
+        np.dtypes.Int64DType,
+    ]
 
     if not path.is_file():
         raise InputError(f"{path} is missing. {mend}")
     try:
-        content = torch.load(path, weights_only=True, map_location="cpu")
+        with torch.serialization.safe_globals(numbers):
+            return torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
         raise InputError(f"{path} is cut short, or holds more than tensors and plain values. {mend}") from error
-    if not isinstance(content, dict) or content.get("kind") != kind:
-        raise InputError(f"{path} is no checkpoint of this project's {kind}. {mend}")
-    return content
 
 
 def load_state(module: Any, state: Mapping[str, Any], path: Path, mend: str) -> None:

@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from pipeline import checkpoint, classes
 from pipeline.errors import InputError
+from pipeline.perceive import likeliest
 from pipeline.schedule import warm_up_cosine
 from pipeline.supervision import Supervision, augment
 
@@ -22,6 +23,9 @@ KIND = "unified encoder in fitting"
 WARM_UP = 0.15  # share of the steps in which the learning rate rises
 WEIGHT_DECAY = 1e-4
 MAX_RELATIVE_ERROR = 6.0
+
+Teacher = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""Images [B,3,H,W], K [B,3,3] and true classes int64 [B,H,W] → classes to learn from, int64 [B,H,W]."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +47,13 @@ def fit(
     learning_rate: float,
     seed: int,
     kept: Path,
+    teacher: Teacher | None = None,
 ) -> list[EpochLoss]:
-    """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits [B,19,H,W]) in place; return its losses.
+    """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits) in place; return its losses.
 
-    A part (backbone, head) whose parameters require no gradients stays as it is, batch statistics included. After each
-    epoch the state goes to `kept`; if that file exists, fitting goes on from it, to the same result. Raises InputError
-    if the loss is no longer finite.
+    A part (backbone, head) whose parameters require no gradients stays as it is, batch statistics included. A `teacher`
+    names the classes of frames without class truth. After each epoch the state goes to `kept`; if that file exists,
+    fitting goes on from it, to the same result. Raises InputError if the loss is no longer finite.
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -68,12 +73,16 @@ def fit(
         part.train(any(parameter.requires_grad for parameter in part.parameters()))
     for epoch in range(len(curve), epochs):
         start = time.perf_counter()
+        torch.manual_seed(seed + epoch)  # what a head drops out at random is the same in a run that was resumed
         sums = torch.zeros(2, dtype=torch.float64)
         for step, (image, K, depth, cls) in enumerate(_batches(examples, batch, np.random.default_rng([seed, epoch]))):
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate * warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
-            depth_m, logits = model(image.to(device), K.to(device))
-            losses = depth_and_class_loss(depth_m, logits, depth.to(device), cls.to(device))
+            image, K, cls = image.to(device), K.to(device), cls.to(device)
+            depth_m, logits = model(image, K)
+            if teacher is not None:
+                cls = teacher(image, K, cls)
+            losses = depth_and_class_loss(depth_m, logits, depth.to(device), cls)
             optimiser.zero_grad(set_to_none=True)
             losses.sum().backward()  # type: ignore[no-untyped-call]
             optimiser.step()
@@ -100,14 +109,28 @@ def fit(
     return curve
 
 
+def class_teacher(model: nn.Module) -> Teacher:
+    """Return a teacher that gives a frame without any class truth the classes that `model` sees in it."""
+
+    def teach(image: Tensor, K: Tensor, cls: Tensor) -> Tensor:
+        untold = (cls == classes.VOID).flatten(1).all(dim=1)  # [B]
+        if untold.any():
+            with torch.no_grad():
+                cls = cls.clone()
+                cls[untold] = likeliest(model(image[untold], K[untold])[1])
+        return cls
+
+    return teach
+
+
 def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, true_cls: Tensor) -> Tensor:
     """Return [depth loss, cross-entropy], each a mean over the pixels that have a truth; zero for the one without any.
 
     The depth loss is the mean of |log d/d*| and |d - d*|/d*. Both are relative; the second, which is the abs rel that
     is reported, weighs more what is taken for too far: thin things nearby, which the first gives up for what is behind.
 
-    Args: depth [B,H,W] and logits [B,19,H,W] as predicted; true depth [B,H,W] in metres, 0 where unknown; true classes
-    int64 [B,H,W], 255 where unknown.
+    Args: depth [B,H,W] and logits [B,19,H,W] (or 20) as predicted; true depth [B,H,W] in metres, 0 where unknown; true
+    classes int64 [B,H,W], 255 where unknown.
     """
     known = true_depth_m > 0
     ratio = torch.where(known, depth_m / true_depth_m.clamp(min=1e-3), 1.0)

@@ -8,6 +8,8 @@ from pipeline import classes
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
+# The encoder's depth, and the flat ground's beside it, each against dense truth and against LiDAR.
+DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
@@ -61,16 +63,16 @@ class Scores:
     """
 
     def __init__(self) -> None:
-        self.depth = {source: (0, np.zeros(len(DEPTH_ERRORS))) for source in ("dense", "lidar")}
+        self.depth = {key: (0, np.zeros(len(DEPTH_ERRORS))) for key in DEPTH_SCORES}
         self.class_frames = 0
         self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
 
-    def add_depth(self, source: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
-        """Count a frame's depth [H,W] against a truth from `source`, dense or lidar, if it has a valid pixel."""
+    def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
+        """Count a frame's depth [H,W] against a truth under a key of DEPTH_SCORES, if it has a valid pixel."""
         errors = depth_errors(predicted_m, truth_m)
         if errors is not None:
-            frames, sums = self.depth[source]
-            self.depth[source] = (frames + 1, sums + errors)
+            frames, sums = self.depth[key]
+            self.depth[key] = (frames + 1, sums + errors)
 
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
         """Count a frame's classes [H,W]."""
@@ -80,24 +82,24 @@ class Scores:
     def sums(self) -> dict[str, Any]:
         """Return everything as JSON-able numbers, for :meth:`add_sums` of another one."""
         return {
-            "depth": {source: [frames, sums.tolist()] for source, (frames, sums) in self.depth.items()},
+            "depth": {key: [frames, sums.tolist()] for key, (frames, sums) in self.depth.items()},
             "class_frames": self.class_frames,
             "confusion": self.confusion.tolist(),
         }
 
     def add_sums(self, sums: dict[str, Any]) -> None:
-        for source, (frames, errors) in sums["depth"].items():
-            own_frames, own = self.depth[source]
-            self.depth[source] = (own_frames + frames, own + np.array(errors))
+        for key, (frames, errors) in sums["depth"].items():
+            own_frames, own = self.depth[key]
+            self.depth[key] = (own_frames + frames, own + np.array(errors))
         self.class_frames += sums["class_frames"]
         self.confusion += np.array(sums["confusion"])
 
     def report(self) -> dict[str, Any]:
-        """Return the scores: depth_dense, depth_lidar and classes, each null where no frame has such a truth."""
+        """Return the scores: each of DEPTH_SCORES and classes, null where no frame has such a truth."""
         scores: dict[str, Any] = {}
-        for source, (frames, sums) in self.depth.items():
+        for key, (frames, sums) in self.depth.items():
             means = dict(zip(DEPTH_ERRORS, (sums / frames).tolist(), strict=True)) if frames else {}
-            scores[f"depth_{source}"] = {"frames": frames, **means} if frames else None
+            scores[key] = {"frames": frames, **means} if frames else None
         ious = class_ious(self.confusion)
         present = {name: float(iou) for name, iou in zip(classes.NAMES, ious, strict=True) if not np.isnan(iou)}
         scores["classes"] = {

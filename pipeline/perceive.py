@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from pipeline import classes
 
@@ -19,11 +19,17 @@ def perceive(model: nn.Module, images: np.ndarray, K: np.ndarray) -> tuple[np.nd
     with torch.inference_mode():
         batch = torch.from_numpy(images).to(device).permute(0, 3, 1, 2)
         depth, logits = model(batch, torch.from_numpy(K).to(device).expand(len(images), 3, 3))
-        return depth.float().cpu().numpy(), logits.argmax(dim=1).to(torch.uint8).cpu().numpy()
+        return depth.float().cpu().numpy(), likeliest(logits).to(torch.uint8).cpu().numpy()
+
+
+def likeliest(logits: Tensor) -> Tensor:
+    """Return trainIds int64 [B,H,W] of logits [B,19,H,W], or [B,20,H,W] whose last is void."""
+    cls = logits.argmax(dim=1)
+    return cls.masked_fill_(cls == classes.COUNT, classes.VOID)
 
 
 def stored_depth(depth_m: np.ndarray, cls: np.ndarray) -> np.ndarray:
-    """Return depth as uint16 in 1/256 m, 0 where there is none: in the sky."""
+    """Return depth as uint16 in 1/256 m, 0 where there is none: in the sky, and where `depth_m` is 0."""
     units = np.clip(np.rint(depth_m * UNITS_PER_M), 1, MAX_UNITS).astype(np.uint16)
-    units[cls == classes.SKY] = 0
+    units[(cls == classes.SKY) | (depth_m == 0)] = 0
     return units

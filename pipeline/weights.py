@@ -1,19 +1,16 @@
-"""Weights of the unified encoder in a file: written, found, verified, read."""
+"""Weights of the unified encoder: this project's checkpoints, and the files that others publish for its parts."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline import checkpoint
-from pipeline.drives import file_hash
+from pipeline.download import find
 from pipeline.errors import InputError
 
-SHA256 = re.compile(r"[0-9a-fA-F]{64}")
-
-
 KIND = "unified encoder"
+WRAPPERS = ("state_dict", "model")  # what published files call their tensors, where they hold more than these
 
 
 @dataclass(frozen=True)
@@ -23,6 +20,15 @@ class Weights:
     path: Path
     backbone: str
     state: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that weights came from, as found, and the part of the encoder it filled; "all" for a whole checkpoint."""
+
+    part: str
+    path: str
+    sha256: str
 
 
 def write_weights(path: Path, backbone: str, state: Mapping[str, Any]) -> None:
@@ -36,31 +42,6 @@ def write_weights(path: Path, backbone: str, state: Mapping[str, Any]) -> None:
     checkpoint.write(path, {"kind": KIND, "backbone": backbone, "net": tensors})
 
 
-def find_weights(setting: str) -> tuple[Path, str]:
-    """Return path and SHA-256 of what ``encoder.weights`` names, ``PATH`` or ``PATH#sha256=HEX``.
-
-    Raises InputError if the file is missing or is another one than the hash says.
-    """
-    name, _, wanted = setting.partition("#sha256=")
-    if wanted and not SHA256.fullmatch(wanted):
-        raise InputError(
-            f"encoder.weights = {setting}: a SHA-256 has 64 hexadecimal digits. sha256sum {name} prints it"
-        )
-    path = Path(name)
-    if not path.is_file():
-        raise InputError(
-            f"encoder.weights: {name} is missing. Put the checkpoint there (data/encoder/encoder.pt of another run), "
-            "or set weights: null to fit from the start"
-        )
-    found = file_hash(path)
-    if wanted and found != wanted.lower():
-        raise InputError(
-            f"encoder.weights: {name} has the SHA-256 {found}, not {wanted.lower()}: it is damaged or another file. "
-            "Get it again, or correct the hash"
-        )
-    return path, found
-
-
 def read_weights(path: Path, mend: str) -> Weights:
     """Read a checkpoint of :func:`write_weights`; `mend` ends the messages: what to do if it is none.
 
@@ -68,3 +49,49 @@ def read_weights(path: Path, mend: str) -> Weights:
     """
     content = checkpoint.read(path, KIND, mend)
     return Weights(path, str(content["backbone"]), content["net"])
+
+
+def read_published(path: Path, mend: str) -> dict[str, Any]:
+    """Return the tensors by name of a plain state dict, alone in its file or beside settings of its training.
+
+    Raises InputError if the file is cut short, or holds code, or no tensors.
+    """
+    import torch
+
+    content = checkpoint.load(path, mend)
+    candidates = [content, *(content.get(name) for name in WRAPPERS)] if isinstance(content, dict) else []
+    for state in candidates:
+        if isinstance(state, dict) and state and all(isinstance(value, torch.Tensor) for value in state.values()):
+            return dict(state)
+    raise InputError(f"{path} is no plain state dict, tensors by name. {mend}")
+
+
+def fill(model: Any, backbone: str, setting: str | Mapping[str, str] | None, key: str) -> list[Source]:
+    """Fill a unified encoder's parts as a setting says; return the files that were used.
+
+    Args:
+        model: a torch module with the children backbone, depth_head and class_head.
+        backbone: what kind it is.
+        setting: a checkpoint of this project, or a published file for each of some parts, or None for nothing; each
+            a path or URL as :func:`pipeline.download.find` takes them.
+        key: the setting's name in params.yaml, for messages.
+
+    Raises InputError if a file is missing, is not what its hash says, or does not fit the network one by one.
+    """
+    mend = f"Name another file in {key}"
+    if setting is None:
+        return []
+    if isinstance(setting, str):
+        path, sha256 = find(setting, key)
+        weights = read_weights(path, f"{mend}; a published file is named by part: {key}: {{backbone: {path}}}")
+        if weights.backbone != backbone:
+            raise InputError(f"{path} holds backbone {weights.backbone!r}, {backbone!r} is asked for. {mend}")
+        checkpoint.load_state(model, weights.state, path, mend)
+        return [Source("all", str(path), sha256)]
+    sources = []
+    for name, file in setting.items():
+        path, sha256 = find(file, f"{key}.{name}")
+        part = getattr(model, name)
+        checkpoint.load_state(part, part.own_names(read_published(path, mend)), path, mend)
+        sources.append(Source(name, str(path), sha256))
+    return sources

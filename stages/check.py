@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pipeline import console
+from pipeline import console, precomputed
 from pipeline.errors import InputError, closest
 from pipeline.params import load, load_entry, names
 from pipeline.sections.clouds import Clouds
@@ -29,12 +29,24 @@ def main(params: Path = Path("params.yaml")) -> None:
             near = closest(line.input, list(variants))
             raise InputError(f"{params}: models.{name}.input = {line.input!r} is no variant of graphs: {near}")
 
+    import torch
+
     from models import steering_net, unified_encoder
 
-    backbones = list(unified_encoder.BACKBONES)
-    if encoder.backbone not in backbones:
-        near = closest(encoder.backbone, backbones)
-        raise InputError(f"{params}: encoder.backbone = {encoder.backbone!r} is none of this project: {near}")
+    wanted = {"encoder.backbone": encoder.backbone} | (
+        {"encoder.teacher.backbone": encoder.teacher.backbone} if encoder.teacher else {}
+    )
+    for key, backbone in wanted.items():
+        if backbone == precomputed.BACKBONE and key == "encoder.backbone":
+            continue
+        if backbone not in unified_encoder.BACKBONES:
+            near = closest(backbone, [*unified_encoder.BACKBONES, precomputed.BACKBONE])
+            raise InputError(f"{params}: {key} = {backbone!r} is none of this project: {near}")
+        try:
+            with torch.device("meta"):  # takes neither memory nor time
+                unified_encoder.UnifiedEncoder(backbone)
+        except ValueError as error:
+            raise InputError(f"{params}: {key} = {backbone}: {error}") from error
     for name, line in lines.items():
         try:
             variant = variants[line.input]

@@ -1,19 +1,20 @@
-"""Stage encoder: fit the unified encoder on the training drives, or take one that was fitted elsewhere."""
+"""Stage encoder: fit the unified encoder's parts on the training drives, or take what was fitted elsewhere."""
 
 import csv
 import shutil
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pipeline import checkpoint, console, store
+from pipeline import console, precomputed, store
 from pipeline.drives import resume_key
 from pipeline.errors import InputError
 from pipeline.params import load
-from pipeline.sections.encoder import Encoder
-from pipeline.weights import find_weights, read_weights, write_weights
+from pipeline.sections.encoder import Encoder, Teacher
+from pipeline.weights import Source, fill, write_weights
 
-MEND = "Name another file in encoder.weights, or set it to null to fit from the start"
+HEADS = ("depth_head", "class_head")
 
 
 def main(
@@ -23,56 +24,57 @@ def main(
 ) -> None:
     """Write encoder.pt, config.json and curve.csv. Only the drives of split train are opened."""
     settings = load(Encoder, params)
+    if settings.backbone == precomputed.BACKBONE:
+        _take_precomputed(settings, out)
+        return
     drives = store.of_split(store.read_index(ingest, stage="ingest"), "train")
-    source = find_weights(settings.weights) if settings.weights else None
 
     import torch
 
-    from models.unified_encoder import BACKBONES, UnifiedEncoder
+    from pipeline.encoder_fit import class_teacher, fit
+    from pipeline.supervision import Supervision
 
-    if settings.backbone not in BACKBONES:
-        raise InputError(f"{params}: encoder.backbone = {settings.backbone}: known: {', '.join(BACKBONES)}")
     torch.manual_seed(settings.seed)
-    model = UnifiedEncoder(settings.backbone)
-    if source:
-        weights = read_weights(source[0], MEND)
-        if weights.backbone != settings.backbone:
-            raise InputError(
-                f"{source[0]} holds backbone {weights.backbone!r}, encoder.backbone is {settings.backbone!r}. {MEND}"
-            )
-        checkpoint.load_state(model, weights.state, source[0], MEND)
+    model = _build(settings.backbone, params, "encoder.backbone")
+    sources = fill(model, settings.backbone, settings.weights, "encoder.weights")
+    given = set(settings.weights) if isinstance(settings.weights, dict) else set()
+    model.backbone.requires_grad_(not settings.frozen)
+    for head in HEADS:
+        getattr(model, head).requires_grad_(head not in given)
 
+    device = "cuda" if torch.cuda.is_available() else "cpu"
     curve: Sequence[Any] = []
     supervision: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
     kept = out.parent / ".resume" / out.name
     if settings.epochs:
-        from pipeline.encoder_fit import fit
-        from pipeline.supervision import Supervision
-
-        files = [ingest / f"{drive}.h5" for drive in drives]
-        key = resume_key("stages.encoder", settings.model_dump(), [source[1] if source else "", *files])
+        teach, taught_by = _teacher(settings.teacher, params, device)
+        files: list[Path | str] = [ingest / f"{drive}.h5" for drive in drives]
+        hashes = [source.sha256 for source in (*sources, *taught_by)]
+        key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
         with Supervision(ingest, drives, settings.frames) as examples:
-            if not examples.has_classes and not settings.frozen:
-                print(
-                    "note: no training drive has class truth: the class head stays as it is on a backbone that moves. "
-                    "encoder.frozen: true keeps the classes of encoder.weights",
-                    flush=True,
-                )
-            model.backbone.requires_grad_(not settings.frozen)
+            if not examples.has_classes and not settings.teacher:
+                _keep_classes(model, settings, given, params)
+            if not any(parameter.requires_grad for parameter in model.parameters()):
+                raise InputError(f"{params}: nothing is left to fit: encoder.epochs: 0 uses the weights as they are")
             supervision = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
             curve = fit(
-                model.to("cuda" if torch.cuda.is_available() else "cpu"),
+                model.to(device),
                 examples,
                 epochs=settings.epochs,
                 batch=settings.batch,
                 learning_rate=settings.learning_rate,
                 seed=settings.seed,
                 kept=kept / f"{key}.pt",
+                teacher=class_teacher(teach) if teach else None,
             )
+    elif given:
+        for part in sorted({"backbone", *HEADS} - given):
+            if any(True for _ in getattr(model, part).parameters()):
+                raise InputError(f"{params}: encoder.weights names no {part}: name one, or let encoder.epochs fit it")
 
     write_weights(out / "encoder.pt", settings.backbone, model.state_dict())
     config = settings.model_dump(mode="json") | supervision | {
-        "weights": {"path": str(source[0]), "sha256": source[1]} if source else None,
+        "sources": [asdict(source) for source in sources],
         "losses": {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None,
         "parameters": sum(parameter.numel() for parameter in model.parameters()),
     }  # fmt: skip
@@ -86,9 +88,51 @@ def main(
     print(
         f"encoder: {settings.backbone}, {config['parameters']:,} parameters, "
         + (f"fitted on {frames} frames of {len(drives)} drives" if curve else "weights used as they are")
-        + (f", starting from {source[0]}" if source and curve else ""),
+        + (f", starting from {', '.join(source.path for source in sources)}" if sources and curve else ""),
         flush=True,
     )
+
+
+def _build(backbone: str, params: Path, key: str) -> Any:
+    from models.unified_encoder import UnifiedEncoder
+
+    try:
+        return UnifiedEncoder(backbone)
+    except ValueError as error:
+        raise InputError(f"{params}: {key}: {error}") from error
+
+
+def _keep_classes(model: Any, settings: Encoder, given: set[str], params: Path) -> None:
+    """Without anything to learn classes from, the class head must stay, and be good as it is."""
+    if given and "class_head" not in given and any(True for _ in model.class_head.parameters()):
+        raise InputError(
+            f"{params}: encoder.weights names no class_head, and no training drive has class truth to fit one: "
+            "name one, or an encoder.teacher"
+        )
+    model.class_head.requires_grad_(False)
+    if not settings.frozen:
+        print(
+            "note: no training drive has class truth, and encoder.teacher is null: the class head stays as it is on a "
+            "backbone that moves. encoder.frozen: true keeps the classes of encoder.weights",
+            flush=True,
+        )
+
+
+def _teacher(settings: Teacher | None, params: Path, device: str) -> tuple[Any, list[Source]]:
+    if settings is None:
+        return None, []
+    model = _build(settings.backbone, params, "encoder.teacher.backbone")
+    sources = fill(model, settings.backbone, settings.weights, "encoder.teacher.weights")
+    return model.to(device).eval().requires_grad_(False), sources
+
+
+def _take_precomputed(settings: Encoder, out: Path) -> None:
+    if not isinstance(settings.weights, str):
+        raise InputError(f"encoder.weights: backbone precomputed reads {precomputed.LAYOUT}: name the folder")
+    files, fingerprint = precomputed.fingerprint(Path(settings.weights))
+    config = settings.model_dump(mode="json") | {"files": files, "fingerprint": fingerprint}
+    store.write_json(out / "config.json", config)
+    print(f"encoder: {files} precomputed files in {settings.weights}", flush=True)
 
 
 if __name__ == "__main__":

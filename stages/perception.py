@@ -1,13 +1,16 @@
 """Stage perception: depth and classes of every image by one forward pass of the unified encoder, and their scores."""
 
+import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline import checkpoint, console, store
+from pipeline import checkpoint, console, depth_scale, precomputed, store
 from pipeline.drives import Summary, run_over_drives
+from pipeline.ground_plane import ground_plane_depth
 from pipeline.image_metrics import Scores
 from pipeline.params import SPLITS, load
 from pipeline.sections.perception import Perception
@@ -25,13 +28,15 @@ def main(
     """Write <drive>.h5 with depth and classes of each image, and metrics.json with the scores of each split."""
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
-    weights = encoder / "encoder.pt"
-    _load_model(weights)  # a bad checkpoint is one error here, not one in each worker
+    folder = _precomputed(encoder)
+    weights = encoder / ("config.json" if folder else "encoder.pt")
+    if not folder:
+        _load_model(weights)  # a bad checkpoint is one error here, not one in each worker
 
     import torch
 
     summaries = run_over_drives(
-        partial(_perceive_drive, ingest=ingest, weights=weights, settings=settings),
+        partial(_perceive_drive, ingest=ingest, encoder=encoder, settings=settings),
         list(splits),
         module="stages.perception",
         out=out,
@@ -53,11 +58,12 @@ def main(
         print(f"perception, {split}: {_scored(score)}", flush=True)
 
 
-def _perceive_drive(drive: str, path: Path, *, ingest: Path, weights: Path, settings: Perception) -> Summary:
-    from pipeline.perceive import perceive, stored_depth
+def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:
+    from pipeline.perceive import stored_depth
     from pipeline.supervision import read_truth
 
-    model = _load_model(weights)
+    see = _seer(encoder, drive)
+    scale: float | None = None
     scores = Scores()
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
@@ -66,23 +72,65 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, weights: Path, sett
         ) as target,
     ):
         rows = np.flatnonzero(source["has_image"])
+        K, unit = source["K"], "1/256 m" if settings.depth_scale != "none" else "1/256 of an unknown unit"
         target.put("frame", source.frame[rows])
         target.put("time_s", source.time_s[rows], "s")
-        target.append("depth_m", np.zeros((0, *source.shape("image")[1:3]), np.uint16), "1/256 m, 0 = none")
+        target.append("depth_m", np.zeros((0, *source.shape("image")[1:3]), np.uint16), f"{unit}, 0 = none")
         target.append("cls", np.zeros((0, *source.shape("image")[1:3]), np.uint8), "Cityscapes trainId")
         for start in range(0, len(rows), settings.batch):
             batch = rows[start : start + settings.batch]
             images = source.rows("image", batch[0], batch[-1] + 1)[batch - batch[0]]
-            depth_m, cls = perceive(model, images, source["K"])
+            depth_m, cls = see(images, K, source.frame[batch])
+            for i, row in enumerate(batch):
+                truth = read_truth(source, int(row))
+                # Without a road (or a scan) to tell it, the scale is that of the frame before.
+                scale = _scale(depth_m[i], cls[i], K, truth, settings) or scale
+                if settings.depth_scale != "none":
+                    depth_m[i] *= scale or 0.0
+                if truth.depth_source:
+                    unscaled = settings.depth_scale == "none"
+                    factor = (depth_scale.from_truth(depth_m[i], truth.depth_m) or 1.0) if unscaled else 1.0
+                    flat = ground_plane_depth(cls[i], K, settings.camera_height_m)
+                    scores.add_depth(f"depth_{truth.depth_source}", depth_m[i] * factor, truth.depth_m)
+                    scores.add_depth(f"ground_plane_{truth.depth_source}", flat, truth.depth_m)
+                if truth.has_cls:
+                    scores.add_classes(cls[i], truth.cls)
             target.append("depth_m", stored_depth(depth_m, cls))
             target.append("cls", cls)
-            for row, frame_depth, frame_cls in zip(batch, depth_m, cls, strict=True):
-                truth = read_truth(source, int(row))
-                if truth.depth_source:
-                    scores.add_depth(truth.depth_source, frame_depth, truth.depth_m)
-                if truth.has_cls:
-                    scores.add_classes(frame_cls, truth.cls)
     return {"frames": len(rows), "scores": scores.sums()}
+
+
+def _scale(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, truth: Any, settings: Perception) -> float | None:
+    if settings.depth_scale == "camera_height":
+        return depth_scale.from_camera_height(depth, cls, K, settings.camera_height_m)
+    if settings.depth_scale == "lidar_median":
+        return depth_scale.from_truth(depth, truth.depth_m)
+    return 1.0
+
+
+def _seer(encoder: Path, drive: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Images uint8 [B,H,W,3], K and frame numbers → depth [B,H,W] and trainIds [B,H,W]."""
+    folder = _precomputed(encoder)
+    if folder:
+
+        def read(images: np.ndarray, K: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            pairs = [precomputed.read(folder, drive, int(frame), images.shape[1:3]) for frame in frames]
+            depth, cls = zip(*pairs, strict=True)
+            return np.stack(depth), np.stack(cls)
+
+        return read
+
+    from pipeline.perceive import perceive
+
+    model = _load_model(encoder / "encoder.pt")
+    return lambda images, K, frames: perceive(model, images, K)
+
+
+def _precomputed(encoder: Path) -> Path | None:
+    """The folder that stage encoder was told to take depth and classes from, if so."""
+    config = encoder / "config.json"
+    content = json.loads(config.read_text(encoding="utf-8")) if config.is_file() else {}
+    return Path(content["weights"]) if content.get("backbone") == precomputed.BACKBONE else None
 
 
 def _load_model(path: Path) -> Any:
@@ -111,7 +159,8 @@ def _describe(summary: Summary) -> str:
 def _scored(scores: Scores) -> str:
     report = scores.report()
     parts = [
-        f"depth abs rel {depth['abs_rel']:.3f}, RMSE {depth['rmse_m']:.2f} m, δ1 {depth['delta1']:.3f} against {source}"
+        f"depth abs rel {depth['abs_rel']:.3f} (flat ground {report[f'ground_plane_{source}']['abs_rel']:.3f}), "
+        f"RMSE {depth['rmse_m']:.2f} m, δ1 {depth['delta1']:.3f} against {source}"
         for source in ("dense", "lidar")
         if (depth := report[f"depth_{source}"])
     ]

@@ -17,6 +17,12 @@ def real_kitti() -> Path:
     return _shared("kitti")
 
 
+@pytest.fixture(scope="session")
+def real_weights() -> Path:
+    """Published weights of backbones, a folder for each; the test is skipped where they are absent."""
+    return _shared("weights")
+
+
 def _shared(name: str) -> Path:
     path = SHARED / name
     if not path.is_dir():

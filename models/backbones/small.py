@@ -4,9 +4,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.backbones import Backbone
+from models.backbones import Backbone, Parts
+from models.heads import CellClasses, CellDepth
 
 WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
+
+
+def small() -> Parts:
+    """The backbone with heads that see its one map."""
+    return Parts(Small(), CellDepth(Small.channels, Small.stride), CellClasses(Small.channels, Small.stride))
 
 
 class Small(Backbone):

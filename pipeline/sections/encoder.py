@@ -1,17 +1,42 @@
 """Section ``encoder``: how the unified encoder comes to its weights."""
 
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from pipeline.params import Count, Positive, Section, Seed
+
+PARTS = ("backbone", "depth_head", "class_head")
+
+
+def _names_files(value: Any) -> Any:
+    files = list(value.values()) if isinstance(value, dict) and set(value) <= set(PARTS) else [value]
+    if value is None or (files and all(isinstance(file, str) for file in files)):
+        return value
+    raise ValueError(f"name a checkpoint, or a published file for each of some parts: {', '.join(PARTS)}")
+
+
+Weights = Annotated[
+    str | dict[str, str] | None,
+    BeforeValidator(_names_files),
+    Field(description="a checkpoint of this project, or the published file of each part; PATH or URL, #sha256=HEX"),
+]
+
+
+class Teacher(Section):
+    """A fitted encoder whose classes teach frames that have no class truth."""
+
+    key = "encoder.teacher"
+    backbone: str
+    weights: Weights
 
 
 class Encoder(Section):
     key = "encoder"
     backbone: str
-    weights: str | None
+    weights: Weights
     frozen: Annotated[bool, Field(description="keep the backbone as it is and fit the heads alone")] = False
+    teacher: Teacher | None = None
     epochs: Annotated[int, Field(ge=0)]
     frames: Count
     batch: Count
@@ -22,6 +47,6 @@ class Encoder(Section):
     def _comes_to_weights(self) -> Self:
         if self.weights is None and self.epochs == 0:
             raise ValueError("epochs: 0 uses weights as they are: name a checkpoint in weights, or set epochs")
-        if self.weights is None and self.frozen:
+        if self.frozen and not (isinstance(self.weights, str) or (self.weights and "backbone" in self.weights)):
             raise ValueError("frozen: true keeps a backbone as weights has it, so name a checkpoint in weights")
         return self

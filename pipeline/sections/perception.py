@@ -1,8 +1,19 @@
 """Section ``perception``: running the unified encoder."""
 
-from pipeline.params import Count, Section
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pipeline.params import Count, Positive, Section
+
+DepthScale = Literal["metric", "camera_height", "lidar_median", "none"]
 
 
 class Perception(Section):
     key = "perception"
     batch: Count
+    depth_scale: Annotated[
+        DepthScale,
+        Field(description="where metres come from: the network, the camera's height over the road, LiDAR, nowhere"),
+    ] = "metric"
+    camera_height_m: Positive = 1.65

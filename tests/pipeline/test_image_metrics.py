@@ -52,7 +52,7 @@ def test_scores_add_up_over_drives_and_are_plain_json() -> None:
             depth, truth = rng.uniform(2, 60, (2, 5, 6))
             cls, true_cls = rng.integers(0, 4, (2, 5, 6))
             for scores in (whole, part):
-                scores.add_depth("dense", depth, truth)
+                scores.add_depth("depth_dense", depth, truth)
                 scores.add_classes(cls, true_cls)
         total.add_sums(json.loads(json.dumps(part.sums())))
     assert total.report()["depth_dense"] == pytest.approx(whole.report()["depth_dense"])
@@ -63,7 +63,8 @@ def test_scores_add_up_over_drives_and_are_plain_json() -> None:
 
 def test_what_has_no_truth_is_null_in_json() -> None:
     scores = Scores()
-    scores.add_depth("lidar", np.ones((2, 2)), np.zeros((2, 2)))
+    scores.add_depth("depth_lidar", np.ones((2, 2)), np.zeros((2, 2)))
     assert json.loads(json.dumps(scores.report(), allow_nan=False)) == {
-        "depth_dense": None, "depth_lidar": None, "classes": None,
+        "depth_dense": None, "depth_lidar": None, "ground_plane_dense": None, "ground_plane_lidar": None,
+        "classes": None,
     }  # fmt: skip

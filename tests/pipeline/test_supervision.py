@@ -6,7 +6,9 @@ import pytest
 from pipeline import classes, store
 from pipeline.errors import InputError
 from pipeline.geometry import rays
-from pipeline.supervision import Example, Supervision, mirrored, read_truth, relit, spread, teaching_rows
+from pipeline.kitti import RawDrive
+from pipeline.png import read_png
+from pipeline.supervision import Example, Supervision, mirrored, read_truth, relit, spread, teaching_rows, visible
 from tests import street
 
 DRIVE = "2026_01_01_drive_0001"
@@ -95,3 +97,35 @@ def test_light_changes_the_image_alone() -> None:
     _, first = np.unique(example.image.reshape(-1, 3), axis=0, return_inverse=True)
     for group in np.unique(first)[:20]:
         assert len(np.unique(other.image.reshape(-1, 3)[first == group], axis=0)) == 1
+
+
+def test_points_behind_a_near_edge_are_dropped_and_ground_stays() -> None:
+    K = np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]])
+    rows = np.arange(100)[:, None]
+    ground = np.where(rows > 45, 1.65 * 360 / np.maximum(rows - 40, 1), 0) * np.ones((1, 320))
+    ground[:, 1::3] = 0
+    np.testing.assert_array_equal(visible(ground, K), ground)
+    wall = ground.copy()
+    wall[20:80:2, 100:140:2] = 6.0  # a car, and the street that the scanner sees through its points
+    kept = visible(wall, K)
+    np.testing.assert_array_equal(kept[20:80:2, 100:140:2], 6.0)
+    hidden = np.zeros_like(wall, bool)
+    hidden[46:79, 100:139] = wall[46:79, 100:139] > 7.5
+    assert hidden.any()
+    assert not kept[hidden].any()
+    np.testing.assert_array_equal(kept[:, :98], ground[:, :98])
+
+
+@pytest.mark.real
+def test_what_stays_of_a_real_scan_agrees_better_with_the_benchmark(real_kitti: Path) -> None:
+    """KITTI's depth benchmark has thrown out what the camera cannot see by comparing with the stereo pair."""
+    name = "2011_09_26_drive_0001_sync_0000000005_{}_image_02.png"
+    folder = real_kitti / "depth_benchmark"
+    raw, truth = (read_png(folder / name.format(kind)) / 256 for kind in ("velodyne_raw", "groundtruth"))
+    camera = RawDrive(real_kitti / "2011_09_26" / "2011_09_26_drive_0001_sync").camera([2])
+    assert camera is not None
+    kept = visible(raw, camera.K)
+    both = (raw > 0) & (truth > 0)
+    wrong = both & (raw > 1.1 * truth)
+    assert (wrong & (kept > 0)).sum() < 0.7 * wrong.sum()
+    assert (both & ~wrong & (kept > 0)).sum() > 0.99 * (both & ~wrong).sum()

@@ -3,15 +3,18 @@ import hashlib
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 import yaml
 
+from models.unified_encoder import UnifiedEncoder
 from pipeline import store
 from pipeline.errors import InputError
 from pipeline.weights import read_weights, write_weights
 from stages.encoder import main
 from tests import street
+from tests.kitti_drive import write_png
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
 FIT = {"epochs": 2, "frames": 6, "batch": 3, "learning_rate": 0.003, "seed": 0}
@@ -68,7 +71,7 @@ def test_weights_are_used_as_they_are_with_no_epochs(ingest: Path, capsys: pytes
     assert (out / "encoder.pt").read_bytes() == fitted.read_bytes()
     config = json.loads((out / "config.json").read_text())
     assert config["losses"] is None
-    assert config["weights"] == {"path": str(fitted), "sha256": sha256}
+    assert config["sources"] == [{"part": "all", "path": str(fitted), "sha256": sha256}]
     assert "weights used as they are" in capsys.readouterr().out
 
 
@@ -91,7 +94,7 @@ def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path, capsys: pytest.Cap
     assert "no training drive has class truth" not in capsys.readouterr().out
     before, after = (read_weights(out / "encoder.pt", "").state for out in (fitted, frozen))
     changed = {name.split(".")[0] for name in before if not torch.allclose(before[name], after[name], atol=1e-5)}
-    assert changed == {"depth_head"}
+    assert changed == {"depth_head"}  # not even weight decay moves the class head
 
 
 def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, tmp_path: Path) -> None:
@@ -99,7 +102,9 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
     bad = {
         r"encoder: epochs: 0 uses weights as they are": {"epochs": 0},
         r"encoder: frozen: true keeps a backbone": {"frozen": True},
-        r"backbone = large: known: .*small": {"backbone": "large"},
+        r"encoder.backbone: there is no backbone 'large': known: .*small": {"backbone": "large"},
+        r"encoder\.weights: name a checkpoint, or a published file": {"weights": {"head": "a.pth"}},
+        r"there is no backbone 'large'": {"teacher": {"backbone": "large", "weights": None}},
         r"nowhere\.pt is missing": {"weights": "nowhere.pt"},
         r"has the SHA-256": {"weights": f"{tmp_path / 'bad.pt'}#sha256={'1' * 64}"},
         r"bad\.pt is cut short": {"weights": str(tmp_path / "bad.pt")},
@@ -114,5 +119,47 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
 
 def test_weights_of_another_backbone_are_refused(ingest: Path, tmp_path: Path) -> None:
     write_weights(tmp_path / "other.pt", "swin-t", {})
-    with pytest.raises(InputError, match=r"holds backbone 'swin-t', encoder\.backbone is 'small'"):
+    with pytest.raises(InputError, match=r"holds backbone 'swin-t', 'small' is asked for"):
         run(ingest, weights=str(tmp_path / "other.pt"))
+
+
+def espnet(tmp_path: Path) -> tuple[str, dict[str, torch.Tensor]]:
+    """A file like a published ESPNetv2, of noise that sees many classes."""
+    torch.manual_seed(3)
+    state = UnifiedEncoder("espnetv2-s1").backbone.state_dict()
+    state["bu_dec_l4.merge_layer.3.weight"] *= 30
+    torch.save(state, tmp_path / "city.pth")
+    return str(tmp_path / "city.pth"), state
+
+
+def test_a_published_backbone_stays_and_its_depth_head_is_fitted(ingest: Path, tmp_path: Path) -> None:
+    street.write_drive(ingest, TRAIN, 9, dense=False, lidar=True)
+    file, state = espnet(tmp_path)
+    out = run(ingest, backbone="espnetv2-s1", weights={"backbone": file}, frozen=True)
+    fitted = read_weights(out / "encoder.pt", "").state
+    assert all(torch.equal(fitted[f"backbone.{name}"], tensor) for name, tensor in state.items())
+    assert fitted["depth_head.ground.layers.3.weight"].any()  # it starts at zero
+    sources = json.loads((out / "config.json").read_text())["sources"]
+    assert [(source["part"], source["path"]) for source in sources] == [("backbone", file)]
+    with pytest.raises(InputError, match="names no depth_head: name one, or let"):
+        run(ingest, "unfitted", backbone="espnetv2-s1", weights={"backbone": file}, epochs=0)
+
+
+def test_a_teacher_gives_classes_to_frames_without(ingest: Path, tmp_path: Path) -> None:
+    street.write_drive(ingest, TRAIN, 9, dense=False, lidar=True)
+    teacher = {"backbone": "espnetv2-s1", "weights": {"backbone": espnet(tmp_path)[0]}}
+    out = run(ingest, teacher=teacher, epochs=3)
+    rows = list(csv.DictReader((out / "curve.csv").read_text().splitlines()))
+    assert 0 < float(rows[-1]["classes"]) < float(rows[0]["classes"])
+
+
+def test_a_folder_of_precomputed_files_is_noted(ingest: Path, tmp_path: Path) -> None:
+    settings = {"backbone": "precomputed", "weights": str(tmp_path / "made"), "epochs": 0}
+    with pytest.raises(InputError, match="holds no PNG files"):
+        run(ingest, **settings)
+    noted = []
+    for frame in range(2):
+        write_png(tmp_path / "made" / TRAIN / "cls" / f"{frame:010d}.png", np.zeros((4, 4), np.uint8))
+        noted.append(json.loads((run(ingest, **settings) / "config.json").read_text()))
+    assert [config["files"] for config in noted] == [1, 2]
+    assert noted[0]["fingerprint"] != noted[1]["fingerprint"]

@@ -9,12 +9,15 @@ import yaml
 from models.unified_encoder import UnifiedEncoder
 from pipeline import classes, store
 from pipeline.errors import InputError
+from pipeline.ground_plane import ground_plane_depth
 from pipeline.image_metrics import depth_errors
 from pipeline.perceive import perceive
+from pipeline.supervision import read_truth
 from pipeline.weights import write_weights
 from stages.perception import _load_model as load_model
 from stages.perception import main
 from tests import street
+from tests.kitti_drive import write_png
 
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test", "2026_01_03_drive_0002": "test"}
 DENSE, LIDAR, BLIND = SPLITS
@@ -34,9 +37,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def run(root: Path, name: str, batch: int) -> None:
+def run(root: Path, name: str, batch: int, **settings: object) -> None:
     params = root / "params.yaml"
-    params.write_text(yaml.safe_dump({"perception": {"batch": batch}}))
+    params.write_text(yaml.safe_dump({"perception": {"batch": batch, **settings}}))
     main(root / "ingest", root / "encoder", root / name, params, workers=1)
 
 
@@ -106,7 +109,7 @@ def test_scores_equal_what_the_files_say(folder: Path) -> None:
     assert metrics["test"]["depth_lidar"]["frames"] == 5
     assert metrics["test"]["depth_dense"] is None
     assert metrics["test"]["classes"] is None
-    assert metrics["val"] == {"depth_dense": None, "depth_lidar": None, "classes": None}
+    assert set(metrics["val"].values()) == {None}
 
 
 def test_a_bad_checkpoint_is_one_error_that_names_the_command(folder: Path, tmp_path: Path) -> None:
@@ -118,3 +121,52 @@ def test_a_bad_checkpoint_is_one_error_that_names_the_command(folder: Path, tmp_
     write_weights(tmp_path / "encoder" / "encoder.pt", "no-such", {})
     with pytest.raises(InputError, match=r"no backbone 'no-such'.*dvc repro --force encoder"):
         run(tmp_path, "perception", batch=1)
+
+
+def test_flat_ground_is_scored_beside_the_encoder(folder: Path) -> None:
+    metrics = json.loads((folder / "perception" / "metrics.json").read_text())
+    content = read(folder / "perception" / f"{LIDAR}.h5")
+    errors = []
+    with store.DriveReader(folder / "ingest" / f"{LIDAR}.h5", stage="ingest") as source:
+        for row, cls in enumerate(content["cls"]):
+            errors.append(depth_errors(ground_plane_depth(cls, street.K, 1.65), read_truth(source, row).depth_m))
+    assert metrics["test"]["ground_plane_lidar"]["abs_rel"] == pytest.approx(np.mean(errors, axis=0)[0])
+    assert metrics["test"]["ground_plane_dense"] is None
+
+
+def write_precomputed(root: Path, factor: float = 1.0) -> None:
+    """The truth of drive DENSE as PNG files, its depth in another unit."""
+    for frame in range(7):
+        _, depth, cls = street.scene(frame)
+        write_png(
+            root / "made" / DENSE / "depth" / f"{frame:010d}.png", np.rint(factor * depth * 256).astype(np.uint16)
+        )
+        write_png(root / "made" / DENSE / "cls" / f"{frame:010d}.png", cls)
+    street.write_drive(root / "ingest", DENSE, 7, lidar=True)
+    store.write_index(root / "ingest", {DENSE: "test"})
+    config = {"backbone": "precomputed", "weights": str(root / "made")}
+    store.write_json(root / "encoder" / "config.json", config)
+
+
+def test_precomputed_files_go_where_their_frames_are(tmp_path: Path) -> None:
+    write_precomputed(tmp_path)
+    run(tmp_path, "perception", batch=3)
+    content = read(tmp_path / "perception" / f"{DENSE}.h5")
+    for frame in range(7):
+        _, depth, cls = street.scene(frame)
+        np.testing.assert_array_equal(content["cls"][frame], cls)
+        np.testing.assert_array_equal(content["depth_m"][frame], np.rint(depth * 256))
+    (tmp_path / "made" / DENSE / "cls" / "0000000004.png").unlink()
+    with pytest.raises(InputError, match=r"cls/0000000004\.png is missing"):
+        run(tmp_path, "again", batch=3)
+
+
+@pytest.mark.parametrize(("mode", "expected"), [("camera_height", 1.0), ("lidar_median", 1.0), ("none", 0.4)])
+def test_depth_of_another_unit_gets_its_scale(tmp_path: Path, mode: str, expected: float) -> None:
+    write_precomputed(tmp_path, factor=0.4)
+    run(tmp_path, "perception", batch=3, depth_scale=mode)
+    found = read(tmp_path / "perception" / f"{DENSE}.h5")["depth_m"].astype(float)
+    truth = np.stack([street.scene(frame)[1] for frame in range(7)]) * 256
+    assert np.median(found[truth > 0] / truth[truth > 0]) == pytest.approx(expected, rel=0.01)
+    metrics = json.loads((tmp_path / "perception" / "metrics.json").read_text())
+    assert metrics["test"]["depth_dense"]["abs_rel"] < 0.02

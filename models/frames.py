@@ -44,6 +44,10 @@ class GraphBatch:
         tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return dataclasses.replace(self, **{name: tensor.to(device) for name, tensor in tensors.items()})
 
+    def mirrored(self) -> Self:
+        """Return the frames as seen in a mirror, left for right."""
+        return dataclasses.replace(self, xyz=flipped(self.xyz))
+
 
 @dataclass(frozen=True)
 class Level:
@@ -87,6 +91,10 @@ class SetBatch:
             self, xyz=self.xyz.to(device), cls=self.cls.to(device), ptr=self.ptr.to(device), levels=levels
         )
 
+    def mirrored(self) -> Self:
+        """Return the frames as seen in a mirror, left for right."""
+        return dataclasses.replace(self, xyz=flipped(self.xyz))
+
 
 @dataclass(frozen=True)
 class ImageBatch:
@@ -98,6 +106,10 @@ class ImageBatch:
         """Return the batch on `device`."""
         return dataclasses.replace(self, image=self.image.to(device))
 
+    def mirrored(self) -> Self:
+        """Return the frames as seen in a mirror; KITTI's optical axis meets the image within 2 % of its middle."""
+        return dataclasses.replace(self, image=self.image.flip(2))
+
 
 Batch = GraphBatch | SetBatch | ImageBatch
 
@@ -107,6 +119,11 @@ def of_arrays(arrays: Mapping[str, np.ndarray]) -> Batch:
     if "image" in arrays:
         return ImageBatch(torch.from_numpy(arrays["image"]))
     return GraphBatch.of_arrays(arrays) if "degree" in arrays else SetBatch.of_arrays(arrays)
+
+
+def flipped(xyz: Tensor) -> Tensor:
+    """Return points [N,3] of the camera frame with x as -x."""
+    return xyz * xyz.new_tensor([-1.0, 1.0, 1.0])
 
 
 def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:

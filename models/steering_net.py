@@ -45,20 +45,27 @@ TEMPORAL: dict[str, Callable[[Line], RecurrentCell]] = {
 
 
 class SteeringNet(nn.Module):
-    """Steering from windows of frames. Letters: B frames, W windows of T frames, F features."""
+    """Steering from windows of frames. Letters: B frames, W windows of T frames, F features.
 
-    def __init__(self, spatial: nn.Module, temporal: RecurrentCell) -> None:
+    If `equivariant`, a mirrored world steers exactly the other way, as it does under the bicycle model: features are
+    what the spatial network sees minus what it sees in the mirror, and the recurrent one counts its answer to them
+    against that to their negative. What is the same on both sides, most of a street, is gone before the recurrent
+    network hears it. The paper has no such symmetry.
+    """
+
+    def __init__(self, spatial: nn.Module, temporal: RecurrentCell, equivariant: bool = False) -> None:
         super().__init__()
         self.spatial = spatial
         self.temporal = temporal
+        self.equivariant = equivariant
 
     def encode(self, batch: frames.Batch) -> Tensor:
-        """Return what the spatial network sees in each frame, [B,F]."""
+        """Return what the spatial network sees in each frame, [B,F]; minus the same in the mirror, if equivariant."""
         features: Tensor = self.spatial(batch)
-        return features
+        return features - self.spatial(batch.mirrored()) if self.equivariant else features
 
     def forward(self, batch: frames.Batch, windows: Tensor, dt_s: Tensor) -> Tensor:
-        """Predict the (standardised) steering at each window's last frame.
+        """Predict the (scaled) steering at each window's last frame.
 
         Windows may overlap: each frame is encoded once, however many windows hold it.
 
@@ -72,8 +79,14 @@ class SteeringNet(nn.Module):
         features = self.encode(batch)  # [B,F]
         with torch.autocast(features.device.type, enabled=False):  # a tiny part of the work, and an ODE
             dtype = next(self.temporal.parameters()).dtype
-            sensed = self.temporal.sense(features.to(dtype))  # [B,S]
-            out, _ = self.temporal(sensed[windows], dt_s.to(dtype))  # [W,T,1]
+            features, dt_s = features.to(dtype), dt_s.to(dtype)
+            out = self._last(features, windows, dt_s)
+            return (out - self._last(-features, windows, dt_s)) / 2 if self.equivariant else out
+
+    def _last(self, features: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
+        """Features [B,F] → what the recurrent network says at each window's end, [W]."""
+        sensed = self.temporal.sense(features)  # [B,S]
+        out, _ = self.temporal(sensed[windows], dt_s)  # [W,T,1]
         return out[:, -1, 0]
 
 
@@ -81,7 +94,7 @@ def build(line: Line, kind: str = "graph", levels: int = 0, image_size: tuple[in
     """Build the network of a model's line of params.yaml, with new weights from torch's random state.
 
     Args:
-        line: `spatial`, `temporal`, `features`, and what the two need: `layers`, `width` and `semantics`;
+        line: `spatial`, `temporal`, `features`, `equivariant`, and what the two need: `layers`, `width` and `semantics`;
             `units` (lstm), or `cell` and `wiring` (ncp).
         kind: what the frames of the line's input are, a key of KINDS.
         levels: PointNet++'s samplings in the input, if it is of that kind.
@@ -102,7 +115,7 @@ def build(line: Line, kind: str = "graph", levels: int = 0, image_size: tuple[in
             f"spatial: {line['spatial']} eats {KINDS[eats]}, and input: {line['input']} holds {KINDS[kind]}: change one"
         )
     spatial = SPATIAL[line["spatial"]]({**line, "levels": levels, "image_size": image_size})
-    return SteeringNet(spatial, TEMPORAL[line["temporal"]](line))
+    return SteeringNet(spatial, TEMPORAL[line["temporal"]](line), line["equivariant"])
 
 
 def parameter_count(model: nn.Module) -> int:

@@ -27,12 +27,15 @@ KIND = "steering net"  # of checkpoint
 EVALUATION_WINDOWS = 96  # windows per batch when nothing is learned
 
 Forward = Callable[[Any, windows.Batch], Tensor]
-"""A network and a batch of arrays → standardised predictions [W] on the network's device."""
+"""A network and a batch of arrays → predictions [W] in units of the labels' deviation, on the network's device."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """Mean and standard deviation of the training labels, rad: the network learns (Θ - mean) / std."""
+    """Mean and standard deviation of the training labels, rad.
+
+    The network learns Θ / std, where 0 stays straight ahead; the mean is for the predictor that knows nothing else.
+    """
 
     mean_rad: float
     std_rad: float
@@ -156,7 +159,7 @@ class Fit:
             weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(self.alpha * steering.abs())
             weight = weight if share else torch.zeros_like(weight)
             mass = self.world.sum(weight.sum())
-            error = weighted_error(predicted, (steering - target.mean_rad) / target.std_rad, weight)
+            error = weighted_error(predicted, steering / target.std_rad, weight)
             self.optimiser.zero_grad(set_to_none=True)
             # The learner averages over the processes; their errors add up.
             (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
@@ -263,7 +266,7 @@ def predict_drives(
     net.eval()
     with torch.inference_mode():
         for batch in windows.batches(drives, [[span] for span in own], window):
-            predicted.append(forward(net, batch).double().cpu().numpy() * target.std_rad + target.mean_rad)
+            predicted.append(forward(net, batch).double().cpu().numpy() * target.std_rad)
     found = [np.full(len(drive.frame), np.nan) for drive in drives]
     for part in world.gather(list(zip(own, predicted, strict=True))):
         for span, values in part:

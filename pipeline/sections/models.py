@@ -27,6 +27,7 @@ class Model(Section):
     temporal: str
     cell: Annotated[str, Field(description="neuron of temporal ncp: ltc | eq4 (the paper's, as printed) | cfc")] = "ltc"
     window: Annotated[int, Field(ge=1, le=256, description="frames that a prediction sees")]
+    equivariant: Annotated[bool, Field(description="a mirrored world steers exactly the other way")] = False
     learning_rate: Annotated[Positive | None, Field(description="instead of train.learning_rate")] = None
     semantics: Fraction = 0.0
     alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0

@@ -69,6 +69,7 @@ def line() -> dict[str, object]:
     return {
         "input": "semantic",
         "spatial": "gnn",
+        "equivariant": False,
         "temporal": "ncp",
         "cell": "ltc",
         "window": 4,

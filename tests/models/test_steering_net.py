@@ -68,6 +68,26 @@ def test_shared_frames_equal_naive_windows_for_sets_and_images(make_sets, line, 
     assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
 
 
+@pytest.mark.parametrize("temporal", TEMPORAL)
+@pytest.mark.parametrize("spatial", sorted(SPATIAL))
+def test_a_mirrored_world_steers_an_equivariant_network_the_other_way(make_batch, make_sets, line, spatial, temporal):
+    torch.manual_seed(0)
+    kind = EATS.get(spatial, "graph")
+    image = torch.randint(0, 256, (6, 32, 40, 3), dtype=torch.uint8)
+    counts = [20, 9, 30, 12, 1, 25]
+    batch = {"graph": make_batch, "pointnet2": make_sets}[kind](counts) if kind != "image" else ImageBatch(image)
+    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
+    line = {**line, "features": 8, "spatial": spatial, "temporal": temporal}
+    plain, equivariant = (
+        build({**line, "equivariant": on}, kind, levels=2, image_size=(32, 40)).double() for on in (False, True)
+    )
+    here, there = equivariant(batch, WINDOWS, dt_s), equivariant(batch.mirrored(), WINDOWS, dt_s)
+    torch.testing.assert_close(there, -here, **TOLERANCE)
+    assert here.abs().min() > 1e-6
+    assert (plain(batch, WINDOWS, dt_s) + plain(batch.mirrored(), WINDOWS, dt_s)).abs().max() > 1e-6
+    assert parameter_count(plain) == parameter_count(equivariant)
+
+
 @pytest.mark.parametrize(
     ("spatial", "kind", "message"),
     [

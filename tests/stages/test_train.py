@@ -219,7 +219,7 @@ def test_other_networks_train_and_are_judged(folder: Path, line: dict[str, objec
 @pytest.mark.parametrize(
     ("write", "line", "epochs"),
     [
-        (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4),
+        (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125, "equivariant": True}, 4),
         (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10),
     ],
 )

@@ -11,8 +11,6 @@ export DVC_NO_ANALYTICS := 1
 
 demo: setup            ## the whole chain on the embedded sample, then its table
 	dvc repro
-	@# What params.kitti.yaml starts from: the sample's encoder, never one that real drives have changed.
-	@if grep -q '^  source: town' params.yaml; then mkdir -p weights && cp data/encoder/encoder.pt weights/sample.pt; fi
 	@cat data/report/table.md
 
 # table2: every model of the paper's tables, on the sample. replay: the sample along the recorded drives of data/raw.

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from pipeline import classes, cloud, graph, store
+from pipeline import classes, cloud, graph, store, street_view
 
 DATA, DOCS = Path("data"), Path(__file__).resolve().parent
 MODEL = "sa-gnn-ncp"
@@ -23,36 +23,28 @@ def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
     with (
         store.DriveReader(DATA / f"ingest/{drive}.h5", stage="ingest") as raw,
         store.DriveReader(DATA / f"perception/{drive}.h5", stage="perception") as seen,
+        store.DriveReader(DATA / f"clouds/pseudo/{drive}.h5", stage="clouds") as file,
     ):
-        row, seen_row = _row(raw, number), _row(seen, number)
-        panels["a"].imshow(raw.row("image", row))
-        depth_m = seen.row("depth_m", seen_row) / 256
-        panels["b"].imshow(np.where(depth_m > 0, np.log(np.maximum(depth_m, 1)), np.nan), cmap="turbo_r")
-        panels["c"].imshow(classes.colourise(seen.row("cls", seen_row)))
+        view = street_view.read_view(raw, seen, file, number)
+    panels["a"].imshow(view.rgb)
+    street_view.draw_depth(panels["b"], view.depth_m)
+    panels["c"].imshow(classes.colourise(view.cls))
     for key, title in zip("abc", ("image", "depth from the image", "classes, same forward pass"), strict=True):
         panels[key].set_title(title)
         panels[key].set_axis_off()
 
-    with store.DriveReader(DATA / f"clouds/pseudo/{drive}.h5", stage="clouds") as file:
-        row, ptr = _row(file, number), file["ptr"]
-        xyz, cls = (file.rows(key, ptr[row], ptr[row + 1]) for key in ("xyz", "cls"))
-    colour = classes.colourise(cls) / 255
-    panels["d"].scatter(xyz[:, 0], xyz[:, 2], s=0.6, c=colour, linewidths=0)
+    xyz, cls = view.xyz, view.points_cls
+    street_view.draw_cloud(panels["d"], xyz, cls)
     panels["d"].set_title(f"semantic cloud from above: {len(xyz):,} points")
     chosen = cloud.sample(len(xyz), 300, np.random.default_rng(0))
     made = graph.build(xyz[chosen], cls[chosen], 6, 0.2, np.random.default_rng(0))
-    _draw_graph(panels["e"], xyz[chosen], colour[chosen], made)
+    _draw_graph(panels["e"], xyz[chosen], classes.colourise(cls[chosen]) / 255, made)
     panels["e"].set_title(f"300 points of it: {made.edges_knn:,} kNN edges pruned to {made.edges_kept:,}")
-    for key in "de":
-        panels[key].set(xlim=(-22, 22), ylim=(0, 50), aspect="equal", xlabel="x in m", ylabel="z in m")
+    street_view.look_from_above(panels["e"])
     _draw_steering(panels["f"], drive, number)
     figure.savefig(DOCS / "chain.png", dpi=85, metadata={"Software": None})
 
     shutil.copyfile(DATA / "town/contact_sheet.png", DOCS / "town.png")
-
-
-def _row(file: store.DriveReader, number: int) -> int:
-    return int(np.flatnonzero(file.frame == number)[0])
 
 
 def _draw_graph(panel: Axes, xyz: np.ndarray, colour: np.ndarray, made: graph.Graph) -> None:

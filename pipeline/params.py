@@ -30,7 +30,9 @@ class Section(BaseModel):
 
 S = TypeVar("S", bound=Section)
 
-SECTIONS = ("town", "ingest", "labels", "encoder", "perception", "clouds", "graphs", "models", "train", "evaluate")
+SECTIONS = (
+    "town", "ingest", "labels", "encoder", "perception", "clouds", "pictures", "graphs", "models", "train", "evaluate",
+)  # fmt: skip
 
 
 def load(section: type[S], path: Path) -> S:

@@ -175,6 +175,13 @@ class DriveReader:
         """Seconds since the drive's first oxts row, float64 [F]."""
         return self["time_s"]
 
+    def row_of(self, number: int) -> int:
+        """Return the row of the frame with this KITTI number. Raises InputError if the file has no such frame."""
+        found = np.flatnonzero(self.frame == number)
+        if not len(found):
+            raise InputError(f"{self.path} has no frame {number}")
+        return int(found[0])
+
     def __contains__(self, name: str) -> bool:
         return name in self._file
 

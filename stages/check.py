@@ -13,13 +13,14 @@ from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
 from pipeline.sections.models import Model
 from pipeline.sections.perception import Perception
+from pipeline.sections.pictures import Pictures
 from pipeline.sections.town import Town
 from pipeline.sections.train import Train
 
 
 def main(params: Path = Path("params.yaml")) -> None:
     """Read every section; build every model once, so that a network that cannot be is found now."""
-    for section in (Town, Ingest, Labels, Perception, Clouds, Train, Evaluate):
+    for section in (Town, Ingest, Labels, Perception, Clouds, Pictures, Train, Evaluate):
         load(section, params)
     encoder, image_size = load(Encoder, params), load(Ingest, params).image_size
     variants = {name: load_entry(Variant, "graphs", name, params) for name in names("graphs", params)}

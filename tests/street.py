@@ -52,6 +52,20 @@ def write_drive(
             file.put("cls", np.stack([cls for _, _, cls in scenes]))
 
 
+def write_perception(folder: Path, ingest: Path, drive: str) -> None:
+    """Write ``folder/<drive>.h5`` with the true depth and classes of the frames that have an image."""
+    with (
+        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+        store.DriveWriter(folder / f"{drive}.h5", stage="perception", drive=drive, params={}) as file,
+    ):
+        rows = np.flatnonzero(raw["has_image"])
+        scenes = [scene(row) for row in rows]
+        file.put("frame", raw.frame[rows])
+        file.put("time_s", raw.time_s[rows])
+        file.put("depth_m", np.array([depth * 256 for _, depth, _ in scenes], np.uint16).reshape(-1, *SIZE))
+        file.put("cls", np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *SIZE))
+
+
 def scan(depth_m: np.ndarray) -> np.ndarray:
     """Return velodyne points float32 [N,4] that hit every fourth pixel of each other row."""
     sparse = np.zeros_like(depth_m)

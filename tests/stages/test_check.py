@@ -9,7 +9,7 @@ from pipeline.tables import PAPER
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
-OTHERS = ["params.kitti.yaml", "params.table2.yaml", "params.replay.yaml", "tests/params.real.yaml"]
+OTHERS = ["params.kitti.yaml", "params.table2.yaml", "params.replay.yaml", "params.real.yaml"]
 
 
 @pytest.mark.parametrize("name", ["params.yaml", *OTHERS])

@@ -25,16 +25,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     street.write_drive(folder / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
     street.write_drive(folder / "ingest", CAMERA, 3)
     for drive in SPLITS:
-        with (
-            store.DriveReader(folder / f"ingest/{drive}.h5", stage="ingest") as raw,
-            store.DriveWriter(folder / f"perception/{drive}.h5", stage="perception", drive=drive, params={}) as file,
-        ):
-            rows = np.flatnonzero(raw["has_image"])
-            scenes = [street.scene(row) for row in rows]
-            file.put("frame", raw.frame[rows])
-            file.put("time_s", raw.time_s[rows])
-            file.put("depth_m", np.array([depth * 256 for _, depth, _ in scenes], np.uint16).reshape(-1, *street.SIZE))
-            file.put("cls", np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *street.SIZE))
+        street.write_perception(folder / "perception", folder / "ingest", drive)
     store.write_index(folder / "ingest", SPLITS)
     store.write_index(folder / "perception", SPLITS)
     _params(folder / "params.yaml")

@@ -1,0 +1,41 @@
+"""Draw clouds of real drives from above, from what `dvc repro` with params.real.yaml left in data/clouds/.
+
+python docs/make_real_clouds.py [DATA]
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pipeline import classes, store, street_view
+
+DOCS = Path(__file__).resolve().parent
+ROWS = (  # clouds, drive, what it is, frames
+    ("pseudo", "2011_09_26_drive_0052", "from the image", (8, 24, 40)),
+    ("lidar", "2011_09_26_drive_0052", "LiDAR, coloured by the image's classes", (8, 24, 40)),
+    ("pseudo", "2011_10_03_drive_0042", "from the image, grey", (8, 25, 42)),
+)
+
+
+def main(data: Path = Path("data")) -> None:
+    """Draw a row of clouds for each entry of ROWS. No picture of KITTI's, whose licence is non-commercial, is shown."""
+    figure = Figure(figsize=(10, 11.5), layout="constrained")
+    seen = []
+    for strip, (kind, drive, what, frames) in zip(figure.subfigures(len(ROWS)), ROWS, strict=True):
+        strip.suptitle(f"{drive}, {what}", fontsize="medium")
+        with store.DriveReader(data / f"clouds/{kind}/{drive}.h5", stage="clouds") as file:
+            for panel, frame in zip(strip.subplots(1, len(frames)), frames, strict=True):
+                start, stop = file.rows("ptr", file.row_of(frame), file.row_of(frame) + 2)
+                xyz, cls = file.rows("xyz", start, stop), file.rows("cls", start, stop)
+                shown = cls != classes.VOID  # a scan looks all around, the image says what lies ahead
+                street_view.draw_cloud(panel, xyz[shown], cls[shown])
+                panel.set_title(f"frame {frame}", fontsize="small", loc="left")
+                seen.append(cls)
+    street_view.class_legend(figure, np.concatenate(seen), columns=8)
+    figure.savefig(DOCS / "real_clouds.png", dpi=80, metadata={"Software": None})
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:2]))

@@ -1,0 +1,8 @@
+"""Section ``pictures``: what people look at."""
+
+from pipeline.params import Count, Section
+
+
+class Pictures(Section):
+    key = "pictures"
+    frames: Count

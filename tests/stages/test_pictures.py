@@ -1,0 +1,69 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from pipeline import classes, store
+from pipeline.errors import InputError
+from stages import clouds, pictures
+from tests import street
+
+PARAMS = Path(__file__).resolve().parents[2] / "params.yaml"
+SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
+LONG, BLIND, SHORT = SPLITS
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ingest, perception and clouds of a drive, one without images, and one of two frames."""
+    folder = tmp_path_factory.mktemp("data")
+    for drive, frames in zip(SPLITS, (9, 3, 2), strict=True):
+        street.write_drive(folder / "ingest", drive, frames, images=drive != BLIND)
+        street.write_perception(folder / "perception", folder / "ingest", drive)
+    for stage in ("ingest", "perception"):
+        store.write_index(folder / stage, SPLITS)
+    clouds.main(folder / "ingest", folder / "perception", folder / "clouds", PARAMS, workers=1)
+    return folder
+
+
+def draw(data: Path, out: Path, workers: int = 1) -> dict[str, bytes]:
+    pictures.main(data / "ingest", data / "perception", data / "clouds/pseudo", out, PARAMS, workers)
+    return {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def test_each_drive_with_images_has_a_picture_of_frames_spread_over_it(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert set(draw(data, tmp_path / "pictures")) == {f"{LONG}.png", f"{SHORT}.png"}
+    log = capsys.readouterr().out
+    assert f"{LONG}: frames 1, 4, 7," in log
+    assert f"{SHORT}: frames 0, 1," in log
+    assert f"without images, so without pictures: {BLIND}" in log
+
+
+def test_a_picture_shows_the_classes_of_the_street_alone(data: Path, tmp_path: Path) -> None:
+    draw(data, tmp_path / "pictures")
+    pixels = np.rint(255 * imread(tmp_path / f"pictures/{LONG}.png")[..., :3])
+    shown = {number for number, colour in enumerate(classes.COLOURS) if (pixels == colour).all(axis=-1).sum() > 500}
+    assert shown == {classes.ROAD, classes.BUILDING, classes.SKY}
+
+
+def test_drawn_again_the_bytes_are_the_same_whatever_the_workers(data: Path, tmp_path: Path) -> None:
+    assert draw(data, tmp_path / "a") == draw(data, tmp_path / "b", workers=2)
+
+
+def test_clouds_of_other_frames_are_one_line(data: Path, tmp_path: Path) -> None:
+    for stage in ("ingest", "perception"):
+        (tmp_path / stage).symlink_to(data / stage)
+    for name in (LONG, BLIND, SHORT):
+        with store.DriveReader(data / f"clouds/pseudo/{name}.h5", stage="clouds") as old:
+            columns = {key: old[key] for key in ("time_s", "xyz", "cls", "ptr")}
+            path = tmp_path / f"clouds/pseudo/{name}.h5"
+            with store.DriveWriter(path, stage="clouds", drive=name, params={}) as new:
+                new.put("frame", old.frame + np.int32(1000))
+                for key, values in columns.items():
+                    new.put(key, values)
+    store.write_index(tmp_path / "clouds/pseudo", SPLITS)
+    with pytest.raises(InputError, match=r"clouds/pseudo/.*\.h5 has no frame \d"):
+        draw(tmp_path, tmp_path / "pictures")

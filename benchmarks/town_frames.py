@@ -35,14 +35,19 @@ def make(params: Path, folder: Path, variants: Sequence[str]) -> None:
 
     In place of stage perception, the renderer's own depth and classes: no encoder is fitted for a matter of sizes.
     """
-    town.main(folder / "town", params)
-    ingest.main(folder / "town", folder / "raw", folder / "ingest", params)
+    record(params, folder)
     labels.main(folder / "ingest", folder / "labels", params)
     for drive in store.read_index(folder / "ingest", stage="ingest"):
         _perceive(folder / f"ingest/{drive}.h5", folder / f"perception/{drive}.h5", drive)
     clouds.main(folder / "ingest", folder / "perception", folder / "clouds", params)
     for variant in variants:
         graphs.main(variant, folder / "clouds", folder / "graphs", params, ingest=folder / "ingest")
+
+
+def record(params: Path, folder: Path) -> None:
+    """Write ``folder/town`` and ``folder/ingest`` by the stages of these names."""
+    town.main(folder / "town", params)
+    ingest.main(folder / "town", folder / "raw", folder / "ingest", params)
 
 
 def _perceive(source: Path, out: Path, drive: str) -> None:

@@ -30,7 +30,7 @@ READINGS = 3  # of a step's frames; the median counts
 
 @dataclass(frozen=True)
 class Row:
-    """One model's figures. Times are medians; `step_s` includes reading and augmenting the frames."""
+    """One model's figures. Times are medians; `step_s` includes augmenting frames and reading later ones."""
 
     model: str
     frame: str  # what one is
@@ -122,7 +122,7 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
             fit.run([drive] * (steps * section.batch_runs), [], Path(kept) / "state.pt", {}, name)
         return found
 
-    # From one forward pass to the next: backward pass, clipping, update, average, and the next step's reading.
+    # From one forward pass to the next: backward pass, clipping, update, average, and what a thread reads meanwhile.
     times = [after - before for before, after in pairwise(train(steps + 2, time.perf_counter))]
     peak_bytes = _peak_bytes()
     with work.Counter() as counter:

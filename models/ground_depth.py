@@ -42,7 +42,7 @@ class GroundDepth(nn.Module):
             flat = ground_plane_depth(enlarged.argmax(dim=1), rays)  # [B,2h,2w]
             assumed = torch.cat([torch.log(flat)[:, None] / 4, 3 * rays[:, 1:]], dim=1)  # about -1 to 1
         x = self.seen(features) + self.assumed(torch.cat([logits.softmax(dim=1), F.avg_pool2d(assumed, 2)], dim=1))
-        correction = F.pixel_shuffle(self.layers(x), 2)[:, 0]  # [B,2h,2w]
+        correction = F.pixel_shuffle(self.layers(x), 2)[:, 0].float()  # [B,2h,2w]
         depth = (flat * torch.exp(MAX_CORRECTION * torch.tanh(correction))).clamp(MIN_DEPTH_M, MAX_DEPTH_M)
         return depth[..., :height, :width]
 

@@ -51,4 +51,5 @@ def bounded_depth(x: Tensor) -> Tensor:
 
     A sigmoid over the logarithm: relative errors weigh the same near and far, and no value leaves the range.
     """
-    return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * torch.sigmoid(x))
+    share = torch.sigmoid(x.float())  # a half of 4.8, the logarithm of 120 m, is right to 1.6 % of a distance only
+    return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * share)

@@ -16,16 +16,18 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from pipeline import code
+from pipeline import code, progress
 from pipeline.console import default_workers
 from pipeline.errors import InputError
 from pipeline.store import write_json
 
+REFRESH_S = 0.5  # of the bar, while workers count
 Summary = dict[str, Any]
 Work = Callable[[str, Path], Summary]
 """``work(drive, path)`` writes the drive's file or folder to `path` in one step and returns what the log says."""
@@ -47,6 +49,7 @@ def run_over_drives(
     resume: Path | None = None,
     target: Callable[[str], Path] | None = None,
     effort: Callable[[str], float] | None = None,
+    frames: Callable[[str], int] | None = None,
     describe: Callable[[Summary], str] = str,
 ) -> dict[str, Summary]:
     """Call ``work(drive, path)`` for each of `drives`, in parallel, and leave each drive's file in `out`.
@@ -62,6 +65,8 @@ def run_over_drives(
         target: drive → where its file or folder ends up; default ``out/<drive>.h5``.
         effort: drive → how long it takes, in any unit; the longest start first, so that no worker ends alone.
             Default: the size of the input files.
+        frames: drive → how many frames `work` tells :func:`pipeline.progress.advance` of, for a bar that counts frames.
+            Default: it counts drives.
         describe: one drive's summary → what the log prints of it.
 
     Returns: drive → summary, in the order of `drives`.
@@ -79,7 +84,12 @@ def run_over_drives(
     todo.sort(key=effort or (lambda drive: _bytes(inputs(drive))), reverse=True)
     if len(todo) < len(drives):
         print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
-    _run(work, {drive: paths[drive] for drive in todo}, workers or default_workers(), describe)
+    with tqdm(
+        total=sum(map(frames, todo)) if frames else len(todo),
+        unit=" frames" if frames else " drives",
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        _run(work, {drive: paths[drive] for drive in todo}, workers or default_workers(), describe, bar, bool(frames))
 
     out.mkdir(parents=True, exist_ok=True)
     summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
@@ -95,33 +105,44 @@ def run_over_drives(
     return summaries
 
 
-def _run(work: Work, paths: Mapping[str, Path], workers: int, describe: Callable[[Summary], str]) -> None:
-    bar = tqdm(total=len(paths), unit="drive", disable=not sys.stderr.isatty())
-
+def _run(
+    work: Work,
+    paths: Mapping[str, Path],
+    workers: int,
+    describe: Callable[[Summary], str],
+    bar: tqdm,
+    by_frame: bool,
+) -> None:
     def finish(drive: str, summary: Summary, seconds: float) -> None:
         write_json(_sidecar(paths[drive]), summary)
-        megabytes = _size(paths[drive]) / 1e6
-        bar.update()
-        tqdm.write(f"{drive}: {describe(summary)}, {megabytes:.1f} MB, {seconds:.1f} s", file=sys.stdout)
+        speed = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
+        if not by_frame:
+            bar.update()
+        line = f"{drive}: {describe(summary)}, {_size(paths[drive]) / 1e6:.1f} MB, {seconds:.1f} s{speed}"
+        tqdm.write(line, file=sys.stdout)
         sys.stdout.flush()
 
     workers = min(workers, len(paths))
     if workers <= 1:
+        progress.listen(bar.update if by_frame else progress.nobody)
         for drive, path in paths.items():
             finish(drive, *_timed(work, drive, path))
-        bar.close()
         return
     # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
+    context = multiprocessing.get_context("spawn")
+    done_frames = context.Value("q", 0)
     threads = max(1, default_workers() // workers)
     failures: list[Exception] = []
     with _Environment(OMP_NUM_THREADS=str(threads)), ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker, initargs=(threads,)
+        workers, mp_context=context, initializer=_start_worker, initargs=(threads, done_frames)
     ) as pool:  # fmt: skip
         jobs = {pool.submit(_timed, work, drive, path): drive for drive, path in paths.items()}
         pending = set(jobs)
         try:
             while pending:
-                done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                done, pending = wait(pending, None if bar.disable else REFRESH_S, return_when=FIRST_COMPLETED)
+                if by_frame:
+                    bar.update(done_frames.value - bar.n)
                 for job in done:
                     try:
                         finish(jobs[job], *job.result())
@@ -134,7 +155,6 @@ def _run(work: Work, paths: Mapping[str, Path], workers: int, describe: Callable
         finally:  # after Ctrl-C too: leaving the pool waits for what is not cancelled
             for job in jobs:
                 job.cancel()
-    bar.close()
     if failures:
         raise failures[0]
 
@@ -145,13 +165,14 @@ def _timed(work: Work, drive: str, path: Path) -> tuple[Summary, float]:
     return summary, time.perf_counter() - start
 
 
-def _start_worker(threads: int) -> None:
+def _start_worker(threads: int, done_frames: "Synchronized[int]") -> None:
     """Keep a worker's libraries from using every core each, and the worker from outliving a killed stage."""
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C: end without a traceback each
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     cv2.setNumThreads(threads)
+    progress.listen_with(done_frames)
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(threads)
 

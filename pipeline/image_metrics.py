@@ -8,8 +8,10 @@ from pipeline import classes
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
-# The encoder's depth, and the flat ground's beside it, each against dense truth and against LiDAR.
+# The encoder's depth, and the flat ground's beside it, each against dense truth and against LiDAR; each over the whole
+# image and, as KEY_eigen, over Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
+EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # shares of height and width
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
@@ -26,6 +28,18 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
     error = np.abs(predicted - truth)
     ratio = np.maximum(predicted / truth, truth / predicted)
     return np.array([(error / truth).mean(), np.sqrt((error**2).mean()), (ratio < 1.25).mean()])
+
+
+def eigen_crop(image: np.ndarray) -> np.ndarray:
+    """Return the part of an image [H,W] that KITTI's "Eigen crop" keeps.
+
+    It is the one that reproduces the figures of Eigen et al. 2014, found by Godard et al. 2017 (monodepth's
+    ``--eigen_crop``). Many papers write "Eigen split" and score on the crop of Garg et al. 2016 instead, whose rows go
+    from 0.408 to 0.992 of the height: lower, so more road.
+    """
+    height, width = image.shape
+    (top, bottom), (left, right) = EIGEN_ROWS, EIGEN_COLUMNS
+    return image[int(top * height) : int(bottom * height), int(left * width) : int(right * width)]
 
 
 def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -63,16 +77,19 @@ class Scores:
     """
 
     def __init__(self) -> None:
-        self.depth = {key: (0, np.zeros(len(DEPTH_ERRORS))) for key in DEPTH_SCORES}
+        keys = [key + crop for key in DEPTH_SCORES for crop in ("", "_eigen")]
+        self.depth = {key: (0, np.zeros(len(DEPTH_ERRORS))) for key in keys}
         self.class_frames = 0
         self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
 
     def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
         """Count a frame's depth [H,W] against a truth under a key of DEPTH_SCORES, if it has a valid pixel."""
-        errors = depth_errors(predicted_m, truth_m)
-        if errors is not None:
-            frames, sums = self.depth[key]
-            self.depth[key] = (frames + 1, sums + errors)
+        whole, crop = (predicted_m, truth_m), (eigen_crop(predicted_m), eigen_crop(truth_m))
+        for name, (predicted, truth) in ((key, whole), (f"{key}_eigen", crop)):
+            errors = depth_errors(predicted, truth)
+            if errors is not None:
+                frames, sums = self.depth[name]
+                self.depth[name] = (frames + 1, sums + errors)
 
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
         """Count a frame's classes [H,W]."""
@@ -95,7 +112,7 @@ class Scores:
         self.confusion += np.array(sums["confusion"])
 
     def report(self) -> dict[str, Any]:
-        """Return the scores: each of DEPTH_SCORES and classes, null where no frame has such a truth."""
+        """Return the scores: DEPTH_SCORES, whole and cropped, and classes; null where no frame has the truth."""
         scores: dict[str, Any] = {}
         for key, (frames, sums) in self.depth.items():
             means = dict(zip(DEPTH_ERRORS, (sums / frames).tolist(), strict=True)) if frames else {}

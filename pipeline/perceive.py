@@ -5,18 +5,22 @@ import torch
 from torch import Tensor, nn
 
 from pipeline import classes
+from pipeline.precision import autocast
 
 UNITS_PER_M = 256
 MAX_UNITS = 65535
 
 
-def perceive(model: nn.Module, images: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def perceive(
+    model: nn.Module, images: np.ndarray, K: np.ndarray, precision: str = "float32"
+) -> tuple[np.ndarray, np.ndarray]:
     """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8 [B,H,W,3].
 
-    `K` [3,3] are the intrinsics of these images. One forward pass of `model`, which is in evaluation mode.
+    `K` [3,3] are the intrinsics of these images. One forward pass of `model`, which is in evaluation mode, with
+    products in `precision`, of section perception.
     """
     device = next(model.parameters()).device
-    with torch.inference_mode():
+    with torch.inference_mode(), autocast(device, precision):
         batch = torch.from_numpy(images).to(device).permute(0, 3, 1, 2)
         depth, logits = model(batch, torch.from_numpy(K).to(device).expand(len(images), 3, 3))
         return depth.float().cpu().numpy(), likeliest(logits).to(torch.uint8).cpu().numpy()

@@ -19,6 +19,8 @@ from tqdm import tqdm
 from pipeline import checkpoint, metrics, windows
 from pipeline.distributed import World
 from pipeline.errors import InputError
+from pipeline.precision import autocast
+from pipeline.prefetch import prefetch
 from pipeline.schedule import warm_up_cosine
 from pipeline.sections.train import Train
 
@@ -144,7 +146,7 @@ class Fit:
         own = [[group[run] for run in share or [0]] for group, share in zip(groups, shares, strict=True)]
         self.learner.train()
         total, rate = torch.zeros(2, dtype=torch.float64, device=self.device), 0.0  # sums of weight · error², weight
-        steps = zip(groups, shares, own, windows.batches(drives, own, self.window), strict=True)
+        steps = zip(groups, shares, own, prefetch(windows.batches(drives, own, self.window)), strict=True)
         hidden = not (self.world.leads and sys.stderr.isatty())
         bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=hidden)
         for step, (group, share, runs, batch) in enumerate(bar):
@@ -219,14 +221,6 @@ class Change:
         return windows.rescale(batch, np.repeat(self.factor, frames))
 
 
-def autocast(device: torch.device, precision: str) -> torch.autocast:
-    """Return the context for a forward pass in `precision`, of section train: bfloat16 products, or as weights are."""
-    native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
-    return torch.autocast(
-        device.type, torch.bfloat16, enabled=precision == "bfloat16" or (precision == "auto" and native)
-    )
-
-
 def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
     """Return where the run of each seed is kept: the first one's files are the model's, others get a folder in it."""
     return {seed: model / f"seed-{seed}" if position else model for position, seed in enumerate(seeds)}
@@ -265,7 +259,7 @@ def predict_drives(
     predicted = []
     net.eval()
     with torch.inference_mode():
-        for batch in windows.batches(drives, [[span] for span in own], window):
+        for batch in prefetch(windows.batches(drives, [[span] for span in own], window)):
             predicted.append(forward(net, batch).double().cpu().numpy() * target.std_rad)
     found = [np.full(len(drive.frame), np.nan) for drive in drives]
     for part in world.gather(list(zip(own, predicted, strict=True))):

@@ -35,7 +35,7 @@ COLUMNS = (
 
 def markdown(results: Sequence[Result], absent: Sequence[str] = ()) -> str:
     """Return the tables as Markdown; `absent` models are named with the command that gets them."""
-    lines = _table(
+    lines = table(
         COLUMNS,
         [
             *map(_cells, results),
@@ -116,10 +116,11 @@ def _by_curvature(results: Sequence[Result]) -> list[str]:
         *(f"{_bounds(row)} ({row['frames']} frames)" for row in bins),
     ]
     body = [[result["model"], *(_degrees(row) for row in result["test"]["by_curvature"])] for result in results]
-    return _table(header, [*body, ["*zero*", *(_degrees(row.get("zero", {})) for row in bins)]])
+    return table(header, [*body, ["*zero*", *(_degrees(row.get("zero", {})) for row in bins)]])
 
 
-def _table(header: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+def table(header: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    """Return a Markdown table's lines."""
     return ["| " + " | ".join(cells) + " |" for cells in (header, ["---"] * len(header), *body)]
 
 

@@ -5,7 +5,7 @@ frames that is read and encoded once; all its windows are unfolded from the embe
 Frames are consecutive by KITTI frame number, never by position: a missing frame ends a run.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
@@ -124,7 +124,7 @@ def spans(drives: Sequence[Drive], length: int, windows: int, rng: np.random.Gen
     return found
 
 
-def batches(drives: Sequence[Drive], groups: Sequence[Sequence[Span]], length: int) -> Iterator[Batch]:
+def batches(drives: Sequence[Drive], groups: Sequence[Sequence[Span]], length: int) -> Generator[Batch]:
     """Read each group of spans as one batch. Files stay open while the iterator lives."""
     files: dict[int, frames.Reader] = {}
     with ExitStack() as opened:

@@ -1,18 +1,20 @@
 """Stage perception: depth and classes of every image by one forward pass of the unified encoder, and their scores."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline import checkpoint, console, depth_scale, precomputed, store
+from pipeline import checkpoint, console, depth_scale, precomputed, progress, store
 from pipeline.drives import Summary, run_over_drives
 from pipeline.ground_plane import ground_plane_depth
 from pipeline.image_metrics import Scores
 from pipeline.params import SPLITS, load
+from pipeline.prefetch import prefetch
 from pipeline.sections.perception import Perception
 
 MEND = "Make it again: dvc repro --force encoder"
@@ -44,6 +46,7 @@ def main(
         settings=settings.model_dump(mode="json"),
         # Processes share the cores of a CPU; a GPU is kept busy by one.
         workers=1 if torch.cuda.is_available() else workers,
+        frames=lambda drive: _images(ingest / f"{drive}.h5"),
         describe=_describe,
     )
     scores = {split: Scores() for split in SPLITS}
@@ -60,9 +63,8 @@ def main(
 
 def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:
     from pipeline.perceive import stored_depth
-    from pipeline.supervision import read_truth
 
-    see = _seer(encoder, drive)
+    see = _seer(encoder, drive, settings.precision)
     scale: float | None = None
     scores = Scores()
     with (
@@ -77,27 +79,46 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
         target.put("time_s", source.time_s[rows], "s")
         target.append("depth_m", np.zeros((0, *source.shape("image")[1:3]), np.uint16), f"{unit}, 0 = none")
         target.append("cls", np.zeros((0, *source.shape("image")[1:3]), np.uint8), "Cityscapes trainId")
-        for start in range(0, len(rows), settings.batch):
-            batch = rows[start : start + settings.batch]
-            images = source.rows("image", batch[0], batch[-1] + 1)[batch - batch[0]]
-            depth_m, cls = see(images, K, source.frame[batch])
-            for i, row in enumerate(batch):
-                truth = read_truth(source, int(row))
-                # Without a road (or a scan) to tell it, the scale is that of the frame before.
-                scale = _scale(depth_m[i], cls[i], K, truth, settings) or scale
-                if settings.depth_scale != "none":
-                    depth_m[i] *= scale or 0.0
-                if truth.depth_source:
-                    unscaled = settings.depth_scale == "none"
-                    factor = (depth_scale.from_truth(depth_m[i], truth.depth_m) or 1.0) if unscaled else 1.0
-                    flat = ground_plane_depth(cls[i], K, settings.camera_height_m)
-                    scores.add_depth(f"depth_{truth.depth_source}", depth_m[i] * factor, truth.depth_m)
-                    scores.add_depth(f"ground_plane_{truth.depth_source}", flat, truth.depth_m)
-                if truth.has_cls:
-                    scores.add_classes(cls[i], truth.cls)
-            target.append("depth_m", stored_depth(depth_m, cls))
-            target.append("cls", cls)
+        # One thread reads, one runs the network, this one scores and writes.
+        seen = (
+            (truths, *see(images, K, frames))
+            for frames, images, truths in prefetch(_read(source, rows, settings.batch))
+        )
+        with closing(prefetch(seen)) as batches:
+            for truths, depth_m, cls in batches:
+                for i, truth in enumerate(truths):
+                    # Without a road (or a scan) to tell it, the scale is that of the frame before.
+                    scale = _scale(depth_m[i], cls[i], K, truth, settings) or scale
+                    if settings.depth_scale != "none":
+                        depth_m[i] *= scale or 0.0
+                    _score(scores, depth_m[i], cls[i], truth, K, settings)
+                target.append("depth_m", stored_depth(depth_m, cls))
+                target.append("cls", cls)
+                progress.advance(len(cls))
     return {"frames": len(rows), "scores": scores.sums()}
+
+
+def _read(source: store.DriveReader, rows: np.ndarray, size: int) -> Generator[tuple[np.ndarray, np.ndarray, list]]:
+    """Yield frame numbers, images and truths of the frames in `rows`, `size` of them at a time."""
+    from pipeline.supervision import read_truth
+
+    for start in range(0, len(rows), size):
+        batch = rows[start : start + size]
+        images = source.rows("image", batch[0], batch[-1] + 1)[batch - batch[0]]
+        yield source.frame[batch], images, [read_truth(source, int(row)) for row in batch]
+
+
+def _score(
+    scores: Scores, depth_m: np.ndarray, cls: np.ndarray, truth: Any, K: np.ndarray, settings: Perception
+) -> None:
+    if truth.depth_source:
+        unscaled = settings.depth_scale == "none"
+        factor = (depth_scale.from_truth(depth_m, truth.depth_m) or 1.0) if unscaled else 1.0
+        flat = ground_plane_depth(cls, K, settings.camera_height_m)
+        scores.add_depth(f"depth_{truth.depth_source}", depth_m * factor, truth.depth_m)
+        scores.add_depth(f"ground_plane_{truth.depth_source}", flat, truth.depth_m)
+    if truth.has_cls:
+        scores.add_classes(cls, truth.cls)
 
 
 def _scale(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, truth: Any, settings: Perception) -> float | None:
@@ -108,7 +129,14 @@ def _scale(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, truth: Any, settin
     return 1.0
 
 
-def _seer(encoder: Path, drive: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def _images(path: Path) -> int:
+    with store.DriveReader(path, stage="ingest") as source:
+        return int(source["has_image"].sum())
+
+
+def _seer(
+    encoder: Path, drive: str, precision: str
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Images uint8 [B,H,W,3], K and frame numbers → depth [B,H,W] and trainIds [B,H,W]."""
     folder = _precomputed(encoder)
     if folder:
@@ -123,7 +151,7 @@ def _seer(encoder: Path, drive: str) -> Callable[[np.ndarray, np.ndarray, np.nda
     from pipeline.perceive import perceive
 
     model = _load_model(encoder / "encoder.pt")
-    return lambda images, K, frames: perceive(model, images, K)
+    return lambda images, K, frames: perceive(model, images, K, precision)
 
 
 def _precomputed(encoder: Path) -> Path | None:

@@ -3,14 +3,17 @@
 import csv
 from pathlib import Path
 
-from pipeline import console, store, tables
+from pipeline import console, score_card, store, tables
 from pipeline.params import names
 
 
 def main(
-    evaluate: Path = Path("data/evaluate"), out: Path = Path("data/report"), params: Path = Path("params.yaml")
+    evaluate: Path = Path("data/evaluate"),
+    out: Path = Path("data/report"),
+    params: Path = Path("params.yaml"),
+    perception: Path = Path("data/perception"),
 ) -> None:
-    """Write each model of the params file on the test drives, then the trivial predictors."""
+    """Write each model of the params file on the test drives, the trivial predictors, and what depth is worth."""
     results, absent = [], []
     for model in names("models", params):
         if (evaluate / model / "metrics.json").is_file():
@@ -18,6 +21,9 @@ def main(
         else:
             absent.append(model)
     text = tables.markdown(results, absent)
+    scores = perception / "metrics.json"
+    if scores.is_file():  # a machine that only trains may lack it
+        text += "\n" + score_card.markdown(store.read_json(scores, stage="perception"))
     out.mkdir(parents=True, exist_ok=True)
     (out / "table.md").write_text(text, encoding="utf-8")
     with (out / "table.csv").open("w", newline="", encoding="utf-8") as file:

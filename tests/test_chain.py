@@ -87,6 +87,8 @@ def test_the_encoder_sees_depth_and_classes(sample: Path) -> None:
     text = json.dumps(score)
     assert score["depth_dense"]["abs_rel"] < 0.25, text
     assert score["classes"]["mean_iou"] > 0.45, text
+    table = (sample / "data/report/table.md").read_text()
+    assert f"| test | {score['classes']['frames']} | {score['classes']['pixel_accuracy']:.3f} |" in table
 
 
 def test_every_stage_ran_once_in_order(sample: Path) -> None:
@@ -124,7 +126,7 @@ def test_stages_without_a_network_write_the_same_bytes_again(sample: Path) -> No
 def test_a_machine_with_labels_and_graphs_alone_can_train(sample: Path, tmp_path: Path) -> None:
     """Share by `dvc push`, go on elsewhere by `dvc pull`: no raw data, no images there."""
     run(sample, "dvc", "remote", "add", "--force", "--default", "here", str(tmp_path / "remote"))
-    run(sample, "dvc", "push", "labels", "graphs@semantic")
+    run(sample, "dvc", "push", "labels", "graphs@semantic", "data/perception/metrics.json")
     elsewhere = tmp_path / "elsewhere"
     scratch_copy(elsewhere)
     for name in ("params.yaml", "dvc.lock", ".dvc/config"):
@@ -132,6 +134,10 @@ def test_a_machine_with_labels_and_graphs_alone_can_train(sample: Path, tmp_path
     run(elsewhere, "dvc", "pull", "labels", "graphs@semantic")
     assert sorted(path.name for path in (elsewhere / "data").iterdir() if path.is_dir()) == ["graphs", "labels"]
     run(elsewhere, "dvc", "repro", "--single-item", f"train@{MODEL}", f"evaluate@{MODEL}")
+    run(elsewhere, "dvc", "pull", "data/perception/metrics.json")
+    run(elsewhere, "dvc", "repro", "--single-item", "report")
+    assert [path.name for path in (elsewhere / "data/perception").iterdir()] == ["metrics.json"]
+    assert "mean IoU" in (elsewhere / "data/report/table.md").read_text()
     assert (elsewhere / f"data/evaluate/{MODEL}/metrics.json").is_file()
 
 

@@ -105,11 +105,12 @@ class BinsDepth(Part):
     def forward(self, tokens: Tokens, rays: Tensor) -> Tensor:
         """Return depth [B,H,W] in metres."""
         # The authors enlarge the tokens first; both are linear and weights of an interpolation add up to 1.
-        logits = self.conv_depth(torch.cat([tokens.patches, tokens.summary], dim=1))
+        logits = self.conv_depth(torch.cat([tokens.patches, tokens.summary], dim=1)).float()
         logits = F.interpolate(logits, scale_factor=4, mode="bilinear", align_corners=False)  # [B,256,4h,4w]
         shares = torch.relu(logits) + 0.1
         bins = torch.linspace(MIN_DEPTH_M, MAX_DEPTH_M, BINS, device=logits.device)
-        depth = torch.einsum("bnhw,n->bhw", shares, bins) / shares.sum(dim=1)
+        with torch.autocast(logits.device.type, enabled=False):  # 256 halves would not add up
+            depth = torch.einsum("bnhw,n->bhw", shares, bins) / shares.sum(dim=1)
         return unpadded(depth[:, None], rays)[:, 0]
 
     def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:

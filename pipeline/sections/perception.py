@@ -17,3 +17,4 @@ class Perception(Section):
         Field(description="where metres come from: the network, the camera's height over the road, LiDAR, nowhere"),
     ] = "metric"
     camera_height_m: Positive = 1.65
+    precision: Literal["auto", "bfloat16", "float32"] = "auto"

@@ -45,6 +45,22 @@ def test_a_frame_does_not_depend_on_its_batch(model: UnifiedEncoder) -> None:
         torch.testing.assert_close(a[1:2], b, rtol=1e-4, atol=1e-3)
 
 
+def test_half_precision_products_give_depth_in_full_precision(model: UnifiedEncoder) -> None:
+    image = torch.randint(0, 256, (2, 3, 48, 96), dtype=torch.uint8)
+    for parameter in model.depth_head.parameters():
+        if not parameter.any():  # a correction that says nothing before it is fitted
+            torch.nn.init.normal_(parameter, std=0.1)
+    with torch.no_grad():
+        depth, logits = model(image, K.expand(2, 3, 3))
+        with torch.autocast("cpu", torch.bfloat16):
+            halves_depth, halves_logits = model(image, K.expand(2, 3, 3))
+    assert halves_depth.dtype == torch.float32
+    assert len(halves_depth.unique()) > 1000  # depths themselves in halves: 18 to 33 different ones
+    torch.testing.assert_close(halves_depth, depth, rtol=0.005, atol=0)
+    # Weights that were never fitted give nearly equal logits, which may swap.
+    assert (halves_logits.argmax(dim=1) == logits.argmax(dim=1)).float().mean() > 0.8
+
+
 @pytest.mark.parametrize("name", list(BACKBONES))
 def test_each_backbone_can_be_built_without_memory(name: str) -> None:
     with torch.device("meta"):

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from pipeline import progress
 from pipeline.drives import run_over_drives
 from pipeline.errors import InputError
 from tests.kitti_drive import contents
@@ -33,8 +34,9 @@ def work(drive: str, path: Path, log: Path, trouble: dict[str, str]) -> dict[str
             raise InputError(f"{drive} is damaged")
         case "later":
             time.sleep(0.3)
+    progress.advance(2)
     path.write_text(f"content of {drive}")
-    return {"frames": len(drive)}
+    return {"frames": len(drive), "threads": os.environ.get("OMP_NUM_THREADS")}
 
 
 def run(tmp_path: Path, trouble: dict[str, str] | None = None, **changes: Any) -> dict[str, Any]:
@@ -61,12 +63,30 @@ WHOLE = {f"{drive}.h5": f"content of {drive}".encode() for drive in DRIVES}
 @pytest.mark.parametrize("workers", [1, 2])
 def test_every_drive_gets_its_file(tmp_path: Path, workers: int, capsys: pytest.CaptureFixture[str]) -> None:
     summaries = run(tmp_path, workers=workers, describe=lambda summary: f"{summary['frames']} frames")
-    assert list(summaries.items()) == [(drive, {"frames": 1}) for drive in DRIVES]
+    assert [(drive, summary["frames"]) for drive, summary in summaries.items()] == [(drive, 1) for drive in DRIVES]
     assert finished(tmp_path) == WHOLE
     assert calls(tmp_path) == DRIVES
     assert not list((tmp_path / "data/.resume").iterdir()), "on success, nothing waits"
     lines = capsys.readouterr().out.splitlines()
     assert sorted(line.split(",")[0] for line in lines) == [f"{drive}: 1 frames" for drive in DRIVES]
+    assert all(line.endswith("frames/s") for line in lines)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize(("frames", "shown"), [(None, "4/4"), (lambda drive: 2, "8/8")], ids=["drives", "frames"])
+def test_on_a_terminal_a_bar_counts_drives_or_frames(
+    tmp_path: Path, workers: int, frames: Any, shown: str, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    run(tmp_path, workers=workers, frames=frames)
+    bar = capsys.readouterr().err
+    assert shown in bar.split("\r")[-1]
+    assert ("frames/s" in bar) == (frames is not None)
+
+
+def test_fewer_drives_than_cores_share_all_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEER_WORKERS", "9")
+    assert {summary["threads"] for summary in run(tmp_path, workers=None).values()} == {"2"}  # 4 drives
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from pipeline import classes
-from pipeline.image_metrics import Scores, class_ious, confusion, depth_errors, mean_iou, pixel_accuracy
+from pipeline.image_metrics import (
+    DEPTH_SCORES,
+    Scores,
+    class_ious,
+    confusion,
+    depth_errors,
+    eigen_crop,
+    mean_iou,
+    pixel_accuracy,
+)
 
 
 def test_depth_errors_equal_hand_values_and_skip_what_is_out_of_range() -> None:
@@ -64,7 +73,26 @@ def test_scores_add_up_over_drives_and_are_plain_json() -> None:
 def test_what_has_no_truth_is_null_in_json() -> None:
     scores = Scores()
     scores.add_depth("depth_lidar", np.ones((2, 2)), np.zeros((2, 2)))
-    assert json.loads(json.dumps(scores.report(), allow_nan=False)) == {
-        "depth_dense": None, "depth_lidar": None, "ground_plane_dense": None, "ground_plane_lidar": None,
-        "classes": None,
-    }  # fmt: skip
+    report = json.loads(json.dumps(scores.report(), allow_nan=False))
+    assert set(report) == {*DEPTH_SCORES, *(f"{key}_eigen" for key in DEPTH_SCORES), "classes"}
+    assert set(report.values()) == {None}
+
+
+def test_the_crop_is_that_of_monodepth_on_kittis_image() -> None:
+    rows, columns = np.mgrid[:375, :1242]
+    assert (eigen_crop(rows).min(), eigen_crop(rows).max() + 1) == (124, 342)
+    assert (eigen_crop(columns).min(), eigen_crop(columns).max() + 1) == (44, 1197)
+
+
+def test_what_lies_outside_the_crop_counts_for_the_whole_image_alone() -> None:
+    truth = np.full((100, 100), 10.0)
+    predicted = truth.copy()
+    predicted[:33] = 20.0  # above the crop
+    scores = Scores()
+    scores.add_depth("depth_lidar", predicted, truth)
+    truth[33:91] = 0.0  # nothing is known within the crop
+    scores.add_depth("depth_lidar", predicted, truth)
+    report = scores.report()
+    assert report["depth_lidar"]["frames"] == 2
+    assert report["depth_lidar"]["abs_rel"] == pytest.approx((0.33 + 33 / 42) / 2)
+    assert report["depth_lidar_eigen"] == {"frames": 1, "abs_rel": 0.0, "rmse_m": 0.0, "delta1": 1.0}

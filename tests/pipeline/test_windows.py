@@ -5,6 +5,7 @@ import pytest
 
 from pipeline import store, windows
 from pipeline.errors import InputError
+from pipeline.prefetch import prefetch
 from tests import artefacts
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
@@ -153,3 +154,13 @@ def test_neighbourhoods_stay_in_mirrored_and_rescaled_worlds(tmp_path: Path) -> 
     ):
         assert (changed["xyz"] == batch["xyz"] * factor).all()
         assert all((changed[key] == batch[key]).all() for key in batch if key not in ("xyz", "steering_rad"))
+
+
+def test_batches_read_ahead_in_a_thread_are_the_same(folder: Path) -> None:
+    drives = _read(folder)
+    groups = [[span] for span in windows.spans(drives, 8, 5)]
+    pairs = list(zip(windows.batches(drives, groups, 8), prefetch(windows.batches(drives, groups, 8)), strict=True))
+    assert len(pairs) == len(groups) > 3
+    for direct, ahead in pairs:
+        assert direct.keys() == ahead.keys()
+        assert all(direct[name].tobytes() == ahead[name].tobytes() for name in direct)

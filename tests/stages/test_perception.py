@@ -90,6 +90,15 @@ def test_batch_size_changes_nothing_and_a_drive_without_images_is_named(
         np.testing.assert_allclose(one["depth_m"][same].astype(int), four["depth_m"][same], atol=1)
 
 
+def test_half_precision_products_change_little(folder: Path) -> None:
+    run(folder, "halves", batch=4, precision="bfloat16")
+    halves, full = read(folder / "halves" / f"{DENSE}.h5"), read(folder / "perception" / f"{DENSE}.h5")
+    assert (halves["depth_m"] != full["depth_m"]).any()
+    both = (halves["depth_m"] > 0) & (full["depth_m"] > 0)
+    np.testing.assert_allclose(halves["depth_m"][both] / full["depth_m"][both], 1, atol=0.02)
+    assert (halves["cls"] == full["cls"]).mean() > 0.95
+
+
 def test_scores_equal_what_the_files_say(folder: Path) -> None:
     metrics = json.loads((folder / "perception" / "metrics.json").read_text())
     content = read(folder / "perception" / f"{DENSE}.h5")

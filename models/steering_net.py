@@ -94,8 +94,8 @@ def build(line: Line, kind: str = "graph", levels: int = 0, image_size: tuple[in
     """Build the network of a model's line of params.yaml, with new weights from torch's random state.
 
     Args:
-        line: `spatial`, `temporal`, `features`, `equivariant`, and what the two need: `layers`, `width` and `semantics`;
-            `units` (lstm), or `cell` and `wiring` (ncp).
+        line: `spatial`, `temporal`, `features`, `equivariant`, and what the two networks need: `layers`, `width` and
+            `semantics`; `units` (lstm), or `cell` and `wiring` (ncp).
         kind: what the frames of the line's input are, a key of KINDS.
         levels: PointNet++'s samplings in the input, if it is of that kind.
         image_size: (H,W) pixels of the input's images, if it is of that kind.

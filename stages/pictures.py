@@ -31,7 +31,7 @@ def main(
         settings=section.model_dump(),
         workers=workers,
         target=lambda drive: out / f"{drive}.png",
-        describe=lambda summary: f"frames {', '.join(map(str, summary['frames']))}",
+        describe=lambda summary: f"frames {', '.join(map(str, summary['shown']))}",
     )
     blind = [drive for drive in splits if drive not in seen]
     if blind:
@@ -55,7 +55,7 @@ def _draw(
     figure = sheet(f"{drive} ({splits[drive]})", views)
     figure.savefig(tmp, format="png", dpi=90, metadata={"Software": None})
     tmp.replace(path)
-    return {"frames": [view.frame for view in views]}
+    return {"shown": [view.frame for view in views]}
 
 
 def _frames(path: Path) -> int:

@@ -17,10 +17,10 @@ demo: setup            ## the whole chain on the embedded sample, then its table
 # The same chain with params.NAME.yaml, in a copy of the code under runs/NAME: params.yaml and data/ stay as they are.
 # What is there already, here or from an earlier run, comes from the one cache.
 table2 replay: setup
-	@mkdir -p runs/$@/data data/report
+	@mkdir -p runs/$@/data data/report weights
 	@rm -rf runs/$@/pipeline runs/$@/models runs/$@/stages
 	@cp -R pipeline models stages dvc.yaml runs/$@/ && cp params.$@.yaml runs/$@/params.yaml
-	@cp data/.gitignore runs/$@/data/ && ln -sfn ../../../data/raw runs/$@/data/raw
+	@cp data/.gitignore runs/$@/data/ && ln -sfn ../../../data/raw runs/$@/data/raw && ln -sfn ../../weights runs/$@/weights
 	@cd runs/$@ && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
 	@for kind in md csv; do cp runs/$@/data/report/table.$$kind data/report/$@.$$kind; done
 	@cat data/report/$@.md

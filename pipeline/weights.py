@@ -48,7 +48,9 @@ def read_weights(path: Path, mend: str) -> Weights:
     Raises InputError if it is missing, cut short or no checkpoint of a unified encoder.
     """
     content = checkpoint.read(path, KIND, mend)
-    return Weights(path, str(content["backbone"]), content["net"])
+    if not isinstance(content.get("backbone"), str) or not _is_state(content.get("net")):
+        raise InputError(f"{path} lacks the backbone's name or the network's tensors. {mend}")
+    return Weights(path, content["backbone"], content["net"])
 
 
 def read_published(path: Path, mend: str) -> dict[str, Any]:
@@ -56,14 +58,20 @@ def read_published(path: Path, mend: str) -> dict[str, Any]:
 
     Raises InputError if the file is cut short, or holds code, or no tensors.
     """
-    import torch
-
     content = checkpoint.load(path, mend)
     candidates = [content, *(content.get(name) for name in WRAPPERS)] if isinstance(content, dict) else []
     for state in candidates:
-        if isinstance(state, dict) and state and all(isinstance(value, torch.Tensor) for value in state.values()):
+        if _is_state(state) and state:
             return dict(state)
     raise InputError(f"{path} is no plain state dict, tensors by name. {mend}")
+
+
+def _is_state(value: Any) -> bool:
+    import torch
+
+    return isinstance(value, dict) and all(
+        isinstance(name, str) and isinstance(tensor, torch.Tensor) for name, tensor in value.items()
+    )
 
 
 def fill(model: Any, backbone: str, setting: str | Mapping[str, str] | None, key: str) -> list[Source]:

@@ -10,6 +10,8 @@ from pipeline.download import find
 from pipeline.errors import InputError
 
 KIND = "unified encoder"
+Setting = str | Mapping[str, str] | None
+"""A checkpoint of this project, or a published file for each of some parts, or nothing."""
 WRAPPERS = ("state_dict", "model")  # what published files call their tensors, where they hold more than these
 
 
@@ -74,14 +76,20 @@ def _is_state(value: Any) -> bool:
     )
 
 
-def fill(model: Any, backbone: str, setting: str | Mapping[str, str] | None, key: str) -> list[Source]:
+def files(setting: Setting, key: str) -> dict[str, str]:
+    """Return the files that a setting of this `key` names, each under its own key."""
+    if isinstance(setting, str):
+        return {key: setting}
+    return {f"{key}.{part}": file for part, file in (setting or {}).items()}
+
+
+def fill(model: Any, backbone: str, setting: Setting, key: str) -> list[Source]:
     """Fill a unified encoder's parts as a setting says; return the files that were used.
 
     Args:
         model: a torch module with the children backbone, depth_head and class_head.
         backbone: what kind it is.
-        setting: a checkpoint of this project, or a published file for each of some parts, or None for nothing; each
-            a path or URL as :func:`pipeline.download.find` takes them.
+        setting: its files, each a path or URL as :func:`pipeline.download.find` takes them.
         key: the setting's name in params.yaml, for messages.
 
     Raises InputError if a file is missing, is not what its hash says, or does not fit the network one by one.

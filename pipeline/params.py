@@ -86,7 +86,7 @@ def _parse(kind: type[S], value: Any, path: Path, where: str) -> S:
             section: Any = kind
             for part in first["loc"][:-1]:
                 annotation = section.model_fields[part].annotation
-                section = next(kind for kind in get_args(annotation) or [annotation] if kind is not type(None))
+                section = next(t for t in get_args(annotation) or [annotation] if t is not type(None))  # of Optional
             known = list(section.model_fields)
             raise InputError(f"{path}: unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
         if first["type"] == "missing":

@@ -135,9 +135,7 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
         r"encoder: frozen: true keeps a backbone": {"frozen": True},
         r"encoder.backbone: there is no backbone 'large': known: .*small": {"backbone": "large"},
         r"encoder\.weights: name a checkpoint, or a published file": {"weights": {"head": "a.pth"}},
-        r"teacher.backbone: there is no backbone 'large'": {
-            "teacher": {"backbone": "large", "weights": "a.pt"}
-        },
+        r"teacher.backbone: there is no backbone 'large'": {"teacher": {"backbone": "large", "weights": "a.pt"}},
         r"encoder.teacher: weights: null would teach random classes": {
             "teacher": {"backbone": "espnetv2-s1", "weights": None}
         },

@@ -18,9 +18,10 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
     """Return an image's [abs rel, RMSE in metres, δ1] over the pixels whose true depth is 1 to 80 m; None without any.
 
     Abs rel is the mean of |d - d*| / d*, δ1 the share of pixels where max(d/d*, d*/d) < 1.25 (Eigen et al. 2014, who
-    also clip the prediction to the range). Both arguments are metres, [H,W]; a truth of 0 is unknown.
+    also clip the prediction to the range). Both arguments are metres, [H,W]; 0 is unknown, so where the prediction is 0
+    (a hole, not a distance) it is not scored.
     """
-    valid = (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M)
+    valid = (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M) & (predicted_m > 0)
     if not valid.any():
         return None
     truth = truth_m[valid].astype(np.float64)

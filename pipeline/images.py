@@ -25,13 +25,13 @@ def read_image(path: Path, size: Size, new_size: Size) -> np.ndarray:
     return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
 
 
-def read_depth(path: Path, size: Size, new_size: Size) -> np.ndarray:
-    """Return dense depth, uint16 [H,W], 1/256 m, 0 where there is none. Errors as :func:`read_image`."""
+def read_depth(path: Path, size: Size | None, new_size: Size) -> np.ndarray:
+    """Return dense depth, uint16 [H,W], 1/256 m, 0 where there is none. `size` None is any; errors as `read_image`."""
     return _nearest(_read(path, size, np.uint16, axes=2), new_size)
 
 
-def read_classes(path: Path, size: Size, new_size: Size) -> np.ndarray:
-    """Return class numbers, uint8 [H,W]. Errors as :func:`read_image`."""
+def read_classes(path: Path, size: Size | None, new_size: Size) -> np.ndarray:
+    """Return class numbers, uint8 [H,W]. `size` None is any; errors as :func:`read_image`."""
     return _nearest(_read(path, size, np.uint8, axes=2), new_size)
 
 
@@ -43,9 +43,9 @@ def _nearest(pixels: np.ndarray, new_size: Size) -> np.ndarray:
     return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
 
-def _read(path: Path, size: Size, dtype: type, axes: int | None = None) -> np.ndarray:
+def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None) -> np.ndarray:
     pixels = read_png(path)
-    if pixels.shape[:2] != size:
+    if size and pixels.shape[:2] != size:
         raise InputError(
             f"{path} is {pixels.shape[1]} x {pixels.shape[0]} pixels, the calibration says {size[1]} x {size[0]}: "
             "use the synced and rectified archives, and the calibration of the same date"

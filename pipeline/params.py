@@ -5,7 +5,7 @@ Units stand in names or descriptions; a value out of range, an unknown key or a 
 """
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -85,7 +85,8 @@ def _parse(kind: type[S], value: Any, path: Path, where: str) -> S:
         if first["type"] == "extra_forbidden":
             section: Any = kind
             for part in first["loc"][:-1]:
-                section = section.model_fields[part].annotation
+                annotation = section.model_fields[part].annotation
+                section = next(t for t in get_args(annotation) or [annotation] if t is not type(None))  # of Optional
             known = list(section.model_fields)
             raise InputError(f"{path}: unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
         if first["type"] == "missing":

@@ -118,6 +118,7 @@ class Supervision:
         self.frames_per_drive = {
             name: sum(row[0] == number for row in self._rows) for number, name in enumerate(drives)
         }
+        self.has_depth = any(bool(file["has_depth"].any() or _scanned(file).any()) for file in self._files)
         self.has_classes = any(bool(file["has_cls"].any()) for file in self._files)
         self.size = image_size(self._files[0])
         self._cache: dict[int, Example] = {}

@@ -10,6 +10,8 @@ from pipeline.download import find
 from pipeline.errors import InputError
 
 KIND = "unified encoder"
+Setting = str | Mapping[str, str] | None
+"""A checkpoint of this project, or a published file for each of some parts, or nothing."""
 WRAPPERS = ("state_dict", "model")  # what published files call their tensors, where they hold more than these
 
 
@@ -48,7 +50,9 @@ def read_weights(path: Path, mend: str) -> Weights:
     Raises InputError if it is missing, cut short or no checkpoint of a unified encoder.
     """
     content = checkpoint.read(path, KIND, mend)
-    return Weights(path, str(content["backbone"]), content["net"])
+    if not isinstance(content.get("backbone"), str) or not _is_state(content.get("net")):
+        raise InputError(f"{path} lacks the backbone's name or the network's tensors. {mend}")
+    return Weights(path, content["backbone"], content["net"])
 
 
 def read_published(path: Path, mend: str) -> dict[str, Any]:
@@ -56,24 +60,36 @@ def read_published(path: Path, mend: str) -> dict[str, Any]:
 
     Raises InputError if the file is cut short, or holds code, or no tensors.
     """
-    import torch
-
     content = checkpoint.load(path, mend)
     candidates = [content, *(content.get(name) for name in WRAPPERS)] if isinstance(content, dict) else []
     for state in candidates:
-        if isinstance(state, dict) and state and all(isinstance(value, torch.Tensor) for value in state.values()):
+        if _is_state(state) and state:
             return dict(state)
     raise InputError(f"{path} is no plain state dict, tensors by name. {mend}")
 
 
-def fill(model: Any, backbone: str, setting: str | Mapping[str, str] | None, key: str) -> list[Source]:
+def _is_state(value: Any) -> bool:
+    import torch
+
+    return isinstance(value, dict) and all(
+        isinstance(name, str) and isinstance(tensor, torch.Tensor) for name, tensor in value.items()
+    )
+
+
+def files(setting: Setting, key: str) -> dict[str, str]:
+    """Return the files that a setting of this `key` names, each under its own key."""
+    if isinstance(setting, str):
+        return {key: setting}
+    return {f"{key}.{part}": file for part, file in (setting or {}).items()}
+
+
+def fill(model: Any, backbone: str, setting: Setting, key: str) -> list[Source]:
     """Fill a unified encoder's parts as a setting says; return the files that were used.
 
     Args:
         model: a torch module with the children backbone, depth_head and class_head.
         backbone: what kind it is.
-        setting: a checkpoint of this project, or a published file for each of some parts, or None for nothing; each
-            a path or URL as :func:`pipeline.download.find` takes them.
+        setting: its files, each a path or URL as :func:`pipeline.download.find` takes them.
         key: the setting's name in params.yaml, for messages.
 
     Raises InputError if a file is missing, is not what its hash says, or does not fit the network one by one.

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from pipeline import console, precomputed
+from pipeline import console, download, precomputed, weights
 from pipeline.errors import InputError, closest
 from pipeline.params import load, load_entry, names
 from pipeline.sections.clouds import Clouds
-from pipeline.sections.encoder import Encoder
+from pipeline.sections.encoder import Encoder, Teacher
 from pipeline.sections.evaluate import Evaluate
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
@@ -19,7 +19,10 @@ from pipeline.sections.train import Train
 
 
 def main(params: Path = Path("params.yaml")) -> None:
-    """Read every section; build every model once, so that a network that cannot be is found now."""
+    """Read every section; build every model once, so that a network that cannot be is found now, and look for weights.
+
+    Nothing is fetched, and no file of weights is opened.
+    """
     for section in (Town, Ingest, Labels, Perception, Clouds, Pictures, Train, Evaluate):
         load(section, params)
     encoder, image_size = load(Encoder, params), load(Ingest, params).image_size
@@ -34,20 +37,22 @@ def main(params: Path = Path("params.yaml")) -> None:
 
     from models import steering_net, unified_encoder
 
-    wanted = {"encoder.backbone": encoder.backbone} | (
-        {"encoder.teacher.backbone": encoder.teacher.backbone} if encoder.teacher else {}
-    )
-    for key, backbone in wanted.items():
-        if backbone == precomputed.BACKBONE and key == "encoder.backbone":
+    networks: list[Encoder | Teacher] = [encoder, encoder.teacher] if encoder.teacher else [encoder]
+    for network in networks:
+        if network.backbone == precomputed.BACKBONE:
+            precomputed.find(Path(str(network.weights)))
             continue
-        if backbone not in unified_encoder.BACKBONES:
-            near = closest(backbone, [*unified_encoder.BACKBONES, precomputed.BACKBONE])
-            raise InputError(f"{params}: {key} = {backbone!r} is none of this project: {near}")
+        key = f"{network.key}.backbone"
+        if network.backbone not in unified_encoder.BACKBONES:
+            near = closest(network.backbone, [*unified_encoder.BACKBONES, precomputed.BACKBONE])
+            raise InputError(f"{params}: {key} = {network.backbone!r} is none of this project: {near}")
         try:
             with torch.device("meta"):  # takes neither memory nor time
-                unified_encoder.UnifiedEncoder(backbone)
+                unified_encoder.UnifiedEncoder(network.backbone)
         except ValueError as error:
-            raise InputError(f"{params}: {key} = {backbone}: {error}") from error
+            raise InputError(f"{params}: {key} = {network.backbone}: {error}") from error
+        for name, file in weights.files(network.weights, f"{network.key}.weights").items():
+            download.locate(file, name)
     for name, line in lines.items():
         try:
             variant = variants[line.input]

@@ -11,8 +11,8 @@ from pipeline import console, precomputed, store
 from pipeline.drives import resume_key
 from pipeline.errors import InputError
 from pipeline.params import load
-from pipeline.sections.encoder import Encoder, Teacher
-from pipeline.weights import Source, fill, write_weights
+from pipeline.sections.encoder import PARTS, Encoder, Teacher
+from pipeline.weights import Setting, Source, fill, write_weights
 
 HEADS = ("depth_head", "class_head")
 
@@ -52,8 +52,10 @@ def main(
         hashes = [source.sha256 for source in (*sources, *taught_by)]
         key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
         with Supervision(ingest, drives, settings.frames) as examples:
+            if not examples.has_depth:
+                _keep(model, "depth_head", settings, "depth or LiDAR", "a drive with LiDAR", params)
             if not examples.has_classes and not settings.teacher:
-                _keep_classes(model, settings, given, params)
+                _keep(model, "class_head", settings, "class truth", "an encoder.teacher", params)
             if not any(parameter.requires_grad for parameter in model.parameters()):
                 raise InputError(f"{params}: nothing is left to fit: encoder.epochs: 0 uses the weights as they are")
             supervision = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
@@ -68,9 +70,9 @@ def main(
                 teacher=class_teacher(teach) if teach else None,
             )
     elif given:
-        for part in sorted({"backbone", *HEADS} - given):
-            if any(True for _ in getattr(model, part).parameters()):
-                raise InputError(f"{params}: encoder.weights names no {part}: name one, or let encoder.epochs fit it")
+        part = _unnamed(model, settings.weights, PARTS)
+        if part:
+            raise InputError(f"{params}: encoder.weights names no {part}: name one, or let encoder.epochs fit it")
 
     write_weights(out / "encoder.pt", settings.backbone, model.state_dict())
     config = settings.model_dump(mode="json") | supervision | {
@@ -102,18 +104,31 @@ def _build(backbone: str, params: Path, key: str) -> Any:
         raise InputError(f"{params}: {key}: {error}") from error
 
 
-def _keep_classes(model: Any, settings: Encoder, given: set[str], params: Path) -> None:
-    """Without anything to learn classes from, the class head must stay, and be good as it is."""
-    if given and "class_head" not in given and any(True for _ in model.class_head.parameters()):
+def _unnamed(model: Any, weights: Setting, parts: Sequence[str]) -> str | None:
+    """The first of `parts` that has something to fit and that no file fills; a checkpoint fills all."""
+    if isinstance(weights, str):
+        return None
+    unnamed = (part for part in parts if part not in (weights or {}))
+    return next((part for part in unnamed if any(True for _ in getattr(model, part).parameters())), None)
+
+
+def _keep(model: Any, head: str, settings: Encoder, truth: str, source: str, params: Path) -> None:
+    """Without any truth to fit a head to, the head must stay, and be good as it is, with the backbone that it reads."""
+    from models.ground_depth import GroundDepth
+
+    getattr(model, head).requires_grad_(False)
+    part = _unnamed(model, settings.weights, (head, "backbone"))
+    if part == head and any(isinstance(module, GroundDepth) for module in getattr(model, head).modules()):
+        return  # flat ground under the classes, as long as nothing has fitted it
+    if part:
         raise InputError(
-            f"{params}: encoder.weights names no class_head, and no training drive has class truth to fit one: "
-            "name one, or an encoder.teacher"
+            f"{params}: no training drive has {truth}, and encoder.weights names no {part}: "
+            f"name a fitted one there, or add {source}"
         )
-    model.class_head.requires_grad_(False)
     if not settings.frozen:
         print(
-            "note: no training drive has class truth, and encoder.teacher is null: the class head stays as it is on a "
-            "backbone that moves. encoder.frozen: true keeps the classes of encoder.weights",
+            f"note: no training drive has {truth}: the {head} stays as it is on a backbone that moves. "
+            "encoder.frozen: true keeps what encoder.weights gives",
             flush=True,
         )
 
@@ -122,14 +137,15 @@ def _teacher(settings: Teacher | None, params: Path, device: str) -> tuple[Any, 
     if settings is None:
         return None, []
     model = _build(settings.backbone, params, "encoder.teacher.backbone")
+    part = _unnamed(model, settings.weights, ("backbone", "class_head"))
+    if part:
+        raise InputError(f"{params}: encoder.teacher.weights names no {part}, and nothing fits a teacher: name one")
     sources = fill(model, settings.backbone, settings.weights, "encoder.teacher.weights")
     return model.to(device).eval().requires_grad_(False), sources
 
 
 def _take_precomputed(settings: Encoder, out: Path) -> None:
-    if not isinstance(settings.weights, str):
-        raise InputError(f"encoder.weights: backbone precomputed reads {precomputed.LAYOUT}: name the folder")
-    files, fingerprint = precomputed.fingerprint(Path(settings.weights))
+    files, fingerprint = precomputed.fingerprint(Path(str(settings.weights)))
     config = settings.model_dump(mode="json") | {"files": files, "fingerprint": fingerprint}
     store.write_json(out / "config.json", config)
     print(f"encoder: {files} precomputed files in {settings.weights}", flush=True)

@@ -80,11 +80,10 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
         target.append("depth_m", np.zeros((0, *source.shape("image")[1:3]), np.uint16), f"{unit}, 0 = none")
         target.append("cls", np.zeros((0, *source.shape("image")[1:3]), np.uint8), "Cityscapes trainId")
         # One thread reads, one runs the network, this one scores and writes.
-        seen = (
-            (truths, *see(images, K, frames))
-            for frames, images, truths in prefetch(_read(source, rows, settings.batch))
-        )
-        with closing(prefetch(seen)) as batches:
+        with (
+            closing(prefetch(_read(source, rows, settings.batch))) as inputs,
+            closing(prefetch((truths, *see(images, K, frames)) for frames, images, truths in inputs)) as batches,
+        ):
             for truths, depth_m, cls in batches:
                 for i, truth in enumerate(truths):
                     # Without a road (or a scan) to tell it, the scale is that of the frame before.
@@ -104,7 +103,8 @@ def _read(source: store.DriveReader, rows: np.ndarray, size: int) -> Generator[t
 
     for start in range(0, len(rows), size):
         batch = rows[start : start + size]
-        images = source.rows("image", batch[0], batch[-1] + 1)[batch - batch[0]]
+        # Row by row: few frames may have an image, and those between are not to be read.
+        images = np.concatenate([source.rows("image", row, row + 1) for row in batch])
         yield source.frame[batch], images, [read_truth(source, int(row)) for row in batch]
 
 
@@ -164,7 +164,7 @@ def _precomputed(encoder: Path) -> Path | None:
 def _load_model(path: Path) -> Any:
     import torch
 
-    from models.unified_encoder import UnifiedEncoder
+    from models.unified_encoder import BACKBONES, UnifiedEncoder
     from pipeline.errors import InputError
     from pipeline.weights import read_weights
 
@@ -172,7 +172,8 @@ def _load_model(path: Path) -> Any:
     try:
         model = UnifiedEncoder(weights.backbone)
     except ValueError as error:
-        raise InputError(f"{path}: {error}. {MEND}") from error
+        mend = "" if weights.backbone in BACKBONES else f". {MEND}"  # a package that is missing says what to do itself
+        raise InputError(f"{path}: {error}{mend}") from error
     checkpoint.load_state(model, weights.state, path, MEND)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # 1.6x faster on a CPU, measured
     return model.to("cuda" if torch.cuda.is_available() else "cpu").eval()

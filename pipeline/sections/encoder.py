@@ -4,6 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from pipeline import precomputed
 from pipeline.params import Count, Positive, Section, Seed
 
 PARTS = ("backbone", "depth_head", "class_head")
@@ -30,6 +31,14 @@ class Teacher(Section):
     backbone: str
     weights: Weights
 
+    @model_validator(mode="after")
+    def _is_fitted(self) -> Self:
+        if self.backbone == precomputed.BACKBONE:
+            raise ValueError("backbone: precomputed is no network and cannot teach: name the backbone of one")
+        if self.weights is None:
+            raise ValueError("weights: null would teach random classes: name a fitted checkpoint or published files")
+        return self
+
 
 class Encoder(Section):
     key = "encoder"
@@ -45,6 +54,8 @@ class Encoder(Section):
 
     @model_validator(mode="after")
     def _comes_to_weights(self) -> Self:
+        if self.backbone == precomputed.BACKBONE and not isinstance(self.weights, str):
+            raise ValueError(f"backbone: precomputed reads {precomputed.LAYOUT}: name the folder in weights")
         if self.weights is None and self.epochs == 0:
             raise ValueError("epochs: 0 uses weights as they are: name a checkpoint in weights, or set epochs")
         if self.frozen and not (isinstance(self.weights, str) or (self.weights and "backbone" in self.weights)):

@@ -1,4 +1,7 @@
 import hashlib
+import socket
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -43,13 +46,70 @@ def test_what_cannot_be_had_is_one_line_with_address_and_place(published: Path, 
     place = tmp_path / "weights/net.pth"
     faults = {
         f"http://127.0.0.1:9/net.pth#sha256={SHA256}": rf"{place} is missing and http://127.0.0.1:9/net.pth cannot be",
-        "http://127.0.0.1:9/net.pth": rf"Put the file there: curl -L -o {place} http://127.0.0.1:9/net.pth",
+        "http://127.0.0.1:9/net.pth": rf"Put the file there: curl --create-dirs -L -o {place} http://127.0.0.1:9/net.pth",
         "nowhere.pt": r"nowhere\.pt is missing\. Put the file there",
         f"{published}#sha256={'0' * 64}": rf"has the SHA-256 {SHA256}, not 0{{64}}",
         f"{published}#sha256=abc": "64 hexadecimal digits",
+        str(tmp_path): "is a folder. Name a file",
+        f"http://127.0.0.1:9/#sha256={SHA256}": "is a folder. Name a file",
+        f"http://127.0.0.1:port/net.pth#sha256={SHA256}": r"cannot be fetched \(nonnumeric port",
+        f"http://[::1/net.pth#sha256={SHA256}": r"cannot be fetched \(Invalid IPv6 URL",
+        f"http://127.0.0.1:9/a b.pth#sha256={SHA256}": r"cannot be fetched \(URL can't contain control characters",
     }
     for setting, message in faults.items():
         with pytest.raises(InputError, match=message) as caught:
             find(setting, KEY)
         assert str(caught.value).startswith(KEY)
         assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[bytes], str]]:
+    """Answers one request with the given bytes, whatever they are; returns the address."""
+    threads = []
+
+    def start(answer: bytes) -> str:
+        server = socket.create_server(("127.0.0.1", 0))
+
+        def respond() -> None:
+            with server, server.accept()[0] as client:
+                client.recv(4096)
+                client.sendall(answer)
+
+        threads.append(threading.Thread(target=respond))
+        threads[-1].start()
+        return f"http://127.0.0.1:{server.getsockname()[1]}/net.pth"
+
+    yield start
+    for thread in threads:
+        thread.join(timeout=10)
+
+
+OK = b"HTTP/1.1 200 OK\r\n"
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (OK + b"Content-Length: 99\r\n\r\n" + CONTENT, "cut short at 12 of 99 bytes"),
+        (OK + b"Content-Length: many\r\n\r\n" + CONTENT, "invalid literal for int"),
+        (OK + b"Transfer-Encoding: chunked\r\n\r\n9\r\nsome", "IncompleteRead"),
+        (b"no HTTP\r\n\r\n", "no HTTP"),
+        (b"", "closed connection"),
+        (b"HTTP/1.1 404 Not Found\r\n\r\n", "404"),
+    ],
+)
+def test_a_bad_answer_is_one_line_and_leaves_nothing(
+    published: Path, tmp_path: Path, serve: Callable[[bytes], str], answer: bytes, message: str
+) -> None:
+    with pytest.raises(InputError, match=rf"^{KEY}: .*cannot be fetched \(.*{message}.*put it there$"):
+        find(f"{serve(answer)}#sha256={SHA256}", KEY)
+    assert list((tmp_path / "weights").iterdir()) == []
+
+
+def test_a_good_answer_is_kept_and_no_bar_goes_to_a_log(
+    published: Path, serve: Callable[[bytes], str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, _ = find(f"{serve(OK + b'Content-Length: 12' + 2 * bytes([13, 10]) + CONTENT)}#sha256={SHA256}", KEY)
+    assert path.read_bytes() == CONTENT
+    assert capsys.readouterr().err == ""

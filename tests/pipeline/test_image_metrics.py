@@ -29,8 +29,20 @@ def test_depth_prediction_is_clipped_to_the_range() -> None:
     np.testing.assert_allclose(errors, [0, 0, 1])
 
 
-def test_depth_errors_without_truth_are_none() -> None:
+def test_depth_errors_without_truth_or_prediction_are_none() -> None:
     assert depth_errors(np.ones((2, 2)), np.zeros((2, 2))) is None
+    assert depth_errors(np.zeros((2, 2)), np.full((2, 2), 9.0)) is None
+    assert depth_errors(np.array([0.0, 9.0]), np.array([9.0, 0.0])) is None
+
+
+def test_holes_in_the_prediction_do_not_count() -> None:
+    truth = np.array([[10.0, 20.0, 40.0]])
+    errors = depth_errors(np.array([[11.0, 0.0, 40.0]]), truth)
+    np.testing.assert_allclose(errors, [(0.1 + 0) / 2, np.sqrt((1 + 0) / 2), 1])
+    scores = Scores()
+    for predicted in (truth, np.zeros_like(truth)):
+        scores.add_depth("depth_lidar", predicted, truth)
+    assert scores.report()["depth_lidar"] == {"frames": 1, "abs_rel": 0.0, "rmse_m": 0.0, "delta1": 1.0}
 
 
 def test_confusion_counts_pairs_and_leaves_void_out() -> None:

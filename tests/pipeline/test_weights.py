@@ -41,6 +41,11 @@ def test_read_refuses_other_content(checkpoint: Path, tmp_path: Path) -> None:
     torch.save({"conv.weight": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(InputError, match="no checkpoint of this project's unified encoder"):
         read_weights(tmp_path / "other.pt", MEND)
+    net = {"conv.weight": torch.zeros(3)}
+    for rest in ({}, {"net": net}, {"backbone": "small"}, {"backbone": "small", "net": {0: net["conv.weight"]}}):
+        torch.save({"kind": "unified encoder", **rest}, tmp_path / "other.pt")
+        with pytest.raises(InputError, match=r"lacks the backbone's name or the network's tensors\. Mend it so\."):
+            read_weights(tmp_path / "other.pt", MEND)
 
 
 @pytest.mark.parametrize("wrapper", [None, "state_dict", "model"])
@@ -67,7 +72,15 @@ def test_published_files_that_are_none_are_refused(tmp_path: Path) -> None:
         def __reduce__(self) -> tuple[object, tuple[str]]:
             return print, ("never",)
 
-    contents = {"code": Code(), "number": 3, "mixed": {"a": torch.zeros(1), "b": 2}, "empty": {}}
+    contents = {
+        "code": Code(),
+        "number": 3,
+        "tensor": torch.zeros(1),
+        "mixed": {"a": torch.zeros(1), "b": 2},
+        "numbered": {0: torch.zeros(1)},
+        "wrapped tensor": {"model": torch.zeros(2), "epoch": 3},
+        "empty": {},
+    }
     for name, content in contents.items():
         torch.save(content, tmp_path / name)
         with pytest.raises(InputError, match=r"(plain state dict|plain values).* Mend it so\.") as caught:

@@ -4,17 +4,45 @@ from typing import Any
 import pytest
 import yaml
 
+from pipeline import download, weights
 from pipeline.errors import InputError
 from pipeline.tables import PAPER
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
+FIT = {"epochs": 1, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
+PRECOMPUTED = {"backbone": "precomputed", **FIT}
 OTHERS = ["params.kitti.yaml", "params.table2.yaml", "params.replay.yaml", "params.real.yaml"]
 
 
 @pytest.mark.parametrize("name", ["params.yaml", *OTHERS])
-def test_the_projects_own_files_are_right(name: str) -> None:
+def test_the_projects_own_files_are_right(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the weights lie that nothing fetches; none is read, none fetched."""
+
+    def never(*_: object) -> None:
+        raise AssertionError("check reads or fetches weights")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(download, "file_hash", never)
+    monkeypatch.setattr(download, "_fetch", never)
+    (tmp_path / "weights").mkdir()
+    encoder = yaml.safe_load((ROOT / name).read_text())["encoder"]
+    for file in weights.files(encoder["weights"], "encoder.weights").values():
+        if "#sha256=" not in file:
+            (tmp_path / "weights" / file.rsplit("/", 1)[-1]).touch()
     check.main(ROOT / name)
+
+
+def test_weights_that_nothing_will_fetch_are_missed_before_ingest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as checked:
+        check.main(ROOT / "params.kitti.yaml")
+    key = "encoder.weights.depth_head"
+    with pytest.raises(InputError, match=rf"^{key}: weights/.*head\.pth is missing.*: curl ") as found:
+        download.find(yaml.safe_load((ROOT / "params.kitti.yaml").read_text())["encoder"]["weights"]["depth_head"], key)
+    assert str(checked.value) == str(found.value)
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -57,6 +85,26 @@ def test_table2_shares_the_samples_artefacts() -> None:
         ),
         ("models.sa-gnn-ncp.wiring", {"motor_fanin": 7}, "motor_fanin = 7, but there are command = 6 neurons"),
         ("encoder.backbone", "smal", "encoder.backbone = 'smal'"),
+        ("encoder.backbone", "precomputed", "encoder: backbone: precomputed reads DRIVE/depth/"),
+        ("encoder", {**PRECOMPUTED, "weights": {"backbone": "made"}}, "name the folder in weights"),
+        ("encoder", {**PRECOMPUTED, "weights": "nowhere"}, "encoder.weights: nowhere holds no PNG files"),
+        ("encoder.weights", "nowhere.pt", "encoder.weights: nowhere.pt is missing"),
+        ("encoder.teacher", {"backbone": "precomputed", "weights": "made"}, "is no network and cannot teach"),
+        (
+            "encoder.teacher",
+            {"backbone": "small", "weights": None},
+            "encoder.teacher: weights: null would teach",
+        ),
+        (
+            "encoder.teacher",
+            {"backbone": "small", "weights": {"backbone": "nowhere.pth"}},
+            "encoder.teacher.weights.backbone: nowhere.pth is missing",
+        ),
+        (
+            "encoder.teacher",
+            {"backbone": "small", "weights": "a.pt", "weigths": "b.pt"},
+            "unknown key encoder.teacher.weigths: did you mean weights?",
+        ),
         ("train.epochs", "many", "train.epochs = 'many'"),
         ("train.seeds", [0, 0], "a seed is named twice"),
         ("evaluate.seed", None, "evaluate.seed"),

@@ -3,6 +3,7 @@ import hashlib
 import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -83,8 +84,9 @@ def test_weights_are_where_fitting_starts(ingest: Path) -> None:
 
 
 def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    start = run(ingest, "start", epochs=1)
     street.write_drive(ingest, TRAIN, 9, dense=False, lidar=True)
-    fitted = run(ingest)
+    fitted = run(ingest, weights=str(start / "encoder.pt"))
     losses = json.loads((fitted / "config.json").read_text())["losses"]
     assert losses["depth"] > 0
     assert losses["classes"] == 0
@@ -97,6 +99,35 @@ def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path, capsys: pytest.Cap
     assert changed == {"depth_head"}  # not even weight decay moves the class head
 
 
+def test_classes_that_nothing_gives_are_refused(ingest: Path, tmp_path: Path) -> None:
+    street.write_drive(ingest, TRAIN, 9, dense=False, lidar=True)
+    torch.save(UnifiedEncoder("small").class_head.state_dict(), tmp_path / "head.pth")
+    lacking: list[tuple[str, dict[str, object]]] = [
+        ("class_head", {}),
+        ("backbone", {"weights": {"class_head": str(tmp_path / "head.pth")}}),
+        ("backbone", {"backbone": "espnetv2-s1"}),  # its classes are the backbone's
+    ]
+    for part, settings in lacking:
+        with pytest.raises(InputError, match=f"has class truth, and encoder.weights names no {part}: name .*teacher$"):
+            run(ingest, **settings)
+    assert not (ingest.parent / "encoder").exists()
+
+
+def test_depth_that_nothing_gives_is_refused_unless_it_needs_no_fitting(ingest: Path) -> None:
+    start = run(ingest, "start", epochs=1)
+    with h5py.File(ingest / f"{TRAIN}.h5", "r+") as file:
+        file["has_depth"][:] = 0
+    with pytest.raises(InputError, match=r"has depth or LiDAR, and encoder\.weights names no depth_head: name"):
+        run(ingest)
+    kept = run(ingest, "kept", weights=str(start / "encoder.pt"))
+    before, after = (read_weights(out / "encoder.pt", "").state for out in (start, kept))
+    heads = [name for name in before if name.startswith("depth_head")]
+    assert all(torch.equal(before[name], after[name]) for name in heads)
+    assert not torch.equal(before["backbone.down1.0.weight"], after["backbone.down1.0.weight"])
+    flat = read_weights(run(ingest, "flat", backbone="espnetv2-s1", epochs=1) / "encoder.pt", "").state
+    assert not flat["depth_head.ground.layers.3.weight"].any()  # flat ground: no correction
+
+
 def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, tmp_path: Path) -> None:
     (tmp_path / "bad.pt").write_bytes(b"no checkpoint")
     bad = {
@@ -104,7 +135,18 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
         r"encoder: frozen: true keeps a backbone": {"frozen": True},
         r"encoder.backbone: there is no backbone 'large': known: .*small": {"backbone": "large"},
         r"encoder\.weights: name a checkpoint, or a published file": {"weights": {"head": "a.pth"}},
-        r"there is no backbone 'large'": {"teacher": {"backbone": "large", "weights": None}},
+        r"teacher.backbone: there is no backbone 'large'": {"teacher": {"backbone": "large", "weights": "a.pt"}},
+        r"encoder.teacher: weights: null would teach random classes": {
+            "teacher": {"backbone": "espnetv2-s1", "weights": None}
+        },
+        r"encoder.teacher.weights names no class_head": {
+            "teacher": {"backbone": "small", "weights": {"backbone": "a.pth"}}
+        },
+        r"encoder.teacher.weights names no backbone": {
+            "teacher": {"backbone": "small", "weights": {"class_head": "a.pth"}}
+        },
+        r"precomputed is no network and cannot teach": {"teacher": {"backbone": "precomputed", "weights": "made"}},
+        r"encoder: backbone: precomputed reads DRIVE.*name the folder in weights": {"backbone": "precomputed"},
         r"nowhere\.pt is missing": {"weights": "nowhere.pt"},
         r"has the SHA-256": {"weights": f"{tmp_path / 'bad.pt'}#sha256={'1' * 64}"},
         r"bad\.pt is cut short": {"weights": str(tmp_path / "bad.pt")},

@@ -1,4 +1,6 @@
 import json
+import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,10 @@ from pipeline.errors import InputError
 from pipeline.ground_plane import ground_plane_depth
 from pipeline.image_metrics import depth_errors
 from pipeline.perceive import perceive
+from pipeline.sections.perception import Perception
 from pipeline.supervision import read_truth
 from pipeline.weights import write_weights
+from stages import perception
 from stages.perception import _load_model as load_model
 from stages.perception import main
 from tests import street
@@ -64,7 +68,9 @@ def test_a_drive_without_images_gives_an_empty_file(folder: Path) -> None:
     assert content["frame"].dtype == np.int32
 
 
-def test_only_frames_with_an_image_count(folder: Path, tmp_path: Path) -> None:
+def test_only_frames_with_an_image_count_or_are_read(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     street.write_drive(tmp_path / "ingest", DENSE, 7)
     import h5py
 
@@ -72,7 +78,16 @@ def test_only_frames_with_an_image_count(folder: Path, tmp_path: Path) -> None:
         file["has_image"][2:5] = 0
     store.write_index(tmp_path / "ingest", {DENSE: "train"})
     (tmp_path / "encoder").symlink_to(folder / "encoder")
+    rows, seen = store.DriveReader.rows, []
+    monkeypatch.setattr(
+        store.DriveReader,
+        "rows",
+        lambda self, name, start, stop: (
+            seen.extend(range(start, stop) if name == "image" else []) or rows(self, name, start, stop)
+        ),
+    )
     run(tmp_path, "perception", batch=3)
+    assert seen == [0, 1, 5, 6]
     some, every = read(tmp_path / "perception" / f"{DENSE}.h5"), read(folder / "perception" / f"{DENSE}.h5")
     assert some["frame"].tolist() == [0, 1, 5, 6]
     np.testing.assert_allclose(some["depth_m"].astype(int), every["depth_m"][[0, 1, 5, 6]], atol=1)
@@ -130,6 +145,32 @@ def test_a_bad_checkpoint_is_one_error_that_names_the_command(folder: Path, tmp_
     write_weights(tmp_path / "encoder" / "encoder.pt", "no-such", {})
     with pytest.raises(InputError, match=r"no backbone 'no-such'.*dvc repro --force encoder"):
         run(tmp_path, "perception", batch=1)
+
+
+def test_a_package_that_is_missing_is_asked_for_and_nothing_else(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    write_weights(tmp_path / "encoder" / "encoder.pt", "swin-t", {})
+    (tmp_path / "ingest").symlink_to(folder / "ingest")
+    with pytest.raises(InputError, match=r"pip install '\.\[pretrained\]'$"):
+        run(tmp_path, "perception", batch=1)
+
+
+def test_no_thread_reads_on_once_the_network_has_failed(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(perception, "_seer", lambda *_: fails)
+    settings = Perception(batch=1)
+    with pytest.raises(RuntimeError, match="out of memory") as caught:  # a traceback keeps generators alive
+        perception._perceive_drive(
+            DENSE, tmp_path / "out.h5", ingest=folder / "ingest", encoder=folder / "encoder", settings=settings
+        )
+    assert caught.tb
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("prefetch")]
 
 
 def test_flat_ground_is_scored_beside_the_encoder(folder: Path) -> None:

@@ -95,10 +95,8 @@ def parts(files: dict[str, str]) -> Parts:
 def test_features_and_heads_equal_the_authors_formulas(
     parts: Parts, backbone_file: State, depth_file: State, class_file: State, size: tuple[int, int]
 ) -> None:
-    image, rays = (
-        torch.randn(2, 3, *size, generator=torch.Generator().manual_seed(1)).double(),
-        torch.zeros(2, 2, *size),
-    )
+    image = torch.randn(2, 3, *size, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    rays = torch.zeros(2, 2, *size)
     backbone, depth_head, class_head = (copy.deepcopy(part).double() for part in parts)
     backbone_file, depth_file, class_file = (
         {name: tensor.double() for name, tensor in file.items()} for file in (backbone_file, depth_file, class_file)
@@ -129,9 +127,8 @@ def test_features_and_heads_equal_the_authors_formulas(
         head["bn.running_var"] + 1e-5
     )[:, None, None] * head["bn.weight"][:, None, None] + head["bn.bias"][:, None, None]
     ade = F.conv2d(scaled, head["conv_seg.weight"], head["conv_seg.bias"])
-    likely = (
-        torch.zeros(2, 20, h, w).double().index_add(1, torch.tensor([TARGET[name] for name in ADE20K]), ade.softmax(1))
-    )
+    targets = torch.tensor([TARGET[name] for name in ADE20K])
+    likely = torch.zeros(2, 20, h, w, dtype=torch.float64).index_add(1, targets, ade.softmax(1))
     torch.testing.assert_close(
         logits.argmax(1), whole(likely.log().clamp(min=-1e4) + ade.logsumexp(1, keepdim=True)).argmax(1)
     )

@@ -1,6 +1,7 @@
 """The backbones of the unified encoder, one file each, and what all of them promise."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from torch import Tensor, nn
@@ -42,3 +43,10 @@ class Parts(NamedTuple):
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+def renamed(name: str, patterns: Sequence[tuple[str, str]]) -> str:
+    """Return a tensor's name after all replacements of (regular expression, replacement), one after the other."""
+    for pattern, new in patterns:
+        name = re.sub(pattern, new, name)
+    return name

@@ -4,7 +4,6 @@ The backbone is Hugging Face's Dinov2Model, built from its sizes and filled from
 ``dinov2_vits14_pretrain.pth``, ``dinov2_vits14_kitti_linear_head.pth``, ``dinov2_vits14_ade20k_linear_head.pth``.
 """
 
-import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts
+from models.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts, renamed
 from models.backbones.ade20k import ADE20K, to_cityscapes
 
 PATCH = 14
@@ -79,7 +78,7 @@ class DinoV2(Backbone):
         return Tokens(patches, summary, as_map(normed[:, 1:], h, w))
 
     def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        state = {}
+        state: dict[str, Tensor] = {}
         for name, tensor in published.items():
             if ".attn.qkv." in name and tensor.shape[0] % 3 == 0:
                 parts = {
@@ -88,10 +87,7 @@ class DinoV2(Backbone):
                 }
             else:
                 parts = {name: tensor}
-            for part, value in parts.items():
-                for pattern, new in NAMES:
-                    part = re.sub(pattern, new, part)
-                state[f"vit.{part}"] = value
+            state |= {f"vit.{renamed(part, NAMES)}": value for part, value in parts.items()}
         return state
 
 

@@ -10,13 +10,21 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts
+from models.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts, renamed
 from models.heads import CellClasses, CellDepth
 
 PATCH = 4
 EMBED, DEPTHS, HEADS, WINDOW = 96, (2, 2, 6, 2), (3, 6, 12, 24), 7
 CHANNELS = tuple(EMBED * 2**level for level in range(4))  # at 1/4, 1/8, 1/16 and 1/32 of the image
 DECODED = 64
+
+NAMES = [
+    (r"\.attention\.self\.([qkv])(uery|ey|alue)\.", r".attention.\1_proj."),
+    (r"\.attention\.self\.(relative_position_bias)_table$", r".attention.\1.\1_table"),
+    (r"\.attention\.output\.dense\.", ".attention.o_proj."),
+    (r"\.intermediate\.dense\.", ".mlp.fc1."),
+    (r"\.output\.dense\.", ".mlp.fc2."),
+]  # names of published files → those of transformers 5, which renames only in from_pretrained
 
 
 def swin() -> Parts:
@@ -50,7 +58,12 @@ class Swin(Backbone):
         return list(states.reshaped_hidden_states[1:])
 
     def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        return {name: tensor for name, tensor in published.items() if not name.startswith("classifier.")}
+        return {
+            renamed(name, NAMES): tensor
+            for name, tensor in published.items()
+            # The index follows from the window's size; transformers 5 no longer keeps it.
+            if not name.startswith("classifier.") and not name.endswith(".relative_position_index")
+        }
 
 
 class PyramidHead(Part):

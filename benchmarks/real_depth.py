@@ -1,0 +1,170 @@
+"""A depth head fitted to some seconds of LiDAR, beside flat ground under the same classes, on frames it has not seen.
+
+What there is of real drives is laid out anew in a scratch folder, by links, as drives of KITTI raw; the stages do the
+rest.
+"""
+
+import contextlib
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import typer
+import yaml
+
+from models.unified_encoder import UnifiedEncoder
+from pipeline import checkpoint, console, store
+from pipeline.errors import InputError
+from pipeline.ground_plane import ground_plane_depth
+from pipeline.image_metrics import DEPTH_ERRORS, Scores
+from pipeline.oxts import COLUMNS
+from pipeline.params import load
+from pipeline.perceive import perceive
+from pipeline.png import read_png
+from pipeline.sections.perception import Perception
+from pipeline.supervision import read_truth
+from pipeline.weights import read_weights
+from stages import encoder, ingest
+
+DATE = "2011_09_26"
+FITTED, HELD_OUT, ELSEWHERE = f"{DATE}_drive_0052", f"{DATE}_drive_9052", f"{DATE}_drive_0001"
+OBJECTS = {f"2012_01_0{day}_drive_0000": f"{day - 1:06d}" for day in (1, 2, 3)}  # a date each: each has its calibration
+PLACES = {
+    FITTED: "0052, frames 0 to 39: fitted",
+    HELD_OUT: "0052, frames 40 to 47: held out",
+    **{drive: f"object {number}" for drive, number in OBJECTS.items()},
+    ELSEWHERE: "0001, frame 5",
+}
+UNSEEN = (*OBJECTS, ELSEWHERE)  # other streets
+Row = tuple[int, np.ndarray, np.ndarray]
+"""Frames, and the errors of the depth head and of flat ground, [3] each as DEPTH_ERRORS."""
+
+
+def main(
+    kitti: Annotated[Path, typer.Argument(metavar="KITTI_ROOT", help=f"holds {DATE}/ and object/")],
+    params: Annotated[Path, typer.Option(exists=True, dir_okay=False)] = Path("params.real.yaml"),
+    image_size: Annotated[tuple[int, int] | None, typer.Option(metavar="H W", help="instead of the params'")] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="instead of the params'")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="instead of the params'")] = None,
+) -> None:
+    """Fit the depth head to 40 frames of drive 0052, score it on others, and print a Markdown table."""
+    with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
+        folder = Path(scratch)
+        lay_out(kitti.resolve(), folder / "raw")
+        content = yaml.safe_load(params.read_text(encoding="utf-8"))
+        drives = {"train": [FITTED], "test": [HELD_OUT, *UNSEEN]}
+        content["ingest"] |= {"source": "kitti", "cameras": [2], "drives": drives}
+        if image_size:
+            content["ingest"]["image_size"] = list(image_size)
+        changes = {"epochs": epochs, "learning_rate": learning_rate}
+        content["encoder"] |= {key: value for key, value in changes.items() if value is not None}
+        chosen = folder / "params.yaml"
+        chosen.write_text(yaml.safe_dump(content), encoding="utf-8")
+        ingest.main(folder / "town", folder / "raw", folder / "ingest", chosen)
+        encoder.main(folder / "ingest", folder / "encoder", chosen)
+        rows = score(folder / "encoder/encoder.pt", folder / "ingest", load(Perception, chosen))
+    print(table(rows))
+
+
+def lay_out(kitti: Path, raw: Path) -> None:
+    """Link the frames that the experiment is about into `raw`, in KITTI raw's layout. Raises InputError without one."""
+    for path in (kitti / DATE).glob("calib_*.txt"):
+        _link(path, raw / DATE / path.name)
+    frames = {FITTED: (FITTED, range(40)), HELD_OUT: (FITTED, range(40, 48)), ELSEWHERE: (ELSEWHERE, [5])}
+    for drive, (source, numbers) in frames.items():
+        _link_drive(kitti / DATE / f"{source}_sync", raw / DATE / f"{drive}_sync", numbers)
+    for drive, number in OBJECTS.items():
+        _link_object(kitti / "object", number, raw / drive[:10] / f"{drive}_sync")
+
+
+def _link_drive(source: Path, target: Path, numbers: Iterable[int]) -> None:
+    _link(source / "oxts/timestamps.txt", target / "oxts/timestamps.txt")
+    for number in numbers:
+        for name in ("image_02/data/{}.png", "velodyne_points/data/{}.bin", "oxts/data/{}.txt"):
+            file = name.format(f"{number:010d}")
+            _link(source / file, target / file)
+
+
+def _link_object(source: Path, number: str, target: Path) -> None:
+    """Make a frame of KITTI's object set a drive with its own calibration; it has no oxts, so zeros stand for them."""
+    image = target / "image_02/data/0000000000.png"
+    _link(source / f"image_2/{number}.png", image)
+    _link(source / f"velodyne/{number}.bin", target / "velodyne_points/data/0000000000.bin")
+    _link(source / f"calib/{number}.txt", target / "object_calib.txt")
+    lines = (target / "object_calib.txt").read_text(encoding="ascii").splitlines()
+    words = {name: values.split() for name, values in (line.split(":") for line in lines if line)}
+    height, width = read_png(image).shape[:2]
+    Tr = np.array(words["Tr_velo_to_cam"]).reshape(3, 4)
+    _write_calibration(
+        target.parent / "calib_cam_to_cam.txt",
+        {"S_rect_02": [str(width), str(height)], "R_rect_00": words["R0_rect"], "P_rect_02": words["P2"]},
+    )
+    _write_calibration(target.parent / "calib_velo_to_cam.txt", {"R": Tr[:, :3].ravel(), "T": Tr[:, 3]})
+    (target / "oxts/data").mkdir(parents=True)
+    (target / "oxts/data/0000000000.txt").write_text(" ".join(["0"] * len(COLUMNS)) + "\n", encoding="ascii")
+    (target / "oxts/timestamps.txt").write_text("2012-01-01 00:00:00.000000000\n", encoding="ascii")
+
+
+def _write_calibration(path: Path, entries: Mapping[str, Iterable[str]]) -> None:
+    path.write_text("".join(f"{key}: {' '.join(values)}\n" for key, values in entries.items()), encoding="ascii")
+
+
+def _link(source: Path, target: Path) -> None:
+    if not source.is_file():
+        raise InputError(f"{source} is missing: extract it there, from KITTI raw or KITTI's object set")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.symlink_to(source)
+
+
+def score(weights: Path, ingested: Path, settings: Perception) -> dict[str, Row]:
+    """Return drive → the means over its frames, against LiDAR, of the encoder in `weights`."""
+    content = read_weights(weights, "Fit it again")
+    model = UnifiedEncoder(content.backbone).eval()
+    checkpoint.load_state(model, content.state, weights, "Fit it again")
+    model.to("cuda" if torch.cuda.is_available() else "cpu")
+    rows = {}
+    for drive in PLACES:
+        scores = Scores()
+        with store.DriveReader(ingested / f"{drive}.h5", stage="ingest") as file:
+            for row, image in enumerate(file["image"]):
+                depth_m, cls = perceive(model, image[None], file["K"], settings.precision)
+                flat = ground_plane_depth(cls[0], file["K"], settings.camera_height_m)
+                truth = read_truth(file, row)
+                scores.add_depth("depth_lidar", depth_m[0], truth.depth_m)
+                scores.add_depth("ground_plane_lidar", flat, truth.depth_m)
+        report = scores.report()
+        rows[drive] = (
+            report["depth_lidar"]["frames"],
+            _errors(report["depth_lidar"]),
+            _errors(report["ground_plane_lidar"]),
+        )
+    return rows
+
+
+def _errors(means: Mapping[str, Any]) -> np.ndarray:
+    return np.array([means[name] for name in DEPTH_ERRORS])
+
+
+def table(rows: Mapping[str, Row]) -> str:
+    """Return the rows as Markdown, and a last one with the mean over the frames of other streets."""
+    head = ["against LiDAR, 1 to 80 m", "frames"]
+    for name in ("abs rel", "RMSE m", "δ1"):
+        head += [name, "flat ground's"]
+    lines = [head, ["---", *["--:"] * (len(head) - 1)]]
+    lines += [_cells(PLACES[drive], *row) for drive, row in rows.items()]
+    _, heads, flats = zip(*(rows[drive] for drive in UNSEEN), strict=True)
+    lines.append(_cells("**mean of other streets**", len(UNSEEN), np.mean(heads, axis=0), np.mean(flats, axis=0)))
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _cells(name: str, frames: int, head: np.ndarray, flat: np.ndarray) -> list[str]:
+    pairs = zip(head, flat, (3, 2, 3), strict=True)
+    return [name, str(frames), *(f"{value:.{digits}f}" for *pair, digits in pairs for value in pair)]
+
+
+if __name__ == "__main__":
+    console.run(main)

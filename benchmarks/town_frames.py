@@ -13,7 +13,7 @@ import yaml
 from pipeline import store
 from stages import clouds, graphs, ingest, labels, town
 
-DRIVE = "2026_01_01_drive_0002"  # soon bends: labels that are all zero are refused
+DRIVE, BENT = "2026_01_01_drive_0002", 39  # of so many frames some bend: labels that are all zero are refused
 KITTI = {"image_size": [375, 1242], "scan_rays": [64, 2000]}
 _INACTIVE = re.compile(r"^# (?=[\w-]+:\s+\{)", re.MULTILINE)  # a model's line that waits as a comment
 

@@ -70,7 +70,8 @@ def main(
                 raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
         lines = {name: load_entry(Model, "models", name, settings) for name in models or known}
         longest = max(line.window for line in lines.values())
-        town_frames.write_params(params, settings, frames=step_frames(longest, load(Train, settings)))
+        count = max(step_frames(longest, load(Train, settings)), town_frames.BENT)
+        town_frames.write_params(params, settings, count)
         _apart(town_frames.make, settings, folder, sorted({line.input for line in lines.values()}))
         rows = [_apart(measure, name, settings, folder, steps) for name in lines]
     print(table(rows))

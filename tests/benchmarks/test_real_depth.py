@@ -8,10 +8,12 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from benchmarks import real_depth
+from models.unified_encoder import UnifiedEncoder
 from pipeline.calibration import read_camera
 from pipeline.errors import InputError
 from pipeline.geometry import project, transform
 from pipeline.kitti import find_drives
+from pipeline.weights import write_weights
 from tests.kitti_drive import SIZE, scan, write, write_drive, write_png
 
 PARAMS = Path(__file__).resolve().parents[2] / "params.real.yaml"
@@ -50,7 +52,8 @@ def test_each_place_has_its_line(
 ) -> None:
     monkeypatch.setenv("STEER_WORKERS", "1")
     content = yaml.safe_load(PARAMS.read_text())
-    content["encoder"] |= {"backbone": "small", "weights": None, "frozen": False, "frames": 4}
+    write_weights(tmp_path / "small.pt", "small", UnifiedEncoder("small").state_dict())
+    content["encoder"] |= {"backbone": "small", "weights": str(tmp_path / "small.pt"), "frames": 4}
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
     real_depth.main(kitti, tmp_path / "params.yaml", image_size=SIZE, epochs=1)
     printed = capsys.readouterr()

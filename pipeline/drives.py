@@ -169,7 +169,8 @@ def _start_worker(threads: int, done_frames: "Synchronized[int]") -> None:
     """Keep a worker's libraries from using every core each, and the worker from outliving a killed stage."""
     import cv2
 
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C: end without a traceback each
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in a shell's background job, which goes on
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C: end without a traceback each
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     cv2.setNumThreads(threads)
     progress.listen_with(done_frames)

@@ -165,6 +165,7 @@ if __name__ == "__main__":
         start_new_session=True,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored if the tests run in the background
     )
     kept = tmp_path / "data/.resume/stage"
     _wait_for(lambda: len(list((tmp_path / "hanging").glob("*"))) == len(list(kept.glob("*.json"))) == 2)

@@ -17,13 +17,13 @@ import typer
 from torch import Tensor, nn
 
 from benchmarks import town_frames
-from models.unified_encoder import BACKBONES, UnifiedEncoder
-from pipeline import console, store
-from pipeline.errors import InputError, closest
-from pipeline.images import read_image
-from pipeline.params import load
-from pipeline.perceive import perceive
-from pipeline.png import read_png
+from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
+from pipeline.base import console, store
+from pipeline.base.errors import InputError, closest
+from pipeline.base.params import load
+from pipeline.camera.images import read_image
+from pipeline.camera.png import read_png
+from pipeline.encoder.perceive import perceive
 from pipeline.sections.perception import Perception
 
 DEFAULT = ["small", "espnetv2-s1", "espnetv2", "dinov2-vits14", "swin-t"]

@@ -16,18 +16,19 @@ import torch
 import typer
 import yaml
 
-from models.unified_encoder import UnifiedEncoder
-from pipeline import checkpoint, console, store
-from pipeline.errors import InputError
-from pipeline.ground_plane import ground_plane_depth
-from pipeline.image_metrics import DEPTH_ERRORS, Scores
-from pipeline.oxts import COLUMNS
-from pipeline.params import load
-from pipeline.perceive import perceive
-from pipeline.png import read_png
+from models.encoder.unified_encoder import UnifiedEncoder
+from pipeline.base import console, store
+from pipeline.base.errors import InputError
+from pipeline.base.params import load
+from pipeline.camera.png import read_png
+from pipeline.encoder.examples import read_truth
+from pipeline.encoder.perceive import perceive
+from pipeline.encoder.weights import read_weights
+from pipeline.fitting import checkpoint
+from pipeline.kitti.oxts import COLUMNS
+from pipeline.perception.ground_plane import ground_plane_depth
+from pipeline.perception.scores import DEPTH_ERRORS, Scores
 from pipeline.sections.perception import Perception
-from pipeline.supervision import read_truth
-from pipeline.weights import read_weights
 from stages import encoder, ingest
 
 DATE = "2011_09_26"

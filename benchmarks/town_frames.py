@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from pipeline import store
+from pipeline.base import store
 from stages import clouds, graphs, ingest, labels, town
 
 DRIVE, BENT = "2026_01_01_drive_0002", 39  # of so many frames some bend: labels that are all zero are refused

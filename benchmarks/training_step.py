@@ -18,11 +18,12 @@ import numpy as np
 import typer
 
 from benchmarks import town_frames
-from pipeline import console, frames, windows
-from pipeline.errors import InputError, closest
-from pipeline.params import load, load_entry, names
+from pipeline.base import console
+from pipeline.base.errors import InputError, closest
+from pipeline.base.params import load, load_entry, names
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
+from pipeline.train import frames, windows
 
 T = TypeVar("T")
 READINGS = 3  # of a step's frames; the median counts
@@ -87,8 +88,8 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
     import torch
 
     from benchmarks import work
-    from models import steering_net
-    from pipeline import steering_fit
+    from models.steering.core import steering_net
+    from pipeline.train import fit as steering_fit
 
     bare_bytes = _peak_bytes()
     line, section = load_entry(Model, "models", name, params), load(Train, params)

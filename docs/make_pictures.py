@@ -10,7 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from pipeline import classes, cloud, graph, store, street_view
+from pipeline.base import store
+from pipeline.camera import classes
+from pipeline.graphs import cloud, graph
+from pipeline.report import street_view
 
 DATA, DOCS = Path("data"), Path(__file__).resolve().parent
 MODEL = "sa-gnn-ncp"

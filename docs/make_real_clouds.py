@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline import classes, store, street_view
+from pipeline.base import store
+from pipeline.camera import classes
+from pipeline.report import street_view
 
 DOCS = Path(__file__).resolve().parent
 ROWS = (  # clouds, drive, what it is, frames

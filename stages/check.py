@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from pipeline import console, download, precomputed, weights
-from pipeline.errors import InputError, closest
-from pipeline.params import load, load_entry, names
+from pipeline.base import console
+from pipeline.base.errors import InputError, closest
+from pipeline.base.params import load, load_entry, names
+from pipeline.encoder import download, precomputed, weights
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.encoder import Encoder, Teacher
 from pipeline.sections.evaluate import Evaluate
@@ -35,7 +36,8 @@ def main(params: Path = Path("params.yaml")) -> None:
 
     import torch
 
-    from models import steering_net, unified_encoder
+    from models.encoder import unified_encoder
+    from models.steering.core import steering_net
 
     networks: list[Encoder | Teacher] = [encoder, encoder.teacher] if encoder.teacher else [encoder]
     for network in networks:

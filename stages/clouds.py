@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import cloud, console, drives, store
-from pipeline.params import load
+from pipeline.base import console, store
+from pipeline.base import pool as drives
+from pipeline.base.params import load
+from pipeline.graphs import cloud
 from pipeline.sections.clouds import Clouds
 
 Cloud = tuple[np.ndarray, np.ndarray]  # xyz [P,3], cls [P]

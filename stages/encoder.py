@@ -7,12 +7,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pipeline import console, precomputed, store
-from pipeline.drives import resume_key
-from pipeline.errors import InputError
-from pipeline.params import load
+from pipeline.base import console, store
+from pipeline.base.errors import InputError
+from pipeline.base.params import load
+from pipeline.base.pool import resume_key
+from pipeline.encoder import precomputed
+from pipeline.encoder.weights import Setting, Source, fill, write_weights
 from pipeline.sections.encoder import PARTS, Encoder, Teacher
-from pipeline.weights import Setting, Source, fill, write_weights
 
 HEADS = ("depth_head", "class_head")
 
@@ -31,8 +32,8 @@ def main(
 
     import torch
 
-    from pipeline.encoder_fit import class_teacher, fit
-    from pipeline.supervision import Supervision
+    from pipeline.encoder.examples import Supervision
+    from pipeline.encoder.fit import class_teacher, fit
 
     torch.manual_seed(settings.seed)
     model = _build(settings.backbone, params, "encoder.backbone")
@@ -96,7 +97,7 @@ def main(
 
 
 def _build(backbone: str, params: Path, key: str) -> Any:
-    from models.unified_encoder import UnifiedEncoder
+    from models.encoder.unified_encoder import UnifiedEncoder
 
     try:
         return UnifiedEncoder(backbone)
@@ -114,7 +115,7 @@ def _unnamed(model: Any, weights: Setting, parts: Sequence[str]) -> str | None:
 
 def _keep(model: Any, head: str, settings: Encoder, truth: str, source: str, params: Path) -> None:
     """Without any truth to fit a head to, the head must stay, and be good as it is, with the backbone that it reads."""
-    from models.ground_depth import GroundDepth
+    from models.encoder.ground_depth import GroundDepth
 
     getattr(model, head).requires_grad_(False)
     part = _unnamed(model, settings.weights, (head, "backbone"))

@@ -7,14 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from pipeline import checkpoint, console, frames, metrics, plots, store, windows
-from pipeline.errors import InputError
-from pipeline.params import SPLITS, load
+from pipeline.base import console, store
+from pipeline.base.errors import InputError
+from pipeline.base.params import SPLITS, load
+from pipeline.fitting import checkpoint
+from pipeline.report import judge as metrics
+from pipeline.report import plots
 from pipeline.sections.evaluate import Evaluate
 from pipeline.sections.models import Model
+from pipeline.train import frames, windows
 
 if TYPE_CHECKING:
-    from models.steering_net import SteeringNet
+    from models.steering.core.steering_net import SteeringNet
 
 COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid")
 
@@ -31,7 +35,7 @@ def main(
 
     Invalid frames have no say in any figure. Figures are means over the seeds.
     """
-    from pipeline import steering_fit
+    from pipeline.train import fit as steering_fit
 
     section = load(Evaluate, params)
     config = store.read_json(train / name / "config.json", stage=f"train@{name}")
@@ -76,8 +80,8 @@ def _predict(
     """Return for each split what the network of one seed predicts, [G] rad for each drive."""
     import torch
 
-    from models import steering_net
-    from pipeline import steering_fit
+    from models.steering.core import steering_net
+    from pipeline.train import fit as steering_fit
 
     again = f"Train it again: dvc repro --force train@{name}"
     trained = checkpoint.read(folder / "best.pt", steering_fit.KIND, again)
@@ -97,7 +101,7 @@ def _predict(
 
 
 def _build(name: str, line: Model, variant: Path, again: str) -> "SteeringNet":
-    from models import steering_net
+    from models.steering.core import steering_net
 
     first = next(iter(store.read_index(variant, stage="graphs")))
     try:

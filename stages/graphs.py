@@ -7,8 +7,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from pipeline import cloud, console, drives, graph, neighbourhoods, store
-from pipeline.params import load_entry
+from pipeline.base import console, store
+from pipeline.base import pool as drives
+from pipeline.base.params import load_entry
+from pipeline.graphs import cloud, graph, neighbourhoods
 from pipeline.sections.graphs import Variant
 
 

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import console, images, kitti, oxts, store
-from pipeline.classes import VOID
-from pipeline.drives import run_over_drives
-from pipeline.errors import DamagedFile, InputError
-from pipeline.geometry import scale_K
-from pipeline.params import load
+from pipeline.base import console, store
+from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.params import load
+from pipeline.base.pool import run_over_drives
+from pipeline.camera import images
+from pipeline.camera.classes import VOID
+from pipeline.camera.geometry import scale_K
+from pipeline.kitti import oxts
+from pipeline.kitti import raw as kitti
 from pipeline.sections.ingest import Ingest
 
 MISSING = {

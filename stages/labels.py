@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import console, steering, store
-from pipeline.drives import run_over_drives
-from pipeline.oxts import VF, VL, WU
-from pipeline.params import load
+from pipeline import label as steering
+from pipeline.base import console, store
+from pipeline.base.params import load
+from pipeline.base.pool import run_over_drives
+from pipeline.kitti.oxts import VF, VL, WU
 from pipeline.sections.labels import Labels
 
 

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import checkpoint, console, depth_scale, precomputed, progress, store
-from pipeline.drives import Summary, run_over_drives
-from pipeline.ground_plane import ground_plane_depth
-from pipeline.image_metrics import Scores
-from pipeline.params import SPLITS, load
-from pipeline.prefetch import prefetch
+from pipeline.base import console, progress, store
+from pipeline.base.params import SPLITS, load
+from pipeline.base.pool import Summary, run_over_drives
+from pipeline.encoder import precomputed
+from pipeline.fitting import checkpoint
+from pipeline.fitting.prefetch import prefetch
+from pipeline.perception import depth_scale
+from pipeline.perception.ground_plane import ground_plane_depth
+from pipeline.perception.scores import Scores
 from pipeline.sections.perception import Perception
 
 MEND = "Make it again: dvc repro --force encoder"
@@ -62,7 +65,7 @@ def main(
 
 
 def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:
-    from pipeline.perceive import stored_depth
+    from pipeline.encoder.perceive import stored_depth
 
     see = _seer(encoder, drive, settings.precision)
     scale: float | None = None
@@ -99,7 +102,7 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
 
 def _read(source: store.DriveReader, rows: np.ndarray, size: int) -> Generator[tuple[np.ndarray, np.ndarray, list]]:
     """Yield frame numbers, images and truths of the frames in `rows`, `size` of them at a time."""
-    from pipeline.supervision import read_truth
+    from pipeline.encoder.examples import read_truth
 
     for start in range(0, len(rows), size):
         batch = rows[start : start + size]
@@ -148,7 +151,7 @@ def _seer(
 
         return read
 
-    from pipeline.perceive import perceive
+    from pipeline.encoder.perceive import perceive
 
     model = _load_model(encoder / "encoder.pt")
     return lambda images, K, frames: perceive(model, images, K, precision)
@@ -164,9 +167,9 @@ def _precomputed(encoder: Path) -> Path | None:
 def _load_model(path: Path) -> Any:
     import torch
 
-    from models.unified_encoder import BACKBONES, UnifiedEncoder
-    from pipeline.errors import InputError
-    from pipeline.weights import read_weights
+    from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
+    from pipeline.base.errors import InputError
+    from pipeline.encoder.weights import read_weights
 
     weights = read_weights(path, MEND)
     try:

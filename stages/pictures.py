@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import console, drives, store
-from pipeline.params import load
+from pipeline.base import console, store
+from pipeline.base import pool as drives
+from pipeline.base.params import load
 from pipeline.sections.pictures import Pictures
 
 
@@ -41,7 +42,7 @@ def main(
 def _draw(
     drive: str, path: Path, *, ingest: Path, perception: Path, clouds: Path, splits: dict[str, str], frames: int
 ) -> drives.Summary:
-    from pipeline.street_view import read_view, sheet
+    from pipeline.report.street_view import read_view, sheet
 
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,

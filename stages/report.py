@@ -3,8 +3,10 @@
 import csv
 from pathlib import Path
 
-from pipeline import console, score_card, store, tables
-from pipeline.params import names
+from pipeline.base import console, store
+from pipeline.base.params import names
+from pipeline.report import perception_table as score_card
+from pipeline.report import tables
 
 
 def main(

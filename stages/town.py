@@ -8,12 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pipeline import console, figures, kitti
-from pipeline.drives import run_over_drives
-from pipeline.errors import InputError
-from pipeline.params import load
+from pipeline.base import console
+from pipeline.base.errors import InputError
+from pipeline.base.params import load
+from pipeline.base.pool import run_over_drives
+from pipeline.kitti import raw as kitti
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.town import Town
+from pipeline.town import contact_sheet as figures
 from pipeline.town.drive import write_drive
 from pipeline.town.layout import read_views
 from pipeline.town.rig import make_rig, write_calibration

@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline import checkpoint, code, console, drives, frames, store, windows
-from pipeline.errors import InputError
-from pipeline.params import SPLITS, load, load_entry
+from pipeline.base import console, store
+from pipeline.base import pool as drives
+from pipeline.base import provenance as code
+from pipeline.base.errors import InputError
+from pipeline.base.params import SPLITS, load, load_entry
+from pipeline.fitting import checkpoint
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
+from pipeline.train import frames, windows
 
 if TYPE_CHECKING:
-    from models.steering_net import SteeringNet
-    from pipeline.steering_fit import Fit
+    from models.steering.core.steering_net import SteeringNet
+    from pipeline.train.fit import Fit
 
 
 def main(
@@ -31,8 +35,9 @@ def main(
     """Fit the model to the training drives, stop when the validation error no longer falls, keep the best epoch."""
     import torch
 
-    from models import steering_net
-    from pipeline import distributed, steering_fit
+    from models.steering.core import steering_net
+    from pipeline.train import distributed
+    from pipeline.train import fit as steering_fit
 
     line, section = load_entry(Model, "models", name, params), load(Train, params)
     section = section.model_copy(update={"learning_rate": line.learning_rate or section.learning_rate})
@@ -84,7 +89,7 @@ def main(
 
 
 def _build(name: str, line: Model, graphs: Path) -> "SteeringNet":
-    from models import steering_net
+    from models.steering.core import steering_net
 
     try:
         return steering_net.build(line.model_dump(), **frames.contents(graphs))
@@ -94,7 +99,7 @@ def _build(name: str, line: Model, graphs: Path) -> "SteeringNet":
 
 def _write(folder: Path, fit: "Fit", state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
     """Write a finished run's files; `state` is what its last epoch left."""
-    from pipeline import steering_fit
+    from pipeline.train import fit as steering_fit
 
     best = steering_fit.best_epoch(fit.curve)
     folder.mkdir(parents=True, exist_ok=True)

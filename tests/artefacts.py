@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import graph, neighbourhoods, store
-from pipeline.classes import BUILDING, ROAD
+from pipeline.base import store
+from pipeline.camera.classes import BUILDING, ROAD
+from pipeline.graphs import graph, neighbourhoods
 
 
 def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

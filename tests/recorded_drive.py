@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.kitti import RawDrive
-from pipeline.oxts import AF, VF, WU, YAW
+from pipeline.kitti.oxts import AF, VF, WU, YAW
+from pipeline.kitti.raw import RawDrive
 from pipeline.town.recording import make_recording
 
 DRIVE = "2011_09_26_drive_0007"

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import classes, store
-from pipeline.geometry import back_project, rays
+from pipeline.base import store
+from pipeline.camera import classes
+from pipeline.camera.geometry import back_project, rays
 
 SIZE = (32, 64)
 K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline import classes, code, store
+from pipeline.base import provenance as code
+from pipeline.base import store
+from pipeline.camera import classes
 
 STAGE_ORDER = [
     "town", "ingest", "labels", "encoder", "perception", "clouds", "pictures", "graphs", "train", "evaluate", "report",

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import pytest
 import yaml
 
-from pipeline import code
+from pipeline.base import provenance as code
 from pipeline.sections.graphs import Variant
 
 CONFIG: dict[str, Any] = yaml.safe_load((code.ROOT / "dvc.yaml").read_text())

@@ -1,6 +1,6 @@
 """Section ``clouds``: semantic point clouds."""
 
-from pipeline.params import Count, Positive, Section, Seed
+from pipeline.base.params import Count, Positive, Section, Seed
 
 
 class Clouds(Section):

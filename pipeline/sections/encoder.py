@@ -4,8 +4,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from pipeline import precomputed
-from pipeline.params import Count, Positive, Section, Seed
+from pipeline.base.params import Count, Positive, Section, Seed
+from pipeline.encoder import precomputed
 
 PARTS = ("backbone", "depth_head", "class_head")
 

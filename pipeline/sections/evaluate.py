@@ -2,7 +2,7 @@
 
 from pydantic import Field, field_validator
 
-from pipeline.params import Count, Positive, Section, Seed
+from pipeline.base.params import Count, Positive, Section, Seed
 
 
 class Evaluate(Section):

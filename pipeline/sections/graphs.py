@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.params import Count, Fraction, Positive, Section, Seed
+from pipeline.base.params import Count, Fraction, Positive, Section, Seed
 
 Kind = Literal["graph", "pointnet2", "image"]
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.params import SPLITS, Drive, ImageSize, Section
+from pipeline.base.params import SPLITS, Drive, ImageSize, Section
 
 
 class Drives(Section):

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.params import Positive, Section
+from pipeline.base.params import Positive, Section
 
 
 class Labels(Section):

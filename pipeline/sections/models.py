@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.params import Count, Fraction, Positive, Section, Seed
+from pipeline.base.params import Count, Fraction, Positive, Section, Seed
 
 
 class Wiring(Section):

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.params import Count, Positive, Section
+from pipeline.base.params import Count, Positive, Section
 
 DepthScale = Literal["metric", "camera_height", "lidar_median", "none"]
 

@@ -1,6 +1,6 @@
 """Section ``pictures``: what people look at."""
 
-from pipeline.params import Count, Section
+from pipeline.base.params import Count, Section
 
 
 class Pictures(Section):

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from pipeline.params import Count, ImageSize, Section, Seed
+from pipeline.base.params import Count, ImageSize, Section, Seed
 
 
 class Frames(Section):

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.params import Count, Positive, Section, Seed
+from pipeline.base.params import Count, Positive, Section, Seed
 
 
 class Train(Section):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.kitti import RawDrive
+from pipeline.kitti.raw import RawDrive
 from pipeline.town import light as lights
 from pipeline.town.journey import draw_journey, record
 from pipeline.town.layout import DriveFolder

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline import classes
+from pipeline.camera import classes
 from pipeline.town import shapes
 from pipeline.town.lots import unit
 from pipeline.town.plan import CELL_M, KERB_M, Plan

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.png import read_png
+from pipeline.camera.png import read_png
 from pipeline.town.recording import Recording
 
 _PNG_LEVEL = 2  # a higher one saves little and costs more than rendering

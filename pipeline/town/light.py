@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import classes
+from pipeline.camera import classes
 from pipeline.town.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT
 from pipeline.town.world import Hits, dot
 

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.kitti import RawDrive
-from pipeline.oxts import read_row, read_times
+from pipeline.base.errors import InputError
+from pipeline.kitti.oxts import read_row, read_times
+from pipeline.kitti.raw import RawDrive
 
 
 @dataclass(frozen=True)
 class Recording:
-    """rows [F,30] as :data:`pipeline.oxts.COLUMNS`, time_s [F] since the first frame, and the files' contents."""
+    """rows [F,30] as :data:`pipeline.kitti.oxts.COLUMNS`, time_s [F] since the first frame, and the files' contents."""
 
     rows: np.ndarray
     time_s: np.ndarray

@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.oxts import AF, VF, YAW
+from pipeline.base.errors import InputError
+from pipeline.kitti.oxts import AF, VF, YAW
 from pipeline.town.edges import BARRIER_M
 from pipeline.town.journey import Journey
 from pipeline.town.motion import Motion

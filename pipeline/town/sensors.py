@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline import classes, geometry
+from pipeline.camera import classes, geometry
 from pipeline.town.light import Light, shade
 from pipeline.town.motion import IMU_HEIGHT_M
 from pipeline.town.rig import Rig

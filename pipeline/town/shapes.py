@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from pipeline import classes
+from pipeline.camera import classes
 
 Colour = tuple[float, float, float]
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import classes
+from pipeline.camera import classes
 from pipeline.town import edges, shapes
 from pipeline.town.lots import Frontage, Ground, footprint, frontages, unit
 from pipeline.town.plan import CELL_M, KERB_M, Plan

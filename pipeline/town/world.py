@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import classes
+from pipeline.camera import classes
 from pipeline.town.plan import ASPHALT, BAY, GRASS, KERB_M, KERBSTONE, MARKING, PAVEMENT, Plan
 from pipeline.town.shapes import Mesh
 

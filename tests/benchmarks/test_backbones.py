@@ -8,7 +8,7 @@ import torch
 import yaml
 
 from benchmarks import backbones, town_frames
-from models.unified_encoder import UnifiedEncoder
+from models.encoder.unified_encoder import UnifiedEncoder
 
 KITTI = Path(__file__).resolve().parents[2] / "params.kitti.yaml"
 K = np.array([[50.0, 0, 31], [0, 50.0, 15], [0, 0, 1]])

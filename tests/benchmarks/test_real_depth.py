@@ -8,12 +8,12 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from benchmarks import real_depth
-from models.unified_encoder import UnifiedEncoder
-from pipeline.calibration import read_camera
-from pipeline.errors import InputError
-from pipeline.geometry import project, transform
-from pipeline.kitti import find_drives
-from pipeline.weights import write_weights
+from models.encoder.unified_encoder import UnifiedEncoder
+from pipeline.base.errors import InputError
+from pipeline.camera.geometry import project, transform
+from pipeline.encoder.weights import write_weights
+from pipeline.kitti.calibration import read_camera
+from pipeline.kitti.raw import find_drives
 from tests.kitti_drive import SIZE, scan, write, write_drive, write_png
 
 PARAMS = Path(__file__).resolve().parents[2] / "params.real.yaml"

@@ -7,10 +7,10 @@ import pytest
 import yaml
 
 from benchmarks import town_frames, training_step
-from pipeline import windows
-from pipeline.params import load, load_entry, names
+from pipeline.base.params import load, load_entry, names
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
+from pipeline.train import windows
 
 KITTI = Path(__file__).resolve().parents[2] / "params.kitti.yaml"
 PAPER = ["sa-gnn-ncp", "do-gnn-ncp", "gnn-ncp", "gnn-lstm", "pointnet2-ncp", "pointnet2-lstm", "cnn-ncp"]

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from models.frames import GraphBatch, SetBatch
-from pipeline import frames, neighbourhoods
+from models.steering.core.batch import GraphBatch, SetBatch
+from pipeline.graphs import neighbourhoods
+from pipeline.train import frames
 
 MakeBatch = Callable[..., GraphBatch]
 MakeSets = Callable[..., SetBatch]

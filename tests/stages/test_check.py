@@ -4,9 +4,9 @@ from typing import Any
 import pytest
 import yaml
 
-from pipeline import download, weights
-from pipeline.errors import InputError
-from pipeline.tables import PAPER
+from pipeline.base.errors import InputError
+from pipeline.encoder import download, weights
+from pipeline.report.tables import PAPER
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline import classes, cloud, geometry, store
-from pipeline.errors import InputError
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.camera import classes, geometry
+from pipeline.graphs import cloud
 from stages import clouds, graphs
 from tests import street
 

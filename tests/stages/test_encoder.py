@@ -9,10 +9,10 @@ import pytest
 import torch
 import yaml
 
-from models.unified_encoder import UnifiedEncoder
-from pipeline import store
-from pipeline.errors import InputError
-from pipeline.weights import read_weights, write_weights
+from models.encoder.unified_encoder import UnifiedEncoder
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.encoder.weights import read_weights, write_weights
 from stages.encoder import main
 from tests import street
 from tests.kitti_drive import write_png

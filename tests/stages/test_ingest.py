@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.geometry import scale_K
-from pipeline.store import DriveReader, read_index
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader, read_index
+from pipeline.camera.geometry import scale_K
 from stages import ingest, labels
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
 

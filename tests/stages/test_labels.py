@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.store import DriveReader, DriveWriter, read_index, write_index
+from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
 from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
 

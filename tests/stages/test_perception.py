@@ -8,15 +8,16 @@ import pytest
 import torch
 import yaml
 
-from models.unified_encoder import UnifiedEncoder
-from pipeline import classes, store
-from pipeline.errors import InputError
-from pipeline.ground_plane import ground_plane_depth
-from pipeline.image_metrics import depth_errors
-from pipeline.perceive import perceive
+from models.encoder.unified_encoder import UnifiedEncoder
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.camera import classes
+from pipeline.encoder.examples import read_truth
+from pipeline.encoder.perceive import perceive
+from pipeline.encoder.weights import write_weights
+from pipeline.perception.ground_plane import ground_plane_depth
+from pipeline.perception.scores import depth_errors
 from pipeline.sections.perception import Perception
-from pipeline.supervision import read_truth
-from pipeline.weights import write_weights
 from stages import perception
 from stages.perception import _load_model as load_model
 from stages.perception import main

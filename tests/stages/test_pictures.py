@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from pipeline import classes, store
-from pipeline.errors import InputError
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.camera import classes
 from stages import clouds, pictures
 from tests import street
 

@@ -1,11 +1,11 @@
 from pathlib import Path
 
 import pytest
-
-from pipeline import store
-from pipeline.errors import InputError
-from stages import report
 from tests.pipeline.test_score_card import metrics
+
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from stages import report
 
 
 def run(folder: Path) -> str:

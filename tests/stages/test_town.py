@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline import code
-from pipeline.errors import InputError
-from pipeline.kitti import find_drives
+from pipeline.base import provenance as code
+from pipeline.base.errors import InputError
+from pipeline.kitti.raw import find_drives
 from stages import town
 from tests.recorded_drive import drive_along, write_recorded
 

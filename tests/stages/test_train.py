@@ -13,8 +13,10 @@ import pytest
 import torch
 import yaml
 
-from pipeline import distributed, steering_fit, store, windows
-from pipeline.errors import InputError
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.train import distributed, windows
+from pipeline.train import fit as steering_fit
 from stages import evaluate, report, train
 from tests import artefacts
 

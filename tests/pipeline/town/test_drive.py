@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import classes, geometry
-from pipeline.kitti import RawDrive, read_scan
-from pipeline.oxts import read_times
-from pipeline.png import read_png
+from pipeline.camera import classes, geometry
+from pipeline.camera.png import read_png
+from pipeline.kitti.oxts import read_times
+from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.town.drive import write_drive
 from pipeline.town.rig import make_rig, write_calibration
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.oxts import COLUMNS
-from pipeline.steering import steering_angle
+from pipeline.kitti.oxts import COLUMNS
+from pipeline.label import steering_angle
 from pipeline.town import motion as motions
 from pipeline.town.motion import Motion
 from pipeline.town.route import AHEAD_M, Route, draw_route

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import classes
-from pipeline.errors import InputError
-from pipeline.kitti import RawDrive, find_drives
-from pipeline.oxts import VF, WU, YAW, read_times
-from pipeline.png import read_png
-from pipeline.steering import label
+from pipeline.base.errors import InputError
+from pipeline.camera import classes
+from pipeline.camera.png import read_png
+from pipeline.kitti.oxts import VF, WU, YAW, read_times
+from pipeline.kitti.raw import RawDrive, find_drives
+from pipeline.label import label
 from pipeline.town.drive import write_drive
 from pipeline.town.journey import Journey
 from pipeline.town.light import draw_ground_colours

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.calibration import cameras_in, read_camera
-from pipeline.geometry import transform
+from pipeline.camera.geometry import transform
+from pipeline.kitti.calibration import cameras_in, read_camera
 from pipeline.town.motion import IMU_HEIGHT_M
 from pipeline.town.rig import make_rig, write_calibration
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline import classes
+from pipeline.camera import classes
 from pipeline.town import shapes
 from pipeline.town.light import draw_ground_colours, draw_light, shade
 from pipeline.town.plan import ASPHALT, GRASS, KERB_M, Plan

@@ -1,0 +1,1 @@
+"""The unified encoder: one backbone, a depth head, a class head."""

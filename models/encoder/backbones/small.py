@@ -1,0 +1,73 @@
+"""A small convolutional encoder-decoder, made to be fitted on a CPU within minutes."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from models.encoder.backbones import Backbone, Parts
+from models.encoder.heads import CellClasses, CellDepth
+
+WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
+
+
+def small() -> Parts:
+    """The backbone with heads that see its one map."""
+    return Parts(Small(), CellDepth(Small.channels, Small.stride), CellClasses(Small.channels, Small.stride))
+
+
+class Small(Backbone):
+    """U-shaped: four halvings down, three doublings up with skips, so that features at 1/2 see most of the image."""
+
+    channels = 2 * WIDTHS[0]
+    stride = 2
+    mean = (0.45, 0.45, 0.45)
+    std = (0.25, 0.25, 0.25)
+
+    def __init__(self) -> None:
+        super().__init__()
+        a, b, c, d = WIDTHS
+        self.down1 = conv(3 + 2, a, stride=2)
+        self.down2 = nn.Sequential(conv(a, b, stride=2), Residual(b))
+        self.down3 = nn.Sequential(conv(b, c, stride=2), Residual(c))
+        self.down4 = nn.Sequential(conv(c, d, stride=2), Residual(d), Residual(d, dilation=2))
+        self.side3, self.side2, self.side1 = nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
+        self.up3, self.up2, self.up1 = conv(c, c), conv(b, b), conv(a, self.channels)
+
+    def forward(self, image: Tensor, rays: Tensor) -> Tensor:
+        """Return features [B,channels,ceil(H/2),ceil(W/2)] of a normalised image [B,3,H,W] and its rays [B,2,H,W]."""
+        x1 = self.down1(torch.cat([image, rays], dim=1))  # [B,a,H/2,W/2]
+        x2 = self.down2(x1)  # [B,b,H/4,W/4]
+        x3 = self.down3(x2)  # [B,c,H/8,W/8]
+        x4 = self.down4(x3)  # [B,d,H/16,W/16]
+        y = self.up3(x3 + _resized(self.side3(x4), x3))
+        y = self.up2(x2 + _resized(self.side2(y), x2))
+        y = self.up1(x1 + _resized(self.side1(y), x1))  # [B,channels,H/2,W/2]
+        return y
+
+
+class Residual(nn.Module):
+    """Two 3x3 convolutions around which the input goes on."""
+
+    def __init__(self, channels: int, dilation: int = 1) -> None:
+        super().__init__()
+        self.first = conv(channels, channels, dilation=dilation)
+        self.second = nn.Sequential(
+            nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation, bias=False),
+            nn.BatchNorm2d(channels),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.relu(x + self.second(self.first(x)))
+
+
+def conv(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    """A 3x3 convolution, batch norm, ReLU; keeps the size, or halves it (rounded up) with stride 2."""
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )
+
+
+def _resized(x: Tensor, like: Tensor) -> Tensor:
+    return F.interpolate(x, size=like.shape[-2:], mode="nearest")

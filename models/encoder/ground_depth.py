@@ -1,0 +1,65 @@
+"""A depth head that corrects the flat ground seen by a camera of known height, so that few scans can teach it."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from models.encoder.heads import MAX_DEPTH_M, MIN_DEPTH_M
+
+CAMERA_HEIGHT_M = 1.65  # KITTI's, and the sample's
+GROUND = (0, 1, 9)  # road, sidewalk, terrain
+MAX_GROUND_M = 80.0
+WIDTH = 32
+DROPPED = 0.2  # share of the features left out in training: frames of one place know it by heart
+MAX_CORRECTION = 0.7  # of the logarithm: half as far to twice as far
+
+
+class GroundDepth(nn.Module):
+    """Flat ground times the exponential of a bounded correction; without any fitting, the flat ground itself."""
+
+    def __init__(self, channels: int, classes: int) -> None:
+        """`channels` and `classes` are those of the features and the logits that it reads."""
+        super().__init__()
+        self.seen = nn.Sequential(nn.Dropout2d(DROPPED), nn.Conv2d(channels, WIDTH, 1))
+        self.assumed = nn.Conv2d(classes + 2, WIDTH, 3, padding=1)
+        last = nn.Conv2d(WIDTH, 4, 1, bias=False)
+        nn.init.zeros_(last.weight)
+        self.layers = nn.Sequential(nn.ReLU(), nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2), nn.ReLU(), last)
+
+    def forward(self, features: Tensor, logits: Tensor, rays: Tensor) -> Tensor:
+        """Return depth [B,H,W] in metres.
+
+        Args:
+            features: [B,channels,h,w], h and w at least half of H and W; what is more lies right and below.
+            logits: of the classes, [B,classes,h,w], the first 19 those of Cityscapes.
+            rays: slopes [B,2,H,W] of the image's pixels.
+        """
+        h, w = features.shape[-2:]
+        height, width = rays.shape[-2:]
+        rays = F.pad(rays, (0, 2 * w - width, 0, 2 * h - height), mode="replicate")  # [B,2,2h,2w]
+        with torch.no_grad():
+            enlarged = F.interpolate(logits, (2 * h, 2 * w), mode="bilinear", align_corners=True)
+            flat = ground_plane_depth(enlarged.argmax(dim=1), rays)  # [B,2h,2w]
+            assumed = torch.cat([torch.log(flat)[:, None] / 4, 3 * rays[:, 1:]], dim=1)  # about -1 to 1
+        x = self.seen(features) + self.assumed(torch.cat([logits.softmax(dim=1), F.avg_pool2d(assumed, 2)], dim=1))
+        correction = F.pixel_shuffle(self.layers(x), 2)[:, 0].float()  # [B,2h,2w]
+        depth = (flat * torch.exp(MAX_CORRECTION * torch.tanh(correction))).clamp(MIN_DEPTH_M, MAX_DEPTH_M)
+        return depth[..., :height, :width]
+
+
+def ground_plane_depth(cls: Tensor, rays: Tensor) -> Tensor:
+    """Return the depth [B,H,W] in metres of flat ground, and of what stands on it.
+
+    What is no ground is as far as the nearest ground below it in its column, or where the image ends.
+
+    Args:
+        cls: trainIds [B,H,W].
+        rays: slopes x/z and y/z [B,2,H,W] of a level camera's pixels; y/z is the same along a row.
+    """
+    slope = rays[:, 1].clamp(min=CAMERA_HEIGHT_M / MAX_DEPTH_M)  # [B,H,W]
+    plane = CAMERA_HEIGHT_M / slope
+    ground = torch.isin(cls, cls.new_tensor(GROUND)) & (plane < MAX_GROUND_M)
+    height = cls.shape[-2]
+    rows = torch.arange(height, device=cls.device)[:, None].expand_as(cls)
+    nearest = torch.where(ground, rows, height - 1).flip(-2).cummin(dim=-2).values.flip(-2)
+    return plane.gather(-2, nearest)

@@ -1,0 +1,63 @@
+"""One shared backbone, two heads: metric depth and Cityscapes classes of an image in one forward pass (paper §3.2)."""
+
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor, nn
+
+from models.encoder.backbones import Parts
+from models.encoder.backbones.dinov2 import dinov2
+from models.encoder.backbones.espnetv2 import espnetv2
+from models.encoder.backbones.small import small
+from models.encoder.backbones.swin import swin
+
+BACKBONES: dict[str, Callable[[], Parts]] = {
+    "small": small,
+    "espnetv2": partial(espnetv2, 2.0),
+    "espnetv2-s1": partial(espnetv2, 1.0),
+    "dinov2-vits14": partial(dinov2, "vits14"),
+    "dinov2-vitb14": partial(dinov2, "vitb14"),
+    "dinov2-vitl14": partial(dinov2, "vitl14"),
+    "swin-t": swin,
+}
+
+
+class UnifiedEncoder(nn.Module):
+    """Image and intrinsics → depth in metres and class logits of each pixel.
+
+    Its children `backbone`, `depth_head` and `class_head` are what ``models/encoder/backbones`` calls parts.
+    """
+
+    def __init__(self, backbone: str) -> None:
+        """`backbone` is a key of BACKBONES.
+
+        Raises ValueError if it is none, or if it needs a package that is not installed.
+        """
+        super().__init__()
+        if backbone not in BACKBONES:
+            raise ValueError(f"there is no backbone {backbone!r}: known: {', '.join(BACKBONES)}")
+        self.backbone, self.depth_head, self.class_head = BACKBONES[backbone]()
+
+    def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+        """Return depth [B,H,W], metres along the optical axis, and class logits [B,19,H,W], or 20 whose last is void.
+
+        Args:
+            image: RGB [B,3,H,W], uint8, or floats from 0 to 1.
+            K: pinhole intrinsics [B,3,3] of images of this size.
+        """
+        rgb = image.float() / 255 if image.dtype == torch.uint8 else image
+        mean, std = rgb.new_tensor(self.backbone.mean), rgb.new_tensor(self.backbone.std)
+        rgb = (rgb - mean[:, None, None]) / std[:, None, None]
+        rays = ray_slopes(K, image.shape[-2:])
+        features = self.backbone(rgb, rays)
+        return self.depth_head(features, rays), self.class_head(features, rays)
+
+
+def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
+    """Return x/z and y/z of each pixel's ray, [B,2,H,W], for intrinsics [B,3,3] without skew."""
+    v = torch.arange(size[0], dtype=K.dtype, device=K.device).view(1, -1, 1)
+    u = torch.arange(size[1], dtype=K.dtype, device=K.device).view(1, 1, -1)
+    x = (u - K[:, 0, 2, None, None]) / K[:, 0, 0, None, None]  # [B,1,W]
+    y = (v - K[:, 1, 2, None, None]) / K[:, 1, 1, None, None]  # [B,H,1]
+    return torch.stack([x.expand(-1, size[0], -1), y.expand(-1, -1, size[1])], dim=1).float()

@@ -1,0 +1,1 @@
+"""A cell of temporal: ncp a file, named as in params.yaml."""

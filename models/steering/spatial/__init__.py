@@ -1,0 +1,1 @@
+"""A spatial network a file, named as in params.yaml."""

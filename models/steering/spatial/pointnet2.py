@@ -1,0 +1,86 @@
+"""PointNet++ (paper eq. 1 and 2; Qi et al. 2017, single-scale grouping): sets of points in balls, in balls of balls."""
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from models.steering.core.batch import CLASSES, GEOMETRY, SetBatch, max_pool, node_features
+
+OFFSET_M = 10.0  # balls of a street are some 8 to 16 m wide: a neighbour's offset becomes O(1)
+
+
+class SetAbstraction(nn.Module):
+    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP that all points share.
+
+    Each layer of h is linear, LayerNorm, ReLU. The reference has BatchNorm there, with which a frame's numbers would
+    depend on the other frames in the batch.
+    """
+
+    def __init__(self, inputs: int, widths: list[int]) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for before, after in pairwise([3 + inputs, *widths]):
+            layers += [nn.Linear(before, after), nn.LayerNorm(after), nn.ReLU(inplace=True)]
+        self.mlp = nn.Sequential(*layers)
+
+    def forward(self, xyz: Tensor, f: Tensor, centres: Tensor, neighbours: Tensor) -> Tensor:
+        """Describe each centre by its neighbours.
+
+        Args:
+            xyz: [P,3] metres.
+            f: [P,inputs], features of the points.
+            centres: int64 [M], which of the points.
+            neighbours: int64 [M,n], which of the points.
+        Returns:
+            [M, widths[-1]]
+        """
+        offset = (xyz[neighbours] - xyz[centres][:, None]) / OFFSET_M  # [M,n,3]
+        h: Tensor = self.mlp(torch.cat([offset, f[neighbours]], dim=2))  # [M,n,width]
+        return h.amax(1)
+
+
+class PointNet2(nn.Module):
+    """The spatial network on sampled and grouped points; the variant holds who neighbours whom.
+
+    With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the whole frame
+    256-512-1024, then 512 and 256.
+
+    Args:
+        levels: set abstractions before the one over the whole frame; as many as the variant has.
+        width: factor on the reference's channels.
+        features: numbers per frame that go to the recurrent network.
+        semantics: λ of paper eq. 7, in [0,1].
+    Raises:
+        ValueError: semantics out of range.
+    """
+
+    def __init__(self, levels: int, width: float, features: int, semantics: float) -> None:
+        super().__init__()
+        if not 0 <= semantics <= 1:
+            raise ValueError(
+                f"semantics = {semantics} is out of range: it weights the classes, from 0 (depth only) to 1"
+            )
+        self.semantics = semantics
+        base = [max(1, round(width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …
+        sizes = [[base[level], base[level], base[level + 1]] for level in range(levels)]
+        inputs = [GEOMETRY + CLASSES, *(widths[-1] for widths in sizes)]
+        self.levels = nn.ModuleList(SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False))
+        # Over the whole frame: one set, around the camera.
+        self.whole = SetAbstraction(inputs[-1], base[levels : levels + 3]).mlp
+        self.head = nn.Sequential(
+            *(nn.Linear(base[levels + 2], base[levels + 1]), nn.LayerNorm(base[levels + 1]), nn.ReLU()),
+            *(nn.Linear(base[levels + 1], base[levels]), nn.LayerNorm(base[levels]), nn.ReLU()),
+        )
+        self.read_out = nn.Linear(base[levels], features)
+
+    def forward(self, batch: SetBatch) -> Tensor:
+        """Return [B, features]; neither the order of points nor other frames in the batch change a frame's numbers."""
+        dtype = self.read_out.weight.dtype
+        xyz, ptr = batch.xyz.to(dtype), batch.ptr
+        f = node_features(xyz, batch.cls, self.semantics)  # [P,25]
+        for layer, level in zip(self.levels, batch.levels, strict=True):
+            f = layer(xyz, f, level.centres, level.neighbours)  # [M,width]
+            xyz, ptr = xyz[level.centres], level.ptr
+        h = self.whole(torch.cat([xyz / OFFSET_M, f], dim=1))  # [M,1024 width]
+        return torch.tanh(self.read_out(self.head(max_pool(h, ptr))))  # [B,features]; the range LTC synapses listen to

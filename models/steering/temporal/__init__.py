@@ -1,0 +1,1 @@
+"""A temporal network a file, named as in params.yaml."""

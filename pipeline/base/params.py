@@ -1,0 +1,96 @@
+"""Reading ``params.yaml``: each section is a typed class in ``pipeline/sections/``, and a stage loads only its own.
+
+Units stand in names or descriptions; a value out of range, an unknown key or a wrong type is an
+:class:`~pipeline.base.errors.InputError` that names file, key, value and what is allowed.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pipeline.base.errors import InputError, closest
+
+_DRIVE = r"^\d{4}_(0[1-9]|1[0-2])_(0[1-9]|[12]\d|3[01])_drive_\d{4}$"
+Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052")]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+Seed = Annotated[int, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Side = Annotated[int, Field(ge=32, le=4096)]
+ImageSize = Annotated[tuple[Side, Side], Field(description="[H, W] in pixels")]
+SPLITS = ("train", "val", "test")
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    key: ClassVar[str]
+
+
+S = TypeVar("S", bound=Section)
+
+SECTIONS = (
+    "town", "ingest", "labels", "encoder", "perception", "clouds", "pictures", "graphs", "models", "train", "evaluate",
+)  # fmt: skip
+
+
+def load(section: type[S], path: Path) -> S:
+    """Read one section of the params file at `path`. Raises InputError as the module says."""
+    content = _read(path)
+    if section.key not in content:
+        raise InputError(f"{path} has no section {section.key!r}: take it from the project's own params.yaml")
+    return _parse(section, content[section.key], path, section.key)
+
+
+def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
+    """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises InputError."""
+    content = _read(path)
+    entries = content.get(mapping)
+    if not isinstance(entries, dict) or name not in entries:
+        known = list(entries) if isinstance(entries, dict) else []
+        raise InputError(f"{path}: {mapping} has no {name!r}: {closest(name, known)}")
+    return _parse(kind, entries[name], path, f"{mapping}.{name}")
+
+
+def names(mapping: str, path: Path) -> list[str]:
+    """Return the names in a mapping section (``graphs`` or ``models``), in the file's order."""
+    entries = _read(path).get(mapping)
+    if not isinstance(entries, dict) or not entries:
+        raise InputError(f"{path}: section {mapping!r} is missing or empty: it needs at least one entry")
+    return list(entries)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise InputError(f"{path} is missing: run from the repository's root, or: git checkout {path.name}")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise InputError(f"{path} is no YAML: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path} holds no sections")
+    for name in content:
+        if name not in SECTIONS:
+            raise InputError(f"{path}: unknown section {name!r}: {closest(str(name), SECTIONS)}")
+    return content
+
+
+def _parse(kind: type[S], value: Any, path: Path, where: str) -> S:
+    try:
+        return kind.model_validate(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join([where, *(str(part) for part in first["loc"])])
+        if first["type"] == "extra_forbidden":
+            section: Any = kind
+            for part in first["loc"][:-1]:
+                annotation = section.model_fields[part].annotation
+                section = next(t for t in get_args(annotation) or [annotation] if t is not type(None))  # of Optional
+            known = list(section.model_fields)
+            raise InputError(f"{path}: unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
+        if first["type"] == "missing":
+            raise InputError(f"{path}: {key} is missing: take it from the project's own params.yaml") from error
+        # A rule on a whole section would print all of it.
+        value = "" if isinstance(first["input"], dict) else f" = {first['input']!r}"
+        raise InputError(f"{path}: {key}{value}: {first['msg'].removeprefix('Value error, ')}") from error

@@ -1,0 +1,261 @@
+"""The HDF5 files and indexes that stages exchange. The only module that imports h5py.
+
+One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON of the sections that made
+the file), and whatever the stage adds; every dataset has an attribute ``unit``. ``frame`` int32 [F] holds KITTI frame
+numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row. Ragged data: ``ptr`` int64 [F+1] and
+concatenated rows, so that frame i owns ``rows[ptr[i]:ptr[i+1]]``.
+
+Files are deterministic: written once, in a fixed order, with no clock, host or user inside, to a ``.tmp`` name that is
+renamed when complete.
+"""
+
+import io
+import json
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+
+from pipeline.base.errors import InputError
+
+SCHEMA = 1
+_CHUNK_ROWS = 8192  # of ragged data
+_MISSING = "{path} is missing. Make it: dvc repro {stage}. Bring it from another machine: dvc pull {stage}"
+
+
+class DriveWriter:
+    """Write one drive's file; a context manager. The file appears under its name only when the block ends well."""
+
+    def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
+        """`params` is the JSON-able content of the params sections that determine the file."""
+        self.path = path
+        self._tmp = path.with_name(path.name + ".tmp")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._sink = _Sink(self._tmp)
+        self._file = h5py.File(self._sink, "w", libver="v110")
+        self.attrs: dict[str, Any] = {
+            "schema": SCHEMA,
+            "stage": stage,
+            "drive": drive,
+            "params": json.dumps(params, sort_keys=True),
+        }
+
+    def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
+        """Write a complete dataset. Arrays of three or more axes are compressed frame by frame."""
+        array = np.asarray(array)
+        options: dict[str, Any] = {}
+        if array.ndim >= 3 and array.size:
+            options = {"chunks": (1, *array.shape[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
+        self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
+        self._sink.check()
+
+    def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
+        """Add `rows` [n, ...] at the end of dataset `name`, which the first call makes with their dtype and shape."""
+        rows = np.asarray(rows)
+        if name not in self._file:
+            # An image is a chunk of its own, so that one frame can be read alone; points share chunks.
+            chunk = (1 if rows.ndim >= 3 else _CHUNK_ROWS, *rows.shape[1:])
+            dataset = self._file.create_dataset(
+                name, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
+                chunks=chunk, compression="gzip", compression_opts=1, shuffle=True,
+            )  # fmt: skip
+            dataset.attrs["unit"] = unit
+        dataset = self._file[name]
+        start = len(dataset)
+        dataset.resize(start + len(rows), axis=0)
+        dataset[start:] = rows
+        self._sink.check()
+
+    def blank(self, name: str, shape: tuple[int, ...], dtype: type, unit: str = "", value: int = 0) -> None:
+        """Make a dataset [F, ...] full of `value`, for :meth:`fill`. Frames that are never filled take no space."""
+        dataset = self._file.create_dataset(
+            name, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
+            chunks=(1, *shape[1:]), compression="gzip", compression_opts=1, shuffle=True,
+        )  # fmt: skip
+        dataset.attrs["unit"] = unit
+
+    def fill(self, name: str, index: int, array: np.ndarray) -> None:
+        """Write one frame of a dataset made by :meth:`blank`."""
+        self._file[name][index] = array
+        self._sink.check()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                for name, value in self.attrs.items():
+                    self._file.attrs[name] = value
+            self._file.close()
+            self._sink.close()
+            if kind is None:
+                self._sink.check()
+                self._tmp.replace(self.path)
+        finally:
+            self._tmp.unlink(missing_ok=True)
+
+
+class _Sink(io.FileIO):
+    """The file below an HDF5 file. It remembers a failure and goes on.
+
+    HDF5 writes much of a file as it closes it, where h5py loses errors: on a full disk, it would leave an incomplete
+    file that looks complete, and crash as the process ends.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "w+")
+        self._path = str(path)
+        self._error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while left:  # the system may take a part only
+                left = left[super().write(left) :]
+        except OSError as error:
+            self._remember(error)
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._remember(error)
+        return size or 0
+
+    def _remember(self, error: OSError) -> None:
+        error.filename = self._path
+        self._error = self._error or error
+
+    def check(self) -> None:
+        """Raise the first error there was."""
+        if self._error:
+            raise self._error
+
+
+class DriveReader:
+    """Read one drive's file; a context manager.
+
+    Raises InputError if the file is missing, is no HDF5 file, or was written by another stage or schema.
+    """
+
+    def __init__(self, path: Path, *, stage: str) -> None:
+        if not path.is_file():
+            raise InputError(_MISSING.format(path=path, stage=stage))
+        try:
+            self._file = h5py.File(path, "r")
+        except OSError as error:
+            raise InputError(f"{path} is damaged ({error}). Make it again: dvc repro --force {stage}") from error
+        self.path = path
+        self.attrs: dict[str, Any] = dict(self._file.attrs)
+        found = (self.attrs.get("stage"), self.attrs.get("schema"))
+        if found != (stage, SCHEMA):
+            self._file.close()
+            raise InputError(
+                f"{path} has stage {found[0]!r}, schema {found[1]}; this code reads stage {stage!r}, schema {SCHEMA}. "
+                f"Make it again: dvc repro --force {stage}"
+            )
+        self.drive = str(self.attrs["drive"])
+
+    @cached_property
+    def frame(self) -> np.ndarray:
+        """KITTI frame numbers, int32 [F], ascending."""
+        return self["frame"]
+
+    @cached_property
+    def time_s(self) -> np.ndarray:
+        """Seconds since the drive's first oxts row, float64 [F]."""
+        return self["time_s"]
+
+    def row_of(self, number: int) -> int:
+        """Return the row of the frame with this KITTI number. Raises InputError if the file has no such frame."""
+        found = np.flatnonzero(self.frame == number)
+        if not len(found):
+            raise InputError(f"{self.path} has no frame {number}")
+        return int(found[0])
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._file
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return a whole dataset."""
+        return self.dataset(name)[()]
+
+    def rows(self, name: str, start: int, stop: int) -> np.ndarray:
+        """Return ``dataset[start:stop]`` without reading the rest."""
+        return self.dataset(name)[start:stop]
+
+    def row(self, name: str, index: int) -> np.ndarray:
+        """Return ``dataset[index]`` without reading the rest."""
+        return self.dataset(name)[index]
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        return self.dataset(name).shape
+
+    def dataset(self, name: str) -> h5py.Dataset:
+        """Return the h5py dataset; raises InputError, naming the file, if it has none of that name."""
+        if name not in self._file:
+            raise InputError(f"{self.path} has no dataset {name!r} (it has {', '.join(self._file)})")
+        return self._file[name]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON with sorted keys, in one step: nobody ever reads a half-written file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tmp = path.with_name(path.name + ".tmp")
+    tmp.write_text(json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+    tmp.replace(path)
+
+
+def read_json(path: Path, *, stage: str) -> Any:
+    """Read JSON written by `stage`. Raises InputError if it is missing or no JSON."""
+    if not path.is_file():
+        raise InputError(_MISSING.format(path=path, stage=stage))
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path} is no JSON ({error}). Make it again: dvc repro --force {stage}") from error
+
+
+def write_index(folder: Path, splits: Mapping[str, str]) -> None:
+    """Write ``index.json``: drive name → its split (train, val or test), the drives that `folder` has a file for."""
+    write_json(folder / "index.json", {"schema": SCHEMA, "drives": dict(splits)})
+
+
+def read_index(folder: Path, *, stage: str) -> dict[str, str]:
+    """Return drive name → split of a stage's folder. Raises InputError if a drive that it names has no file."""
+    index = read_json(folder / "index.json", stage=stage)
+    if index.get("schema") != SCHEMA:
+        raise InputError(
+            f"{folder / 'index.json'} has schema {index.get('schema')}, this code reads {SCHEMA}. "
+            f"Make it again: dvc repro --force {stage}"
+        )
+    drives: dict[str, str] = index["drives"]
+    missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
+    if missing:
+        raise InputError(f"{folder} lacks {', '.join(missing)}, named in its index.json. Get them: dvc pull {stage}")
+    return drives
+
+
+def of_split(splits: Mapping[str, str], *names: str) -> list[str]:
+    """Return the drives whose split is one of `names`, in the index's order."""
+    return [drive for drive, split in splits.items() if split in names]
+
+
+def pointers(counts: Iterable[int]) -> np.ndarray:
+    """Return ``ptr`` int64 [F+1] for rows of `counts` [F] per frame."""
+    return np.concatenate([[0], np.cumsum(np.fromiter(counts, np.int64))]).astype(np.int64)

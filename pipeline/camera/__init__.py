@@ -1,0 +1,1 @@
+"""What a pixel is: its class, its ray, its file."""

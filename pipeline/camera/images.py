@@ -1,0 +1,57 @@
+"""A raw drive's images and truth images, at the size that the pipeline works with."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.camera.png import read_png
+
+Size = tuple[int, int]
+"""(H, W) pixels."""
+
+
+def read_image(path: Path, size: Size, new_size: Size) -> np.ndarray:
+    """Return an image as RGB uint8 [H,W,3], grey repeated. Raises DamagedFile; InputError if it is not of `size`."""
+    import cv2
+
+    pixels = _read(path, size, np.uint8)
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[..., None], 3, axis=-1)
+    if size == new_size:
+        return pixels
+    # Averaging over areas keeps what is thin; it is made for shrinking only.
+    smaller = new_size[0] <= size[0] and new_size[1] <= size[1]
+    return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
+
+
+def read_depth(path: Path, size: Size | None, new_size: Size) -> np.ndarray:
+    """Return dense depth, uint16 [H,W], 1/256 m, 0 where there is none. `size` None is any; errors as `read_image`."""
+    return _nearest(_read(path, size, np.uint16, axes=2), new_size)
+
+
+def read_classes(path: Path, size: Size | None, new_size: Size) -> np.ndarray:
+    """Return class numbers, uint8 [H,W]. `size` None is any; errors as :func:`read_image`."""
+    return _nearest(_read(path, size, np.uint8, axes=2), new_size)
+
+
+def _nearest(pixels: np.ndarray, new_size: Size) -> np.ndarray:
+    """Resize by picking pixels: a mean of two depths or two class numbers lies on neither surface."""
+    import cv2
+
+    # EXACT picks by pixel centres, as geometry.scale_K assumes; plain INTER_NEAREST is off by half a pixel.
+    return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+
+
+def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None) -> np.ndarray:
+    pixels = read_png(path)
+    if size and pixels.shape[:2] != size:
+        raise InputError(
+            f"{path} is {pixels.shape[1]} x {pixels.shape[0]} pixels, the calibration says {size[1]} x {size[0]}: "
+            "use the synced and rectified archives, and the calibration of the same date"
+        )
+    if pixels.dtype != dtype or (axes and pixels.ndim != axes):
+        raise InputError(
+            f"{path} has {pixels.dtype} pixels of shape {pixels.shape[2:]}, {np.dtype(dtype)} are expected"
+        )
+    return pixels

@@ -1,0 +1,1 @@
+"""How the unified encoder comes to its weights, and how it sees."""

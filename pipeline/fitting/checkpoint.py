@@ -1,0 +1,82 @@
+"""Files of tensors: written in one step, read without running anything they hold, loaded only if all fits."""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import InputError
+
+
+def write(path: Path, content: Mapping[str, Any]) -> None:
+    """Write tensors and plain values under their names; nobody ever reads a half-written file."""
+    import torch
+
+    # By way of memory: on a full disk torch's own writer raises RuntimeError, a plain file an OSError that says so.
+    buffer = io.BytesIO()
+    torch.save(dict(content), buffer)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tmp = path.with_name(path.name + ".tmp")
+    try:
+        tmp.write_bytes(buffer.getbuffer())
+        tmp.replace(path)
+    finally:
+        tmp.unlink(missing_ok=True)
+
+
+def read(path: Path, kind: str, mend: str) -> dict[str, Any]:
+    """Read a file of :func:`write` onto the CPU.
+
+    Args:
+        kind: what `content["kind"]` must be, for instance "steering net".
+        mend: ends the error message: what to do about it.
+
+    Raises InputError if it is missing, cut short, or another kind of file.
+    """
+    content = load(path, mend)
+    if not isinstance(content, dict) or content.get("kind") != kind:
+        raise InputError(f"{path} is no checkpoint of this project's {kind}. {mend}")
+    return content
+
+
+def load(path: Path, mend: str) -> Any:
+    """Return what a file of torch.save holds, tensors and numbers on the CPU; code in it is refused, never run.
+
+    Raises InputError if it is missing, cut short, or holds more than tensors and plain values.
+    """
+    import numpy as np
+    import torch
+    from numpy._core.multiarray import scalar
+
+    # DINOv2's published depth heads hold numpy numbers beside their tensors, pickled under numpy 1's name.
+    numbers: list[Any] = [
+        (scalar, "numpy.core.multiarray.scalar"),
+        scalar,
+        np.dtype,
+        np.dtypes.Float64DType,
+        np.dtypes.Int64DType,
+    ]
+
+    if not path.is_file():
+        raise InputError(f"{path} is missing. {mend}")
+    try:
+        with torch.serialization.safe_globals(numbers):
+            return torch.load(path, weights_only=True, map_location="cpu")
+    except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
+        raise InputError(f"{path} is cut short, or holds more than tensors and plain values. {mend}") from error
+
+
+def load_state(module: Any, state: Mapping[str, Any], path: Path, mend: str) -> None:
+    """Copy tensors into a torch module. Raises InputError unless names and shapes agree one by one."""
+    own = module.state_dict()
+    for name in sorted(own.keys() | state.keys()):
+        if name not in state:
+            fault = f"lacks {name}"
+        elif name not in own:
+            fault = f"has {name}, which the network has not"
+        elif state[name].shape != own[name].shape:
+            fault = f"has {name} of shape {list(state[name].shape)}, the network {list(own[name].shape)}"
+        else:
+            continue
+        raise InputError(f"{path} does not fit the network of this code: it {fault}. {mend}")
+    module.load_state_dict(state, strict=True)

@@ -1,0 +1,1 @@
+"""Clouds, kNN graphs and neighbourhoods, and the files that networks read."""

@@ -1,0 +1,1 @@
+"""Where KITTI raw keeps things, and what they mean."""

@@ -1,0 +1,82 @@
+"""KITTI raw's calibration files: one camera's rectified image size, intrinsics and pose relative to the LiDAR.
+
+Files are parsed by ``pykitti.utils.read_calib_file``. What pykitti's ``raw`` class makes of them is not used: it needs
+all four cameras, and users have files with only some.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A rectified camera. Its frame: x right, y down, z forward, with the projection centre of this very camera."""
+
+    number: int
+    size: tuple[int, int]
+    """(H, W) pixels."""
+    K: np.ndarray
+    """[3,3]"""
+    T_cam_velo: np.ndarray | None
+    """[4,4]; None where ``calib_velo_to_cam.txt`` is absent."""
+
+
+def cameras_in(folder: Path) -> list[int]:
+    """Return the numbers of the cameras that a date's ``calib_cam_to_cam.txt`` describes; none if it is absent."""
+    path = folder / "calib_cam_to_cam.txt"
+    entries = _read(path) if path.is_file() else {}
+    return [number for number in range(4) if f"P_rect_{number:02d}" in entries]
+
+
+def read_camera(folder: Path, number: int) -> Camera:
+    """Read camera `number` from a date folder's calibration files. Raises InputError if they lack what it needs."""
+    path = folder / "calib_cam_to_cam.txt"
+    entries = _read(path)
+    P = _matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
+    width, height = _matrix(entries, f"S_rect_{number:02d}", (2,), path)
+    K = P[:, :3]
+    T_cam_velo = None
+    velo = folder / "calib_velo_to_cam.txt"
+    if velo.is_file():
+        # P_rect projects points of the reference camera's frame: P = K [I | t], so t is where this camera sees them.
+        # All three components of t: with x alone (as pykitti has it) depths are off by t_z, 3 mm.
+        shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
+        rectify = _rigid(_matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
+        entries = _read(velo)
+        T_ref_velo = _rigid(_matrix(entries, "R", (3, 3), velo), _matrix(entries, "T", (3,), velo))
+        T_cam_velo = shift @ rectify @ T_ref_velo
+    return Camera(number, (int(height), int(width)), K, T_cam_velo)
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    from pykitti.utils import read_calib_file  # takes a second to import
+
+    if not path.is_file():
+        raise InputError(f"{path} is missing: extract the date's calibration archive (…_calib.zip) there")
+    try:
+        return dict(read_calib_file(path))
+    except ValueError as error:
+        raise InputError(
+            f"{path} is no calibration file ({error}): extract the date's calibration archive again"
+        ) from error
+
+
+def _matrix(entries: dict[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
+    if name not in entries:
+        raise InputError(f"{path} has no {name}: extract the date's calibration archive again")
+    values = entries[name]
+    if values.size != np.prod(shape) or not np.isfinite(values).all():
+        raise InputError(
+            f"{path}: {name} is not {np.prod(shape)} finite numbers: extract the date's calibration archive again"
+        )
+    return values.reshape(shape)
+
+
+def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return T

@@ -1,0 +1,105 @@
+"""Where KITTI raw keeps a drive's files, and LiDAR scans. Everything is keyed on frame numbers, never on list position.
+
+``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``, calibration in
+``<root>/<date>/``. pykitti's ``raw`` class is not used: its sorted lists shift after a missing frame.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.kitti.calibration import Camera, cameras_in, read_camera
+
+# The lowest laser of the HDL-64E looks 24.8 degrees down and sees the road 4 m away; complete scans of KITTI reach
+# below -23.6 degrees. Files list the lasers from top to bottom, so one that was cut short lacks the low ones.
+_LOWEST_DEG = -20.0
+_MAX_RANGE_M = 150.0  # the sensor's is 120 m
+
+
+class RawDrive:
+    """The files of one drive; each mapping is frame number → path, in ascending order, empty where nothing is there."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.calibration = folder.parent
+        self.oxts = _frames(folder / "oxts" / "data", ".txt")
+        self.scans = _frames(folder / "velodyne_points" / "data", ".bin")
+        # Beside KITTI's own folders, written by stage town: dense depth and classes of camera 2.
+        self.truth_depth = _frames(folder / "truth" / "depth", ".png")
+        self.truth_cls = _frames(folder / "truth" / "cls", ".png")
+
+    def images(self, camera: int) -> dict[int, Path]:
+        return _frames(self.folder / f"image_{camera:02d}" / "data", ".png")
+
+    def camera(self, choices: Sequence[int]) -> Camera | None:
+        """Return the first camera of `choices` that has images; without images, the first that is calibrated, or None.
+
+        Raises InputError if the camera that has images is not calibrated.
+        """
+        numbers = [number for number in choices if self.images(number)]
+        numbers = numbers or [number for number in choices if number in cameras_in(self.calibration)]
+        return read_camera(self.calibration, numbers[0]) if numbers else None
+
+    @property
+    def oxts_times(self) -> Path:
+        return self.folder / "oxts" / "timestamps.txt"
+
+    def fingerprint(self, cameras: Sequence[int]) -> str:
+        """Return a hash of the drive's names and sizes, and of the contents of its oxts and calibration.
+
+        Contents of images and scans are left out: hashing 175 GB would take longer than ingesting it.
+        """
+        digest = hashlib.sha256()
+        big = [self.scans, self.truth_depth, self.truth_cls, *(self.images(camera) for camera in cameras)]
+        for path in (path for paths in big for path in paths.values()):
+            digest.update(f"{path.relative_to(self.folder)} {path.stat().st_size}\n".encode())
+        small = [*self.oxts.values(), self.oxts_times, *sorted(self.calibration.glob("calib_*.txt"))]
+        for path in (path for path in small if path.is_file()):
+            content = path.read_bytes()
+            digest.update(f"{path.relative_to(self.calibration)} {len(content)}\n".encode() + content)
+        return digest.hexdigest()
+
+
+def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:
+    """Return the named drives (as 2011_09_26_drive_0052) below `root`.
+
+    Raises InputError if there are no drives at all, or, with close names, if one is absent.
+    """
+    folders = [path for path in root.glob("????_??_??/*_drive_????_sync") if path.is_dir()]
+    known = sorted(path.name.removesuffix("_sync") for path in folders)
+    if not known:
+        raise InputError(f"{root} holds no drives: it needs <date>/<date>_drive_NNNN_sync folders, KITTI raw's layout")
+    for drive in drives:
+        if drive not in known:
+            raise InputError(f"{root} has no drive {drive}, named in ingest.drives: {closest(drive, known)}")
+    return {drive: RawDrive(root / drive[:10] / f"{drive}_sync") for drive in drives}
+
+
+def read_scan(path: Path) -> np.ndarray:
+    """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance. Raises DamagedFile."""
+    from pykitti.utils import load_velo_scan  # takes a second to import
+
+    size = path.stat().st_size
+    if size == 0 or size % 16 != 0:
+        raise DamagedFile(f"{path} is cut short: {size} bytes are no whole number of points, 16 bytes each")
+    scan: np.ndarray = load_velo_scan(path)
+    if not np.isfinite(scan).all() or np.abs(scan[:, :3]).max() > _MAX_RANGE_M:
+        raise DamagedFile(f"{path} is damaged: it holds points that are not finite or beyond {_MAX_RANGE_M:.0f} m")
+    lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
+    if lowest > _LOWEST_DEG:
+        raise DamagedFile(
+            f"{path} is cut short: its {len(scan)} points reach down to {lowest:.1f} degrees of elevation, "
+            f"a complete scan to less than {_LOWEST_DEG:.0f}"
+        )
+    return scan
+
+
+def _frames(folder: Path, suffix: str) -> dict[int, Path]:
+    if not folder.is_dir():
+        return {}
+    # Names that are no number are left alone: macOS adds "._0000000000.png", half-finished downloads ".part".
+    paths = [path for path in folder.iterdir() if path.suffix == suffix and path.stem.isdigit()]
+    return dict(sorted((int(path.stem), path) for path in paths))

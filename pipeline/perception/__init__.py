@@ -1,0 +1,1 @@
+"""What depth is worth: its scale, its scores, flat ground beside it."""

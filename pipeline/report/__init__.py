@@ -1,0 +1,1 @@
+"""What judges and shows: an edit here trains nothing."""

@@ -1,0 +1,31 @@
+"""Diagrams of what a model predicts. Files are byte-identical for identical input."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.train.windows import Drive
+
+
+def steering(path: Path, drives: Sequence[Drive], predicted_rad: Sequence[np.ndarray], title: str) -> None:
+    """Draw true and predicted steering over time, a panel per drive; grey where the label is invalid."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 0.6 + 2.4 * len(drives)), layout="constrained")
+    panels = figure.subplots(len(drives), squeeze=False)[:, 0]
+    for panel, drive, found in zip(panels, drives, predicted_rad, strict=True):
+        truth = np.rad2deg(np.where(drive.valid, drive.steering_rad, np.nan))
+        panel.axhline(0, color="0.85", linewidth=0.8)
+        panel.plot(drive.time_s, truth, color="tab:red", label="driven (bicycle model)")
+        panel.plot(drive.time_s, np.rad2deg(found), color="tab:green", label="predicted")
+        panel.fill_between(
+            drive.time_s, 0, 1, where=~drive.valid, transform=panel.get_xaxis_transform(), color="0.93", linewidth=0
+        )
+        panel.set_ylabel("steering in deg, left +")
+        panel.set_title(drive.name, fontsize="small", loc="left")
+        panel.margins(x=0)
+    panels[0].legend(loc="upper right", frameon=False, ncols=2)
+    panels[-1].set_xlabel("time in s")
+    figure.suptitle(title)
+    figure.savefig(path, dpi=90, metadata={"Software": None})

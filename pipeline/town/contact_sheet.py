@@ -1,0 +1,54 @@
+"""Pictures for people: depth and classes in colour, contact sheets."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.camera import classes
+
+View = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""RGB uint8 [H,W,3], depth in metres [H,W] (0: none), class numbers uint8 [H,W]."""
+
+
+def colourise_depth(depth_m: np.ndarray, near_m: float = 4.0, far_m: float = 80.0) -> np.ndarray:
+    """Return uint8 RGB [H,W,3]: near is red, far is blue on a logarithmic scale, none is black."""
+    import cv2
+
+    known = depth_m > 0
+    share = np.log(np.where(known, depth_m, near_m) / near_m) / np.log(far_m / near_m)
+    level = (255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
+    picture = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_TURBO))[..., ::-1]
+    return np.where(known[..., None], picture, 0).astype(np.uint8)
+
+
+def contact_sheet(views: Sequence[View], width: int = 360, gap: int = 4) -> np.ndarray:
+    """Return one picture, uint8 RGB: a row per view; picture, depth, classes side by side, each `width` pixels wide.
+
+    Raises ValueError if there is no view.
+    """
+    import cv2
+
+    if not views:
+        raise ValueError("a contact sheet needs at least one view")
+    rows = []
+    for rgb, depth_m, cls in views:
+        height = round(width * rgb.shape[0] / rgb.shape[1])
+        tiles = []
+        for picture, how in (
+            (rgb, cv2.INTER_AREA),
+            (colourise_depth(depth_m), cv2.INTER_NEAREST_EXACT),
+            (classes.colourise(cls), cv2.INTER_NEAREST_EXACT),
+        ):
+            tile = cv2.resize(picture, (width, height), interpolation=how)
+            tiles.append(np.pad(tile, ((0, gap), (0, gap), (0, 0)), constant_values=255))
+        rows.append(np.concatenate(tiles, axis=1))
+    return np.concatenate(rows)[:-gap, :-gap]
+
+
+def write_rgb(path: Path, picture: np.ndarray) -> None:
+    """Write a uint8 RGB picture as PNG. Raises OSError."""
+    import cv2
+
+    content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
+    path.write_bytes(content.tobytes())

@@ -1,0 +1,1 @@
+"""From graph files to a trained steering network, and its predictions."""

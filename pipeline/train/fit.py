@@ -1,0 +1,306 @@
+"""Fit a steering network to the training drives: epochs, early stopping on validation, state saved for a resume."""
+
+import csv
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from tqdm import tqdm
+
+from pipeline.base.errors import InputError
+from pipeline.fitting import checkpoint
+from pipeline.fitting.precision import autocast
+from pipeline.fitting.prefetch import prefetch
+from pipeline.fitting.schedule import warm_up_cosine
+from pipeline.report import judge as metrics
+from pipeline.sections.train import Train
+from pipeline.train import windows
+from pipeline.train.distributed import World
+
+WARM_UP = 0.05  # share of the steps in which the learning rate rises
+KIND = "steering net"  # of checkpoint
+EVALUATION_WINDOWS = 96  # windows per batch when nothing is learned
+
+Forward = Callable[[Any, windows.Batch], Tensor]
+"""A network and a batch of arrays → predictions [W] in units of the labels' deviation, on the network's device."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Mean and standard deviation of the training labels, rad.
+
+    The network learns Θ / std, where 0 stays straight ahead; the mean is for the predictor that knows nothing else.
+    """
+
+    mean_rad: float
+    std_rad: float
+
+    @classmethod
+    def of(cls, drives: Sequence[windows.Drive]) -> "Target":
+        steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
+        return cls(float(steering.mean()), max(float(steering.std()), 1e-6))  # a road without a bend has no spread
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """One row of curve.csv. Without validation drives the last two are NaN."""
+
+    epoch: int
+    learning_rate: float
+    train_loss: float
+    val_mse_rad2: float
+    val_nmse: float
+
+
+class Fit:
+    """One training run: a network, the moving average of its weights, an optimiser, and the epochs so far.
+
+    The average is what is validated and kept: single steps at a high learning rate jump about, their mean does not.
+    """
+
+    def __init__(
+        self,
+        net: nn.Module,
+        forward: Forward,
+        window: int,
+        alpha: float,
+        settings: Train,
+        seed: int,
+        world: World = World(),
+    ) -> None:
+        """Letters as in the model's line: `window` frames per prediction, loss weights exp(`alpha` |Θ|).
+
+        The processes of a `world` share each step's runs; the result is that of one process, up to rounding.
+        """
+        self.net, self.forward, self.window, self.alpha = net, forward, window, alpha
+        self.settings, self.seed, self.world = settings, seed, world
+        # What learns: the same network, but that its gradients are the mean over all processes.
+        self.learner: nn.Module = DistributedDataParallel(net, broadcast_buffers=False) if world.size > 1 else net
+        self.device = next(net.parameters()).device
+        self.average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(settings.average))  # type: ignore[no-untyped-call]
+        # Decay pulls matrices towards zero; an offset or a time constant has no reason to be small.
+        matrices = [parameter for parameter in net.parameters() if parameter.ndim > 1]
+        vectors = [parameter for parameter in net.parameters() if parameter.ndim <= 1]
+        groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
+        self.curve: list[Epoch] = []
+        self.best = copy_of(net)
+
+    def run(
+        self,
+        train: Sequence[windows.Drive],
+        val: Sequence[windows.Drive],
+        kept: Path,
+        about: Mapping[str, Any],
+        title: str,
+    ) -> None:
+        """Train until the last epoch, or until validation no longer improves; `best` and `curve` are the result.
+
+        After each epoch the state goes to `kept`, beside what `about` says of the run; if that file exists, training
+        goes on from there, to the same result. Raises InputError if the loss is no longer finite.
+        """
+        target, epochs = Target.of(train), self.settings.epochs
+        if kept.is_file():
+            self._load(checkpoint.read(kept, KIND, f"Delete {kept} to start again"))
+            self._say(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before")
+        if self.alpha:
+            count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
+            self._say(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}")
+        started, done = time.perf_counter(), len(self.curve)
+        while len(self.curve) < epochs and not out_of_patience(self.curve, self.settings.patience):
+            epoch = len(self.curve) + 1
+            loss, rate = self._train(train, target, epoch)
+            if not math.isfinite(loss):
+                raise InputError(
+                    f"{title}: the loss of epoch {epoch} is {loss}: lower train.learning_rate or clip_norm"
+                )
+            self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
+            better = best_epoch(self.curve) == epoch
+            if better:
+                self.best = copy_of(self.average.module)
+            if self.world.leads:
+                checkpoint.write(kept, {**about, **self._state(), "kind": KIND, "epoch": epoch})
+            eta = (time.perf_counter() - started) / (epoch - done) * (epochs - epoch)
+            nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (best)' if better else ''}" if val else ""
+            self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go")
+
+    def _say(self, line: str) -> None:
+        if self.world.leads:
+            print(line, flush=True)
+
+    def _train(self, drives: Sequence[windows.Drive], target: Target, epoch: int) -> tuple[float, float]:
+        settings = self.settings
+        # Everything random in an epoch follows from its number: a resumed run goes on as if it had never stopped.
+        rng = np.random.default_rng([self.seed, epoch])
+        spans = windows.spans(drives, self.window, settings.run_windows, rng)
+        groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
+        # A process without a run of its own takes part with one that counts nothing.
+        shares = [self.world.share(len(group)) for group in groups]
+        own = [[group[run] for run in share or [0]] for group, share in zip(groups, shares, strict=True)]
+        self.learner.train()
+        total, rate = torch.zeros(2, dtype=torch.float64, device=self.device), 0.0  # sums of weight · error², weight
+        steps = zip(groups, shares, own, prefetch(windows.batches(drives, own, self.window)), strict=True)
+        hidden = not (self.world.leads and sys.stderr.isatty())
+        bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=hidden)
+        for step, (group, share, runs, batch) in enumerate(bar):
+            rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(groups)) / settings.epochs, WARM_UP)
+            for parameters in self.optimiser.param_groups:
+                parameters["lr"] = rate
+            change = Change.draw(len(group), settings, rng)  # of all processes' runs
+            batch = change.of(share or [0]).apply(batch, [span.stop - span.start for span in runs])
+            with autocast(self.device, settings.precision):
+                predicted = self.forward(self.learner, batch)
+            steering = torch.from_numpy(batch["steering_rad"]).to(predicted)
+            weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(self.alpha * steering.abs())
+            weight = weight if share else torch.zeros_like(weight)
+            mass = self.world.sum(weight.sum())
+            error = weighted_error(predicted, steering / target.std_rad, weight)
+            self.optimiser.zero_grad(set_to_none=True)
+            # The learner averages over the processes; their errors add up.
+            (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(self.net.parameters(), settings.clip_norm)
+            self.optimiser.step()
+            self.average.update_parameters(self.net)
+            total += torch.stack([error.detach(), weight.sum()])
+        error_sum, weight_sum = self.world.sum(total).tolist()
+        return error_sum / weight_sum, rate
+
+    def _validate(self, drives: Sequence[windows.Drive], target: Target) -> tuple[float, float]:
+        if not drives:
+            return math.nan, math.nan
+        found = np.concatenate(
+            predict_drives(self.average.module, self.forward, drives, self.window, target, self.world)
+        )
+        steering = np.concatenate([drive.steering_rad for drive in drives])
+        judged = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(found)
+        result = metrics.scores(steering[judged], found[judged])
+        return result["mse_rad2"], result["nmse"]
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "net": copy_of(self.net),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "best": self.best,
+            "curve": [asdict(row) for row in self.curve],
+        }
+
+    def _load(self, state: Mapping[str, Any]) -> None:
+        self.net.load_state_dict(state["net"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
+
+
+@dataclass(frozen=True)
+class Change:
+    """What augmentation does to each of a step's runs [R]: whether it is mirrored, and how much larger its world is."""
+
+    mirrored: np.ndarray
+    factor: np.ndarray
+
+    @classmethod
+    def draw(cls, runs: int, settings: Train, rng: np.random.Generator) -> "Change":
+        mirrored = rng.random(runs) < 0.5 if settings.mirror else np.zeros(runs, bool)
+        factor = settings.rescale ** rng.uniform(-1, 1, runs) if settings.rescale > 1 else np.ones(runs)
+        return cls(mirrored, factor.astype(np.float32))
+
+    def of(self, runs: Sequence[int]) -> "Change":
+        return Change(self.mirrored[list(runs)], self.factor[list(runs)])
+
+    def apply(self, batch: windows.Batch, frames: Sequence[int]) -> windows.Batch:
+        """Change a batch whose runs are `frames` long each."""
+        batch = windows.mirror(batch, np.repeat(self.mirrored, frames))
+        return windows.rescale(batch, np.repeat(self.factor, frames))
+
+
+def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
+    """Return where the run of each seed is kept: the first one's files are the model's, others get a folder in it."""
+    return {seed: model / f"seed-{seed}" if position else model for position, seed in enumerate(seeds)}
+
+
+def best_epoch(curve: Sequence[Epoch]) -> int:
+    """Return the number of the epoch with the least validation error; the last one if nothing was validated."""
+    judged = [row for row in curve if not math.isnan(row.val_nmse)]
+    return min(judged, key=lambda row: row.val_nmse).epoch if judged else len(curve)
+
+
+def out_of_patience(curve: Sequence[Epoch], patience: int) -> bool:
+    """Whether the last `patience` epochs brought no better validation error."""
+    return len(curve) - best_epoch(curve) >= patience
+
+
+def copy_of(net: nn.Module) -> dict[str, Tensor]:
+    """Return the network's tensors as they are now, on the CPU."""
+    return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
+
+
+def predict_drives(
+    net: nn.Module,
+    forward: Forward,
+    drives: Sequence[windows.Drive],
+    window: int,
+    target: Target,
+    world: World = World(),
+) -> list[np.ndarray]:
+    """Return the steering in rad that `net` predicts for each drive's frames, [G] each; NaN where no window ends.
+
+    The processes of a `world` share the work, and all get the whole.
+    """
+    spans = windows.spans(drives, window, EVALUATION_WINDOWS)
+    own = [spans[index] for index in world.share(len(spans))]
+    predicted = []
+    net.eval()
+    with torch.inference_mode():
+        for batch in prefetch(windows.batches(drives, [[span] for span in own], window)):
+            predicted.append(forward(net, batch).double().cpu().numpy() * target.std_rad)
+    found = [np.full(len(drive.frame), np.nan) for drive in drives]
+    for part in world.gather(list(zip(own, predicted, strict=True))):
+        for span, values in part:
+            found[span.drive][span.start + window - 1 : span.stop] = values
+    return found
+
+
+def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
+    """Return (Σw)² / Σw² of the loss weights w = exp(alpha |Θ|) over the valid frames (Kish's effective sample size).
+
+    As many frames of equal weight would say as much; a large alpha leaves the loss to a few.
+    """
+    bend = np.abs(np.concatenate([drive.steering_rad[drive.valid] for drive in drives]))
+    weight = np.exp(alpha * (bend - bend.max()))  # the factor cancels, and nothing overflows
+    return float(weight.sum() ** 2 / (weight**2).sum())
+
+
+def weighted_error(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
+    """Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 once divided by Σ w."""
+    return (weight * (predicted - wanted).square()).sum()
+
+
+def ms_per_frame(net: nn.Module, encode: Forward, drives: Sequence[windows.Drive], window: int) -> float:
+    """Return the median time of ``encode(net, batch)`` per frame, in ms, over a few batches after a warm-up."""
+    groups = [[span] for span in windows.spans(drives, window, EVALUATION_WINDOWS)][:6]
+    times = []
+    with torch.inference_mode():
+        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
+            started = time.perf_counter()
+            encode(net, batch).cpu()  # waits for the device
+            times.append((time.perf_counter() - started) / (span.stop - span.start))
+    return float(np.median(times[1:] or times)) * 1e3
+
+
+def write_curve(path: Path, curve: Sequence[Epoch]) -> None:
+    """Write curve.csv, one row per epoch; what was not measured stays empty."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(field.name for field in fields(Epoch))
+        for row in curve:
+            rows.writerow("" if math.isnan(value) else f"{value:.6g}" for value in asdict(row).values())

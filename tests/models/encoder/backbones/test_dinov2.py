@@ -1,0 +1,206 @@
+"""DINOv2 against a second route: the authors' names and formulas in plain torch, on weights of the true shapes."""
+
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from models.encoder.backbones import Parts
+from models.encoder.backbones.ade20k import ADE20K, TARGET
+from models.encoder.backbones.dinov2 import SIZES, dinov2, padding
+from models.encoder.unified_encoder import UnifiedEncoder
+from pipeline.base.errors import InputError
+from pipeline.encoder.weights import fill
+
+WIDTH, LAYERS, HEADS = SIZES["vits14"]
+State = dict[str, Tensor]
+
+
+@pytest.fixture(scope="module")
+def backbone_file() -> State:
+    """As ``dinov2_vits14_pretrain.pth``."""
+    random = _generator()
+    state = {
+        "cls_token": random(1, 1, WIDTH),
+        "pos_embed": random(1, 1 + 37 * 37, WIDTH),
+        "mask_token": random(1, WIDTH),
+        "patch_embed.proj.weight": random(WIDTH, 3, 14, 14),
+        "patch_embed.proj.bias": random(WIDTH),
+        "norm.weight": 1 + random(WIDTH),
+        "norm.bias": random(WIDTH),
+    }
+    for block in range(LAYERS):
+        shapes = {
+            "norm1.weight": (WIDTH,), "norm1.bias": (WIDTH,), "norm2.weight": (WIDTH,), "norm2.bias": (WIDTH,),
+            "attn.qkv.weight": (3 * WIDTH, WIDTH), "attn.qkv.bias": (3 * WIDTH,),
+            "attn.proj.weight": (WIDTH, WIDTH), "attn.proj.bias": (WIDTH,),
+            "ls1.gamma": (WIDTH,), "ls2.gamma": (WIDTH,),
+            "mlp.fc1.weight": (4 * WIDTH, WIDTH), "mlp.fc1.bias": (4 * WIDTH,),
+            "mlp.fc2.weight": (WIDTH, 4 * WIDTH), "mlp.fc2.bias": (WIDTH,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            state[f"blocks.{block}.{name}"] = random(*shape) + (0.3 if "gamma" in name else 0)
+    return state
+
+
+@pytest.fixture(scope="module")
+def depth_file() -> State:
+    random = _generator()
+    return {
+        "decode_head.conv_depth.weight": random(256, 2 * WIDTH, 1, 1),
+        "decode_head.conv_depth.bias": random(256),
+    }
+
+
+@pytest.fixture(scope="module")
+def class_file() -> State:
+    random = _generator()
+    return {
+        "decode_head.conv_seg.weight": random(150, WIDTH, 1, 1),
+        "decode_head.conv_seg.bias": random(150),
+        "decode_head.bn.weight": 1 + random(WIDTH),
+        "decode_head.bn.bias": random(WIDTH),
+        "decode_head.bn.running_mean": random(WIDTH),
+        "decode_head.bn.running_var": 1 + random(WIDTH).abs(),
+        "decode_head.bn.num_batches_tracked": torch.tensor(40000),
+    }
+
+
+@pytest.fixture(scope="module")
+def files(
+    backbone_file: State, depth_file: State, class_file: State, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, str]:
+    """Setting encoder.weights with files as the authors publish them: the heads lie beside what trained them."""
+    folder = tmp_path_factory.mktemp("weights")
+    meta = {"epoch": 1, "iter": 38400}
+    torch.save(backbone_file, folder / "backbone.pth")
+    torch.save({"state_dict": depth_file, "meta": meta}, folder / "depth_head.pth")
+    torch.save({"state_dict": class_file, "meta": meta}, folder / "class_head.pth")
+    return {part: str(folder / f"{part}.pth") for part in Parts._fields}
+
+
+@pytest.fixture(scope="module")
+def parts(files: dict[str, str]) -> Parts:
+    model = UnifiedEncoder("dinov2-vits14").eval()
+    fill(model, "dinov2-vits14", files, "encoder.weights")
+    return Parts(model.backbone, model.depth_head, model.class_head)
+
+
+@pytest.mark.parametrize("size", [(56, 84), (50, 75)])
+def test_features_and_heads_equal_the_authors_formulas(
+    parts: Parts, backbone_file: State, depth_file: State, class_file: State, size: tuple[int, int]
+) -> None:
+    image = torch.randn(2, 3, *size, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    rays = torch.zeros(2, 2, *size)
+    backbone, depth_head, class_head = (copy.deepcopy(part).double() for part in parts)
+    backbone_file, depth_file, class_file = (
+        {name: tensor.double() for name, tensor in file.items()} for file in (backbone_file, depth_file, class_file)
+    )
+    with torch.no_grad():
+        tokens = backbone(image, rays)
+        depth, logits = depth_head(tokens, rays), class_head(tokens, rays)
+
+    top, bottom, left, right = padding(torch.Size(size))
+    raw, h, w = _vit(backbone_file, F.pad(image, (left, right, top, bottom)))
+    normed = F.layer_norm(raw, (WIDTH,), backbone_file["norm.weight"], backbone_file["norm.bias"], 1e-6)
+    torch.testing.assert_close(tokens.patches, raw[:, 1:].mT.reshape(2, WIDTH, h, w), rtol=0, atol=1e-6)
+
+    def whole(x: Tensor) -> Tensor:
+        enlarged = F.interpolate(x, (14 * h, 14 * w), mode="bilinear", align_corners=False)
+        return enlarged[..., top : top + size[0], left : left + size[1]]
+
+    # Depth as the authors compute it: the class token beside each patch, enlarged four times, then the 1x1 convolution.
+    both = torch.cat([raw[:, 1:], raw[:, :1].expand(-1, h * w, -1)], dim=2).mT.reshape(2, 2 * WIDTH, h, w)
+    both = F.interpolate(both, (4 * h, 4 * w), mode="bilinear", align_corners=False)
+    bins = F.conv2d(both, depth_file["decode_head.conv_depth.weight"], depth_file["decode_head.conv_depth.bias"])
+    shares = bins.relu() + 0.1
+    expected = (shares * torch.linspace(0.001, 80, 256, dtype=torch.float64)[:, None, None]).sum(1) / shares.sum(1)
+    torch.testing.assert_close(depth.double(), whole(expected[:, None])[:, 0], rtol=1e-5, atol=0)
+
+    head = {name.removeprefix("decode_head."): tensor for name, tensor in class_file.items()}
+    scaled = (normed[:, 1:].mT.reshape(2, WIDTH, h, w) - head["bn.running_mean"][:, None, None]) / torch.sqrt(
+        head["bn.running_var"] + 1e-5
+    )[:, None, None] * head["bn.weight"][:, None, None] + head["bn.bias"][:, None, None]
+    ade = F.conv2d(scaled, head["conv_seg.weight"], head["conv_seg.bias"])
+    targets = torch.tensor([TARGET[name] for name in ADE20K])
+    likely = torch.zeros(2, 20, h, w, dtype=torch.float64).index_add(1, targets, ade.softmax(1))
+    torch.testing.assert_close(
+        logits.argmax(1), whole(likely.log().clamp(min=-1e4) + ade.logsumexp(1, keepdim=True)).argmax(1)
+    )
+
+
+def test_depth_lies_within_the_bins(parts: Parts) -> None:
+    image, rays = 5 * torch.randn(1, 3, 42, 42), torch.zeros(1, 2, 42, 42)
+    with torch.no_grad():
+        depth = parts.depth_head(parts.backbone(image, rays), rays)
+    assert depth.min() >= 0.001
+    assert depth.max() <= 80
+    head = dinov2("vits14").depth_head
+    tokens = parts.backbone(image, rays)
+    torch.nn.init.zeros_(head.conv_depth.weight)
+    for chosen, metres in ((0, 0.001), (255, 80.0)):
+        with torch.no_grad():
+            head.conv_depth.bias.fill_(-1).index_fill_(0, torch.tensor([chosen]), 1e6)
+            torch.testing.assert_close(head(tokens, rays), torch.full((1, 42, 42), metres), rtol=1e-3, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("part", "lost", "added"),
+    [
+        ("backbone", "blocks.7.attn.qkv.bias", "blocks.12.norm1.weight"),
+        ("depth_head", "decode_head.conv_depth.bias", "decode_head.conv_depth2.bias"),
+        ("class_head", "decode_head.bn.running_var", "auxiliary_head.bn.weight"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused(
+    files: dict[str, str], tmp_path: Path, part: str, lost: str, added: str
+) -> None:
+    content = torch.load(files[part])
+    state = content.get("state_dict", content)
+    model = UnifiedEncoder("dinov2-vits14")
+    faults = {
+        "it lacks ": {name: tensor for name, tensor in state.items() if name != lost},
+        "which the network has not": state | {added: torch.zeros(1)},
+        r"of shape \[\d\], the network": state | {lost: torch.zeros(3)},
+    }
+    for message, fault in faults.items():
+        torch.save(fault, tmp_path / "bad.pth")
+        with pytest.raises(InputError, match=message) as caught:
+            fill(model, "dinov2-vits14", {part: str(tmp_path / "bad.pth")}, "encoder.weights")
+        assert "\n" not in str(caught.value)
+
+
+def test_an_image_smaller_than_a_patch_is_refused(parts: Parts) -> None:
+    with pytest.raises(ValueError, match="13 x 40 pixels is smaller than a patch of 14 x 14"):
+        parts.backbone(torch.zeros(1, 3, 13, 40), torch.zeros(1, 2, 13, 40))
+
+
+def _generator() -> Any:
+    generator = torch.Generator().manual_seed(0)
+    return lambda *shape: 0.05 * torch.randn(*shape, generator=generator)
+
+
+def _vit(state: State, image: Tensor) -> tuple[Tensor, int, int]:
+    """The tokens [B,1+h·w,C] after the last block, by the authors' names, and h, w."""
+    patches = F.conv2d(image, state["patch_embed.proj.weight"], state["patch_embed.proj.bias"], stride=14)
+    h, w = patches.shape[-2:]
+    grid = state["pos_embed"][:, 1:].reshape(1, 37, 37, WIDTH).permute(0, 3, 1, 2)
+    grid = F.interpolate(grid, (h, w), mode="bicubic", align_corners=False).flatten(2).mT
+    x = torch.cat([state["cls_token"].expand(len(image), -1, -1), patches.flatten(2).mT], dim=1)
+    x = x + torch.cat([state["pos_embed"][:, :1], grid], dim=1)
+    for number in range(LAYERS):
+        block = {name.split(".", 2)[2]: t for name, t in state.items() if name.startswith(f"blocks.{number}.")}
+        y = F.layer_norm(x, (WIDTH,), block["norm1.weight"], block["norm1.bias"], 1e-6)
+        qkv = F.linear(y, block["attn.qkv.weight"], block["attn.qkv.bias"]).unflatten(2, (3, HEADS, -1))
+        q, k, v = qkv.permute(2, 0, 3, 1, 4)  # [B,heads,N,C/heads]
+        y = ((q @ k.mT / math.sqrt(WIDTH // HEADS)).softmax(-1) @ v).transpose(1, 2).flatten(2)
+        x = x + block["ls1.gamma"] * F.linear(y, block["attn.proj.weight"], block["attn.proj.bias"])
+        y = F.layer_norm(x, (WIDTH,), block["norm2.weight"], block["norm2.bias"], 1e-6)
+        y = F.gelu(F.linear(y, block["mlp.fc1.weight"], block["mlp.fc1.bias"]))
+        x = x + block["ls2.gamma"] * F.linear(y, block["mlp.fc2.weight"], block["mlp.fc2.bias"])
+    return x, h, w

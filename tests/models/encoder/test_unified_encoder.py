@@ -1,0 +1,86 @@
+import pytest
+import torch
+
+from models.encoder.heads import CLASSES, MAX_DEPTH_M
+from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder, ray_slopes
+
+K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]], dtype=torch.float64)
+
+
+@pytest.fixture(params=["small", "espnetv2", "espnetv2-s1", "dinov2-vits14", "swin-t"])
+def model(request: pytest.FixtureRequest) -> UnifiedEncoder:
+    torch.manual_seed(0)
+    return UnifiedEncoder(request.param).eval()
+
+
+@pytest.mark.parametrize("size", [(48, 96), (37, 63)])
+def test_one_call_gives_depth_and_logits_of_every_pixel(model: UnifiedEncoder, size: tuple[int, int]) -> None:
+    image = torch.randint(0, 256, (2, 3, *size), dtype=torch.uint8)
+    calls: list[object] = []
+    model.backbone.register_forward_hook(lambda *_: calls.append(None))
+    with torch.no_grad():
+        depth, logits = model(image, K.expand(2, 3, 3))
+    assert depth.shape == (2, *size)
+    assert logits.shape in {(2, CLASSES, *size), (2, CLASSES + 1, *size)}
+    assert depth.min() > 0
+    assert depth.max() <= MAX_DEPTH_M
+    assert len(calls) == 1
+
+
+def test_both_heads_teach_the_shared_backbone(model: UnifiedEncoder) -> None:
+    image = torch.randint(0, 256, (2, 3, 48, 96), dtype=torch.uint8)
+    first = next(layer for layer in model.backbone.modules() if isinstance(layer, torch.nn.Conv2d))
+    for output in (0, 1):
+        model.zero_grad()
+        model(image, K.expand(2, 3, 3))[output].sum().backward()
+        assert first.weight.grad is not None
+
+
+def test_a_frame_does_not_depend_on_its_batch(model: UnifiedEncoder) -> None:
+    images = torch.randint(0, 256, (3, 3, 48, 96), dtype=torch.uint8)
+    with torch.no_grad():
+        together = model(images, K.expand(3, 3, 3))
+        alone = model(images[1:2], K)
+    for a, b in zip(together, alone, strict=True):
+        torch.testing.assert_close(a[1:2], b, rtol=1e-4, atol=1e-3)
+
+
+def test_half_precision_products_give_depth_in_full_precision(model: UnifiedEncoder) -> None:
+    image = torch.randint(0, 256, (2, 3, 48, 96), dtype=torch.uint8)
+    for parameter in model.depth_head.parameters():
+        if not parameter.any():  # a correction that says nothing before it is fitted
+            torch.nn.init.normal_(parameter, std=0.1)
+    with torch.no_grad():
+        depth, logits = model(image, K.expand(2, 3, 3))
+        with torch.autocast("cpu", torch.bfloat16):
+            halves_depth, halves_logits = model(image, K.expand(2, 3, 3))
+    assert halves_depth.dtype == torch.float32
+    assert len(halves_depth.unique()) > 1000  # depths themselves in halves: 18 to 33 different ones
+    torch.testing.assert_close(halves_depth, depth, rtol=0.005, atol=0)
+    # Weights that were never fitted give nearly equal logits, which may swap.
+    assert (halves_logits.argmax(dim=1) == logits.argmax(dim=1)).float().mean() > 0.8
+
+
+@pytest.mark.parametrize("name", list(BACKBONES))
+def test_each_backbone_can_be_built_without_memory(name: str) -> None:
+    with torch.device("meta"):
+        assert sum(parameter.numel() for parameter in UnifiedEncoder(name).parameters()) > 1e5
+
+
+def test_bytes_and_fractions_are_the_same_image(model: UnifiedEncoder) -> None:
+    image = torch.randint(0, 256, (1, 3, 48, 96), dtype=torch.uint8)
+    with torch.no_grad():
+        for a, b in zip(model(image, K), model(image.float() / 255, K), strict=True):
+            torch.testing.assert_close(a, b)
+
+
+def test_unknown_backbone_lists_the_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"no backbone 'large': known: .*small"):
+        UnifiedEncoder("large")
+
+
+def test_ray_slopes_follow_the_intrinsics() -> None:
+    slopes = ray_slopes(K, torch.Size((41, 61)))[0]
+    assert slopes[:, 20, 30].tolist() == [0, 0]
+    assert slopes[0, 20, 55].item() == pytest.approx(0.5)
+    assert slopes[1, 40, 30].item() == pytest.approx(0.5)

@@ -1,0 +1,107 @@
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from scipy.special import expit
+
+from models.steering.cell.eq4 import Eq4
+from models.steering.cell.ltc import NOMINAL_STEP_S
+from models.steering.core.wiring import ncp
+
+DT_S = torch.tensor([[0.1, 0.31, 0.02, 0.1], [0.08, 0.1, 0.12, 0.6]], dtype=torch.float64)
+WIRING = ncp(5, inter=6, command=5, motor=2, sensory_fanout=3, inter_fanout=3, motor_fanin=3)
+
+
+def cell_of(unfolds: int) -> Eq4:
+    torch.manual_seed(0)
+    cell = Eq4(WIRING, unfolds).double()
+    with torch.no_grad():
+        for parameter in cell.parameters():
+            parameter.add_(0.2 * torch.randn_like(parameter))
+    return cell
+
+
+def features():
+    torch.manual_seed(1)
+    return torch.randn(2, 4, 5, dtype=torch.float64)
+
+
+def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
+    """h after each of a window's frames, from eq. 4 written as sums over synapses and a solver of order 8."""
+    synapses = [
+        [(j, i, w) for (j, i), w in zip(np.argwhere(signs), matrix.w.tolist(), strict=True)]
+        for signs, matrix in [(WIRING.sensory, cell.sensory), (WIRING.internal, cell.internal)]
+    ]
+    bias, theta = cell.bias.detach().numpy(), cell.theta.weight.detach().numpy()
+
+    def slope(_, h, x_frame):
+        change = bias - h
+        for k, i, w in synapses[0]:
+            change[i] += w * x_frame[k]
+        for j, i, w in synapses[1]:
+            change[i] += w * expit(h[j])
+        return change / np.exp(theta @ x_frame)
+
+    h, states = np.zeros(WIRING.units), []
+    for x_frame, dt in zip(x, dt_s, strict=True):
+        solution = solve_ivp(slope, (0, dt / NOMINAL_STEP_S), h, "DOP853", args=(x_frame,), rtol=1e-12, atol=1e-13)
+        h = solution.y[:, -1]
+        states.append(h)
+    return np.array(states)
+
+
+def test_small_steps_reach_the_ode_solvers_solution():
+    x, unfolds = features(), [64, 128, 256, 512, 1024]
+    exact = torch.from_numpy(np.stack([solved(cell_of(1), x[w].numpy(), DT_S[w].numpy()) for w in range(2)]))
+    with torch.no_grad():
+        runs = []
+        for steps in unfolds:
+            cell = cell_of(steps)
+            out, (last,) = cell(cell.sense(x), DT_S)
+            y = exact[..., :2].sigmoid() * cell.output_scale + cell.output_shift
+            runs.append(torch.cat([(out - y).flatten(), (last - exact[:, -1]).flatten()]))  # errors
+    sizes = [run.abs().max().item() for run in runs]
+    # Second order: half the step, a quarter of the error. Cancelling its terms in step², step³, … leaves the limit.
+    assert all(3.7 < coarse / fine < 4.3 for coarse, fine in itertools.pairwise(sizes))
+    for order in range(2, len(unfolds) + 1):
+        runs = [(2**order * fine - coarse) / (2**order - 1) for coarse, fine in itertools.pairwise(runs)]
+    assert sizes[-1] < 1e-7
+    assert runs[0].abs().max() < 1e-9
+
+
+def test_exact_where_nothing_recurs():
+    """Neurons that hear only the input: h relaxes to w x + b, in however few steps."""
+    cell, x = cell_of(1), features()
+    with torch.no_grad():
+        cell.internal.w.zero_()
+        h = cell(cell.sense(x), DT_S)[1][0]
+        expected = torch.zeros(2, WIRING.units, dtype=torch.float64)
+        for t in range(4):
+            target = x[:, t] @ cell.sensory.dense() + cell.bias
+            decay = (-DT_S[:, t, None] / NOMINAL_STEP_S / (x[:, t] @ cell.theta.weight.T).exp()).exp()
+            expected = target + (expected - target) * decay
+    torch.testing.assert_close(h, expected, rtol=0, atol=1e-12)
+
+
+def test_gradients():
+    cell, x = cell_of(2), features().requires_grad_()
+    dt_s = DT_S.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda x, dt_s, *_: cell(cell.sense(x), dt_s)[0], (x, dt_s, *cell.parameters()))
+
+
+@pytest.mark.parametrize("size", [1e2, 1e6])
+@pytest.mark.parametrize("dt_s", [1e-6, 0.1, 1e4])
+def test_extreme_inputs_and_pauses_stay_finite(size, dt_s):
+    cell, x = cell_of(6).float(), (features().float() * size).requires_grad_()
+    out, (h,) = cell(cell.sense(x), torch.full((2, 4), dt_s))
+    out.sum().backward()
+    for tensor in (out, h, x.grad, *(parameter.grad for parameter in cell.parameters())):
+        assert tensor.isfinite().all()
+
+
+def test_synapses_start_with_the_wirings_sign():
+    cell = Eq4(WIRING)
+    assert np.array_equal(cell.sensory.dense().sign().detach().numpy(), WIRING.sensory)
+    assert np.array_equal(cell.internal.dense().sign().detach().numpy(), WIRING.internal)

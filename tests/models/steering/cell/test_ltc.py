@@ -1,0 +1,112 @@
+import warnings
+
+import numpy as np
+import pytest
+import torch
+
+from models.steering.cell.ltc import LTC, NOMINAL_STEP_S, inverse_softplus
+from models.steering.core.wiring import ncp
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from ncps.torch import LTCCell
+    from ncps.wirings import Wiring as PeerWiring
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+SYNAPSE = {"w": "w", "sigma": "sigma", "mu": "mu", "erev": "erev"}
+NEURON = {"capacity": "cm", "leak": "gleak", "rest": "vleak"}
+MAP = {"input_scale": "input_w", "input_shift": "input_b", "output_scale": "output_w", "output_shift": "output_b"}
+
+
+def pair(wiring):
+    """Our cell and ncps's with the same wiring and weights; yields (our parameter, theirs, which of theirs)."""
+    ours = LTC(wiring).double()
+    with torch.no_grad():
+        for parameter in (ours.input_scale, ours.input_shift, ours.output_scale, ours.output_shift):
+            parameter.normal_()
+    same = PeerWiring(wiring.units)
+    same.adjacency_matrix = wiring.internal.astype(np.int32)
+    same.build(len(wiring.sensory))
+    same.sensory_adjacency_matrix = wiring.sensory.astype(np.int32)
+    same.set_output_dim(wiring.motor)
+    peer = LTCCell(same, implicit_param_constraints=True).double()
+
+    matches = []
+    for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
+        matches += [
+            (getattr(synapses, name), peer._params[prefix + theirs], signs.nonzero())
+            for name, theirs in SYNAPSE.items()
+        ]
+    matches += [(getattr(ours, name), peer._params[theirs], ...) for name, theirs in (NEURON | MAP).items()]
+    for parameter, theirs, which in matches:
+        theirs.data[which] = parameter.data
+    return ours, peer, matches
+
+
+@pytest.mark.parametrize("motor", [1, 2])
+def test_equals_ncps_forward_and_gradients(motor):
+    torch.manual_seed(0)
+    wiring = ncp(7, inter=6, command=5, motor=motor, sensory_fanout=3, inter_fanout=2, motor_fanin=3)
+    ours, peer, matches = pair(wiring)
+    x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
+    dt_s = torch.rand(3, 5, dtype=torch.float64) * 0.3 + 0.01  # irregular, and different in each window
+
+    out, (v,) = ours(ours.sense(x), dt_s)
+    state, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
+    for t in range(5):
+        motor_out, state = peer(x[:, t], state, dt_s[:, t, None] / NOMINAL_STEP_S)
+        outs.append(motor_out)
+    expected = torch.stack(outs, dim=1)
+    torch.testing.assert_close(out, expected, **TOLERANCE)
+    torch.testing.assert_close(v, state, **TOLERANCE)
+
+    upstream = torch.randn_like(out)
+    gradients = torch.autograd.grad((out * upstream).sum() + v.square().sum(), [x, *(ours_ for ours_, _, _ in matches)])
+    peers = torch.autograd.grad(
+        (expected * upstream).sum() + state.square().sum(), [x, *(theirs for _, theirs, _ in matches)]
+    )
+    torch.testing.assert_close(gradients[0], peers[0], **TOLERANCE)
+    for gradient, theirs, (_, _, which) in zip(gradients[1:], peers[1:], matches, strict=True):
+        torch.testing.assert_close(gradient, theirs[which], **TOLERANCE)
+        assert gradient.abs().max() > 1e-9
+
+
+def test_gradients_through_dt():
+    cell = LTC(ncp(4, inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2)).double()
+    sensed = cell.sense(torch.randn(2, 3, 4, dtype=torch.float64)).detach()
+    dt_s = torch.full((2, 3), 0.1, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda dt: cell(sensed, dt)[0], dt_s)
+
+
+def test_long_pause_forgets_and_no_pause_keeps():
+    cell = LTC(ncp(4)).double()
+    sensed = cell.sense(torch.randn(1, 1, 4, dtype=torch.float64))
+    one, two = (torch.rand(1, 19, dtype=torch.float64) for _ in range(2))
+
+    def after(dt_s, state):
+        return cell(sensed, torch.tensor([[dt_s]], dtype=torch.float64), (state,))[1][0]
+
+    torch.testing.assert_close(after(1e-9, one), one, rtol=0, atol=1e-6)
+    assert (after(60.0, one) - after(60.0, two)).abs().max() < 0.1 * (one - two).abs().max()
+
+
+def test_starts_where_the_literature_does():
+    cell = LTC(ncp(32))
+    for parameter, low, high in [
+        (cell.sensory.w, 0.001, 1), (cell.internal.w, 0.001, 1), (cell.capacity, 0.4, 0.6), (cell.leak, 0.001, 1),
+    ]:  # fmt: skip
+        positive = torch.nn.functional.softplus(parameter)
+        assert positive.min() >= low - 1e-6
+        assert positive.max() <= high + 1e-6
+    assert cell.internal.erev.abs().eq(1).all()
+
+
+def test_only_existing_synapses_are_parameters():
+    wiring = ncp(32)
+    synapses = np.count_nonzero(wiring.sensory) + np.count_nonzero(wiring.internal)
+    assert sum(p.numel() for p in LTC(wiring).parameters()) == 4 * synapses + 3 * 19 + 2 * 32 + 2
+
+
+def test_inverse_softplus():
+    y = torch.tensor([1e-3, 0.5, 1.0, 30.0], dtype=torch.float64)
+    torch.testing.assert_close(torch.nn.functional.softplus(inverse_softplus(y)), y, **TOLERANCE)

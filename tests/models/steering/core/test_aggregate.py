@@ -1,0 +1,63 @@
+import pytest
+import torch
+
+from models.steering.core import aggregate as module
+from models.steering.core.aggregate import aggregate, neighbourhoods
+from models.steering.spatial.edgeconv import EdgeConvLayer, own_plus_max
+from models.steering.spatial.gatv2 import GATv2Layer, attend
+
+
+@pytest.mark.parametrize("loops", [False, True])
+@pytest.mark.parametrize("edges", [1, 20, 10**6])
+def test_chunks_hold_each_node_once_with_its_neighbours(make_batch, monkeypatch, loops, edges):
+    monkeypatch.setattr(module, "EDGES", edges)
+    batch = make_batch([13, 0, 1, 30])
+    rows = [row.tolist() for row in batch.indices.split(batch.degree.tolist())]
+    expected = {node: [node] * loops + row for node, row in enumerate(rows) if row or loops}
+    chunks = neighbourhoods(batch.degree, batch.indices, loops=loops)
+    assert sum(len(nodes) for nodes, _ in chunks) == len(expected)
+    assert {n: row for nodes, near in chunks for n, row in zip(nodes.tolist(), near.tolist(), strict=True)} == expected
+    assert all(len(nodes) == 1 or near.numel() <= edges for nodes, near in chunks)
+
+
+@pytest.mark.parametrize("function", [own_plus_max, attend])
+def test_gradients(make_batch, monkeypatch, function):
+    monkeypatch.setattr(module, "EDGES", 10)
+    batch = make_batch([9, 1])
+    chunks = neighbourhoods(batch.degree, batch.indices, loops=False)
+    shared = [torch.randn(2, 2, dtype=torch.float64, requires_grad=True)] * (function is attend)
+    x, own = torch.randn(2, 10, 4, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(lambda *inputs: aggregate(function, chunks, *inputs), (x, own, *shared))
+
+
+@pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])
+def test_same_bits_each_time(make_batch, layer):
+    batch = make_batch([300, 200])
+    net = layer(16, 32)
+    x = torch.randn(500, 16)
+
+    def run():
+        out = net(x, layer.operator(batch, torch.float32))
+        return [out, *torch.autograd.grad(out.square().sum(), list(net.parameters()))]
+
+    first = run()
+    assert all(torch.equal(a, b) for _ in range(3) for a, b in zip(first, run(), strict=True))
+
+
+@pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])
+def test_nothing_per_edge_is_kept_for_backward(make_batch, layer):
+    batch = make_batch([150])
+    nodes, edges = len(batch.degree), len(batch.indices)
+    net, kept = layer(4, 8), []
+    operator = layer.operator(batch, torch.float32)
+    with torch.autograd.graph.saved_tensors_hooks(lambda tensor: kept.append(tensor.numel()) or tensor, lambda t: t):
+        net(torch.randn(nodes, 4, requires_grad=True), operator)
+    assert edges > 10 * nodes
+    assert max(kept) <= 8 * nodes
+
+
+@pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])
+def test_graph_without_nodes(make_batch, layer):
+    out = layer(3, 4)(torch.zeros(0, 3, requires_grad=True), layer.operator(make_batch([0, 0]), torch.float32))
+    assert out.shape == (0, 4)
+    out.sum().backward()

@@ -1,0 +1,69 @@
+import dataclasses
+
+import pytest
+import torch
+
+from models.steering.core.batch import GraphBatch
+from models.steering.core.graph_network import GraphNetwork
+from models.steering.spatial.edgeconv import EdgeConvLayer
+from models.steering.spatial.gatv2 import GATv2Layer
+from models.steering.spatial.gnn import GCNLayer
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+
+
+@pytest.fixture(params=[GCNLayer, EdgeConvLayer, GATv2Layer])
+def network(request):
+    torch.manual_seed(0)
+    return GraphNetwork(request.param, [8, 16], features=5, semantics=1.0).double()
+
+
+def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
+    start, end = batch.ptr[frame : frame + 2].tolist()
+    edges = batch.degree.long()
+    first, last = edges[:start].sum(), edges[:end].sum()
+    rows = slice(start, end)
+    indices = batch.indices[first:last] - start
+    return GraphBatch(batch.xyz[rows], batch.cls[rows], torch.tensor([0, end - start]), batch.degree[rows], indices)
+
+
+def test_order_of_points_changes_nothing(make_batch, network):
+    batch = make_batch([40])
+    order = torch.randperm(40)
+    place = order.argsort()
+    neighbours = batch.indices.split(batch.degree.tolist())
+    shuffled = GraphBatch(
+        batch.xyz[order],
+        batch.cls[order],
+        batch.ptr,
+        batch.degree[order],
+        torch.cat([place[neighbours[node]] for node in order]),
+    )
+    torch.testing.assert_close(network(shuffled), network(batch), **TOLERANCE)
+
+
+@pytest.mark.parametrize("counts", [[12, 12, 12], [30, 0, 1, 17]])
+def test_batch_equals_single_frames(make_batch, network, counts):
+    batch = make_batch(counts)
+    singles = torch.cat([network(one_frame(batch, frame)) for frame in range(batch.frames)])
+    torch.testing.assert_close(network(batch), singles, **TOLERANCE)
+
+
+def test_without_semantics_classes_change_nothing(make_batch, network):
+    batch = make_batch([20, 20])
+    other = dataclasses.replace(batch, cls=torch.full_like(batch.cls, 3))
+    assert not torch.allclose(network(batch), network(other))
+    network.semantics = 0.0
+    assert torch.equal(network(batch), network(other))
+
+
+@pytest.mark.parametrize("semantics", [-0.1, 1.5, float("nan")])
+def test_semantics_out_of_range(semantics):
+    with pytest.raises(ValueError, match=r"semantics = .* from 0 .* to 1"):
+        GraphNetwork(GCNLayer, [4], features=2, semantics=semantics)
+
+
+def test_float32_clouds_enter_a_float64_network(make_batch, network):
+    batch = make_batch([15])
+    single = dataclasses.replace(batch, xyz=batch.xyz.float())
+    torch.testing.assert_close(network(single), network(batch), rtol=0, atol=1e-5)

@@ -1,0 +1,62 @@
+import dataclasses
+
+import pytest
+import torch
+from torch.nn import functional
+
+from models.steering.core.batch import ImageBatch
+from models.steering.spatial.cnn import SteeringCNN, standardise
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+
+
+@pytest.fixture
+def network():
+    torch.manual_seed(0)
+    return SteeringCNN((33, 50), features=32).double()
+
+
+def images(count: int = 3, size: tuple[int, int] = (33, 50)) -> ImageBatch:
+    generator = torch.Generator().manual_seed(1)
+    return ImageBatch(torch.randint(0, 256, (count, *size, 3), generator=generator, dtype=torch.uint8))
+
+
+def test_the_layers_are_those_of_the_ncp_paper(network):
+    """Second route: one image, one layer, one map after the other, with padding written out."""
+    batch = images()
+    convolutions = [layer for layer in network.convolutions if isinstance(layer, torch.nn.Conv2d)]
+    assert [(c.out_channels, c.kernel_size[0], c.stride[0]) for c in convolutions] == [
+        (24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)
+    ]  # fmt: skip
+    expected = []
+    for image in batch.image.double():
+        x = ((image - image.mean()) / image.std(correction=0)).movedim(2, 0)[None]
+        for layer in convolutions:
+            margin = layer.kernel_size[0] // 2
+            x = functional.conv2d(functional.pad(x, [margin] * 4), layer.weight, layer.bias, layer.stride).relu()
+        assert x.shape == (1, 8, 5, 7)  # 33 × 50 halved three times, rounded up
+        dense = [x[0, number].flatten() @ network.weight[number] + network.bias[number] for number in range(8)]
+        expected.append(torch.cat(dense).relu())
+    torch.testing.assert_close(network(batch), torch.stack(expected), **TOLERANCE)
+
+
+def test_brightness_and_contrast_change_nothing(network):
+    batch = ImageBatch(images().image // 4)
+    brighter = dataclasses.replace(batch, image=batch.image * 3 + 20)
+    torch.testing.assert_close(network(brighter), network(batch), **TOLERANCE)
+
+
+def test_batch_equals_single_images(network):
+    batch = images()
+    singles = torch.cat([network(ImageBatch(image[None])) for image in batch.image])
+    torch.testing.assert_close(network(batch), singles, **TOLERANCE)
+
+
+def test_an_image_of_one_colour_is_finite():
+    assert not standardise(torch.full((1, 8, 8, 3), 77, dtype=torch.uint8), torch.float32).any()
+
+
+def test_features_are_shared_out_among_the_maps():
+    assert SteeringCNN((32, 32), 16)(images(size=(32, 32))).shape == (3, 16)
+    with pytest.raises(ValueError, match="features = 30: cnn gives each of its 8 maps as many: use a multiple of 8"):
+        SteeringCNN((32, 32), 30)

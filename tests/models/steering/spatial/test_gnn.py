@@ -1,0 +1,98 @@
+import itertools
+import warnings
+
+import pytest
+import torch
+
+from models.steering.spatial.gnn import GCNLayer, normalised_adjacency, propagate
+
+with warnings.catch_warnings():  # PyG's own use of torch.jit is deprecated there, and not ours to mend
+    warnings.simplefilter("ignore", DeprecationWarning)
+    warnings.simplefilter("ignore", FutureWarning)
+    from torch_geometric.nn import GCNConv
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+
+
+def edge_index(batch):
+    return torch.stack([torch.arange(len(batch.degree)).repeat_interleave(batch.degree.long()), batch.indices])
+
+
+def copy_of(layer):
+    peer = GCNConv(*layer.weight.shape).double()
+    peer.lin.weight.data, peer.bias.data = layer.weight.data.T.clone(), layer.bias.data.clone()
+    return peer
+
+
+def test_adjacency_is_kipfs(make_batch):
+    batch = make_batch([13, 0, 1, 30])
+    nodes = len(batch.degree)
+    with_loops = torch.eye(nodes, dtype=torch.float64)
+    with_loops[tuple(edge_index(batch))] = 1
+    scale = with_loops.sum(1).rsqrt().diag()
+    built = normalised_adjacency(batch.degree, batch.indices, torch.float64)
+    torch.testing.assert_close(built.to_dense(), scale @ with_loops @ scale, **TOLERANCE)
+
+
+def test_neighbours_may_come_in_any_order(make_batch):
+    batch = make_batch([25])
+    shuffled = torch.cat([row.flip(0) for row in batch.indices.split(batch.degree.tolist())])
+    x = torch.randn(25, 4, dtype=torch.float64)
+    products = [propagate(normalised_adjacency(batch.degree, order, x.dtype), x) for order in (batch.indices, shuffled)]
+    torch.testing.assert_close(*products, **TOLERANCE)
+
+
+@pytest.mark.parametrize("widths", [[3, 8], [8, 3], [3, 16, 5, 5]])
+def test_equals_pyg_forward_and_gradients(make_batch, widths):
+    batch = make_batch([20, 11])
+    ours = [GCNLayer(inputs, outputs).double() for inputs, outputs in itertools.pairwise(widths)]
+    for layer in ours:
+        torch.nn.init.normal_(layer.bias)
+    peers = [copy_of(layer) for layer in ours]
+    x = torch.randn(31, widths[0], dtype=torch.float64, requires_grad=True)
+    operator = GCNLayer.operator(batch, torch.float64)
+    upstream = torch.randn(31, widths[-1], dtype=torch.float64)
+
+    def run(layers, graph):
+        h = x
+        for layer in layers:
+            h = layer(h, graph).tanh()
+        parameters = [parameter for layer in layers for parameter in layer.parameters()]
+        return h, torch.autograd.grad((h * upstream).sum(), [x, *parameters])
+
+    h, gradients = run(ours, operator)
+    h_peer, gradients_peer = run(peers, edge_index(batch))
+    torch.testing.assert_close(h, h_peer, **TOLERANCE)
+    by_shape = {tuple(gradient.shape): gradient for gradient in gradients_peer}
+    for layer_start in range(1, len(gradients), 2):
+        weight, bias = gradients[layer_start : layer_start + 2]
+        peer_bias, peer_weight = gradients_peer[layer_start : layer_start + 2]
+        torch.testing.assert_close(weight, peer_weight.T, **TOLERANCE)
+        torch.testing.assert_close(bias, peer_bias, **TOLERANCE)
+    torch.testing.assert_close(gradients[0], by_shape[tuple(x.shape)], **TOLERANCE)
+
+
+def test_first_and_second_derivatives(make_batch):
+    batch = make_batch([9])
+    adjacency = GCNLayer.operator(batch, torch.float64)
+    x = torch.randn(9, 2, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x: propagate(adjacency, x), x)
+    assert torch.autograd.gradgradcheck(lambda x: propagate(adjacency, x).square(), x)
+
+
+def test_sparse_product_stays_in_full_precision_under_autocast(make_batch):
+    batch = make_batch([30])
+    layers = torch.nn.ModuleList([GCNLayer(3, 8), GCNLayer(8, 4)])
+    operator = GCNLayer.operator(batch, torch.float32)
+    x = batch.xyz.float() / 10
+    expected = layers[1](layers[0](x, operator).relu(), operator)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        mixed = layers[1](layers[0](x, operator).relu(), operator)
+        mixed.float().square().sum().backward()
+    torch.testing.assert_close(mixed.float(), expected, rtol=0.05, atol=0.05)
+    assert all(parameter.grad.isfinite().all() for parameter in layers.parameters())
+
+
+def test_graph_without_nodes(make_batch):
+    layer = GCNLayer(3, 4)
+    assert layer(torch.zeros(0, 3), GCNLayer.operator(make_batch([0, 0]), torch.float32)).shape == (0, 4)

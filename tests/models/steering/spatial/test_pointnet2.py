@@ -1,0 +1,122 @@
+import dataclasses
+
+import pytest
+import torch
+from torch.nn import functional
+
+from models.steering.core.batch import SetBatch, node_features
+from models.steering.spatial.pointnet2 import OFFSET_M, PointNet2, SetAbstraction
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+
+
+@pytest.fixture
+def network():
+    torch.manual_seed(0)
+    return PointNet2(levels=2, width=0.125, features=5, semantics=1.0).double()
+
+
+def plain_mlp(layers, row):
+    """An MLP of Linear, LayerNorm, ReLU on one row, spelled out."""
+    for linear, norm, _ in zip(layers[::3], layers[1::3], layers[2::3], strict=True):
+        row = linear.weight @ row + linear.bias
+        row = (row - row.mean()) / (row.var(correction=0) + norm.eps).sqrt() * norm.weight + norm.bias
+        row = row.clamp_min(0)
+    return row
+
+
+def plain_level(layer, xyz, f, centres, neighbours):
+    """Paper eq. 2, one centre and one neighbour after the other."""
+    rows = []
+    for centre, ball in zip(centres.tolist(), neighbours.tolist(), strict=True):
+        described = [plain_mlp(layer.mlp, torch.cat([(xyz[j] - xyz[centre]) / OFFSET_M, f[j]])) for j in ball]
+        rows.append(torch.stack(described).max(0).values)
+    return torch.stack(rows)
+
+
+def test_layer_equals_plain_loops_forward_and_gradients(make_sets):
+    torch.manual_seed(0)
+    batch = make_sets([40, 25])
+    layer = SetAbstraction(4, [6, 8]).double()
+    for norm in layer.mlp[1::3]:
+        torch.nn.init.normal_(norm.weight)
+    xyz, f = batch.xyz.requires_grad_(), torch.randn(65, 4, dtype=torch.float64, requires_grad=True)
+    upstream = torch.randn(len(batch.levels[0].centres), 8, dtype=torch.float64)
+
+    def run(function):
+        out = function(xyz, f, batch.levels[0].centres, batch.levels[0].neighbours)
+        return out, torch.autograd.grad((out * upstream).sum(), [xyz, f, *layer.parameters()])
+
+    torch.testing.assert_close(run(layer), run(lambda *inputs: plain_level(layer, *inputs)), **TOLERANCE)
+
+
+def test_network_equals_plain_loops(make_sets, network):
+    batch = make_sets([30, 18])
+    expected = []
+    xyz, f, ptr = batch.xyz, node_features(batch.xyz, batch.cls, 1.0), batch.ptr
+    for layer, level in zip(network.levels, batch.levels, strict=True):
+        f = plain_level(layer, xyz, f, level.centres, level.neighbours)
+        xyz, ptr = xyz[level.centres], level.ptr
+    for start, stop in zip(ptr[:-1].tolist(), ptr[1:].tolist(), strict=True):
+        rows = [plain_mlp(network.whole, torch.cat([xyz[i] / OFFSET_M, f[i]])) for i in range(start, stop)]
+        row = plain_mlp(network.head, torch.stack(rows).max(0).values)
+        expected.append(torch.tanh(functional.linear(row, network.read_out.weight, network.read_out.bias)))
+    torch.testing.assert_close(network(batch), torch.stack(expected), **TOLERANCE)
+
+
+def test_sizes_of_width_one_are_the_references():
+    network = PointNet2(levels=2, width=1.0, features=32, semantics=0.0)
+    widths = [[linear.out_features for linear in layer.mlp[::3]] for layer in network.levels]
+    assert widths == [[64, 64, 128], [128, 128, 256]]
+    assert [linear.out_features for linear in network.whole[::3]] == [256, 512, 1024]
+    assert [linear.out_features for linear in network.head[::3]] == [512, 256]
+    inputs = [network.levels[0].mlp[0], network.levels[1].mlp[0], network.whole[0]]
+    assert [linear.in_features for linear in inputs] == [3 + 25, 3 + 128, 3 + 256]
+
+
+def test_order_of_points_and_of_neighbours_changes_nothing(make_sets, network):
+    batch = make_sets([40])
+    order = torch.randperm(40)
+    place = order.argsort()
+    first, second = batch.levels
+    turn = torch.randperm(len(first.centres))
+    back = turn.argsort()
+    shuffled = SetBatch(
+        batch.xyz[order],
+        batch.cls[order],
+        batch.ptr,
+        (
+            dataclasses.replace(
+                first, centres=place[first.centres[turn]], neighbours=place[first.neighbours[turn]].flip(1)
+            ),
+            dataclasses.replace(second, centres=back[second.centres], neighbours=back[second.neighbours]),
+        ),
+    )
+    torch.testing.assert_close(network(shuffled), network(batch), **TOLERANCE)
+
+
+def test_a_repeated_neighbour_changes_nothing(make_sets, network):
+    batch = make_sets([40])
+    first, second = batch.levels
+    wider = dataclasses.replace(first, neighbours=torch.cat([first.neighbours, first.neighbours[:, :1]], dim=1))
+    torch.testing.assert_close(network(dataclasses.replace(batch, levels=(wider, second))), network(batch), **TOLERANCE)
+
+
+@pytest.mark.parametrize("counts", [[30, 30, 30], [30, 0, 1, 17]])
+def test_batch_equals_single_frames(make_sets, network, counts):
+    together = network(make_sets(counts))
+    singles = [network(make_sets(counts, only=frame)) for frame in range(len(counts))]
+    torch.testing.assert_close(together, torch.cat(singles), **TOLERANCE)
+
+
+def test_without_semantics_classes_change_nothing(make_sets, network):
+    batch = make_sets([20, 20])
+    other = dataclasses.replace(batch, cls=torch.full_like(batch.cls, 3))
+    assert not torch.allclose(network(batch), network(other))
+    network.semantics = 0.0
+    assert torch.equal(network(batch), network(other))
+
+
+def test_semantics_out_of_range():
+    with pytest.raises(ValueError, match=r"semantics = 2 .* from 0 .* to 1"):
+        PointNet2(levels=1, width=0.1, features=2, semantics=2)

@@ -1,0 +1,182 @@
+"""The HDF5 files that stages exchange: what goes in comes out, to the byte, or nothing does."""
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader, DriveWriter
+
+DRIVE = "2011_09_26_drive_0001"
+
+
+def write(path: Path, seed: int = 0, stage: str = "clouds") -> Path:
+    rng = np.random.default_rng(seed)
+    counts = [5000, 0, 9000]
+    with DriveWriter(path, stage=stage, drive=DRIVE, params={"clouds": {"seed": seed}}) as file:
+        file.attrs["split"] = "train"
+        file.put("frame", np.array([0, 2, 3], np.int32))
+        file.put("time_s", np.array([0.0, 0.2, 0.3]), "s")
+        file.put("image", rng.integers(0, 256, (3, 8, 9, 3), np.uint8), "RGB")
+        file.blank("cls", (3, 8, 9), np.uint8, value=255)
+        file.fill("cls", 1, np.full((8, 9), 7, np.uint8))
+        for count in counts:
+            file.append("xyz", rng.normal(size=(count, 3)).astype(np.float32), "m")
+        file.put("ptr", store.pointers(counts))
+    return path
+
+
+def test_reads_what_was_written(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (3, 8, 9, 3), np.uint8)
+    xyz = [rng.normal(size=(count, 3)).astype(np.float32) for count in (5000, 0, 9000)]
+    with DriveReader(write(tmp_path / "a.h5"), stage="clouds") as file:
+        assert (file.drive, file.attrs["split"], file.attrs["schema"]) == (DRIVE, "train", store.SCHEMA)
+        assert file.attrs["params"] == '{"clouds": {"seed": 0}}'
+        np.testing.assert_array_equal(file.frame, [0, 2, 3])
+        np.testing.assert_array_equal(file.time_s, [0, 0.2, 0.3])
+        np.testing.assert_array_equal(file["image"], image)
+        np.testing.assert_array_equal(file.row("image", 2), image[2])
+        np.testing.assert_array_equal(file["ptr"], [0, 5000, 5000, 14000])
+        for start, stop, rows in zip(file["ptr"][:-1], file["ptr"][1:], xyz, strict=True):
+            np.testing.assert_array_equal(file.rows("xyz", start, stop), rows)
+        assert [np.unique(file.row("cls", i)).tolist() for i in range(3)] == [[255], [7], [255]]
+        assert file.dataset("xyz").attrs["unit"] == "m"
+        assert "depth" not in file
+        with pytest.raises(InputError, match=r"has no dataset 'depth'.*cls, frame"):
+            file["depth"]
+
+
+def test_two_writes_are_byte_identical(tmp_path: Path) -> None:
+    first, second, other = (write(tmp_path / f"{i}.h5", seed).read_bytes() for i, seed in enumerate([0, 0, 1]))
+    assert first == second
+    assert first != other
+
+
+def test_drive_without_frames(tmp_path: Path) -> None:
+    with DriveWriter(tmp_path / "a.h5", stage="ingest", drive=DRIVE, params={}) as file:
+        file.put("image", np.zeros((0, 8, 9, 3), np.uint8))
+        file.blank("cls", (0, 8, 9), np.uint8)
+        file.append("xyz", np.zeros((0, 3), np.float32))
+        file.put("ptr", store.pointers([]))
+    with DriveReader(tmp_path / "a.h5", stage="ingest") as file:
+        assert [file.shape(name) for name in ("image", "cls", "xyz", "ptr")] == [(0, 8, 9, 3), (0, 8, 9), (0, 3), (1,)]
+
+
+def test_frames_never_filled_take_no_space(tmp_path: Path) -> None:
+    with DriveWriter(tmp_path / "a.h5", stage="ingest", drive=DRIVE, params={}) as file:
+        file.blank("image", (5000, 96, 320, 3), np.uint8)
+    assert (tmp_path / "a.h5").stat().st_size < 10_000
+
+
+def test_an_error_leaves_nothing_new_and_nothing_broken(tmp_path: Path) -> None:
+    before = write(tmp_path / "a.h5").read_bytes()
+    with pytest.raises(ZeroDivisionError), DriveWriter(tmp_path / "a.h5", stage="x", drive=DRIVE, params={}) as file:  # noqa: PT012
+        file.put("frame", np.arange(1000))
+        raise ZeroDivisionError
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
+    assert (tmp_path / "a.h5").read_bytes() == before
+
+
+@pytest.mark.parametrize("how", ["append", "put", "many small", "blank"])
+def test_a_full_disk_leaves_nothing_new_and_nothing_broken(tmp_path: Path, how: str) -> None:
+    """A limit on file size fails writes as a full disk does: partly, late, and on closing as well."""
+    before = write(tmp_path / "a.h5").read_bytes()
+    program = """
+        import sys
+        from pathlib import Path
+        import numpy as np
+        from pipeline.base import console
+        from pipeline.base.store import DriveWriter
+
+        def main(path: Path, how: str) -> None:
+            noise = np.random.default_rng(0).integers(0, 256, (9, 300, 400), np.uint8)
+            with DriveWriter(path, stage="clouds", drive="d", params={}) as file:
+                if how == "put":
+                    file.put("a", noise)
+                if how == "blank":
+                    file.blank("a", noise.shape, np.uint8)
+                for i, frame in enumerate(noise):
+                    if how == "append":
+                        file.append("a", frame[None])
+                    if how == "blank":
+                        file.fill("a", i, frame)
+                    if how == "many small":
+                        file.put(f"a{i}", frame.ravel())
+
+        console.run(main)
+    """
+    run = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program), str(tmp_path / "a.h5"), how],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000)),
+    )
+    assert run.returncode == 1, run.stderr
+    assert run.stderr.count("\n") == 1
+    assert f"{os.strerror(errno.EFBIG)} while writing {tmp_path / 'a.h5.tmp'}" in run.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
+    assert (tmp_path / "a.h5").read_bytes() == before
+
+
+def test_reader_refuses_what_it_cannot_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.h5")
+    with pytest.raises(
+        InputError, match=r"has stage 'clouds', schema 1; this code reads stage 'ingest'.*dvc repro --force"
+    ):
+        DriveReader(path, stage="ingest")
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema"] = 99
+    with pytest.raises(InputError, match="has stage 'clouds', schema 99; this code reads stage 'clouds', schema 1"):
+        DriveReader(path, stage="clouds")
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(InputError, match="is damaged"):
+        DriveReader(path, stage="clouds")
+    with pytest.raises(InputError, match=r"b.h5 is missing. Make it: dvc repro clouds"):
+        DriveReader(tmp_path / "b.h5", stage="clouds")
+    with h5py.File(tmp_path / "foreign.h5", "w"):
+        pass
+    with pytest.raises(InputError, match="has stage None, schema None"):
+        DriveReader(tmp_path / "foreign.h5", stage="clouds")
+
+
+def test_index_round_trip_and_faults(tmp_path: Path) -> None:
+    splits = {"b": "train", "a": "test", "c": "train"}
+    for drive in splits:
+        write(tmp_path / f"{drive}.h5")
+    store.write_index(tmp_path, splits)
+    assert store.read_index(tmp_path, stage="clouds") == splits
+    assert store.of_split(splits, "train") == ["b", "c"]
+    assert store.of_split(splits, "val", "test") == ["a"]
+
+    (tmp_path / "c.h5").unlink()
+    with pytest.raises(InputError, match=r"lacks c, named in its index.json. Get them: dvc pull clouds"):
+        store.read_index(tmp_path, stage="clouds")
+    store.write_json(tmp_path / "index.json", {"schema": 0, "drives": {}})
+    with pytest.raises(InputError, match="has schema 0, this code reads 1"):
+        store.read_index(tmp_path, stage="clouds")
+    (tmp_path / "index.json").write_text('{"schema": 1, ')
+    with pytest.raises(InputError, match="is no JSON"):
+        store.read_index(tmp_path, stage="clouds")
+    with pytest.raises(InputError, match=r"index.json is missing. Make it: dvc repro clouds"):
+        store.read_index(tmp_path / "nowhere", stage="clouds")
+
+
+def test_json_is_never_half_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    store.write_json(path, {"b": 1, "a": [1.5]})
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        store.write_json(path, {"a": float("nan")})
+    assert path.read_bytes() == before
+    assert store.read_json(path, stage="x") == {"a": [1.5], "b": 1}

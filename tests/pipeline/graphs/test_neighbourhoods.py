@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+
+from pipeline.graphs import cloud, neighbourhoods
+
+
+@pytest.fixture
+def xyz() -> np.ndarray:
+    """A street's width of points as clouds store them, some of them twice."""
+    rng = np.random.default_rng(0)
+    points = cloud.quantise(rng.uniform([-10, -1, 0], [10, 2, 40], (240, 3)))
+    return points[np.sort(rng.integers(0, 240, 300))]
+
+
+def squared(a: np.ndarray, b: np.ndarray) -> float:
+    """In integers of 1/1024 m, so that nothing is rounded."""
+    return sum((round(float(p) * 1024) - round(float(q) * 1024)) ** 2 for p, q in zip(a, b, strict=True)) / 1024**2
+
+
+def reference_fps(xyz: np.ndarray, count: int) -> list[int]:
+    chosen = [0]
+    while len(chosen) < min(count, len(xyz)):
+        best, farthest = 0, -1.0
+        for point in range(len(xyz)):
+            nearest = min(squared(xyz[point], xyz[other]) for other in chosen)
+            if nearest > farthest:
+                best, farthest = point, nearest
+        chosen.append(best)
+    return chosen
+
+
+def reference_ball(xyz: np.ndarray, centre: int, radius_m: float, count: int, order: np.ndarray) -> list[int]:
+    found = [int(point) for point in order if squared(xyz[point], xyz[centre]) <= radius_m**2][:count]
+    return found + [found[0]] * (count - len(found))
+
+
+def test_farthest_points_are_those_of_brute_force(xyz: np.ndarray) -> None:
+    assert neighbourhoods.farthest_points(xyz, 24).tolist() == reference_fps(xyz, 24)
+    # Fewer choices are the beginning of more.
+    assert neighbourhoods.farthest_points(xyz, 5).tolist() == reference_fps(xyz, 24)[:5]
+
+
+@pytest.mark.parametrize("radius_m", [0.5, 3.0, 8.0, 100.0])
+def test_balls_are_those_of_brute_force(xyz: np.ndarray, radius_m: float) -> None:
+    centres = neighbourhoods.farthest_points(xyz, 20)
+    for order in (None, np.random.default_rng(1).permutation(len(xyz))):
+        found = neighbourhoods.ball_query(xyz, centres, radius_m, 12, order)
+        expected = np.arange(len(xyz)) if order is None else order
+        assert found.tolist() == [reference_ball(xyz, int(centre), radius_m, 12, expected) for centre in centres]
+
+
+def test_a_point_on_the_sphere_is_inside() -> None:
+    xyz = np.array([[0, 0, 0], [3, 0, 4], [3, 0, 4.001]])
+    assert neighbourhoods.ball_query(xyz, np.array([0]), 5.0, 2).tolist() == [[0, 1]]
+
+
+def test_lonely_centres_have_themselves_alone() -> None:
+    xyz = np.arange(12.0).reshape(4, 3) * 100
+    assert neighbourhoods.ball_query(xyz, np.array([2, 0]), 8.0, 3).tolist() == [[2, 2, 2], [0, 0, 0]]
+
+
+def test_a_crowded_ball_is_sampled_all_over_not_from_one_corner() -> None:
+    rng = np.random.default_rng(0)
+    xyz = cloud.quantise(rng.uniform(-5, 5, (4000, 3)))
+    xyz = xyz[cloud.morton_order(xyz)]
+    (level,) = neighbourhoods.levels(xyz, [(500, 3.0, 32)], rng)
+    drift = (xyz[level.neighbours].mean(1) - xyz[level.centres])[np.abs(xyz[level.centres]).max(1) < 2]
+    assert len(drift) > 10
+    assert (
+        np.abs(drift).mean() < 0.25
+    )  # of 32 points in a ball: a deviation of 3 m × sqrt(1/5) / sqrt(32) = 0.24 m per axis
+
+
+def test_levels_build_on_each_other(xyz: np.ndarray) -> None:
+    first, second = neighbourhoods.levels(xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0))
+    centres = xyz[first.centres]
+    assert second.centres.tolist() == reference_fps(centres, 10)
+    order = np.arange(40)
+    assert second.neighbours.tolist() == [reference_ball(centres, int(c), 12.0, 6, order) for c in second.centres]
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_clouds_smaller_than_asked(xyz: np.ndarray, count: int) -> None:
+    first, second = neighbourhoods.levels(xyz[:count], [(8, 4.0, 3), (6, 9.0, 2)], np.random.default_rng(0))
+    assert first.centres.shape == second.centres.shape == (count,)
+    assert (first.neighbours.shape, second.neighbours.shape) == ((count, 3), (count, 2))

@@ -1,0 +1,82 @@
+"""Calibration files: which point of a scan lands on which pixel."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import InputError
+from pipeline.camera.geometry import project, transform
+from pipeline.kitti.calibration import cameras_in, read_camera
+from tests.kitti_drive import write_calibration
+
+
+def test_projection_is_kittis_own_formula(tmp_path: Path) -> None:
+    """Second route, from KITTI's paper: y = P_rect R_rect T_velo_to_cam x, straight from the files' numbers."""
+    write_calibration(tmp_path, [0, 2])
+    texts = [(tmp_path / f"calib_{name}.txt").read_text() for name in ("cam_to_cam", "velo_to_cam")]
+    lines = dict(line.split(": ") for line in "".join(texts).splitlines())
+    P, R_rect, R, T = (np.array(lines[key].split(), float) for key in ("P_rect_02", "R_rect_00", "R", "T"))
+    xyz = np.random.default_rng(0).uniform([3, -5, -2], [40, 5, 2], (50, 3))
+    reference = (xyz @ R.reshape(3, 3).T + T) @ R_rect.reshape(3, 3).T
+    expected = np.column_stack([reference, np.ones(50)]) @ P.reshape(3, 4).T
+
+    camera = read_camera(tmp_path, 2)
+    assert camera.T_cam_velo is not None
+    uv, z = project(transform(camera.T_cam_velo, xyz), camera.K)
+    np.testing.assert_allclose(z, expected[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(uv, expected[:, :2] / expected[:, 2:], rtol=1e-9)
+    np.testing.assert_allclose(camera.T_cam_velo[:3, :3] @ camera.T_cam_velo[:3, :3].T, np.eye(3), atol=1e-8)
+    assert camera.size == (48, 64)
+
+
+def test_one_camera_is_enough(tmp_path: Path) -> None:
+    write_calibration(tmp_path, [0])
+    assert cameras_in(tmp_path) == [0]
+    assert read_camera(tmp_path, 0).K[0, 0] == 50
+    with pytest.raises(InputError, match="has no P_rect_02"):
+        read_camera(tmp_path, 2)
+
+
+def test_no_lidar_calibration_means_no_transform(tmp_path: Path) -> None:
+    write_calibration(tmp_path)
+    (tmp_path / "calib_velo_to_cam.txt").unlink()
+    assert read_camera(tmp_path, 2).T_cam_velo is None
+
+
+def test_no_calibration(tmp_path: Path) -> None:
+    assert cameras_in(tmp_path) == []
+    with pytest.raises(InputError, match=r"calib_cam_to_cam.txt is missing"):
+        read_camera(tmp_path, 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("P_rect_02: 5.0", "P_rect_02: nan 5.0", "P_rect_02 is not 12 finite numbers"),
+        ("P_rect_02: 5.000000000e+01", "P_rect_02: inf", "P_rect_02 is not 12 finite numbers"),
+        ("S_rect_02: 64", "S_rect_02:", "S_rect_02 is not 2 finite numbers"),
+        ("R_rect_00", "R_rect_99", "has no R_rect_00"),
+        ("calib_time:", "<html>\ncalib_time:", "is no calibration file"),
+    ],
+)
+def test_damaged_calibration(tmp_path: Path, old: str, new: str, message: str) -> None:
+    write_calibration(tmp_path)
+    path = tmp_path / "calib_cam_to_cam.txt"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_camera(tmp_path, 2)
+
+
+@pytest.mark.real
+def test_real_calibration_agrees_with_pykitti(real_kitti: Path) -> None:
+    import pykitti
+
+    theirs = pykitti.raw(str(real_kitti), "2011_09_26", "0052").calib
+    ours = read_camera(real_kitti / "2011_09_26", 2)
+    assert ours.T_cam_velo is not None
+    np.testing.assert_allclose(ours.K, theirs.K_cam2, rtol=1e-12)
+    np.testing.assert_allclose(ours.T_cam_velo[:3, :3], theirs.T_cam2_velo[:3, :3], atol=1e-12)
+    # pykitti leaves out P_rect's last column but for x: millimetres.
+    np.testing.assert_allclose(ours.T_cam_velo[:3, 3], theirs.T_cam2_velo[:3, 3], atol=0.004)

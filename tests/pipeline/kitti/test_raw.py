@@ -1,0 +1,133 @@
+"""KITTI raw's folders and scans."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import DamagedFile, InputError
+from pipeline.camera.geometry import depth_image, transform
+from pipeline.camera.png import read_png
+from pipeline.kitti.raw import RawDrive, find_drives, read_scan
+from tests.kitti_drive import DATE, DRIVE, scan, write, write_drive
+
+
+def test_files_are_keyed_on_frame_numbers(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, frames=[3, 4, 7])
+    data = folder / "velodyne_points/data"
+    for junk in ("._0000000003.bin", "0000000005.bin.part", "readme.txt"):
+        write(data / junk, "")
+    (data / "0000000004.bin").unlink()
+    raw = RawDrive(folder)
+    assert list(raw.scans) == [3, 7]
+    assert list(raw.oxts) == list(raw.images(2)) == [3, 4, 7]
+    assert raw.images(2)[7].name == "0000000007.png"
+    assert raw.images(0) == raw.truth_depth == {}
+
+
+def test_first_camera_that_has_images(tmp_path: Path) -> None:
+    grey = RawDrive(write_drive(tmp_path / "a", camera=0))
+    camera = grey.camera([2, 0])
+    assert camera is not None
+    assert camera.number == 0
+    blind = RawDrive(write_drive(tmp_path / "b", camera=None))
+    camera = blind.camera([1, 2, 0])
+    assert camera is not None
+    assert camera.number == 2, "without images, the first that is calibrated serves to project scans"
+    for path in (tmp_path / "b" / DATE).glob("calib*"):
+        path.unlink()
+    assert blind.camera([2, 0]) is None
+
+
+def test_find_drives(tmp_path: Path) -> None:
+    write_drive(tmp_path)
+    assert list(find_drives(tmp_path, [DRIVE])) == [DRIVE]
+    with pytest.raises(InputError, match=f"no drive 2011_09_26_drive_0010.*did you mean {DRIVE}"):
+        find_drives(tmp_path, ["2011_09_26_drive_0010"])
+    with pytest.raises(InputError, match="holds no drives"):
+        find_drives(tmp_path / DATE, [DRIVE])
+
+
+def test_fingerprint_follows_what_was_read(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path / "a", truth=True)
+    first = RawDrive(folder).fingerprint([2])
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    assert RawDrive(tmp_path / "b" / DATE / f"{DRIVE}_sync").fingerprint([2]) == first, "the place does not matter"
+
+    seen = {first}
+    changes = [
+        "image_02/data/0000000001.png",
+        "oxts/data/0000000001.txt",
+        "oxts/timestamps.txt",
+        "truth/cls/0000000000.png",
+    ]
+    for name in [*changes, "velodyne_points/data/0000000002.bin", "../calib_cam_to_cam.txt"]:
+        write(folder / name, (folder / name).read_bytes() + b" ")
+        seen.add(RawDrive(folder).fingerprint([2]))
+    (folder / "velodyne_points/data/0000000002.bin").unlink()
+    seen.add(RawDrive(folder).fingerprint([2]))
+    assert len(seen) == 8
+    text = (folder / "oxts/data/0000000002.txt").read_text()
+    write(folder / "oxts/data/0000000002.txt", text.replace("1", "2"))
+    assert RawDrive(folder).fingerprint([2]) not in seen, "packets count by content, not by size"
+
+
+def test_scan_reads_what_was_written(tmp_path: Path) -> None:
+    points = scan(np.random.default_rng(0))
+    write(tmp_path / "0.bin", points.tobytes())
+    np.testing.assert_array_equal(read_scan(tmp_path / "0.bin"), points)
+
+
+def test_damaged_scans(tmp_path: Path) -> None:
+    points = scan(np.random.default_rng(0), 640)
+    nan, far = points.copy(), points.copy()
+    nan[5, 1] = np.nan
+    far[5, 1] = 1e20
+    for content, message in (
+        (b"", "cut short: 0 bytes"),
+        (points.tobytes()[:-7], "cut short: 10233 bytes are no whole number of points"),
+        (points[:400].tobytes(), "is cut short: its 400 points reach down to -14.7"),
+        (nan.tobytes(), "not finite"),
+        (far.tobytes(), "beyond 150 m"),
+    ):
+        write(tmp_path / "0.bin", content)
+        with pytest.raises(DamagedFile, match=message):
+            read_scan(tmp_path / "0.bin")
+
+
+@pytest.mark.real
+def test_real_scans_are_told_from_a_real_damaged_one(real_kitti: Path) -> None:
+    """It was cut at a multiple of 16 bytes, so its size says nothing; it ends at the 39th of 64 lasers."""
+    sound = [*(real_kitti / DATE).glob("*/velodyne_points/data/*.bin"), *(real_kitti / "object/velodyne").glob("*.bin")]
+    assert len(sound) == 52
+    for path in sound:
+        assert len(read_scan(path)) > 100_000
+    damaged = real_kitti / "damaged/2011_09_26_drive_0052_0000000077_truncated.bin"
+    assert damaged.stat().st_size % 16 == 0
+    with pytest.raises(DamagedFile, match=r"cut short: its 69719 points reach down to -11.4"):
+        read_scan(damaged)
+
+
+@pytest.mark.real
+def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
+    """KITTI's depth benchmark projected this very scan; it also undid the car's motion, so it is only close."""
+    raw = RawDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
+    camera = raw.camera([2])
+    assert camera is not None
+    assert camera.T_cam_velo is not None
+    png = real_kitti / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
+    expected = read_png(png) / 256
+    xyz = transform(camera.T_cam_velo, read_scan(raw.scans[5])[:, :3].astype(np.float64))
+
+    def agree(shift: float) -> tuple[int, float]:
+        K = camera.K + shift * np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+        depth = depth_image(xyz, K, camera.size)
+        both = (depth > 0) & (expected > 0)
+        return int(both.sum()), float(np.median(np.abs(depth - expected)[both]))
+
+    pixels, error_m = agree(0.0)
+    assert error_m <= 0.05
+    assert pixels > 6000
+    # Integer coordinates are pixel centres: half a pixel or a pixel elsewhere, fewer points meet.
+    assert all(agree(shift)[0] < 0.8 * pixels for shift in (-1.0, -0.5, 0.5, 1.0))

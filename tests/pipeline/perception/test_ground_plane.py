@@ -1,0 +1,30 @@
+import numpy as np
+
+from pipeline.camera import classes
+from pipeline.camera.geometry import back_project
+from pipeline.perception.ground_plane import ground_plane_depth
+from tests import street
+
+
+def test_ground_is_a_plane_below_the_camera_and_what_stands_on_it_is_as_far_as_its_foot() -> None:
+    _, truth, cls = street.scene(0)
+    depth = ground_plane_depth(cls, street.K, 1.65)
+    ground = cls == classes.ROAD
+    np.testing.assert_allclose(back_project(depth, street.K)[ground][:, 1], 1.65)
+    np.testing.assert_allclose(depth[ground], truth[ground])
+    # The street's walls are upright, so each wall pixel is as far as the first road pixel below it, or nearer.
+    for column in range(0, street.SIZE[1], 7):
+        foot = np.flatnonzero(ground[:, column])[:1]
+        if foot.size:
+            np.testing.assert_allclose(depth[: foot[0], column], depth[foot[0], column])
+
+
+def test_without_any_ground_all_is_where_the_image_ends() -> None:
+    depth = ground_plane_depth(np.full(street.SIZE, classes.CAR, np.uint8), street.K, 1.65)
+    np.testing.assert_allclose(depth, 1.65 * 40 / (31 - 12))
+
+
+def test_twice_as_high_is_twice_as_far() -> None:
+    cls = street.scene(3)[2]
+    near = ground_plane_depth(cls, street.K, 1.0)
+    np.testing.assert_allclose(ground_plane_depth(cls, street.K, 2.0)[near < 60], 2 * near[near < 60])

@@ -1,0 +1,71 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.camera import classes, geometry
+from pipeline.graphs import cloud
+from pipeline.report import street_view
+from tests import street
+
+DRIVE = "2026_01_01_drive_0001"
+
+
+def view(frame: int = 3) -> street_view.View:
+    rgb, depth_m, cls = street.scene(frame)
+    return street_view.View(frame, rgb, depth_m, cls, *cloud.pseudo_cloud(depth_m, cls, street.K, 80.0))
+
+
+def test_a_view_is_read_by_frame_number(tmp_path: Path) -> None:
+    """Images, depth and clouds have other rows for the same frame; the points fall on their own pixels."""
+    street.write_drive(tmp_path / "ingest", DRIVE, 5)
+    street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
+    with store.DriveWriter(tmp_path / "clouds.h5", stage="clouds", drive=DRIVE, params={}) as file:
+        views = [view(frame) for frame in (1, 3, 4)]
+        file.put("frame", np.array([1, 3, 4], np.int32))
+        file.put("ptr", store.pointers(len(one.xyz) for one in views))
+        file.put("xyz", np.concatenate([one.xyz for one in views]))
+        file.put("cls", np.concatenate([one.points_cls for one in views]))
+    with (
+        store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as raw,
+        store.DriveReader(tmp_path / f"perception/{DRIVE}.h5", stage="perception") as seen,
+        store.DriveReader(tmp_path / "clouds.h5", stage="clouds") as points,
+    ):
+        found = street_view.read_view(raw, seen, points, 3)
+        with pytest.raises(InputError, match=r"clouds\.h5 has no frame 2"):
+            street_view.read_view(raw, seen, points, 2)
+    np.testing.assert_array_equal(found.rgb, street.scene(3)[0])
+    uv, z = geometry.project(found.xyz.astype(float), street.K)
+    u, v = np.rint(uv).astype(int).T
+    assert z == pytest.approx(found.depth_m[v, u], abs=1 / 256)
+    np.testing.assert_array_equal(found.points_cls, found.cls[v, u])
+
+
+def test_from_above_higher_points_hide_lower_ones_and_keep_their_colours() -> None:
+    panel = Figure().add_subplot()
+    xyz = np.array([[1.0, -3.0, 9.0], [1.0, 1.6, 9.0], [-2.0, 0.0, 20.0]])
+    cls = np.array([classes.VEGETATION, classes.ROAD, classes.CAR])
+    street_view.draw_cloud(panel, xyz, cls)
+    (points,) = panel.collections
+    np.testing.assert_array_equal(points.get_offsets(), [[1, 9], [-2, 20], [1, 9]])
+    colours = classes.COLOURS[[classes.ROAD, classes.CAR, classes.VEGETATION]] / 255
+    np.testing.assert_allclose(np.asarray(points.get_facecolor())[:, :3], colours)
+
+
+def test_the_scale_of_depth_runs_from_red_to_blue_and_none_is_blank() -> None:
+    picture = street_view.draw_depth(Figure().add_subplot(), np.array([[4.0, 80.0, 0.0]]))
+    near, far, none = picture.to_rgba(picture.get_array())[0]
+    assert near[0] > near[2] + 0.2
+    assert far[2] > far[0]
+    assert none[3] == 0
+
+
+def test_a_sheet_names_each_class_in_view_once() -> None:
+    one = view()
+    unknown = one._replace(cls=np.full_like(one.cls, classes.VOID))
+    names = [text.get_text() for text in street_view.sheet("drive", [one, unknown]).legends[0].get_texts()]
+    assert names == ["road", "building", "sky"]
+    assert not street_view.sheet("drive", [unknown]).legends[0].get_texts()

@@ -1,0 +1,80 @@
+"""Runs of frames of each kind are what the file says, frame by frame."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base import store
+from pipeline.train import frames
+from tests import artefacts
+
+FRAMES = 9
+RUNS = [(2, 6), (8, 9), (0, 3)]
+
+
+def made(tmp_path: Path, write: Callable[..., None]) -> Path:
+    steering_rad = np.linspace(-0.1, 0.1, FRAMES)
+    write(tmp_path / "drive.h5", "drive", steering_rad, np.arange(FRAMES), 50, np.random.default_rng(0))
+    return tmp_path / "drive.h5"
+
+
+def read(path: Path, runs: list[tuple[int, int]]) -> frames.Arrays:
+    with store.DriveReader(path, stage="graphs") as file:
+        reader = frames.Reader(file)
+        return frames.concatenate([reader.read(*run) for run in runs])
+
+
+@pytest.mark.parametrize(
+    ("write", "contents"),
+    [
+        (artefacts.write_graphs, {"kind": "graph"}),
+        (artefacts.write_sets, {"kind": "pointnet2", "levels": 2}),
+        (artefacts.write_images, {"kind": "image", "image_size": (32, 48)}),
+    ],
+)
+def test_contents(tmp_path: Path, write: Callable[..., None], contents: dict[str, object]) -> None:
+    assert frames.contents(made(tmp_path, write)) == contents
+
+
+def test_neighbours_are_the_same_points_wherever_they_lie_in_the_batch(tmp_path: Path) -> None:
+    path = made(tmp_path, artefacts.write_sets)
+    batch = read(path, RUNS)
+    assert set(batch) == {
+        "xyz", "cls", "ptr", "centres_1", "neighbours_1", "centres_1_ptr", "centres_2", "neighbours_2", "centres_2_ptr"
+    }  # fmt: skip
+    with store.DriveReader(path, stage="graphs") as file:
+        stored = {name: file[name] for name in batch}
+    for number, row in enumerate([row for run in RUNS for row in range(*run)]):
+
+        def mine(name: str, number: int = number) -> np.ndarray:
+            ptr = batch["ptr" if name in ("xyz", "cls") else f"centres_{name[-1]}_ptr"]
+            return batch[name][ptr[number] : ptr[number + 1]]
+
+        def theirs(name: str, row: int = row) -> np.ndarray:
+            ptr = stored["ptr" if name in ("xyz", "cls") else f"centres_{name[-1]}_ptr"]
+            return stored[name][ptr[row] : ptr[row + 1]]
+
+        assert (mine("xyz") == theirs("xyz")).all()
+        assert (mine("cls") == theirs("cls")).all()
+        for name in ("centres_1", "neighbours_1"):
+            assert (batch["xyz"][mine(name)] == theirs("xyz")[theirs(name)]).all()
+        first = theirs("xyz")[theirs("centres_1")]
+        for name in ("centres_2", "neighbours_2"):
+            assert (batch["xyz"][batch["centres_1"][mine(name)]] == first[theirs(name)]).all()
+    assert batch["ptr"][-1] == len(batch["xyz"])
+    assert len(batch["ptr"]) == len(batch["centres_2_ptr"]) == 1 + 8
+
+
+def test_images_are_read_as_they_are(tmp_path: Path) -> None:
+    path = made(tmp_path, artefacts.write_images)
+    with store.DriveReader(path, stage="graphs") as file:
+        assert (read(path, RUNS)["image"] == file["image"][[2, 3, 4, 5, 8, 0, 1, 2]]).all()
+
+
+def test_one_run_is_one_read(tmp_path: Path) -> None:
+    for write in (artefacts.write_graphs, artefacts.write_sets):
+        path = made(tmp_path, write)
+        pieces, whole = read(path, [(0, 4), (4, 5), (5, 9)]), read(path, [(0, 9)])
+        assert all((pieces[name] == whole[name]).all() for name in whole)

@@ -79,10 +79,10 @@ def check_model(settings: Model, variants: dict[str, Variant], image_size: tuple
     for module in steering_net.modules(line):
         *_, part, name = module.split(".")
         own = Path(*module.split(".")).with_suffix(".py")
-        for path in unwatched(provenance.import_closure(module), own):
+        if others := unwatched(provenance.import_closure(module), own):
             raise ValueError(
-                f"{part} = {name!r}: {own} imports {path}, an edit of which would not train this model again: "
-                "move what it needs from there to models/steering/core"
+                f"{part} = {name!r}: {own} uses {', '.join(map(str, others))}, which could be edited without training "
+                "this model again: move what it needs from there to models/steering/core"
             )
 
 

@@ -60,9 +60,7 @@ def _imports(path: Path) -> list[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            package = path.relative_to(ROOT).parts[: -node.level] if node.level else ()
-            module = ".".join([*package, *([node.module] if node.module else [])])
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             # ``from pipeline import store`` names a module, ``from pipeline.store import open_drive`` a function.
-            names += [module] + [f"{module}.{alias.name}" for alias in node.names]
+            names += [node.module] + [f"{node.module}.{alias.name}" for alias in node.names]
     return names

@@ -98,7 +98,7 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
         ValueError: an unknown network or cell, an input that the spatial network is not made for, a knob that means
             nothing to the two, a value that a knob cannot have. It starts with the key: "semantics = 1.5: …".
     """
-    spatial, temporal = _networks(line)
+    spatial, _ = networks = _networks(line)
     expected: Any = getattr(spatial.module, "INPUT", None)
     if expected not in KINDS:
         raise ValueError(f"{spatial.path} needs a line INPUT: Kind = … , one of {', '.join(KINDS)}")
@@ -107,7 +107,8 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
             f"spatial = {spatial.name!r} expects {KINDS[expected]}, but input: {line['input']} holds {KINDS[kind]}: "
             "change one"
         )
-    settings = [network.settings(line) for network in (spatial, temporal)]
+    _refuse_what_means_nothing(line, networks)
+    settings = [network.settings(line) for network in networks]
     of_kind: dict[Kind, dict[str, Any]] = {
         "graph": {},
         "pointnet2": {"levels": levels},
@@ -115,19 +116,21 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
     }
     given = {"features": line["features"], "window": line["window"], **of_kind[kind]}
     # Random numbers are drawn in this order: a seed's weights depend on it.
-    each, over = (network.build(given, own) for network, own in zip((spatial, temporal), settings, strict=True))
+    each, over = (network.build(given, own) for network, own in zip(networks, settings, strict=True))
     return SteeringNet(each, over, line["equivariant"])
 
 
 def knobs(line: Line) -> list[str]:
     """Return the keys that mean something to the networks of a line, beside GENERAL. Raises ValueError as `build`."""
-    return [knob for network in _files(line) for knob in network.knobs]
+    return [knob for network in _networks(line) for knob in network.knobs]
 
 
 def resolved(line: Line) -> dict[str, Any]:
     """Return a line with all that its networks were built with, defaults included. Raises ValueError as `build`."""
     whole = {key: line[key] for key in GENERAL if key in line}
-    for network in _networks(line):
+    networks = _networks(line)
+    _refuse_what_means_nothing(line, networks)
+    for network in networks:
         whole |= {key: plain(network.annotation(key), value) for key, value in network.settings(line).items()}
     return whole
 
@@ -138,13 +141,12 @@ def modules(line: Line) -> list[str]:
     return [load(part, whole[part]).__name__ for part in get_args(Part) if part in whole]
 
 
-def _files(line: Line) -> tuple[Network, Network]:
+def _networks(line: Line) -> tuple[Network, Network]:
     return Network("spatial", line["spatial"]), Network("temporal", line["temporal"])
 
 
-def _networks(line: Line) -> tuple[Network, Network]:
-    """Return the two networks of a line that holds nothing but GENERAL and knobs of theirs."""
-    spatial, temporal = _files(line)
+def _refuse_what_means_nothing(line: Line, networks: tuple[Network, Network]) -> None:
+    spatial, temporal = networks
     known = [*spatial.knobs, *temporal.knobs]
     for key in known:
         if key in GENERAL or known.count(key) > 1:
@@ -153,9 +155,8 @@ def _networks(line: Line) -> tuple[Network, Network]:
         if key not in known and key not in GENERAL:
             raise ValueError(
                 f"{written(key, value)} means nothing to spatial: {spatial.name} with temporal: {temporal.name}, "
-                f"which take {', '.join(known)}: {meant(key, [*known, *GENERAL], 'leave it out')}"
+                f"which take {', '.join(known) or 'no knobs'}: {meant(key, [*known, *GENERAL], 'leave it out')}"
             )
-    return spatial, temporal
 
 
 def parameter_count(model: nn.Module) -> int:

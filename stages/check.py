@@ -20,12 +20,7 @@ from pipeline.sections.town import Town
 from pipeline.sections.train import Train
 
 # What DVC watches for every model; beside it, of networks, only the two files that a model's line names.
-WATCHED = {
-    Path("models/steering/core"),
-    Path("models/steering/cell"),
-    Path("pipeline/camera/classes.py"),
-    Path("pipeline/camera/mount.py"),
-}
+WATCHED = {Path("models/steering/core"), Path("pipeline/camera/classes.py")}
 
 
 def main(params: Path = Path("params.yaml")) -> Path:

@@ -137,8 +137,8 @@ def test_faults_are_found_wherever_they_are(tmp_path: Path, where: str, value: A
         ("from models.steering.core.own import thing", "models/steering/spatial/gatv2.py"),
         ("import models.encoder.heads", "models/encoder/heads.py"),
         ("from pipeline.base import params", "pipeline/base/params.py"),
-        ("from models.steering.cell import ltc", None),
-        ("from pipeline.camera import classes, mount", None),
+        ("from models.steering.core.cell import ltc", None),
+        ("from pipeline.camera import classes", None),
     ],
 )
 def test_a_network_imports_only_what_dvc_watches_for_it(

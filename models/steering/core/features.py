@@ -3,9 +3,10 @@
 import torch
 from torch import Tensor
 
-from pipeline.camera import classes, mount
+from pipeline.camera import classes
 
 GEOMETRY = 6  # columns of node_features that come from the point's place alone
+GROUND_Y_M = 1.65  # about where KITTI's ground lies; an offset only, to have y start near 0 as the others do
 NODE_FEATURES = GEOMETRY + classes.COUNT
 
 
@@ -23,7 +24,7 @@ def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
     distance = (x.square() + z.square()).clamp_min(1.0).sqrt()
     # The paper names no node features. Scales fit a street seen to 80 m; x/distance is the bearing, which
     # tells near and far parts of a bend apart without the network having to learn a division.
-    geometry = [x / 10, (y - mount.CAMERA_HEIGHT_M) / 2, z / 40, x / distance, distance.log() - 2.5, 10 / distance]
+    geometry = [x / 10, (y - GROUND_Y_M) / 2, z / 40, x / distance, distance.log() - 2.5, 10 / distance]
     one_hot = cls[:, None] == torch.arange(classes.COUNT, dtype=cls.dtype, device=cls.device)
     return torch.cat([torch.stack(geometry, dim=1), semantics * one_hot.to(xyz.dtype)], dim=1)
 

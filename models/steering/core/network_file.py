@@ -1,4 +1,4 @@
-"""A network is a file, found by the name that a model's line of params.yaml calls it: models/steering/PART/NAME.py."""
+"""A network is a file, found by the name that a model's line of params.yaml calls it."""
 
 import importlib
 import inspect
@@ -11,11 +11,17 @@ from typing import Any, Literal
 from models.steering.core.knobs import checked, meant
 
 Part = Literal["spatial", "temporal", "cell"]
+# Cells lie within core: DVC cannot depend on a file that a key names which a line may lack.
+PACKAGES: dict[Part, str] = {
+    "spatial": "models.steering.spatial",
+    "temporal": "models.steering.temporal",
+    "cell": "models.steering.core.cell",
+}
 
 
 def names(part: Part) -> list[str]:
     """Return the names of the part's files, sorted; what is no plain name is no network."""
-    folder = importlib.import_module(f"models.steering.{part}")
+    folder = importlib.import_module(PACKAGES[part])
     files = [module.name for module in pkgutil.iter_modules(folder.__path__) if not module.ispkg]
     return sorted(name for name in files if re.fullmatch(r"\w+", name, re.ASCII))
 
@@ -25,8 +31,9 @@ def load(part: Part, name: str) -> ModuleType:
     known = names(part)
     if name not in known:
         hint = meant(name, known, "choose one, or add a file")
-        raise ValueError(f"{part} = {name!r} is none of models/steering/{part}: {', '.join(known)}: {hint}")
-    return importlib.import_module(f"models.steering.{part}.{name}")
+        folder = PACKAGES[part].replace(".", "/")
+        raise ValueError(f"{part} = {name!r} is none of {folder}: {', '.join(known)}: {hint}")
+    return importlib.import_module(f"{PACKAGES[part]}.{name}")
 
 
 def constructor(module: ModuleType, called: str) -> Callable[..., Any]:

@@ -12,9 +12,9 @@ A network is a file: `spatial: mean` in params.yaml is models/steering/spatial/m
 By position it takes what is known of its data, by name: `features` (numbers per frame between the two networks),
 `window` (frames), `levels` (pointnet2), `image_size` (image; H, W). Behind the * stand its knobs: keys of the model's
 line, with their types and defaults. A temporal file's network is a RecurrentCell (see recurrent.py). `cell: NAME` of
-temporal ncp is cell/NAME.py, whose `cell(wiring)` returns a RecurrentCell.
-DVC trains a model again when core, cell, or one of its two files changes; so a file may import only these and
-pipeline.camera.classes and mount, which stage check sees to: what two networks share lies in core.
+temporal ncp is core/cell/NAME.py, whose `cell(wiring)` returns a RecurrentCell.
+DVC trains a model again when core or one of its two files changes; so a file may import only these and
+pipeline.camera.classes, which stage check sees to: what two networks share lies in core.
 """
 
 from collections.abc import Mapping

@@ -6,7 +6,7 @@ from models.steering.core.wiring import Sizes, ncp
 
 
 def network(features: int, *, cell: str = "ltc", wiring: Sizes = Sizes()) -> RecurrentCell:
-    """Build the cell of models/steering/cell/<cell>.py: ltc, eq4 (the paper's, as printed) or cfc."""
+    """Build the cell of models/steering/core/cell/<cell>.py: ltc, eq4 (the paper's, as printed) or cfc."""
     build = constructor(load("cell", cell), "cell")
     recurrent: RecurrentCell = build(ncp(features, wiring))
     return recurrent

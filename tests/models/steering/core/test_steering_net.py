@@ -203,7 +203,7 @@ def test_defaults_stand_in_a_resolved_line(make_line):
 
 def test_the_files_that_a_line_names(make_line):
     assert steering_net.modules(make_line("gatv2", cell="cfc")) == [
-        "models.steering.spatial.gatv2", "models.steering.temporal.ncp", "models.steering.cell.cfc"
+        "models.steering.spatial.gatv2", "models.steering.temporal.ncp", "models.steering.core.cell.cfc"
     ]  # fmt: skip
     assert steering_net.modules(make_line("cnn", "lstm"))[1:] == ["models.steering.temporal.lstm"]
 

@@ -1,8 +1,8 @@
 import pytest
 
-from models.steering.cell.cfc import CfC
-from models.steering.cell.eq4 import Eq4
-from models.steering.cell.ltc import LTC
+from models.steering.core.cell.cfc import CfC
+from models.steering.core.cell.eq4 import Eq4
+from models.steering.core.cell.ltc import LTC
 from models.steering.core.wiring import Sizes
 from models.steering.temporal.ncp import network
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.cell.ltc import LTC, inverse_softplus
+from models.steering.core.cell.ltc import LTC, inverse_softplus
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.wiring import Sizes, ncp
 

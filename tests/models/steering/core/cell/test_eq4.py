@@ -6,7 +6,7 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.special import expit
 
-from models.steering.cell.eq4 import Eq4
+from models.steering.core.cell.eq4 import Eq4
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.wiring import Sizes, ncp
 

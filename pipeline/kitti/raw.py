@@ -100,6 +100,6 @@ def read_scan(path: Path) -> np.ndarray:
 def _frames(folder: Path, suffix: str) -> dict[int, Path]:
     if not folder.is_dir():
         return {}
-    # Names that are no number are left alone: macOS adds "._0000000000.png", half-finished downloads ".part".
+    # Names that are not numbers are left alone: macOS adds "._0000000000.png", half-finished downloads ".part".
     paths = [path for path in folder.iterdir() if path.suffix == suffix and path.stem.isdigit()]
     return dict(sorted((int(path.stem), path) for path in paths))

@@ -29,7 +29,7 @@ class Variant(Section):
         Field(description="[left, near, right, far] in metres of the camera's x and z; points outside are left out"),
     ] = None
     # Of each level of PointNet++, the reference's sizes (SSG). Its radii, 0.2 and 0.4, are for objects in a unit
-    # sphere; a street is seen to some 40 m.
+    # sphere; a street reaches some 40 m.
     centres: list[Count] = Field(default=[512, 128], min_length=1)
     radius_m: list[Positive] = Field(default=[8.0, 16.0], min_length=1)
     neighbours: list[Count] = Field(default=[32, 64], min_length=1)

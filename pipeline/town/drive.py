@@ -9,9 +9,9 @@ import numpy as np
 
 from pipeline.base.atomic import replacing
 from pipeline.kitti.raw import RawDrive
-from pipeline.town import light as lights
 from pipeline.town.journey import draw_journey, record
 from pipeline.town.layout import DriveFolder
+from pipeline.town.light import draw_ground_colours, draw_light
 from pipeline.town.plan import draw_plan
 from pipeline.town.recording import read_recording
 from pipeline.town.replay import replay
@@ -54,8 +54,8 @@ def write_drive(
     route, motion = journey.route, journey.motion
     character = draw_character(rng)
     plan = draw_plan(route, rng, character.pavement_m, character.bays)
-    world = World(plan, build_street(route, plan, character, rng), lights.draw_ground_colours(rng))
-    light = lights.draw_light(rng)
+    world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
+    light = draw_light(rng)
     traffic = draw_traffic(route, motion, rng)
     near = [shown(vehicle, journey) for vehicle in traffic]
     recording = recording or record(journey, drive[:10], rng)

@@ -106,8 +106,8 @@ def _bay_width(route: Route, meetings: Meetings, rng: np.random.Generator, chanc
 def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
     """Morphological closing with a disc: rounds the corners between roads."""
     grown = (cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) * CELL_M > radius_m).astype(np.uint8)
-    kept = cv2.distanceTransform(1 - grown, cv2.DIST_L2, 5) * CELL_M > radius_m
-    return (kept | (mask > 0)).astype(np.uint8)
+    closed = cv2.distanceTransform(1 - grown, cv2.DIST_L2, 5) * CELL_M > radius_m
+    return (closed | (mask > 0)).astype(np.uint8)
 
 
 def _paint_band(canvas: np.ndarray, left: np.ndarray, right: np.ndarray, origin: np.ndarray, value: int) -> None:

@@ -12,7 +12,7 @@ _OF_POINTS = {"source", "neighbourhood", "points", "crop_m", "seed"}
 _KEYS: dict[Kind, tuple[str, set[str], set[str]]] = {  # what it is, the keys that it needs, and those that it knows
     "graph": ("a kNN graph", {"points", "k"}, {*_OF_POINTS, "k", "keep_inter_class"}),
     "pointnet2": ("neighbourhood: pointnet2", {"points"}, {*_OF_POINTS, "centres", "radius_m", "neighbours"}),
-    "image": ("source: ingest, which is images", set(), {"source"}),
+    "image": ("images (source: ingest)", set(), {"source"}),
 }
 
 

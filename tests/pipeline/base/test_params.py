@@ -86,7 +86,7 @@ def test_splits_keep_their_order(tmp_path: Path) -> None:
         (
             "graphs.image.points",
             9,
-            r"graphs.image: points means nothing to source: ingest.* leave it out. Keys that do: source$",
+            r"graphs.image: points means nothing to images.* leave it out. Keys that do: source$",
         ),
         (
             "graphs.lidar-pointnet2.k",

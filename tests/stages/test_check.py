@@ -76,7 +76,7 @@ def test_table2_shares_the_samples_artefacts() -> None:
         ("models.sa-gnn-ncp.spatial", "cnn", "cnn eats images (a variant with cloud: none), and input: semantic holds"),
         ("models.sa-gnn-ncp.spatial", "pointnet2", "pointnet2 eats points with neighbourhood: pointnet2"),
         ("graphs.lidar.crop_m", [9, 0, -9, 40], "needs left < right and near < far"),
-        ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m says nothing to a variant without a cloud"),
+        ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m means nothing to images"),
         ("graphs.semantic.kk", 2, "unknown key graphs.semantic.kk"),
         (
             "models.sa-gnn-ncp.wiring",

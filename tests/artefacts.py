@@ -5,9 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline import label
 from pipeline.base import store
 from pipeline.camera.classes import BUILDING, ROAD
-from pipeline.graphs import graph, neighbourhoods
+from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.graphs import graph_file
+
+WHEELBASE_M = 2.7
 
 
 def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -15,7 +19,7 @@ def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[n
     z = rng.uniform(3, 40, points)
     wall = rng.random(points) < 0.4
     offset = np.where(wall, rng.choice([-8.0, 8.0], points), rng.uniform(-4, 4, points))
-    y = np.where(wall, rng.uniform(-3, 1.65, points), 1.65)
+    y = np.where(wall, rng.uniform(-3, CAMERA_HEIGHT_M, points), CAMERA_HEIGHT_M)
     x = offset - curvature_1pm * z**2 / 2  # the camera's x points right
     return np.stack([x, y, z], axis=1).astype(np.float32), np.where(wall, BUILDING, ROAD).astype(np.uint8)
 
@@ -24,37 +28,27 @@ def write_labels(
     path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, valid: np.ndarray | None = None
 ) -> None:
     """Write a labels file for frames [F] at 10 Hz."""
-    valid = np.ones(len(frame), bool) if valid is None else valid
+    speed_mps = np.full(len(frame), 8.0)
     with store.DriveWriter(path, stage="labels", drive=drive, params={}) as file:
-        file.put("frame", frame.astype(np.int32))
-        file.put("time_s", frame * 0.1, unit="s")
-        file.put("steering_rad", steering_rad, unit="rad")
-        file.put("valid", valid.astype(np.uint8))
-        file.put("speed_mps", np.full(len(frame), 8.0), unit="m/s")
-        file.put("yaw_rate_radps", 8.0 * np.tan(steering_rad) / 2.7, unit="rad/s")
-        file.put("curvature_1pm", np.tan(steering_rad) / 2.7, unit="1/m")
+        label.write(
+            file,
+            frame,
+            frame * 0.1,
+            steering_rad=steering_rad,
+            valid=np.ones(len(frame), bool) if valid is None else valid,
+            speed_mps=speed_mps,
+            yaw_rate_radps=speed_mps * np.tan(steering_rad) / WHEELBASE_M,
+            wheelbase_m=WHEELBASE_M,
+        )
 
 
 def write_graphs(
     path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
 ) -> None:
     """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
-    columns: dict[str, list[np.ndarray]] = {key: [] for key in ("xyz", "cls", "degree", "indices")}
-    made = []
-    for steering in steering_rad:
-        xyz, cls = bend(float(np.tan(steering)) / 2.7, points, rng)
-        made.append(graph.build(xyz, cls, 6, 0.2, rng))
-        for key, value in zip(columns, (xyz, cls, made[-1].degree, made[-1].indices), strict=True):
-            columns[key].append(value)
+    clouds = ((*bend(float(np.tan(steering)) / WHEELBASE_M, points, rng), rng) for steering in steering_rad)
     with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
-        file.put("frame", frame.astype(np.int32))
-        file.put("time_s", frame * 0.1, unit="s")
-        for key, parts in columns.items():
-            file.put(key, np.concatenate(parts) if parts else np.empty((0, 3) if key == "xyz" else 0, np.uint8))
-        file.put("ptr", store.pointers(len(part) for part in columns["xyz"]))
-        file.put("indices_ptr", store.pointers(len(part) for part in columns["indices"]))
-        file.put("edges_knn", np.array([one.edges_knn for one in made], np.int32))
-        file.put("edges_kept", np.array([one.edges_kept for one in made], np.int32))
+        graph_file.write_points(file, frame, frame * 0.1, clouds, graph_file.KnnGraph(points, 6, 0.2))
 
 
 def write_sets(
@@ -65,31 +59,25 @@ def write_sets(
     The clouds differ in size, and the last one is smaller than the number of centres.
     """
     counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
-    clouds = [bend(float(np.tan(steering)) / 2.7, n, rng) for steering, n in zip(steering_rad, counts, strict=True)]
-    levels = [neighbourhoods.levels(xyz, [(16, 8.0, 6), (5, 16.0, 4)], rng) for xyz, _ in clouds]
+    clouds = [
+        (*bend(float(np.tan(steering)) / WHEELBASE_M, count, rng), rng)
+        for steering, count in zip(steering_rad, counts, strict=True)
+    ]
+    sets = graph_file.PointSets(points, [(16, 8.0, 6), (5, 16.0, 4)])
     with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
-        file.put("frame", frame.astype(np.int32))
-        file.put("time_s", frame * 0.1, unit="s")
-        file.put("xyz", np.concatenate([xyz for xyz, _ in clouds]))
-        file.put("cls", np.concatenate([cls for _, cls in clouds]))
-        file.put("ptr", store.pointers(counts))
-        for number, made in enumerate(zip(*levels, strict=True), start=1):
-            file.put(f"centres_{number}", np.concatenate([level.centres for level in made]).astype(np.uint16))
-            file.put(f"neighbours_{number}", np.concatenate([level.neighbours for level in made]).astype(np.uint16))
-            file.put(f"centres_{number}_ptr", store.pointers(len(level.centres) for level in made))
+        graph_file.write_points(file, frame, frame * 0.1, clouds, sets)
 
 
 def write_images(
     path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
 ) -> None:
-    """Write a file of a variant without a cloud: a bright stripe leans as the road bends. `points` says nothing."""
+    """Write a file of a variant of images: a bright stripe leans as the road bends. `points` means nothing here."""
     rows, columns = np.mgrid[:32, :48]
+    middle = 24 - 100 * steering_rad[:, None, None] * (32 - rows) / 32
+    stripe = np.where(np.abs(columns - middle) < 3, 200, 60)[..., None]
+    images = (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8)
     with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
-        file.put("frame", frame.astype(np.int32))
-        file.put("time_s", frame * 0.1, unit="s")
-        middle = 24 - 100 * steering_rad[:, None, None] * (32 - rows) / 32
-        stripe = np.where(np.abs(columns - middle) < 3, 200, 60)[..., None]
-        file.put("image", (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8))
+        graph_file.write_images(file, frame, frame * 0.1, images, (32, 48))
 
 
 def write_dataset(

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import yaml
 
+from pipeline.kitti.oxts import VF, WU
+
 DATE = "2011_09_26"
 DRIVE = f"{DATE}_drive_0001"
 SIZE = (48, 64)
@@ -67,7 +69,7 @@ def scan(rng: np.random.Generator, points: int = 200) -> np.ndarray:
 def packet(rng: np.random.Generator) -> np.ndarray:
     """Return float64 [30]."""
     row = rng.normal(0, 0.1, 30)
-    row[8], row[22] = rng.uniform(2, 12), rng.normal(0, 0.2)
+    row[VF], row[WU] = rng.uniform(2, 12), rng.normal(0, 0.2)
     return row
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.kitti.oxts import AF, VF, WU, YAW
+from pipeline.kitti.oxts import make_rows
 from pipeline.kitti.raw import RawDrive
 from pipeline.town.recording import make_recording
 
@@ -25,10 +25,17 @@ def drive_along(
     moved = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * (v * DT_S / fine)[:, None]
     track = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)[fine - 1 :: fine]])
     yaw = heading_rad + np.concatenate([[0.0], np.cumsum(turned)[fine - 1 :: fine]])
-    rows = np.zeros((len(time), 30))
-    rows[:, :2], rows[:, 25:] = (49.0, 8.4), (4, 9, 4, 4, 4)
-    rows[:, YAW], rows[:, VF], rows[:, WU] = np.arctan2(np.sin(yaw), np.cos(yaw)), speed_mps, speed_mps * curvature_1pm
-    rows[:, AF] = np.gradient(speed_mps, DT_S)
+    rows = make_rows(
+        len(time),
+        lat=49.0,
+        lon=8.4,
+        yaw=np.arctan2(np.sin(yaw), np.cos(yaw)),
+        vf=speed_mps,
+        wu=speed_mps * curvature_1pm,
+        af=np.gradient(speed_mps, DT_S),
+        navstat=4,
+        numsats=9,
+    )
     return rows, track
 
 

@@ -7,6 +7,10 @@ import numpy as np
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.geometry import back_project, rays
+from pipeline.camera.images import to_units
+from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
+from pipeline.kitti.oxts import make_rows
 
 SIZE = (32, 64)
 K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
@@ -19,7 +23,7 @@ def scene(frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     x, y, _ = np.moveaxis(rays(K, SIZE), -1, 0)
     half_width = 4 + 2 * np.sin(frame)
     with np.errstate(divide="ignore"):
-        ground = np.where(y > 0, 1.65 / y, np.inf)
+        ground = np.where(y > 0, CAMERA_HEIGHT_M / y, np.inf)
         wall = np.where(y > -0.2, half_width / np.abs(x), np.inf)
     depth = np.minimum(ground, wall)
     cls = np.where(ground < wall, classes.ROAD, classes.BUILDING)
@@ -35,22 +39,17 @@ def write_drive(
 ) -> None:
     """Write ``folder/<drive>.h5`` with `frames` frames that have what the flags say."""
     scenes = [scene(frame) for frame in range(frames)]
+    pixels = {
+        "image": [image for image, _, _ in scenes] if images else None,
+        "depth": [to_units(depth) for _, depth, _ in scenes] if dense else None,
+        "cls": [cls for *_, cls in scenes] if dense else None,
+    }
     with store.DriveWriter(folder / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-        file.put("frame", np.arange(frames, dtype=np.int32))
-        file.put("time_s", np.arange(frames) / 10)
-        for name, present in {"image": images, "lidar": lidar, "depth": dense, "cls": dense}.items():
-            file.put(f"has_{name}", np.full(frames, present, np.uint8))
-        blank = np.zeros((*SIZE, 3), np.uint8)
-        file.put("image", np.stack([image if images else blank for image, _, _ in scenes]))
-        file.put("K", K)
-        scans = [scan(depth) if lidar else np.zeros((0, 4), np.float32) for _, depth, _ in scenes]
-        file.put("lidar_ptr", store.pointers(len(points) for points in scans))
-        file.put("lidar", np.concatenate(scans))
-        if lidar:
-            file.put("T_cam_velo", T_CAM_VELO)
-        if dense:
-            file.put("depth", np.stack([np.rint(depth * 256).astype(np.uint16) for _, depth, _ in scenes]))
-            file.put("cls", np.stack([cls for _, _, cls in scenes]))
+        put_motion(file, np.arange(frames), np.arange(frames) / 10, make_rows(frames, vf=8.0))
+        put_camera(file, K, T_CAM_VELO if lidar else None)
+        for name, arrays in pixels.items():
+            put_pixels(file, name, frames, SIZE, None if arrays is None else enumerate(arrays))
+        put_scans(file, frames, ((row, scan(depth)) for row, (_, depth, _) in enumerate(scenes) if lidar))
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:
@@ -63,7 +62,7 @@ def write_perception(folder: Path, ingest: Path, drive: str) -> None:
         scenes = [scene(row) for row in rows]
         file.put("frame", raw.frame[rows])
         file.put("time_s", raw.time_s[rows])
-        file.put("depth_m", np.array([depth * 256 for _, depth, _ in scenes], np.uint16).reshape(-1, *SIZE))
+        file.put("depth_m", np.array([to_units(depth) for _, depth, _ in scenes], np.uint16).reshape(-1, *SIZE))
         file.put("cls", np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *SIZE))
 
 

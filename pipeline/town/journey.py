@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.town import motion as motions
-from pipeline.town.motion import Motion
+from pipeline.town.motion import Motion, draw_stops, drive, frame_times, oxts_rows, speed_profile
 from pipeline.town.recording import Recording, make_recording
 from pipeline.town.route import AHEAD_M, Route, draw_route
 
@@ -24,15 +23,15 @@ class Journey:
 
 def draw_journey(rng: np.random.Generator, frames: int) -> Journey:
     """Draw a road and a drive of `frames` frames along it, which keeps exactly to its lane."""
-    times = motions.frame_times(rng, frames)
+    times = frame_times(rng, frames)
     cruise = rng.uniform(*_CRUISE_MPS)
     route = draw_route(rng, cruise * times[-1] + AHEAD_M)
-    stops = motions.draw_stops(rng, route, 0.75 * cruise * times[-1])
-    motion = motions.drive(route, motions.speed_profile(route, cruise, stops), times, rng.uniform(1.5, 3.0))
+    stops = draw_stops(rng, route, 0.75 * cruise * times[-1])
+    motion = drive(route, speed_profile(route, cruise, stops), times, rng.uniform(1.5, 3.0))
     return Journey(route, motion, *route.at(motion.s_m))
 
 
 def record(journey: Journey, date: str, rng: np.random.Generator) -> Recording:
     """Return the oxts files of a drawn drive, at a place and time of day drawn at random."""
-    rows = motions.oxts_rows(journey.route, journey.motion, *rng.uniform((48.9, 8.3), (49.1, 8.5)))
+    rows = oxts_rows(journey.route, journey.motion, *rng.uniform((48.9, 8.3), (49.1, 8.5)))
     return make_recording(rows, journey.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)

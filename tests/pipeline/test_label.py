@@ -5,31 +5,33 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pipeline import label as steering
+from pipeline import label
 
 L = 2.7
 
 
-def label(yaw_rate: list[float], speed: list[float], standstill: steering.Standstill) -> tuple[np.ndarray, np.ndarray]:
-    return steering.label(np.array(yaw_rate), np.array(speed), wheelbase_m=L, min_speed_mps=1.0, standstill=standstill)
+def labels(yaw_rate: list[float], speed: list[float], standstill: label.Standstill) -> tuple[np.ndarray, np.ndarray]:
+    return label.steering_labels(
+        np.array(yaw_rate), np.array(speed), wheelbase_m=L, min_speed_mps=1.0, standstill=standstill
+    )
 
 
 def test_left_bend_is_positive_and_radius_is_the_bicycles() -> None:
     speed, radius = 8.0, 20.0
-    angle = steering.steering_angle(np.array([speed / radius, -speed / radius]), np.array([speed, speed]), L)
+    angle = label.steering_angle(np.array([speed / radius, -speed / radius]), np.array([speed, speed]), L)
     np.testing.assert_allclose(np.tan(angle), [L / radius, -L / radius])
 
 
 def test_reversing_with_the_wheels_to_the_left_is_positive_too() -> None:
     """Backwards along the same circle, v and the yaw rate both change sign; the wheels stay where they are."""
-    forwards = steering.steering_angle(np.array([0.3]), np.array([4.0]), L)
-    backwards = steering.steering_angle(np.array([-0.3]), np.array([-4.0]), L)
+    forwards = label.steering_angle(np.array([0.3]), np.array([4.0]), L)
+    backwards = label.steering_angle(np.array([-0.3]), np.array([-4.0]), L)
     np.testing.assert_array_equal(forwards, backwards)
     assert forwards > 0
 
 
 def test_no_speed_gives_a_finite_angle() -> None:
-    angle = steering.steering_angle(np.array([0.0, 0.1, -0.1]), np.zeros(3), L)
+    angle = label.steering_angle(np.array([0.0, 0.1, -0.1]), np.zeros(3), L)
     np.testing.assert_allclose(angle, [0, np.pi / 2, -np.pi / 2])
 
 
@@ -41,7 +43,7 @@ def test_standstill_rules() -> None:
         ("raw", formula, [1, 1, 1, 1, 1]),
         ("zero", [formula[0], formula[1], 0.0, formula[3], 0.0], [1, 1, 1, 1, 1]),
     ):
-        angle, usable = label(yaw_rate, speed, rule)  # type: ignore[arg-type]
+        angle, usable = labels(yaw_rate, speed, rule)  # type: ignore[arg-type]
         np.testing.assert_allclose(angle, expected, atol=1e-15, err_msg=rule)
         np.testing.assert_array_equal(usable, valid, err_msg=rule)
 
@@ -49,14 +51,14 @@ def test_standstill_rules() -> None:
 def test_mirrored_motion_gives_the_mirrored_label() -> None:
     rng = np.random.default_rng(0)
     yaw_rate, speed = rng.normal(0, 0.2, 100), rng.normal(3, 3, 100)
-    angle, valid = label(yaw_rate.tolist(), speed.tolist(), "invalid")
-    mirrored, same = label((-yaw_rate).tolist(), speed.tolist(), "invalid")
+    angle, valid = labels(yaw_rate.tolist(), speed.tolist(), "invalid")
+    mirrored, same = labels((-yaw_rate).tolist(), speed.tolist(), "invalid")
     np.testing.assert_array_equal(mirrored, -angle)
     np.testing.assert_array_equal(same, valid)
 
 
 def test_plausibility_counts_valid_frames_only() -> None:
-    summary = steering.plausibility(
+    summary = label.plausibility(
         steering_rad=np.array([0.1, -0.3, 1.5]),
         valid=np.array([True, True, False]),
         speed_mps=np.array([5.0, -2.0, 0.1]),
@@ -82,7 +84,7 @@ def test_plausibility_counts_valid_frames_only() -> None:
 @pytest.mark.parametrize("frames", [0, 1])
 def test_plausibility_of_next_to_nothing(frames: int) -> None:
     nothing = np.zeros(frames)
-    summary = steering.plausibility(nothing, nothing > 0, nothing, nothing, nothing)
+    summary = label.plausibility(nothing, nothing > 0, nothing, nothing, nothing)
     assert summary["frames"] == frames
     assert summary["mean_abs_steering_rad"] is summary["dt_mean_s"] is None
 
@@ -92,7 +94,7 @@ def test_constant_steering_drives_a_circle() -> None:
     radius, speed, frames = 12.0, 6.0, 2001
     time_s = np.linspace(0, 2 * np.pi * radius / speed, frames)
     angle = np.full(frames, np.arctan(L / radius))
-    xy = steering.path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
+    xy = label.path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
     np.testing.assert_allclose(xy[-1], [0, 0], atol=1e-3)
     np.testing.assert_allclose(xy[frames // 2], [0, 2 * radius], atol=1e-3)
 
@@ -101,7 +103,7 @@ def test_coarse_steps_stay_on_the_circle() -> None:
     """Ten steps a round: a heading taken at the start of each step would end metres outside of it."""
     radius, speed, frames = 12.0, 6.0, 11
     time_s = np.linspace(0, 2 * np.pi * radius / speed, frames)
-    xy = steering.path(np.full(frames, np.arctan(L / radius)), np.full(frames, speed), time_s, wheelbase_m=L)
+    xy = label.path(np.full(frames, np.arctan(L / radius)), np.full(frames, speed), time_s, wheelbase_m=L)
     np.testing.assert_allclose(xy[-1], [0, 0], atol=1e-9)
 
 
@@ -109,7 +111,7 @@ def test_coarse_steps_stay_on_the_circle() -> None:
 def test_mirrored_steering_drives_the_mirrored_path(model: str) -> None:
     rng = np.random.default_rng(0)
     angle, speed, time_s = rng.normal(0, 0.2, 30), rng.uniform(0, 10, 30), np.cumsum(rng.uniform(0.08, 0.12, 30))
-    path: Callable[..., np.ndarray] = steering.path
+    path: Callable[..., np.ndarray] = label.path
     left, right = (path(sign * angle, speed, time_s, wheelbase_m=L, model=model) for sign in (1, -1))
     np.testing.assert_allclose(left * [1, -1], right, atol=1e-12)
 
@@ -117,6 +119,6 @@ def test_mirrored_steering_drives_the_mirrored_path(model: str) -> None:
 def test_paper_model_is_its_formula_and_no_car() -> None:
     """With constant steering the paper's path is a straight line: the angle is taken for the heading."""
     time_s = np.array([0.0, 0.1, 0.3])
-    xy = steering.path(np.full(3, 0.2), np.array([5.0, 10.0, 0.0]), time_s, wheelbase_m=L, model="paper")
+    xy = label.path(np.full(3, 0.2), np.array([5.0, 10.0, 0.0]), time_s, wheelbase_m=L, model="paper")
     distance = np.array([0.0, 0.5, 2.5])
     np.testing.assert_allclose(xy, distance[:, None] * [np.cos(0.2), np.sin(0.2)])

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
+from pipeline.kitti.ingest_file import put_motion
+from pipeline.kitti.oxts import make_rows
 from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
 
@@ -20,20 +22,16 @@ DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
 def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> None:
     """Write what stage ingest leaves of two drives; the second one moves like the first one's mirror image."""
     frames = len(speed)
-    for sign, (drive, split) in zip((1, -1), DRIVES.items(), strict=True):
-        oxts = np.zeros((frames, 30))
-        oxts[:, 8], oxts[:, 22] = speed, sign * np.array(yaw_rate)
+    for sign, drive in zip((1, -1), DRIVES, strict=True):
+        rows = make_rows(frames, vf=np.array(speed), wu=sign * np.array(yaw_rate))
         with DriveWriter(folder / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-            file.attrs["split"] = split
-            file.put("frame", np.arange(5, 5 + frames, dtype=np.int32))
-            file.put("time_s", np.arange(frames) / 10, "s")
-            file.put("oxts", oxts)
+            put_motion(file, np.arange(5, 5 + frames), np.arange(frames) / 10, rows)
     write_index(folder, DRIVES)
 
 
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
     params = write_params(tmp_path / "params.yaml", train=list(DRIVES)[:1], test=list(DRIVES)[1:], labels=settings)
-    labels.main(tmp_path / "ingest", tmp_path / "labels", params, workers=1)
+    assert labels.main(tmp_path / "ingest", tmp_path / "labels", params, workers=1) == tmp_path / "labels"
     return [DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") for drive in DRIVES]
 
 
@@ -81,11 +79,7 @@ def test_sliding_sideways_puts_labels_in_doubt(tmp_path: Path, capsys: pytest.Ca
     write_ingest(tmp_path / "ingest", speed=[5.0] * 3, yaw_rate=[0.0] * 3)
     drive = list(DRIVES)[1]
     with DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-        oxts = np.zeros((1, 30))
-        oxts[:, 8:10] = 5, 14
-        file.put("frame", np.zeros(1, np.int32))
-        file.put("time_s", np.zeros(1))
-        file.put("oxts", oxts)
+        put_motion(file, np.zeros(1), np.zeros(1), make_rows(1, vf=5.0, vl=14.0))
     run(tmp_path)
     text = capsys.readouterr().out
     assert f"{drive}: 1 frames, 100% valid" in text
@@ -126,6 +120,7 @@ def test_bad_input_is_one_line_and_changes_nothing(tmp_path: Path) -> None:
     assert "index.json is missing. Make it: dvc repro ingest" in error()
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_all_real_drives_equal_the_formula(real_kitti: Path, tmp_path: Path) -> None:
     """Second route: KITTI's own files and column numbers, and atan2 instead of atan."""

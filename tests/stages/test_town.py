@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.base import provenance as code
+from pipeline.base import provenance
 from pipeline.base.errors import InputError
 from pipeline.kitti.raw import find_drives
 from stages import town
@@ -16,7 +16,7 @@ DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_03_drive_00
 
 
 def write_params(path: Path, source: str = "town", **settings: object) -> Path:
-    params = yaml.safe_load((code.ROOT / "params.yaml").read_text(encoding="utf-8"))
+    params = yaml.safe_load((provenance.ROOT / "params.yaml").read_text(encoding="utf-8"))
     params["town"] |= {"image_size": [48, 160], "scan_rays": [16, 40], "frames": {"train": 2, "val": 1, "test": 3}}
     params["town"] |= settings
     params["ingest"] |= {"source": source, "drives": {"train": DRIVES[:2], "val": [], "test": DRIVES[2:]}}
@@ -24,11 +24,12 @@ def write_params(path: Path, source: str = "town", **settings: object) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_drives_of_the_params_whatever_the_workers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     params = write_params(tmp_path / "params.yaml")
     outs = [tmp_path / "one", tmp_path / "two"]
     for workers, out in enumerate(outs, start=1):
-        town.main(out=out, params=params, workers=workers)
+        assert town.main(out=out, params=params, workers=workers) == out
     raw = find_drives(outs[0], DRIVES)
     assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]
     assert raw[DRIVES[2]].camera([2]) is not None

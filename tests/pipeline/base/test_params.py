@@ -78,18 +78,25 @@ def test_splits_keep_their_order(tmp_path: Path) -> None:
         ("train.epochs", 1.5, r"train.epochs = 1.5: Input should be a valid integer"),
         ("graphs", {}, r"section 'graphs' is missing or empty"),
         ("graphs.semantic.keep_inter_class", 1.2, r"graphs.semantic.keep_inter_class = 1.2: .*less than or equal to 1"),
-        ("graphs.semantic.cloud", "radar", r"graphs.semantic.cloud = 'radar': Input should be"),
+        ("graphs.semantic.source", "radar", r"graphs.semantic.source = 'radar': Input should be"),
+        ("graphs.semantic.cloud", "pseudo", r"graphs.semantic: .*write source: clouds/pseudo instead"),
+        ("graphs.image.cloud", "none", r"graphs.image: .*write source: ingest instead"),
+        ("graphs.semantic.cloud", "radar", r"write source: clouds/pseudo \| clouds/lidar \| ingest instead"),
         ("graphs.semantic.k", None, r"graphs.semantic: a kNN graph needs k"),
         (
             "graphs.image.points",
             9,
-            r"graphs.image: points says nothing to a variant without a cloud: leave it out",
+            r"graphs.image: points means nothing to images.* leave it out. Keys that do: source$",
         ),
-        ("graphs.lidar-pointnet2.k", 6, r"graphs.lidar-pointnet2: k says nothing to neighbourhood: pointnet2"),
+        (
+            "graphs.lidar-pointnet2.k",
+            6,
+            r"graphs.lidar-pointnet2: k means nothing to neighbourhood: pointnet2.*centres, .*radius_m",
+        ),
         ("graphs.lidar-pointnet2.points", None, r"graphs.lidar-pointnet2: neighbourhood: pointnet2 needs points"),
         ("graphs.lidar-pointnet2.centres", [9], r"must have one number for each level"),
         ("graphs.lidar-pointnet2.radius_m", [0, 1], r"graphs.lidar-pointnet2.radius_m.0 = 0: .*greater than 0"),
-        ("graphs.semantic.centres", [9], r"graphs.semantic: centres says nothing to a kNN graph"),
+        ("graphs.semantic.centres", [9], r"graphs.semantic: centres means nothing to a kNN graph.*keep_inter_class"),
         ("models.sa-gnn-ncp.window", 0, r"models.sa-gnn-ncp.window = 0: .*greater than or equal to 1"),
         ("models.sa-gnn-ncp.input", "semantics", r"models.sa-gnn-ncp.input = 'semantics' .*did you mean semantic\?"),
         ("models.sa-gnn-ncp.wiring", {"inters": 3}, r"unknown key models.sa-gnn-ncp.wiring.inters"),
@@ -117,7 +124,7 @@ def test_files_that_are_none(tmp_path: Path, text: str, message: str) -> None:
 def test_entries_of_mappings() -> None:
     path = ROOT / "params.yaml"
     assert "semantic" in params.names("graphs", path)
-    assert params.load_entry(Variant, "graphs", "semantic", path).cloud == "pseudo"
+    assert params.load_entry(Variant, "graphs", "semantic", path).source == "clouds/pseudo"
     assert params.load_entry(Model, "models", "sa-gnn-ncp", path).semantics == 1.0
     with pytest.raises(InputError, match=r"models has no 'sa-gnn-ncq': did you mean .*sa-gnn-ncp"):
         params.load_entry(Model, "models", "sa-gnn-ncq", path)

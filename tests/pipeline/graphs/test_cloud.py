@@ -1,6 +1,9 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes, geometry
 from pipeline.graphs import cloud
 
@@ -71,3 +74,41 @@ def test_quantise_is_exact_and_near() -> None:
     coarse = cloud.quantise(xyz)
     assert np.abs(coarse - xyz).max() <= 0.5 / 1024 + 2e-5
     assert (cloud.quantise(coarse) == coarse).all()
+
+
+def _cloud(points: int, seed: int = 0) -> cloud.Cloud:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-20, 20, (points, 3)).astype(np.float32), rng.integers(0, 19, points, np.uint8)
+
+
+def test_a_stored_cloud_is_a_part_of_the_whole_in_order() -> None:
+    xyz, cls = _cloud(300)
+    made, labels = cloud.stored((xyz, cls), 100, cloud.frame_rng(0, "drive", 0))
+    assert len(made) == len(labels) == 100
+    assert (cloud.morton_order(made) == np.arange(100)).all()
+    whole = {tuple(point): number for point, number in zip(cloud.quantise(xyz).tolist(), cls.tolist(), strict=True)}
+    assert [whole[tuple(point)] for point in made.tolist()] == labels.tolist()
+
+
+def test_chosen_points_lie_in_the_crop_and_keep_their_order_and_class() -> None:
+    xyz, cls = _cloud(300)
+    cls[:] = np.arange(300) % 19
+    made, labels = cloud.chosen_points((xyz, cls), (-5, 0, 5, 20), 20, cloud.frame_rng(0, "drive", 0))
+    assert len(made) == 20
+    assert (np.abs(made[:, 0]) <= 5).all()
+    assert (made[:, 2] >= 0).all()
+    rows = [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in made]
+    assert rows == sorted(rows)
+    assert labels.tolist() == cls[rows].tolist()
+
+
+def test_a_written_file_holds_the_clouds_frame_by_frame(tmp_path: Path) -> None:
+    clouds = [_cloud(5), _cloud(0), _cloud(3, seed=1)]
+    with DriveWriter(tmp_path / "a.h5", stage="clouds", drive="drive", params={}) as writer:
+        counts = cloud.write(writer, np.array([2, 3, 7]), np.array([0, 0.1, 0.5]), clouds)
+    assert counts == {"frames": 3, "points": 8}
+    with DriveReader(tmp_path / "a.h5", stage="clouds") as file:
+        assert file["ptr"].tolist() == [0, 5, 5, 8]
+        np.testing.assert_array_equal(file["xyz"], np.concatenate([xyz for xyz, _ in clouds]))
+        np.testing.assert_array_equal(file["cls"], np.concatenate([cls for _, cls in clouds]))
+        assert (file.frame.tolist(), file.frame.dtype) == ([2, 3, 7], np.int32)

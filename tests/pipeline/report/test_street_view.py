@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
+from pipeline.camera.images import DEPTH_UNITS_PER_M
 from pipeline.graphs import cloud
 from pipeline.report import street_view
 from tests import street
@@ -25,23 +26,20 @@ def test_a_view_is_read_by_frame_number(tmp_path: Path) -> None:
     street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
     with store.DriveWriter(tmp_path / "clouds.h5", stage="clouds", drive=DRIVE, params={}) as file:
         views = [view(frame) for frame in (1, 3, 4)]
-        file.put("frame", np.array([1, 3, 4], np.int32))
-        file.put("ptr", store.pointers(len(one.xyz) for one in views))
-        file.put("xyz", np.concatenate([one.xyz for one in views]))
-        file.put("cls", np.concatenate([one.points_cls for one in views]))
+        cloud.write(file, np.array([1, 3, 4]), np.zeros(3), [(one.xyz, one.points_cls) for one in views])
     with (
         store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as raw,
-        store.DriveReader(tmp_path / f"perception/{DRIVE}.h5", stage="perception") as seen,
+        store.DriveReader(tmp_path / f"perception/{DRIVE}.h5", stage="perception") as perceived,
         store.DriveReader(tmp_path / "clouds.h5", stage="clouds") as points,
     ):
-        found = street_view.read_view(raw, seen, points, 3)
+        third = street_view.read_view(raw, perceived, points, 3)
         with pytest.raises(InputError, match=r"clouds\.h5 has no frame 2"):
-            street_view.read_view(raw, seen, points, 2)
-    np.testing.assert_array_equal(found.rgb, street.scene(3)[0])
-    uv, z = geometry.project(found.xyz.astype(float), street.K)
+            street_view.read_view(raw, perceived, points, 2)
+    np.testing.assert_array_equal(third.rgb, street.scene(3)[0])
+    uv, z = geometry.project(third.xyz.astype(float), street.K)
     u, v = np.rint(uv).astype(int).T
-    assert z == pytest.approx(found.depth_m[v, u], abs=1 / 256)
-    np.testing.assert_array_equal(found.points_cls, found.cls[v, u])
+    assert z == pytest.approx(third.depth_m[v, u], abs=0.5 / DEPTH_UNITS_PER_M)
+    np.testing.assert_array_equal(third.points_cls, third.cls[v, u])
 
 
 def test_from_above_higher_points_hide_lower_ones_and_keep_their_colours() -> None:
@@ -55,12 +53,9 @@ def test_from_above_higher_points_hide_lower_ones_and_keep_their_colours() -> No
     np.testing.assert_allclose(np.asarray(points.get_facecolor())[:, :3], colours)
 
 
-def test_the_scale_of_depth_runs_from_red_to_blue_and_none_is_blank() -> None:
-    picture = street_view.draw_depth(Figure().add_subplot(), np.array([[4.0, 80.0, 0.0]]))
-    near, far, none = picture.to_rgba(picture.get_array())[0]
-    assert near[0] > near[2] + 0.2
-    assert far[2] > far[0]
-    assert none[3] == 0
+def test_frames_are_spread_evenly_over_the_drive() -> None:
+    assert street_view.evenly_spread(np.arange(100, 109), 3) == [101, 104, 107]
+    assert street_view.evenly_spread(np.array([4, 7]), 3) == [4, 7]
 
 
 def test_a_sheet_names_each_class_in_view_once() -> None:

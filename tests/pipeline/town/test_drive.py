@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.camera import classes, geometry
+from pipeline.camera.images import to_metres
+from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.camera.png import read_png
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive, read_scan
@@ -35,7 +37,7 @@ def test_every_frame_has_everything(drive: RawDrive) -> None:
         assert list(files) == list(range(FRAMES))
     times = read_times(drive.oxts_times, list(range(FRAMES)))
     assert times[-1] == pytest.approx(0.1036 * (FRAMES - 1), abs=0.005)
-    assert not list(drive.folder.parent.glob("*.tmp"))
+    assert not list(drive.folder.parent.glob(".*"))
 
 
 def test_scans_agree_with_dense_depth(drive: RawDrive) -> None:
@@ -44,7 +46,7 @@ def test_scans_agree_with_dense_depth(drive: RawDrive) -> None:
     assert camera.T_cam_velo is not None
     errors = []
     for frame in (0, FRAMES - 1):
-        depth = read_png(drive.truth_depth[frame]) / 256
+        depth = to_metres(read_png(drive.truth_depth[frame]))
         points = geometry.transform(camera.T_cam_velo, read_scan(drive.scans[frame])[:, :3].astype(np.float64))
         uv, z = geometry.project(points, camera.K)
         inside = (z > 0) & (uv > 0).all(axis=1) & (uv[:, 0] < SIZE[1] - 1) & (uv[:, 1] < SIZE[0] - 1)
@@ -60,14 +62,14 @@ def test_scans_agree_with_dense_depth(drive: RawDrive) -> None:
     assert np.median(np.concatenate(errors)) < 0.05
 
 
-def test_depth_of_the_road_is_that_of_a_plane_1_65_m_below(drive: RawDrive) -> None:
+def test_depth_of_the_road_is_that_of_a_plane_at_the_cameras_height(drive: RawDrive) -> None:
     camera = drive.camera([2])
     assert camera is not None
-    depth, cls = read_png(drive.truth_depth[0]) / 256, read_png(drive.truth_cls[0])
+    depth, cls = to_metres(read_png(drive.truth_depth[0])), read_png(drive.truth_cls[0])
     height = geometry.back_project(depth, camera.K)[..., 1]
     near_road = (cls == classes.ROAD) & (depth < 20)
     assert near_road.sum() > 1000
-    assert np.abs(height[near_road] - 1.65).max() < 0.1
+    assert np.abs(height[near_road] - CAMERA_HEIGHT_M).max() < 0.1
     np.testing.assert_array_equal(depth[cls == classes.SKY], 0)
 
 
@@ -83,7 +85,7 @@ def test_the_world_stands_still_while_the_car_moves(drive: RawDrive) -> None:
         c, s = np.cos(row[5]), np.sin(row[5])
         poses.append(np.array([[c, -s, 0, east], [s, c, 0, north], [0, 0, 1, 0], [0, 0, 0, 1]]))
     T_last_first = rig.T_cam2_imu @ np.linalg.inv(poses[1]) @ poses[0] @ np.linalg.inv(rig.T_cam2_imu)
-    depths = [read_png(drive.truth_depth[frame]) / 256 for frame in (0, FRAMES - 1)]
+    depths = [to_metres(read_png(drive.truth_depth[frame])) for frame in (0, FRAMES - 1)]
     cls = read_png(drive.truth_cls[0])
     still = (depths[0] > 0) & (depths[0] < 40) & np.isin(cls, [classes.BUILDING, classes.ROAD, classes.SIDEWALK])
     points = geometry.transform(T_last_first, geometry.back_project(depths[0], camera.K)[still])
@@ -117,10 +119,10 @@ def test_same_name_same_bytes_other_name_other_road(tmp_path: Path) -> None:
         assert different.truth_depth[0].read_bytes() != first.truth_depth[0].read_bytes()
 
 
-def test_an_interrupted_drive_is_replaced(tmp_path: Path) -> None:
-    left = tmp_path / "2026_01_01" / f"{NAME}_sync.tmp" / "oxts"
-    left.mkdir(parents=True)
-    (left / "rest").touch()
+def test_a_drive_that_is_there_is_replaced(tmp_path: Path) -> None:
+    old = tmp_path / "2026_01_01" / f"{NAME}_sync" / "oxts" / "rest"
+    old.parent.mkdir(parents=True)
+    old.touch()
     drive = render(tmp_path, frames=1)
     assert list(drive.oxts) == [0]
-    assert not (drive.folder / "oxts" / "rest").exists()
+    assert not old.exists()

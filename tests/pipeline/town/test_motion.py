@@ -5,8 +5,16 @@ import pytest
 
 from pipeline.kitti.oxts import COLUMNS
 from pipeline.label import steering_angle
-from pipeline.town import motion as motions
-from pipeline.town.motion import Motion
+from pipeline.town.motion import (
+    BRAKE_MPS2,
+    LATERAL_MPS2,
+    Motion,
+    draw_stops,
+    drive,
+    frame_times,
+    oxts_rows,
+    speed_profile,
+)
 from pipeline.town.route import AHEAD_M, Route, draw_route
 
 LAT, LON = 49.0, 8.4
@@ -15,11 +23,11 @@ LAT, LON = 49.0, 8.4
 @pytest.fixture(scope="module", params=[1, 2, 3])
 def driven(request: pytest.FixtureRequest) -> tuple[Route, Motion, dict[str, np.ndarray]]:
     rng = np.random.default_rng(request.param)
-    times = motions.frame_times(rng, 200)
+    times = frame_times(rng, 200)
     route = draw_route(rng, 9.0 * times[-1] + AHEAD_M)
     stops = (40.0,) if request.param == 3 else ()
-    motion = motions.drive(route, motions.speed_profile(route, 9.0, stops), times, 2.0)
-    rows = motions.oxts_rows(route, motion, LAT, LON)
+    motion = drive(route, speed_profile(route, 9.0, stops), times, 2.0)
+    rows = oxts_rows(route, motion, LAT, LON)
     assert rows.shape == (200, 30)
     return route, motion, dict(zip(COLUMNS, rows.T, strict=True))
 
@@ -60,8 +68,8 @@ def test_rates_are_derivatives(driven: tuple[Route, Motion, dict[str, np.ndarray
         np.arctan2(oxts["vn"], oxts["ve"])[oxts["vf"] > 0], oxts["yaw"][oxts["vf"] > 0], atol=1e-9
     )
     np.testing.assert_allclose(oxts["al"], oxts["vf"] * oxts["wu"], atol=1e-12)
-    assert np.abs(oxts["al"]).max() <= motions.LATERAL_MPS2 + 0.01
-    assert np.abs(np.diff(oxts["vf"]) / dt).max() < 1.01 * motions.BRAKE_MPS2
+    assert np.abs(oxts["al"]).max() <= LATERAL_MPS2 + 0.01
+    assert np.abs(np.diff(oxts["vf"]) / dt).max() < 1.01 * BRAKE_MPS2
     assert 0.098 < dt.mean() < 0.108
     assert 0 < dt.std() < 0.002
 
@@ -79,7 +87,7 @@ def test_a_halt_lasts_as_long_as_it_should(driven: tuple[Route, Motion, dict[str
 def test_halts_lie_ahead_of_junctions() -> None:
     rng = np.random.default_rng(0)
     routes = [draw_route(rng, 200.0) for _ in range(12)]
-    halts = [(route, halt) for route in routes for halt in motions.draw_stops(rng, route, 80.0)]
+    halts = [(route, halt) for route in routes for halt in draw_stops(rng, route, 80.0)]
     assert 0 < len(halts) < 12
     for route, halt in halts:
         assert np.abs(np.array(route.junctions_m) - halt - 13.0).min() < 1e-9
@@ -89,4 +97,4 @@ def test_halts_lie_ahead_of_junctions() -> None:
 def test_too_short_a_route_is_refused() -> None:
     route = draw_route(np.random.default_rng(0), 20.0)
     with pytest.raises(ValueError, match="too short"):
-        motions.drive(route, motions.speed_profile(route, 9.0), np.array([0.0, 500.0]), 1.0)
+        drive(route, speed_profile(route, 9.0), np.array([0.0, 500.0]), 1.0)

@@ -8,10 +8,11 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
+from pipeline.camera.images import to_metres
 from pipeline.camera.png import read_png
 from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive, find_drives
-from pipeline.label import label
+from pipeline.label import steering_labels
 from pipeline.town.drive import write_drive
 from pipeline.town.journey import Journey
 from pipeline.town.light import draw_ground_colours
@@ -44,7 +45,9 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Journey:
 
 def agreement(journey: Journey, rows: np.ndarray) -> tuple[float, float]:
     """Correlation of the recorded label with that of the road where the car is, and their squared error's share."""
-    recorded, valid = label(rows[:, WU], rows[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid")
+    recorded, valid = steering_labels(
+        rows[:, WU], rows[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid"
+    )
     road = np.arctan(2.7 * journey.route.curvature(journey.motion.s_m))[valid]
     error = np.mean((road - recorded[valid]) ** 2) / np.mean(recorded[valid] ** 2)
     return float(np.corrcoef(road, recorded[valid])[0, 1]), float(error)
@@ -198,7 +201,7 @@ def test_a_driver_sees_the_road_bend_as_he_steers(tmp_path: Path) -> None:
     drive = render(tmp_path / "out", write_recorded(tmp_path / "raw", rows), frames=65)
     ahead = []
     for frame, sign in ((2, 0), (25, 1), (45, -1)):
-        cls, depth = read_png(drive.truth_cls[frame]), read_png(drive.truth_depth[frame]) / 256
+        cls, depth = read_png(drive.truth_cls[frame]), to_metres(read_png(drive.truth_depth[frame]))
         assert (cls[-1, 140:180] == classes.ROAD).all()
         band = (cls == classes.ROAD) & (depth > 12) & (depth < 20)
         assert band.sum() > 50

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.camera.geometry import transform
+from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.kitti.calibration import cameras_in, read_camera
 from pipeline.town.motion import IMU_HEIGHT_M
-from pipeline.town.rig import make_rig, write_calibration
+from pipeline.town.rig import SCANNER_HEIGHT_M, make_rig, write_calibration
 
 
 def test_the_files_say_what_the_camera_does(tmp_path: Path) -> None:
@@ -26,8 +27,8 @@ def test_sensors_sit_where_kittis_do() -> None:
     rig = make_rig((188, 621))
     camera = transform(np.linalg.inv(rig.T_cam2_imu), np.zeros((1, 3)))[0]
     scanner = transform(np.linalg.inv(rig.T_velo_imu), np.zeros((1, 3)))[0]
-    assert abs(camera[2] + IMU_HEIGHT_M - 1.65) < 0.02
-    assert abs(scanner[2] + IMU_HEIGHT_M - 1.73) < 0.02
+    assert abs(camera[2] + IMU_HEIGHT_M - CAMERA_HEIGHT_M) < 0.02
+    assert abs(scanner[2] + IMU_HEIGHT_M - SCANNER_HEIGHT_M) < 0.02
     ahead, left, up = rig.T_cam2_imu[:3, :3].T
     np.testing.assert_allclose([ahead[2], left[0], up[1]], [1, -1, -1], atol=1e-3)  # z forward, x right, y down
     np.testing.assert_allclose(rig.K[0, 0], 360.8)

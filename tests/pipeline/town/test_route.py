@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.town.route import AHEAD_M, STEP_M, Route, bend, draw_route, trace
+from pipeline.town.route import AHEAD_M, STEP_M, Route, bend, draw_route, trace, unit
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +68,8 @@ def test_lanes_lie_on_the_right(routes: list[Route]) -> None:
     left, heading = route.at(10.0, 2.0)
     on, _ = route.at(10.0)
     np.testing.assert_allclose(left - on, 2 * np.array([-np.sin(heading), np.cos(heading)]))
+
+
+def test_unit_vectors_of_one_heading_and_of_many() -> None:
+    np.testing.assert_allclose(unit(np.pi / 2), [0, 1], atol=1e-12)
+    np.testing.assert_allclose(unit(np.array([0.0, np.pi])), [[1, 0], [-1, 0]], atol=1e-12)

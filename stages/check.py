@@ -5,7 +5,7 @@ from pathlib import Path
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest
 from pipeline.base.params import load, load_entry, names
-from pipeline.encoder import download, precomputed, weights
+from pipeline.encoder import precomputed, weights
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.encoder import Encoder, Teacher
 from pipeline.sections.evaluate import Evaluate
@@ -54,7 +54,7 @@ def main(params: Path = Path("params.yaml")) -> None:
         except ValueError as error:
             raise InputError(f"{params}: {key} = {network.backbone}: {error}") from error
         for name, file in weights.files(network.weights, f"{network.key}.weights").items():
-            download.locate(file, name)
+            weights.locate(file, name)
     for name, line in lines.items():
         try:
             variant = variants[line.input]

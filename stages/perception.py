@@ -34,13 +34,12 @@ def main(
     workers: int | None = None,
 ) -> Path:
     """Write <drive>.h5 with depth and classes of each image. Returns the folder that it wrote."""
+    import torch
+
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
     _eye(encoder, "", settings.precision)  # a bad checkpoint is one error here, not one in each worker
     weights = encoder / ("config.json" if precomputed.named_in(encoder) else "encoder.pt")
-
-    import torch
-
     summaries = run_over_drives(
         partial(_perceive_drive, ingest=ingest, encoder=encoder, settings=settings),
         list(splits),

@@ -19,13 +19,8 @@ READING = (
 def markdown(metrics: Mapping[str, Scores]) -> str:
     """Return the tables of the ``metrics.json`` of stage scores, split → scores; empty where nothing was scored."""
     depths = [
-        [
-            split,
-            name,
-            str(whole["frames"]),
-            f"{whole['coverage']:.1%}",
-            *(_errors(metrics[split][key]) for key in _keys(truth)),
-        ]
+        [split, name, str(whole["frames"]), f"{whole['coverage']:.1%}"]
+        + [_errors(metrics[split][key]) for key in _keys(truth)]
         for split in SPLITS
         for truth, name in TRUTHS.items()
         if (whole := metrics[split][f"depth_{truth}"])

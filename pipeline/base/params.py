@@ -70,8 +70,8 @@ def _check_name(name: Any, mapping: str, path: Path) -> None:
     """It becomes part of folder names, stage names and commands. YAML reads 1 and on, without quotes, as no text."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise InputError(
-            f"{path}: section {mapping!r}: the name {name!r} is not allowed: take letters a-z and A-Z, digits, _ and -, "
-            f"starting with a letter or digit{'' if isinstance(name, str) else ', and put it in quotes'}"
+            f"{path}: section {mapping!r}: the name {name!r} is not allowed: take letters A-Z and a-z, digits, _ and "
+            f"-, starting with a letter or digit{'' if isinstance(name, str) else ', and put it in quotes'}"
         )
 
 

@@ -68,7 +68,7 @@ def _imports(path: Path, package: str) -> list[str]:
         elif isinstance(node, ast.ImportFrom):
             parents = package.split(".")[: -(node.level - 1) or None] if node.level else []
             module = ".".join([*parents, *([node.module] if node.module else [])])
-            # ``from pipeline.base import store`` names a module, ``from pipeline.base.store import indexed`` a function.
+            # ``from pipeline.base import store`` names a module, ``from pipeline.base.store import SCHEMA`` a value.
             names += [module] + [f"{module}.{alias.name}" for alias in node.names]
     return names
 

@@ -11,6 +11,7 @@ is changed when they are complete.
 
 import io
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
@@ -164,8 +165,11 @@ class DriveReader:
         try:
             self._file = h5py.File(path, "r")
         except OSError as error:
+            if error.errno:  # the system's, as without permission; h5py leaves out the name
+                raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
             raise InputError(f"{path} is damaged ({error}). {_AGAIN.format(stage=stage)}") from error
         self.path = path
+        self._stage = stage
         self.attrs: dict[str, Any] = dict(self._file.attrs)
         writer, schema = self.attrs.get("stage"), self.attrs.get("schema")
         if (writer, schema) != (stage, SCHEMA):
@@ -198,18 +202,25 @@ class DriveReader:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a whole dataset."""
-        return self.dataset(name)[()]
+        return self._read(name, ())
 
     def rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return ``dataset[start:stop]`` without reading the rest."""
-        return self.dataset(name)[start:stop]
+        return self._read(name, slice(start, stop))
 
     def row(self, name: str, index: int) -> np.ndarray:
         """Return ``dataset[index]`` without reading the rest."""
-        return self.dataset(name)[index]
+        return self._read(name, index)
 
     def shape(self, name: str) -> tuple[int, ...]:
         return self.dataset(name).shape
+
+    def _read(self, name: str, rows: int | slice | tuple[()]) -> Any:
+        try:
+            return self.dataset(name)[rows]
+        except OSError as error:
+            again = _AGAIN.format(stage=self._stage)
+            raise InputError(f"{self.path} is damaged in dataset {name!r} ({error}). {again}") from error
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return the h5py dataset; raises InputError, naming the file, if it has none of that name."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.base.pool import file_hash
+from pipeline.base.resume import file_hash
 from pipeline.camera import classes
 from pipeline.camera.images import read_classes, read_depth, to_metres
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError, explained
-from pipeline.base.pool import file_hash
+from pipeline.base.resume import file_hash
 from pipeline.fitting import checkpoint
 
 SHA256 = re.compile(r"[0-9a-fA-F]{64}")

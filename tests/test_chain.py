@@ -1,10 +1,7 @@
 """The whole chain as a user runs it: `dvc repro` in a scratch copy, on a smaller sample and real drives."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.base import provenance as code
 from pipeline.base import store
 from pipeline.camera import classes
+from tests import scratch
 
 STAGE_ORDER = [
     "town", "ingest", "labels", "encoder", "perception", "clouds", "pictures", "graphs", "train", "evaluate", "report",
@@ -23,47 +20,10 @@ DETERMINISTIC = ["town", "ingest", "labels", "clouds", "pictures", "graphs", "ev
 MODEL = "sa-gnn-ncp"
 
 
-def scratch_copy(folder: Path) -> Path:
-    """Copy the repository as git sees it, with edits that are not committed, into a repository of its own."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-co", "--exclude-standard"], cwd=code.ROOT, capture_output=True, text=True, check=True
-    ).stdout.split()
-    for name in listed:
-        if (code.ROOT / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(code.ROOT / name, folder / name)
-    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
-    subprocess.run(["git", "add", "-A"], cwd=folder, check=True)
-    who = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
-    subprocess.run(["git", *who, "commit", "-qm", "scratch"], cwd=folder, check=True)
-    return folder
-
-
-def run(folder: Path, *command: str, check: bool = True) -> str:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder)}
-    del environment["OMP_NUM_THREADS"]  # conftest's, for the tests' own small networks
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    output = done.stdout + done.stderr
-    assert not check or done.returncode == 0, output
-    assert check or done.returncode != 0, output
-    return output
-
-
-def stages_run(output: str) -> list[str]:
-    """The stages that DVC ran, without those that it took from its cache."""
-    return [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
-
-
-def files_of(folder: Path, stages: list[str]) -> dict[str, bytes]:
-    paths = [path for stage in stages for path in (folder / "data" / stage).rglob("*") if path.is_file()]
-    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
-
-
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample with fewer and smaller drives, driven through the whole chain once."""
-    folder = scratch_copy(tmp_path_factory.mktemp("sample"))
+    folder = scratch.copy(tmp_path_factory.mktemp("sample"))
     params = yaml.safe_load((folder / "params.yaml").read_text())
     params["town"] |= {"image_size": [96, 320], "frames": {"train": 70, "val": 50, "test": 150}}
     params["encoder"] |= {"epochs": 5, "frames": 400}
@@ -71,7 +31,7 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
         name: variant | ({"points": 400} if "points" in variant else {}) for name, variant in params["graphs"].items()
     }
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
-    output = run(folder, "dvc", "repro")
+    output = scratch.run(folder, "dvc", "repro")
     (folder / "first.log").write_text(output)
     return folder
 
@@ -94,51 +54,55 @@ def test_the_encoder_sees_depth_and_classes(sample: Path) -> None:
 
 
 def test_every_stage_ran_once_in_order(sample: Path) -> None:
-    ran = [name.split("@")[0] for name in stages_run((sample / "first.log").read_text())]
+    ran = [name.split("@")[0] for name in scratch.stages_run((sample / "first.log").read_text())]
     assert [name for name in dict.fromkeys(ran) if name in STAGE_ORDER] == STAGE_ORDER
     assert set(STAGE_ORDER) == {path.name for path in (sample / "data").iterdir() if path.is_dir()} - {".resume"}
 
 
 def test_again_runs_nothing(sample: Path) -> None:
-    output = run(sample, "dvc", "repro")
-    assert stages_run(output) == []
+    output = scratch.run(sample, "dvc", "repro")
+    assert scratch.stages_run(output) == []
     assert "Data and pipelines are up to date" in output
 
 
 def test_swapping_a_model_runs_its_training_and_what_follows_and_swapping_back_is_cached(sample: Path) -> None:
     original = (sample / "params.yaml").read_text()
-    before = files_of(sample, ["train", "evaluate", "report"])
+    before = scratch.files_of(sample, ["train", "evaluate", "report"])
     (sample / "params.yaml").write_text(original.replace("temporal: ncp", "temporal: lstm"))
-    swapped = [name for name in stages_run(run(sample, "dvc", "repro")) if name != "check"]
+    swapped = [name for name in scratch.stages_run(scratch.run(sample, "dvc", "repro")) if name != "check"]
     assert swapped == [f"train@{MODEL}", f"evaluate@{MODEL}", "report"]
-    assert files_of(sample, ["report"]) != {name: before[name] for name in before if "report" in name}
+    assert scratch.files_of(sample, ["report"]) != {name: before[name] for name in before if "report" in name}
     (sample / "params.yaml").write_text(original)
-    assert stages_run(run(sample, "dvc", "repro")) in ([], ["check"])
-    assert files_of(sample, ["train", "evaluate", "report"]) == before
+    assert scratch.stages_run(scratch.run(sample, "dvc", "repro")) in ([], ["check"])
+    assert scratch.files_of(sample, ["train", "evaluate", "report"]) == before
 
 
 def test_stages_without_a_network_write_the_same_bytes_again(sample: Path) -> None:
-    before = files_of(sample, DETERMINISTIC)
-    run(sample, "dvc", "repro", "--force", "--single-item", "--no-run-cache", "town", "ingest", "labels", "clouds")
+    before = scratch.files_of(sample, DETERMINISTIC)
+    scratch.run(
+        sample, "dvc", "repro", "--force", "--single-item", "--no-run-cache", "town", "ingest", "labels", "clouds"
+    )
     forced = ["pictures", "graphs@semantic", "graphs@lidar", f"evaluate@{MODEL}", "report"]
-    run(sample, "dvc", "repro", "--force", "--single-item", "--no-run-cache", *forced)
-    assert files_of(sample, DETERMINISTIC) == before
+    scratch.run(sample, "dvc", "repro", "--force", "--single-item", "--no-run-cache", *forced)
+    assert scratch.files_of(sample, DETERMINISTIC) == before
 
 
 def test_a_machine_with_labels_and_graphs_alone_can_train(sample: Path, tmp_path: Path) -> None:
     """Share by `dvc push`, go on elsewhere by `dvc pull`: no raw data, no images there."""
-    run(sample, "dvc", "remote", "add", "--force", "--default", "here", str(tmp_path / "remote"))
-    run(sample, "dvc", "push", "labels", "graphs@semantic")
-    run(sample, "dvc", "push", "data/perception/metrics.json")  # DVC pushes a file among folders without some of these
+    scratch.run(sample, "dvc", "remote", "add", "--force", "--default", "here", str(tmp_path / "remote"))
+    scratch.run(sample, "dvc", "push", "labels", "graphs@semantic")
+    scratch.run(
+        sample, "dvc", "push", "data/perception/metrics.json"
+    )  # DVC pushes a file among folders without some of these
     elsewhere = tmp_path / "elsewhere"
-    scratch_copy(elsewhere)
+    scratch.copy(elsewhere)
     for name in ("params.yaml", "dvc.lock", ".dvc/config"):
         shutil.copyfile(sample / name, elsewhere / name)
-    run(elsewhere, "dvc", "pull", "labels", "graphs@semantic")
+    scratch.run(elsewhere, "dvc", "pull", "labels", "graphs@semantic")
     assert sorted(path.name for path in (elsewhere / "data").iterdir() if path.is_dir()) == ["graphs", "labels"]
-    run(elsewhere, "dvc", "repro", "--single-item", f"train@{MODEL}", f"evaluate@{MODEL}")
-    run(elsewhere, "dvc", "pull", "data/perception/metrics.json")
-    run(elsewhere, "dvc", "repro", "--single-item", "report")
+    scratch.run(elsewhere, "dvc", "repro", "--single-item", f"train@{MODEL}", f"evaluate@{MODEL}")
+    scratch.run(elsewhere, "dvc", "pull", "data/perception/metrics.json")
+    scratch.run(elsewhere, "dvc", "repro", "--single-item", "report")
     assert [path.name for path in (elsewhere / "data/perception").iterdir()] == ["metrics.json"]
     assert "mean IoU" in (elsewhere / "data/report/table.md").read_text()
     assert (elsewhere / f"data/evaluate/{MODEL}/metrics.json").is_file()
@@ -146,42 +110,42 @@ def test_a_machine_with_labels_and_graphs_alone_can_train(sample: Path, tmp_path
 
 def test_a_fault_in_the_params_is_one_line_before_anything_runs(sample: Path) -> None:
     original = (sample / "params.yaml").read_text()
-    before = files_of(sample, STAGE_ORDER)
+    before = scratch.files_of(sample, STAGE_ORDER)
     try:
         (sample / "params.yaml").write_text(original.replace("input: semantic", "input: semantc"))
-        output = run(sample, "dvc", "repro", check=False)
+        output = scratch.run(sample, "dvc", "repro", check=False)
     finally:
         (sample / "params.yaml").write_text(original)
     assert "error: params.yaml: models.sa-gnn-ncp.input = 'semantc' is no variant of graphs: did you mean" in output
     assert "Traceback" not in output
-    assert files_of(sample, STAGE_ORDER) == before
+    assert scratch.files_of(sample, STAGE_ORDER) == before
 
 
 def test_a_damaged_frame_is_one_line_and_leaves_what_was_there(sample: Path) -> None:
     scan = sorted((sample / "data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
-    before, sound = files_of(sample, STAGE_ORDER[1:]), scan.read_bytes()
+    before, sound = scratch.files_of(sample, STAGE_ORDER[1:]), scan.read_bytes()
     try:
         scan.write_bytes(sound[:-7])
-        output = run(sample, "dvc", "repro", "ingest", "--single-item", check=False)
+        output = scratch.run(sample, "dvc", "repro", "ingest", "--single-item", check=False)
     finally:
         scan.write_bytes(sound)
     assert f"error: data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data/{scan.name} is cut" in output
     assert "Traceback" not in output
-    assert files_of(sample, STAGE_ORDER[1:]) == before
-    assert stages_run(run(sample, "dvc", "repro")) == []
+    assert scratch.files_of(sample, STAGE_ORDER[1:]) == before
+    assert scratch.stages_run(scratch.run(sample, "dvc", "repro")) == []
 
 
 @pytest.mark.real
 def test_real_drives_run_the_same_chain(real_kitti: Path, real_weights: Path, tmp_path: Path) -> None:
     """Drive 0052 (colour, LiDAR) trains, 0042 (grey, turning, no LiDAR) is tested; classes are ESPNetv2's."""
-    folder = scratch_copy(tmp_path)
+    folder = scratch.copy(tmp_path)
     params = yaml.safe_load((folder / "params.real.yaml").read_text())
     params["ingest"]["image_size"] = [192, 640]  # a quarter of the pixels, of the time
     params["graphs"] = {name: params["graphs"][name] for name in ("semantic", "lidar")}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
     (folder / "weights").symlink_to(real_weights / "espnetv2")
     (folder / "data/raw").symlink_to(real_kitti)
-    output = run(folder, "dvc", "repro")
+    output = scratch.run(folder, "dvc", "repro")
     assert "no validation drives, so no early stopping" in output
     assert "2011_10_03_drive_0042" in next(line for line in output.splitlines() if line.startswith("no scans"))
     colour, grey = "2011_09_26_drive_0052", "2011_10_03_drive_0042"
@@ -211,7 +175,7 @@ def test_real_drives_run_the_same_chain(real_kitti: Path, real_weights: Path, tm
     assert scores["depth_lidar"]["abs_rel"] < scores["ground_plane_lidar"]["abs_rel"], json.dumps(scores)
     params["models"][MODEL]["input"] = "lidar"
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
-    output = run(folder, "dvc", "repro", check=False)
+    output = scratch.run(folder, "dvc", "repro", check=False)
     assert f"with a valid label at its end in {grey}" in output
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.base.params import SPLITS
-from pipeline.report.tables import table
+from pipeline.report.tables.markdown import table
 
 Scores = Mapping[str, Any]  # of a split, see pipeline.perception.scores.Scores.report
 TRUTHS = {"lidar": "LiDAR", "dense": "dense"}

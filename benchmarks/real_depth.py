@@ -12,24 +12,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import torch
 import typer
 import yaml
 
-from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
-from pipeline.base.params import load
 from pipeline.camera.png import read_png
-from pipeline.encoder.examples import read_truth
-from pipeline.encoder.perceive import perceive
-from pipeline.encoder.weights import read_weights
-from pipeline.fitting import checkpoint
 from pipeline.kitti.oxts import COLUMNS
-from pipeline.perception.ground_plane import ground_plane_depth
-from pipeline.perception.scores import DEPTH_ERRORS, Scores
-from pipeline.sections.perception import Perception
-from stages import encoder, ingest
+from pipeline.perception.scores import DEPTH_ERRORS
+from stages import encoder, ingest, perception, scores
 
 DATE = "2011_09_26"
 FITTED, HELD_OUT, ELSEWHERE = f"{DATE}_drive_0052", f"{DATE}_drive_9052", f"{DATE}_drive_0001"
@@ -41,8 +32,8 @@ PLACES = {
     ELSEWHERE: "0001, frame 5",
 }
 UNSEEN = (*OBJECTS, ELSEWHERE)  # other streets
-Row = tuple[int, np.ndarray, np.ndarray]
-"""Frames, and the errors of the depth head and of flat ground, [3] each as DEPTH_ERRORS."""
+Row = tuple[int, float, np.ndarray, np.ndarray]
+"""Frames, coverage, and the errors of the depth head and of flat ground, [3] each as DEPTH_ERRORS."""
 
 
 def main(
@@ -65,9 +56,11 @@ def main(
         content["encoder"] |= {key: value for key, value in changes.items() if value is not None}
         chosen = folder / "params.yaml"
         chosen.write_text(yaml.safe_dump(content), encoding="utf-8")
-        ingest.main(folder / "town", folder / "raw", folder / "ingest", chosen)
-        encoder.main(folder / "ingest", folder / "encoder", chosen)
-        rows = score(folder / "encoder/encoder.pt", folder / "ingest", load(Perception, chosen))
+        ingested = folder / "ingest"
+        ingest.main(folder / "town", folder / "raw", ingested, chosen)
+        fitted = encoder.main(ingested, folder / "encoder", chosen)
+        perceived = perception.main(ingested, fitted, folder / "perception", chosen)
+        rows = read(scores.main(ingested, perceived, folder / "scores", chosen))
     print(table(rows))
 
 
@@ -121,28 +114,13 @@ def _link(source: Path, target: Path) -> None:
     target.symlink_to(source)
 
 
-def score(weights: Path, ingested: Path, settings: Perception) -> dict[str, Row]:
-    """Return drive → the means over its frames, against LiDAR, of the encoder in `weights`."""
-    content = read_weights(weights, "Fit it again")
-    model = UnifiedEncoder(content.backbone).eval()
-    checkpoint.load_state(model, content.state, weights, "Fit it again")
-    model.to("cuda" if torch.cuda.is_available() else "cpu")
+def read(folder: Path) -> dict[str, Row]:
+    """Return drive → the means over its frames, against LiDAR, out of what stage scores wrote to `folder`."""
     rows = {}
     for drive in PLACES:
-        scores = Scores()
-        with store.DriveReader(ingested / f"{drive}.h5", stage="ingest") as file:
-            for row, image in enumerate(file["image"]):
-                depth_m, cls = perceive(model, image[None], file["K"], settings.precision)
-                flat = ground_plane_depth(cls[0], file["K"], settings.camera_height_m)
-                truth = read_truth(file, row)
-                scores.add_depth("depth_lidar", depth_m[0], truth.depth_m)
-                scores.add_depth("ground_plane_lidar", flat, truth.depth_m)
-        report = scores.report()
-        rows[drive] = (
-            report["depth_lidar"]["frames"],
-            _errors(report["depth_lidar"]),
-            _errors(report["ground_plane_lidar"]),
-        )
+        report = store.read_json(folder / drive / "metrics.json", stage="scores")
+        depth, flat = report["depth_lidar"], report["ground_plane_lidar"]
+        rows[drive] = (depth["frames"], depth["coverage"], _errors(depth), _errors(flat))
     return rows
 
 
@@ -152,19 +130,19 @@ def _errors(means: Mapping[str, Any]) -> np.ndarray:
 
 def table(rows: Mapping[str, Row]) -> str:
     """Return the rows as Markdown, and a last one with the mean over the frames of other streets."""
-    head = ["against LiDAR, 1 to 80 m", "frames"]
+    head = ["against LiDAR, 1 to 80 m", "frames", "coverage"]
     for name in ("abs rel", "RMSE m", "δ1"):
         head += [name, "flat ground's"]
     lines = [head, ["---", *["--:"] * (len(head) - 1)]]
     lines += [_cells(PLACES[drive], *row) for drive, row in rows.items()]
-    _, heads, flats = zip(*(rows[drive] for drive in UNSEEN), strict=True)
-    lines.append(_cells("**mean of other streets**", len(UNSEEN), np.mean(heads, axis=0), np.mean(flats, axis=0)))
+    _, *columns = zip(*(rows[drive] for drive in UNSEEN), strict=True)
+    lines.append(_cells("**mean of other streets**", len(UNSEEN), *(np.mean(column, axis=0) for column in columns)))
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
-def _cells(name: str, frames: int, head: np.ndarray, flat: np.ndarray) -> list[str]:
+def _cells(name: str, frames: int, coverage: float, head: np.ndarray, flat: np.ndarray) -> list[str]:
     pairs = zip(head, flat, (3, 2, 3), strict=True)
-    return [name, str(frames), *(f"{value:.{digits}f}" for *pair, digits in pairs for value in pair)]
+    return [name, str(frames), f"{coverage:.1%}", *(f"{value:.{digits}f}" for *pair, digits in pairs for value in pair)]
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from pathlib import Path
 from pipeline.base import console, provenance
 from pipeline.base.errors import InputError, closest, explained
 from pipeline.base.params import load, load_entry, names
-from pipeline.encoder import download, precomputed, weights
+from pipeline.encoder import precomputed, weights
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.encoder import Encoder, Teacher
 from pipeline.sections.evaluate import Evaluate
@@ -60,7 +60,7 @@ def check_encoder(encoder: Encoder) -> None:
             with torch.device("meta"):  # takes neither memory nor time
                 unified_encoder.UnifiedEncoder(network.backbone)
         for key, file in weights.files(network.weights, f"{network.key}.weights").items():
-            download.locate(file, key)
+            weights.locate(file, key)
 
 
 def check_model(settings: Model, variants: dict[str, Variant], image_size: tuple[int, int]) -> None:

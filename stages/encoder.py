@@ -8,75 +8,51 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base import console, store
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, explained
 from pipeline.base.params import load
-from pipeline.base.pool import resume_key
+from pipeline.base.resume import resume_key
 from pipeline.encoder import precomputed
-from pipeline.encoder.weights import Setting, Source, fill, write_weights
-from pipeline.sections.encoder import PARTS, Encoder, Teacher
+from pipeline.encoder.weights import Source, fill, unnamed
+from pipeline.sections.encoder import PARTS, Encoder
 
-HEADS = ("depth_head", "class_head")
+Fitted = tuple[Sequence[Any], dict[str, Any]]
 
 
 def main(
     ingest: Path = Path("data/ingest"),
     out: Path = Path("data/encoder"),
     params: Path = Path("params.yaml"),
-) -> None:
-    """Write encoder.pt, config.json and curve.csv. Only the drives of split train are opened."""
+) -> Path:
+    """Write encoder.pt, config.json and curve.csv. Only the drives of split train are opened.
+
+    Returns the folder that it wrote.
+    """
     settings = load(Encoder, params)
     if settings.backbone == precomputed.BACKBONE:
-        _take_precomputed(settings, out)
-        return
+        return _take_precomputed(settings, out)
     drives = store.of_split(store.read_index(ingest, stage="ingest"), "train")
 
     import torch
 
-    from pipeline.encoder.examples import Supervision
-    from pipeline.encoder.fit import class_teacher, fit
+    from models.encoder.unified_encoder import UnifiedEncoder
+    from pipeline.encoder import perceive
 
     torch.manual_seed(settings.seed)
-    model = _build(settings.backbone, params, "encoder.backbone")
-    sources = fill(model, settings.backbone, settings.weights, "encoder.weights")
-    given = set(settings.weights) if isinstance(settings.weights, dict) else set()
-    model.backbone.requires_grad_(not settings.frozen)
-    for head in HEADS:
-        getattr(model, head).requires_grad_(head not in given)
+    with explained(str(params)):
+        with explained("encoder.backbone"):
+            model = UnifiedEncoder(settings.backbone)
+        sources = fill(model, settings.backbone, settings.weights, "encoder.weights")
+        part = unnamed(model, settings.weights, PARTS)
+        if part and not settings.epochs:
+            raise InputError(f"encoder.weights names no {part}: name one, or let encoder.epochs fit it")
 
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    curve: Sequence[Any] = []
-    supervision: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
     kept = out.parent / ".resume" / out.name
+    curve: Sequence[Any] = []
+    trained_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
     if settings.epochs:
-        teach, taught_by = _teacher(settings.teacher, params, device)
-        files: list[Path | str] = [ingest / f"{drive}.h5" for drive in drives]
-        hashes = [source.sha256 for source in (*sources, *taught_by)]
-        key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
-        with Supervision(ingest, drives, settings.frames) as examples:
-            if not examples.has_depth:
-                _keep(model, "depth_head", settings, "depth or LiDAR", "a drive with LiDAR", params)
-            if not examples.has_classes and not settings.teacher:
-                _keep(model, "class_head", settings, "class truth", "an encoder.teacher", params)
-            if not any(parameter.requires_grad for parameter in model.parameters()):
-                raise InputError(f"{params}: nothing is left to fit: encoder.epochs: 0 uses the weights as they are")
-            supervision = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
-            curve = fit(
-                model.to(device),
-                examples,
-                epochs=settings.epochs,
-                batch=settings.batch,
-                learning_rate=settings.learning_rate,
-                seed=settings.seed,
-                kept=kept / f"{key}.pt",
-                teacher=class_teacher(teach) if teach else None,
-            )
-    elif given:
-        part = _unnamed(model, settings.weights, PARTS)
-        if part:
-            raise InputError(f"{params}: encoder.weights names no {part}: name one, or let encoder.epochs fit it")
-
-    write_weights(out / "encoder.pt", settings.backbone, model.state_dict())
-    config = settings.model_dump(mode="json") | supervision | {
+        curve, trained_on = _fit(model, settings, sources, ingest, drives, kept)
+    perceive.save(out, settings.backbone, model.state_dict())
+    config = settings.model_dump(mode="json") | trained_on | {
         "sources": [asdict(source) for source in sources],
         "losses": {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None,
         "parameters": sum(parameter.numel() for parameter in model.parameters()),
@@ -87,69 +63,51 @@ def main(
         rows.writerow(["epoch", "loss", "depth", "classes"])
         rows.writerows([row.epoch, f"{row.loss:.6g}", f"{row.depth:.6g}", f"{row.classes:.6g}"] for row in curve)
     shutil.rmtree(kept, ignore_errors=True)
-    frames = sum(supervision["frames_per_drive"].values())
+    frames = sum(trained_on["frames_per_drive"].values())
     print(
         f"encoder: {settings.backbone}, {config['parameters']:,} parameters, "
         + (f"fitted on {frames} frames of {len(drives)} drives" if curve else "weights used as they are")
         + (f", starting from {', '.join(source.path for source in sources)}" if sources and curve else ""),
         flush=True,
     )
+    return out
 
 
-def _build(backbone: str, params: Path, key: str) -> Any:
-    from models.encoder.unified_encoder import UnifiedEncoder
+def _fit(model: Any, settings: Encoder, weights: list[Source], ingest: Path, drives: list[str], kept: Path) -> Fitted:
+    """Fit what something teaches. Returns the curve, and what config.json says of the frames."""
+    import torch
 
-    try:
-        return UnifiedEncoder(backbone)
-    except ValueError as error:
-        raise InputError(f"{params}: {key}: {error}") from error
+    from pipeline.encoder import fit, teach
+    from pipeline.encoder.examples import Examples
 
-
-def _unnamed(model: Any, weights: Setting, parts: Sequence[str]) -> str | None:
-    """The first of `parts` that has something to fit and that no file fills; a checkpoint fills all."""
-    if isinstance(weights, str):
-        return None
-    unnamed = (part for part in parts if part not in (weights or {}))
-    return next((part for part in unnamed if any(True for _ in getattr(model, part).parameters())), None)
-
-
-def _keep(model: Any, head: str, settings: Encoder, truth: str, source: str, params: Path) -> None:
-    """Without any truth to fit a head to, the head must stay, and be good as it is, with the backbone that it reads."""
-    from models.encoder.ground_depth import GroundDepth
-
-    getattr(model, head).requires_grad_(False)
-    part = _unnamed(model, settings.weights, (head, "backbone"))
-    if part == head and any(isinstance(module, GroundDepth) for module in getattr(model, head).modules()):
-        return  # flat ground under the classes, as long as nothing has fitted it
-    if part:
-        raise InputError(
-            f"{params}: no training drive has {truth}, and encoder.weights names no {part}: "
-            f"name a fitted one there, or add {source}"
+    teacher, taught_by = None, list[Source]()
+    if given := settings.teacher:
+        teacher, taught_by = teach.load_teacher(given.backbone, given.weights, given.key)
+    hashes = [source.sha256 for source in (*weights, *taught_by)]
+    files = [ingest / f"{drive}.h5" for drive in drives]
+    key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
+    with Examples(ingest, drives, settings.frames) as examples:
+        lessons = teach.choose(model, settings.weights, examples.known, teacher=bool(teacher), frozen=settings.frozen)
+        print(f"encoder: {', '.join(f'{head} by {lesson}' for head, lesson in lessons.items())}", flush=True)
+        curve = fit.fit(
+            model.to("cuda" if torch.cuda.is_available() else "cpu"),
+            examples,
+            epochs=settings.epochs,
+            batch=settings.batch,
+            learning_rate=settings.learning_rate,
+            seed=settings.seed,
+            kept=kept / f"{key}.pt",
+            teacher=teacher,
         )
-    if not settings.frozen:
-        print(
-            f"note: no training drive has {truth}: the {head} stays as it is on a backbone that moves. "
-            "encoder.frozen: true keeps what encoder.weights gives",
-            flush=True,
-        )
+        return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
 
 
-def _teacher(settings: Teacher | None, params: Path, device: str) -> tuple[Any, list[Source]]:
-    if settings is None:
-        return None, []
-    model = _build(settings.backbone, params, "encoder.teacher.backbone")
-    part = _unnamed(model, settings.weights, ("backbone", "class_head"))
-    if part:
-        raise InputError(f"{params}: encoder.teacher.weights names no {part}, and nothing fits a teacher: name one")
-    sources = fill(model, settings.backbone, settings.weights, "encoder.teacher.weights")
-    return model.to(device).eval().requires_grad_(False), sources
-
-
-def _take_precomputed(settings: Encoder, out: Path) -> None:
+def _take_precomputed(settings: Encoder, out: Path) -> Path:
     files, fingerprint = precomputed.fingerprint(Path(str(settings.weights)))
     config = settings.model_dump(mode="json") | {"files": files, "fingerprint": fingerprint}
     store.write_json(out / "config.json", config)
     print(f"encoder: {files} precomputed files in {settings.weights}", flush=True)
+    return out
 
 
 if __name__ == "__main__":

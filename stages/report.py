@@ -1,39 +1,53 @@
-"""Put the evaluated models side by side: data/report/{table.md, table.csv}."""
+"""Put the evaluated models side by side: data/report/{table.md, table.csv, metrics.json, learning/, steering/}."""
 
 import csv
 from pathlib import Path
 
 from pipeline.base import console, store
+from pipeline.base.atomic import replacing
 from pipeline.base.params import names
-from pipeline.report import perception_table as score_card
-from pipeline.report import tables
+from pipeline.report.tables import curves, metrics, perception_table, steering_table
 
 
 def main(
     evaluate: Path = Path("data/evaluate"),
     out: Path = Path("data/report"),
     params: Path = Path("params.yaml"),
-    perception: Path = Path("data/perception"),
-) -> None:
-    """Write each model of the params file on the test drives, the trivial predictors, and what depth is worth."""
-    results, absent = [], []
-    for model in names("models", params):
-        if (evaluate / model / "metrics.json").is_file():
-            results.append(store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}"))
-        else:
-            absent.append(model)
-    text = tables.markdown(results, absent)
-    scores = perception / "metrics.json"
-    if scores.is_file():  # a machine that only trains may lack it
-        text += "\n" + score_card.markdown(store.read_json(scores, stage="perception"))
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "table.md").write_text(text, encoding="utf-8")
-    with (out / "table.csv").open("w", newline="", encoding="utf-8") as file:
-        rows = tables.rows(results)
+    scores: Path = Path("data/scores"),
+    train: Path = Path("data/train"),
+) -> Path:
+    """Write each model of the params file on the test drives, the trivial predictors, and what depth is worth.
+
+    Beside the table, the same for DVC's own views: flat figures, learning curves, driven and predicted steering.
+    Models that are not evaluated here are named. Returns `out`.
+    """
+    models = names("models", params)
+    here = [model for model in models if (evaluate / model / "metrics.json").is_file()]
+    results = steering_table.in_order(
+        [store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}") for model in here]
+    )
+    # A machine that only trains may have no scores of the encoder.
+    known = (scores / "metrics.json").is_file()
+    encoder = store.read_json(scores / "metrics.json", stage="scores") if known else None
+
+    text = steering_table.markdown(results, absent=[model for model in models if model not in here])
+    if encoder:
+        text += "\n" + perception_table.markdown(encoder)
+    with replacing(out / "table.md") as tmp:
+        tmp.write_text(text, encoding="utf-8")
+    with replacing(out / "table.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+        rows = steering_table.rows(results)
         table = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
+    store.write_json(out / "metrics.json", metrics.figures(results, encoder))
+    for folder in ("learning", "steering"):  # DVC misses an out that is not there, be it empty
+        (out / folder).mkdir(exist_ok=True)
+    for model in here:
+        curves.write_learning(train / model, out / "learning")
+        curves.write_steering(evaluate / model, out / "steering")
     print(text)
+    return out
 
 
 if __name__ == "__main__":

@@ -5,10 +5,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from models.encoder.heads import MAX_DEPTH_M, MIN_DEPTH_M
+from pipeline.camera.classes import GROUND
+from pipeline.camera.mount import CAMERA_HEIGHT_M
 
-CAMERA_HEIGHT_M = 1.65  # KITTI's, and the sample's
-GROUND = (0, 1, 9)  # road, sidewalk, terrain
-MAX_GROUND_M = 80.0
+MAX_GROUND_M = 80.0  # nearer to the horizon, a pixel is many metres
 WIDTH = 32
 DROPPED = 0.2  # share of the features left out in training: frames of one place know it by heart
 MAX_CORRECTION = 0.7  # of the logarithm: half as far to twice as far
@@ -39,7 +39,7 @@ class GroundDepth(nn.Module):
         rays = F.pad(rays, (0, 2 * w - width, 0, 2 * h - height), mode="replicate")  # [B,2,2h,2w]
         with torch.no_grad():
             enlarged = F.interpolate(logits, (2 * h, 2 * w), mode="bilinear", align_corners=True)
-            flat = ground_plane_depth(enlarged.argmax(dim=1), rays)  # [B,2h,2w]
+            flat = ground_plane_depth(enlarged.argmax(dim=1), rays[:, 1], CAMERA_HEIGHT_M)  # [B,2h,2w]
             assumed = torch.cat([torch.log(flat)[:, None] / 4, 3 * rays[:, 1:]], dim=1)  # about -1 to 1
         x = self.seen(features) + self.assumed(torch.cat([logits.softmax(dim=1), F.avg_pool2d(assumed, 2)], dim=1))
         correction = F.pixel_shuffle(self.layers(x), 2)[:, 0].float()  # [B,2h,2w]
@@ -47,17 +47,18 @@ class GroundDepth(nn.Module):
         return depth[..., :height, :width]
 
 
-def ground_plane_depth(cls: Tensor, rays: Tensor) -> Tensor:
-    """Return the depth [B,H,W] in metres of flat ground, and of what stands on it.
+def ground_plane_depth(cls: Tensor, slope: Tensor, camera_height_m: float) -> Tensor:
+    """Return the depth [B,H,W] in metres of flat ground, and of what stands on it; in the precision of `slope`.
 
-    What is no ground is as far as the nearest ground below it in its column, or where the image ends.
+    Ground has Z = f·h/(v - c_y). What is no ground is as far as the nearest ground below it in its column, or where the
+    image ends; the sky has a number, too.
 
     Args:
-        cls: trainIds [B,H,W].
-        rays: slopes x/z and y/z [B,2,H,W] of a level camera's pixels; y/z is the same along a row.
+        cls: trainIds int64 [B,H,W].
+        slope: y/z [B,H,W] of a level camera's pixels, the same along a row.
+        camera_height_m: of the camera over the ground.
     """
-    slope = rays[:, 1].clamp(min=CAMERA_HEIGHT_M / MAX_DEPTH_M)  # [B,H,W]
-    plane = CAMERA_HEIGHT_M / slope
+    plane = camera_height_m / slope.clamp(min=camera_height_m / MAX_DEPTH_M)  # [B,H,W]
     ground = torch.isin(cls, cls.new_tensor(GROUND)) & (plane < MAX_GROUND_M)
     height = cls.shape[-2]
     rows = torch.arange(height, device=cls.device)[:, None].expand_as(cls)

@@ -7,8 +7,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from models.encoder.backbones import Part
+from pipeline.camera import classes
 
-CLASSES = 19
 MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
 
 
@@ -33,7 +33,7 @@ class CellClasses(Part):
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()
-        self.layer = nn.Conv2d(channels, stride**2 * CLASSES, 1)
+        self.layer = nn.Conv2d(channels, stride**2 * classes.COUNT, 1)
         self.stride = stride
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:

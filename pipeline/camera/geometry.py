@@ -63,3 +63,8 @@ def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.nda
     depth = np.full(size, np.inf)
     np.minimum.at(depth, (pixel[:, 1], pixel[:, 0]), z)
     return np.where(np.isinf(depth), 0.0, depth)
+
+
+def scan_depth(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return :func:`depth_image`, float32, of a LiDAR scan [P,≥3], velodyne x, y, z in metres first."""
+    return depth_image(transform(T_cam_velo, scan[:, :3].astype(np.float64)), K, size).astype(np.float32)

@@ -13,10 +13,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, explained
 from pipeline.camera import classes
-from pipeline.encoder.examples import Supervision, augment
-from pipeline.encoder.perceive import likeliest
+from pipeline.encoder.examples import Examples, augment
 from pipeline.fitting import checkpoint
 from pipeline.fitting.schedule import warm_up_cosine
 
@@ -41,7 +40,7 @@ class EpochLoss:
 
 def fit(
     model: nn.Module,
-    examples: Supervision,
+    examples: Examples,
     *,
     epochs: int,
     batch: int,
@@ -61,7 +60,8 @@ def fit(
     optimiser = torch.optim.AdamW([p for p in model.parameters() if p.requires_grad], weight_decay=WEIGHT_DECAY)
     curve: list[EpochLoss] = []
     if kept.is_file():
-        state = checkpoint.read(kept, KIND, f"Delete {kept} to start again")
+        with explained(hint=f"Delete {kept} to start again"):
+            state = checkpoint.read(kept, KIND)
         model.load_state_dict(state["net"])
         optimiser.load_state_dict(state["optimiser"])
         curve = [EpochLoss(**row) for row in state["curve"]]
@@ -110,20 +110,6 @@ def fit(
     return curve
 
 
-def class_teacher(model: nn.Module) -> Teacher:
-    """Return a teacher that gives a frame without any class truth the classes that `model` sees in it."""
-
-    def teach(image: Tensor, K: Tensor, cls: Tensor) -> Tensor:
-        untold = (cls == classes.VOID).flatten(1).all(dim=1)  # [B]
-        if untold.any():
-            with torch.no_grad():
-                cls = cls.clone()
-                cls[untold] = likeliest(model(image[untold], K[untold])[1])
-        return cls
-
-    return teach
-
-
 def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, true_cls: Tensor) -> Tensor:
     """Return [depth loss, cross-entropy], each a mean over the pixels that have a truth; zero for the one without any.
 
@@ -143,7 +129,7 @@ def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, 
     return torch.stack([depth_loss, class_loss])
 
 
-def _batches(examples: Supervision, batch: int, rng: np.random.Generator) -> Iterator[tuple[Tensor, ...]]:
+def _batches(examples: Examples, batch: int, rng: np.random.Generator) -> Iterator[tuple[Tensor, ...]]:
     order = rng.permutation(len(examples))
     for start in range(0, len(order), batch):
         chosen = [augment(examples[int(i)], rng) for i in order[start : start + batch]]

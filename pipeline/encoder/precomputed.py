@@ -1,17 +1,26 @@
 """Depth and classes that were made elsewhere: PNG files by drive and frame number."""
 
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.base.pool import file_hash
+from pipeline.base.resume import file_hash
 from pipeline.camera import classes
-from pipeline.camera.images import read_classes, read_depth
+from pipeline.camera.images import read_classes, read_depth, to_metres
 
 BACKBONE = "precomputed"
 LAYOUT = "DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/cls/0000000000.png (8 bit, trainIds)"
+
+
+def named_in(encoder: Path) -> Path | None:
+    """Return the folder that stage encoder was told to take depth and classes from, if so; `encoder` is its own."""
+    config = encoder / "config.json"
+    content = store.read_json(config, stage="encoder") if config.is_file() else {}
+    return Path(content["weights"]) if content.get("backbone") == BACKBONE else None
 
 
 def find(folder: Path) -> list[Path]:
@@ -34,15 +43,21 @@ def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[n
 
     The files may have any size, of the whole image; pixels are picked for `size` (H, W).
 
-    Raises InputError if a file is missing, damaged, of other pixels, or has numbers that are no class.
+    Raises InputError if a file is missing, damaged, of other pixels, or has numbers that are not classes.
     """
     paths = [folder / drive / kind / f"{frame:010d}.png" for kind in ("depth", "cls")]
     for path in paths:
         if not path.is_file():
             raise InputError(f"{path} is missing: backbone {BACKBONE} needs it for each image, as {LAYOUT}")
-    depth = read_depth(paths[0], None, size).astype(np.float32) / 256
+    depth = to_metres(read_depth(paths[0], None, size)).astype(np.float32)
     cls = read_classes(paths[1], None, size)
     unknown = np.setdiff1d(cls, [*range(classes.COUNT), classes.VOID])
     if unknown.size:
         raise InputError(f"{paths[1]} has class number {unknown[0]}: trainIds are 0 to {classes.COUNT - 1}, or 255")
     return depth, cls
+
+
+def read_all(folder: Path, drive: str, frames: Iterable[int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return :func:`read` of several frames, [B,H,W] each."""
+    depth_m, cls = zip(*(read(folder, drive, frame, size) for frame in frames), strict=True)
+    return np.stack(depth_m), np.stack(cls)

@@ -1,79 +1,36 @@
-"""Weights of the unified encoder: this project's checkpoints, and the files that others publish for its parts."""
+"""What others fitted for the unified encoder: files named by path, or by address and SHA-256.
 
-from collections.abc import Mapping
+A file is looked for on this machine first, fetched once, and verified always.
+"""
+
+import http.client
+import re
+import socket
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.errors import InputError
-from pipeline.encoder.download import find
+from pipeline.base.errors import InputError, explained
+from pipeline.base.resume import file_hash
 from pipeline.fitting import checkpoint
 
-KIND = "unified encoder"
+SHA256 = re.compile(r"[0-9a-fA-F]{64}")
+CACHE = Path("weights")
+TIMEOUT_S = 30
 Setting = str | Mapping[str, str] | None
 """A checkpoint of this project, or a published file for each of some parts, or nothing."""
 WRAPPERS = ("state_dict", "model")  # what published files call their tensors, where they hold more than these
 
 
 @dataclass(frozen=True)
-class Weights:
-    """A checkpoint: where it lay, the backbone it is for, and the network's tensors by name."""
-
-    path: Path
-    backbone: str
-    state: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
 class Source:
-    """A file that weights came from, as found, and the part of the encoder it filled; "all" for a whole checkpoint."""
+    """A file that weights came from, and the part of the encoder that it filled; "all" for a whole checkpoint."""
 
     part: str
     path: str
     sha256: str
-
-
-def write_weights(path: Path, backbone: str, state: Mapping[str, Any]) -> None:
-    """Write a checkpoint in one step: tensors and plain values only."""
-    import torch
-
-    # Strides are part of the file: a clone forgets whether the network ran with channels last.
-    tensors = {
-        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in state.items()
-    }
-    checkpoint.write(path, {"kind": KIND, "backbone": backbone, "net": tensors})
-
-
-def read_weights(path: Path, mend: str) -> Weights:
-    """Read a checkpoint of :func:`write_weights`; `mend` ends the messages: what to do if it is none.
-
-    Raises InputError if it is missing, cut short or no checkpoint of a unified encoder.
-    """
-    content = checkpoint.read(path, KIND, mend)
-    if not isinstance(content.get("backbone"), str) or not _is_state(content.get("net")):
-        raise InputError(f"{path} lacks the backbone's name or the network's tensors. {mend}")
-    return Weights(path, content["backbone"], content["net"])
-
-
-def read_published(path: Path, mend: str) -> dict[str, Any]:
-    """Return the tensors by name of a plain state dict, alone in its file or beside settings of its training.
-
-    Raises InputError if the file is cut short, or holds code, or no tensors.
-    """
-    content = checkpoint.load(path, mend)
-    candidates = [content, *(content.get(name) for name in WRAPPERS)] if isinstance(content, dict) else []
-    for state in candidates:
-        if _is_state(state) and state:
-            return dict(state)
-    raise InputError(f"{path} is no plain state dict, tensors by name. {mend}")
-
-
-def _is_state(value: Any) -> bool:
-    import torch
-
-    return isinstance(value, dict) and all(
-        isinstance(name, str) and isinstance(tensor, torch.Tensor) for name, tensor in value.items()
-    )
 
 
 def files(setting: Setting, key: str) -> dict[str, str]:
@@ -83,31 +40,125 @@ def files(setting: Setting, key: str) -> dict[str, str]:
     return {f"{key}.{part}": file for part, file in (setting or {}).items()}
 
 
+def locate(file: str, key: str) -> Path:
+    """Return where a file of a setting lies, or will once :func:`find` has fetched it; nothing is read.
+
+    Raises InputError if the file is missing and nothing would be fetched.
+    """
+    name, _, wanted = file.partition("#sha256=")
+    if wanted and not SHA256.fullmatch(wanted):
+        raise InputError(f"{key} = {file}: a SHA-256 has 64 hexadecimal digits. sha256sum prints it")
+    is_url = name.startswith(("https://", "http://", "file://"))
+    path = CACHE / name.rsplit("/", 1)[-1] if is_url else Path(name)
+    if path.is_dir() or path == CACHE:
+        raise InputError(f"{key}: {name} is a folder. Name a file")
+    if not path.exists() and not is_url:
+        raise InputError(f"{key}: {name} is missing. Put the file there, or name another one")
+    if not path.exists() and not wanted:
+        raise InputError(
+            f"{key}: {path} is missing, and without #sha256=HEX nothing is fetched. "
+            f"Put the file there: curl --create-dirs -L -o {path} {name}"
+        )
+    return path
+
+
+def find(file: str, key: str) -> tuple[Path, str]:
+    """Return path and SHA-256 of a file of a setting: ``PATH`` or ``URL``, with ``#sha256=HEX`` or without.
+
+    A URL is looked for in the folder ``weights`` under its last part, and fetched to there if a hash says what it must
+    be. `key` is the setting's name in params.yaml.
+
+    Raises InputError if the file is missing and cannot be fetched, or is another one than the hash says.
+    """
+    path = locate(file, key)
+    name, _, wanted = file.partition("#sha256=")
+    wanted = wanted.lower()
+    if not path.exists():
+        _fetch(name, path, wanted, key)
+    sha256 = file_hash(path)
+    if wanted and sha256 != wanted:
+        raise InputError(
+            f"{key}: {path} has the SHA-256 {sha256}, not {wanted}: it is damaged or another file. "
+            "Delete it to get it again, or correct the hash"
+        )
+    return path, sha256
+
+
+def _fetch(url: str, path: Path, wanted: str, key: str) -> None:
+    from torch.hub import download_url_to_file
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unlimited = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(TIMEOUT_S)  # torch sets none, and would wait for a silent server for ever
+    try:
+        download_url_to_file(url, str(path), hash_prefix=wanted, progress=sys.stderr.isatty())
+    # A wrong hash is a RuntimeError; URLError and timeouts are OSErrors; bad addresses and lengths are ValueErrors or
+    # HTTPExceptions.
+    except (RuntimeError, OSError, ValueError, http.client.HTTPException) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{key}: {path} is missing and {url} cannot be fetched ({reason}). "
+            "Correct address or hash, or get it elsewhere and put it there"
+        ) from error
+    finally:
+        socket.setdefaulttimeout(unlimited)
+
+
+def read_published(path: Path) -> dict[str, Any]:
+    """Return the tensors by name of a plain state dict, alone in its file or beside settings of its training.
+
+    Raises InputError if the file is cut short, or holds code, or no tensors.
+    """
+    from pipeline.encoder.perceive import is_state
+
+    content = checkpoint.load(path)
+    candidates = [content, *(content.get(name) for name in WRAPPERS)] if isinstance(content, dict) else []
+    for state in candidates:
+        if is_state(state) and state:
+            return dict(state)
+    raise InputError(f"{path} is not a plain state dict, tensors by name")
+
+
 def fill(model: Any, backbone: str, setting: Setting, key: str) -> list[Source]:
     """Fill a unified encoder's parts as a setting says; return the files that were used.
 
     Args:
         model: a torch module with the children backbone, depth_head and class_head.
         backbone: what kind it is.
-        setting: its files, each a path or URL as :func:`pipeline.encoder.download.find` takes them.
+        setting: its files, each a path or URL as :func:`find` takes them.
         key: the setting's name in params.yaml, for messages.
 
     Raises InputError if a file is missing, is not what its hash says, or does not fit the network one by one.
     """
-    mend = f"Name another file in {key}"
-    if setting is None:
-        return []
+    hint = f"Name another file in {key}"
     if isinstance(setting, str):
-        path, sha256 = find(setting, key)
-        weights = read_weights(path, f"{mend}; a published file is named by part: {key}: {{backbone: {path}}}")
-        if weights.backbone != backbone:
-            raise InputError(f"{path} holds backbone {weights.backbone!r}, {backbone!r} is asked for. {mend}")
-        checkpoint.load_state(model, weights.state, path, mend)
-        return [Source("all", str(path), sha256)]
+        return [_fill_all(model, backbone, setting, key, hint)]
     sources = []
-    for name, file in setting.items():
+    for name, file in (setting or {}).items():
         path, sha256 = find(file, f"{key}.{name}")
         part = getattr(model, name)
-        checkpoint.load_state(part, part.own_names(read_published(path, mend)), path, mend)
+        with explained(hint=hint):
+            checkpoint.load_state(part, part.own_names(read_published(path)), path)
         sources.append(Source(name, str(path), sha256))
     return sources
+
+
+def _fill_all(model: Any, backbone: str, file: str, key: str, hint: str) -> Source:
+    from pipeline.encoder import perceive
+
+    path, sha256 = find(file, key)
+    with explained(hint=f"{hint}; a published file is named by part: {key}: {{backbone: {path}}}"):
+        weights = perceive.read(path)
+    with explained(hint=hint):
+        if weights.backbone != backbone:
+            raise InputError(f"{path} holds backbone {weights.backbone!r}, {backbone!r} is asked for")
+        checkpoint.load_state(model, weights.state, path)
+    return Source("all", str(path), sha256)
+
+
+def unnamed(model: Any, setting: Setting, parts: Sequence[str]) -> str | None:
+    """Return the first of `parts` that has something to fit and that no file fills; a checkpoint fills all."""
+    if isinstance(setting, str):
+        return None
+    candidates = (part for part in parts if part not in (setting or {}))
+    return next((part for part in candidates if any(True for _ in getattr(model, part).parameters())), None)

@@ -1,13 +1,18 @@
 """Scores of predicted depth and classes against a truth."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from pipeline.camera import classes
+from pipeline.encoder.truth import Truth
+from pipeline.perception.depth_scale import Scale
+from pipeline.perception.ground_plane import ground_plane_depth
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
+_DEPTH_SUMS = ("frames", *DEPTH_ERRORS, "covered", "known")  # of pixels: with a prediction, with a truth
 # The encoder's depth, and the flat ground's beside it, each against dense truth and against LiDAR; each over the whole
 # image and, as KEY_eigen, over Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
@@ -21,7 +26,7 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
     also clip the prediction to the range). Both arguments are metres, [H,W]; 0 is unknown, so where the prediction is 0
     (a hole, not a distance) it is not scored.
     """
-    valid = (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M) & (predicted_m > 0)
+    valid = in_range(truth_m) & (predicted_m > 0)
     if not valid.any():
         return None
     truth = truth_m[valid].astype(np.float64)
@@ -29,6 +34,11 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
     error = np.abs(predicted - truth)
     ratio = np.maximum(predicted / truth, truth / predicted)
     return np.array([(error / truth).mean(), np.sqrt((error**2).mean()), (ratio < 1.25).mean()])
+
+
+def in_range(truth_m: np.ndarray) -> np.ndarray:
+    """Return where a true depth is scored: 1 to 80 m."""
+    return (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M)
 
 
 def eigen_crop(image: np.ndarray) -> np.ndarray:
@@ -74,23 +84,44 @@ def pixel_accuracy(matrix: np.ndarray) -> float:
 class Scores:
     """Depth and class scores of many frames: sums that can be written as JSON and added up over drives.
 
-    Depth errors are means over images of :func:`depth_errors`; classes are scored on all pixels together.
+    Depth errors are means over images of :func:`depth_errors`; coverage and classes are counted on all pixels together.
     """
 
     def __init__(self) -> None:
         keys = [key + crop for key in DEPTH_SCORES for crop in ("", "_eigen")]
-        self.depth = {key: (0, np.zeros(len(DEPTH_ERRORS))) for key in keys}
+        self.depth = {key: np.zeros(len(_DEPTH_SUMS)) for key in keys}
         self.class_frames = 0
         self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
+
+    def add_frame(
+        self, depth: np.ndarray, cls: np.ndarray, K: np.ndarray, truth: Truth, scale: Scale, camera_height_m: float
+    ) -> None:
+        """Count what is known of a frame: its classes, its depth, and flat ground where it has a depth.
+
+        Args:
+            depth: as stored [H,W], in the unit of `scale`, 0 where there is none.
+            cls: trainIds [H,W].
+            K: intrinsics [3,3].
+            truth: of the same frame.
+            scale: how depth came to its unit.
+            camera_height_m: of the camera over the ground.
+        """
+        if truth.depth_source:
+            flat_m = np.where(depth > 0, ground_plane_depth(cls, K, camera_height_m), 0)
+            depth_m = depth * scale.scoring_factor(depth, truth.depth_m)
+            self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
+            self.add_depth(f"ground_plane_{truth.depth_source}", flat_m, truth.depth_m)
+        if truth.has_cls:
+            self.add_classes(cls, truth.cls)
 
     def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
         """Count a frame's depth [H,W] against a truth under a key of DEPTH_SCORES, if it has a valid pixel."""
         whole, crop = (predicted_m, truth_m), (eigen_crop(predicted_m), eigen_crop(truth_m))
         for name, (predicted, truth) in ((key, whole), (f"{key}_eigen", crop)):
+            known = in_range(truth)
             errors = depth_errors(predicted, truth)
-            if errors is not None:
-                frames, sums = self.depth[name]
-                self.depth[name] = (frames + 1, sums + errors)
+            frame = (0, 0, 0, 0) if errors is None else (1, *errors)
+            self.depth[name] += [*frame, (known & (predicted > 0)).sum(), known.sum()]
 
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
         """Count a frame's classes [H,W]."""
@@ -100,24 +131,27 @@ class Scores:
     def sums(self) -> dict[str, Any]:
         """Return everything as JSON-able numbers, for :meth:`add_sums` of another one."""
         return {
-            "depth": {key: [frames, sums.tolist()] for key, (frames, sums) in self.depth.items()},
+            "depth": {key: sums.tolist() for key, sums in self.depth.items()},
             "class_frames": self.class_frames,
             "confusion": self.confusion.tolist(),
         }
 
     def add_sums(self, sums: dict[str, Any]) -> None:
-        for key, (frames, errors) in sums["depth"].items():
-            own_frames, own = self.depth[key]
-            self.depth[key] = (own_frames + frames, own + np.array(errors))
+        """Add what :meth:`sums` of another one returned."""
+        for key, values in sums["depth"].items():
+            self.depth[key] += values
         self.class_frames += sums["class_frames"]
         self.confusion += np.array(sums["confusion"])
 
     def report(self) -> dict[str, Any]:
         """Return the scores: DEPTH_SCORES, whole and cropped, and classes; null where no frame has the truth."""
         scores: dict[str, Any] = {}
-        for key, (frames, sums) in self.depth.items():
-            means = dict(zip(DEPTH_ERRORS, (sums / frames).tolist(), strict=True)) if frames else {}
-            scores[key] = {"frames": frames, **means} if frames else None
+        for key, (frames, *errors, covered, known) in self.depth.items():
+            scores[key] = {
+                "frames": int(frames),
+                **{name: float(error / frames) for name, error in zip(DEPTH_ERRORS, errors, strict=True)},
+                "coverage": float(covered / known),
+            } if frames else None  # fmt: skip
         ious = class_ious(self.confusion)
         present = {name: float(iou) for name, iou in zip(classes.NAMES, ious, strict=True) if not np.isnan(iou)}
         scores["classes"] = {
@@ -127,3 +161,16 @@ class Scores:
             "iou": present,
         } if present else None  # fmt: skip
         return scores
+
+
+def summary_line(report: Mapping[str, Any]) -> str:
+    """Return a line for the log about a :meth:`Scores.report`."""
+    parts = [
+        f"depth abs rel {depth['abs_rel']:.3f} (flat ground {report[f'ground_plane_{source}']['abs_rel']:.3f}), "
+        f"RMSE {depth['rmse_m']:.2f} m, δ1 {depth['delta1']:.3f} against {source}, coverage {depth['coverage']:.1%}"
+        for source in ("dense", "lidar")
+        if (depth := report[f"depth_{source}"])
+    ]
+    if report["classes"]:
+        parts.append(f"mean IoU {report['classes']['mean_iou']:.3f} of {len(report['classes']['iou'])} classes")
+    return ", ".join(parts) or "no truth to score against"

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from pipeline.base.params import Count, Positive, Section
+from pipeline.camera.mount import CAMERA_HEIGHT_M
 
 DepthScale = Literal["metric", "camera_height", "lidar_median", "none"]
 
@@ -16,5 +17,5 @@ class Perception(Section):
         DepthScale,
         Field(description="where metres come from: the network, the camera's height over the road, LiDAR, nowhere"),
     ] = "metric"
-    camera_height_m: Positive = 1.65
+    camera_height_m: Positive = CAMERA_HEIGHT_M
     precision: Literal["auto", "bfloat16", "float32"] = "auto"

@@ -10,7 +10,7 @@ import yaml
 from pipeline.base import provenance
 from pipeline.base.errors import InputError
 from pipeline.encoder import download, weights
-from pipeline.report.tables import PAPER
+from pipeline.report.tables.paper import PAPER
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,11 +13,12 @@ from torch import Tensor, nn
 
 from models.encoder.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts
 from models.encoder.ground_depth import GroundDepth
+from pipeline.camera import classes
 
 CHANNELS = {1.0: (32, 64, 128, 256), 2.0: (32, 128, 256, 512)}  # at 1/2, 1/4, 1/8 and 1/16 of the image
 DECODED = (64, 48, 32)  # the decoder's channels at 1/16, 1/8 and 1/4, each then brought to twice the size
 STRIDE = 16
-LOGITS = 20  # Cityscapes' 19 classes and background
+LOGITS = classes.COUNT + 1  # Cityscapes' 19 classes and background
 BRANCHES = 4
 PYRAMID = (2.0, 1.5, 1.0, 0.5, 0.1)  # scales of the pyramid pooling
 

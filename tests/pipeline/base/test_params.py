@@ -110,11 +110,17 @@ def test_a_wrong_value_is_named(tmp_path: Path, key: str, value: Any, message: s
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [("a: [1, 2", "is no YAML"), ("", "holds no sections"), ("- 1\n- 2\n", "holds no sections")]
+    ("content", "message"),
+    [
+        (b"a: [1, 2", "is not valid YAML"),
+        (b"town: \xff", "is not valid YAML"),
+        (b"", "holds no sections"),
+        (b"- 1\n- 2\n", "holds no sections"),
+    ],
 )
-def test_files_that_are_none(tmp_path: Path, text: str, message: str) -> None:
+def test_files_that_are_none(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "params.yaml"
-    path.write_text(text)
+    path.write_bytes(content)
     with pytest.raises(InputError, match=message):
         params.load(Train, path)
     with pytest.raises(InputError, match="is missing: run from the repository's root"):
@@ -128,3 +134,31 @@ def test_entries_of_mappings() -> None:
     assert params.load_entry(Model, "models", "sa-gnn-ncp", path).semantics == 1.0
     with pytest.raises(InputError, match=r"models has no 'sa-gnn-ncq': did you mean .*sa-gnn-ncp"):
         params.load_entry(Model, "models", "sa-gnn-ncq", path)
+
+
+@pytest.mark.parametrize("name", ["a", "A-9_b", "50k", "0", "x" * 99])
+def test_names_that_dvc_and_shells_take(tmp_path: Path, name: str) -> None:
+    path = edited(tmp_path, "graphs", {name: {"cloud": "pseudo", "points": 9, "k": 2}})
+    assert params.names("graphs", path) == [name]
+    assert params.load_entry(Variant, "graphs", name, path).k == 2
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "a.b", "a@b", "a b", "a/b", "/a", "-a", "_a", "x;touch pwned", "$(x)", "ä", "a\n", 7, True]
+)
+@pytest.mark.parametrize("mapping", ["graphs", "models"])
+def test_other_names_are_refused(tmp_path: Path, mapping: str, name: Any) -> None:
+    original = yaml.safe_load((ROOT / "params.yaml").read_text())[mapping]
+    path = edited(tmp_path, mapping, {**original, name: next(iter(original.values()))})
+    kind: Any = {"graphs": Variant, "models": Model}[mapping]
+    for read in (
+        lambda: params.names(mapping, path),
+        lambda: params.load_entry(kind, mapping, name, path),
+        lambda: check.main(path),
+    ):
+        with pytest.raises(InputError) as error:
+            read()
+        for words in (str(path), mapping, repr(name), "letters", "digits, _ and -"):
+            assert words in str(error.value)
+        assert ("quotes" in str(error.value)) == (not isinstance(name, str))
+    assert [path.name for path in tmp_path.iterdir()] == ["params.yaml"]

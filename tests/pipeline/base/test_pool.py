@@ -1,19 +1,26 @@
 """Running over drives: whatever ends a run, what was finished is kept, and nothing is left half-done."""
 
+import errno
+import json
 import os
+import resource
+import shlex
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pipeline.base import progress
 from pipeline.base.errors import InputError
 from pipeline.base.pool import run_over_drives
+from pipeline.base.store import DriveWriter, write_index
 from tests.kitti_drive import contents
 
 DRIVES = ["a", "b", "c", "d"]
@@ -29,7 +36,7 @@ def work(drive: str, path: Path, log: Path, trouble: dict[str, str]) -> dict[str
         case "hang":
             (log.parent / "hanging").mkdir(exist_ok=True)
             (log.parent / "hanging" / str(os.getpid())).touch()
-            time.sleep(600)
+            wait_for((log.parent / "go").exists)
         case "fail":
             raise InputError(f"{drive} is damaged")
         case "later":
@@ -57,6 +64,7 @@ def finished(tmp_path: Path) -> dict[str, bytes]:
     return contents(tmp_path / "data/stage")
 
 
+HANG = {"b": "hang", "d": "hang"}  # until there is a file called go
 WHOLE = {f"{drive}.h5": f"content of {drive}".encode() for drive in DRIVES}
 
 
@@ -142,52 +150,208 @@ def test_targets_and_resume_folder_may_lie_elsewhere(tmp_path: Path) -> None:
     run(tmp_path, target=lambda drive: tmp_path / "data/stage" / drive / "x.bin", resume=tmp_path / "kept")
     assert sorted(finished(tmp_path)) == [f"{drive}/x.bin" for drive in DRIVES]
     assert not (tmp_path / "kept").exists()
+    assert not (tmp_path / "kept.lock").exists()
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGINT, 130)], ids=["kill", "ctrl-c"])
-def test_a_killed_run_resumes_and_leaves_no_process(tmp_path: Path, number: signal.Signals, status: int) -> None:
-    program = """
+def test_a_folder_may_be_a_link_to_another_file_system(tmp_path: Path) -> None:
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as elsewhere:
+        (tmp_path / "data").mkdir()
+        (tmp_path / "data/stage").symlink_to(elsewhere)
+        run(tmp_path)
+        assert contents(Path(elsewhere)) == WHOLE
+        assert (tmp_path / "data/stage").is_symlink()
+
+
+def test_only_what_an_earlier_run_wrote_is_removed(tmp_path: Path) -> None:
+    out = tmp_path / "data/stage"
+    own = dict.fromkeys(("own.h5", "own.txt", "a.png", "below/own.h5", "below/old.h5", ".own.h5.tmp"), b"my own")
+    for name, content in {**own, "a.h5": b"earlier", "old.h5": b"earlier"}.items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_bytes(content)
+    (tmp_path / "data/outside.h5").touch()
+    write_index(out, {"a": "train", "old": "train", "gone": "val", "../outside": "test"})
+    index = (out / "index.json").read_bytes()
+    run(tmp_path)
+    assert finished(tmp_path) == WHOLE | own | {"index.json": index}
+    assert (tmp_path / "data/outside.h5").exists()
+
+
+@pytest.mark.parametrize("index", ["", "[]", "{}", '{"drives": [7]}', '{"drives": null}'])
+def test_an_index_that_is_none_removes_nothing(tmp_path: Path, index: str) -> None:
+    out = tmp_path / "data/stage"
+    out.mkdir(parents=True)
+    (out / "index.json").write_text(index)
+    (out / "old.h5").write_text("earlier")
+    run(tmp_path)
+    assert finished(tmp_path) == WHOLE | {"index.json": index.encode(), "old.h5": b"earlier"}
+
+
+def test_an_index_of_each_kind_counts_for_its_folder(tmp_path: Path) -> None:
+    """As stage clouds has them: its drives are called pseudo/a, lidar/a, …"""
+    out = tmp_path / "data/stage"
+    for kind in ("x", "y"):
+        write_index(out / kind, {"a": "train", f"old-{kind}": "train"})
+        for drive in ("a", "old-x", "old-y"):
+            (out / kind / f"{drive}.h5").touch()
+    run(tmp_path, target=lambda drive: out / ("x" if drive in "ab" else "y") / f"{drive}.h5")
+    names = [str(path.relative_to(out)) for path in sorted(out.glob("*/*.h5"))]
+    assert names == ["x/a.h5", "x/b.h5", "x/old-y.h5", "y/c.h5", "y/d.h5", "y/old-x.h5"]
+
+
+def test_other_stages_keep_what_waits_for_their_next_run(tmp_path: Path) -> None:
+    other = tmp_path / "data/.resume/stage-2/key.h5"
+    other.parent.mkdir(parents=True)
+    other.touch()
+    run(tmp_path)
+    assert list((tmp_path / "data/.resume").rglob("*")) == [other.parent, other]
+
+
+def overflow(drive: str, path: Path) -> dict[str, Any]:
+    """Write a large file where no file may be so large, as on a full disk."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+    with DriveWriter(path, stage="ingest", drive=drive, params={}) as file:
+        file.put("image", np.random.default_rng(0).integers(0, 256, (9, 300, 400), np.uint8))
+    return {}
+
+
+@pytest.mark.slow
+def test_a_full_disk_in_a_worker_is_an_oserror_with_the_file(tmp_path: Path) -> None:
+    out = tmp_path / "stage"
+    with pytest.raises(OSError, match=str(tmp_path)) as error:
+        run_over_drives(
+            overflow, DRIVES, module="pipeline.base.store", out=out, inputs=lambda drive: [], settings={}, workers=2
+        )
+    assert error.value.errno == errno.EFBIG
+    assert Path(str(error.value.filename)).parent == tmp_path / ".resume/stage"
+    assert not list((tmp_path / ".resume/stage").iterdir())
+
+
+PROGRAM = """
 if __name__ == "__main__":
+    import json
     from pathlib import Path
-    from pipeline import console
-    from tests.pipeline.test_drives import run
+    from pipeline.base import console
+    from tests.pipeline.base.test_pool import run
 
-    def main(tmp_path: Path) -> None:
-        run(tmp_path, {"b": "hang", "d": "hang"}, workers=2)
+    def main(tmp_path: Path, trouble: str) -> None:
+        run(tmp_path, json.loads(trouble), workers=2)
 
     console.run(main)
 """
-    (tmp_path / "program.py").write_text(program)
+
+
+def command(tmp_path: Path, trouble: dict[str, str]) -> list[str]:
+    """Return the command of a stage that runs :func:`run` with two workers."""
+    (tmp_path / "program.py").write_text(PROGRAM)
+    return [sys.executable, str(tmp_path / "program.py"), str(tmp_path), json.dumps(trouble)]
+
+
+def environment(**variables: str) -> dict[str, str]:
     root = str(Path(__file__).resolve().parents[3])
-    process = subprocess.Popen(
-        [sys.executable, str(tmp_path / "program.py"), str(tmp_path)],
-        env=os.environ | {"PYTHONPATH": root},
+    return {name: value for name, value in os.environ.items() if name != "DVC_STAGE"} | {"PYTHONPATH": root} | variables
+
+
+def start(arguments: list[str], **options: Any) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        arguments,
+        env=environment(),
         start_new_session=True,
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored if the tests run in the background
+        **options,
     )
+
+
+def wait_until_it_hangs(tmp_path: Path) -> list[int]:
+    """Wait until two drives are finished and two hang; return the ids of the stage and of its workers."""
     kept = tmp_path / "data/.resume/stage"
-    _wait_for(lambda: len(list((tmp_path / "hanging").glob("*"))) == len(list(kept.glob("*.json"))) == 2)
-    if number == signal.SIGINT:
-        os.killpg(process.pid, number)  # a terminal sends Ctrl-C to the whole group
-    else:
-        process.send_signal(number)
-    _, errors = process.communicate(timeout=30)
+    hanging = tmp_path / "hanging"
+    wait_for(lambda: len(list(hanging.glob("*"))) == 2 and len(list(kept.glob("*.json"))) == 2)
+    workers = [int(path.name) for path in hanging.iterdir()]
+    parents = {int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1]) for pid in workers}
+    assert len(parents) == 1
+    return [*parents, *workers]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGINT, 130)], ids=["kill", "ctrl-c"])
+def test_a_killed_run_resumes_and_leaves_no_process(tmp_path: Path, number: signal.Signals, status: int) -> None:
+    with start(command(tmp_path, HANG)) as process:
+        pids = wait_until_it_hangs(tmp_path)
+        if number == signal.SIGINT:
+            os.killpg(process.pid, number)  # a terminal sends Ctrl-C to the whole group
+        else:
+            process.send_signal(number)
+        _, errors = process.communicate(timeout=30)
     assert process.returncode == status, errors
     if number == signal.SIGINT:
         assert errors.startswith("error: interrupted")
         assert errors.count("\n") == 1
-    workers = [int(path.name) for path in (tmp_path / "hanging").iterdir()]
-    assert len(workers) == 2
-    _wait_for(lambda: not any(_alive(pid) for pid in workers))
+    wait_for(lambda: not any(alive(pid) for pid in pids))
 
     run(tmp_path)
     assert calls(tmp_path) == ["b", "d"]
     assert finished(tmp_path) == WHOLE
 
 
-def _alive(pid: int) -> bool:
+FAKE_DVC = (
+    "import os, subprocess, sys; subprocess.run(['sh', '-c', sys.argv[1]], env=os.environ | {'DVC_STAGE': 's@x'})"
+)
+
+
+def by_dvc(arguments: list[str], then: str = "") -> list[str]:
+    """Return the command of something that runs `arguments` as DVC does, by a shell, which turns into what is last."""
+    return [sys.executable, "-c", FAKE_DVC, shlex.join(arguments) + then]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("then", ["", "; true"], ids=["the shell turns into it", "the shell stays"])
+def test_a_stage_ends_when_dvc_is_killed(tmp_path: Path, then: str) -> None:
+    with start(by_dvc(command(tmp_path, HANG), then)) as process:
+        pids = wait_until_it_hangs(tmp_path)
+        assert process.pid not in pids
+        process.kill()
+        process.wait()
+        wait_for(lambda: not any(alive(pid) for pid in pids))
+
+    run(tmp_path)
+    assert calls(tmp_path) == ["b", "d"]
+    assert finished(tmp_path) == WHOLE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dvc", [False, True], ids=["by hand", "by DVC"])
+def test_a_run_in_the_background_outlives_its_shell(tmp_path: Path, dvc: bool) -> None:
+    arguments = command(tmp_path, HANG)
+    arguments = by_dvc(arguments) if dvc else arguments
+    subprocess.run(["sh", "-c", f"nohup {shlex.join(arguments)} > {tmp_path}/output 2>&1 &"], env=environment())
+    pids = wait_until_it_hangs(tmp_path)
+    time.sleep(0.5)
+    assert all(alive(pid) for pid in pids)
+    (tmp_path / "go").touch()
+    wait_for(lambda: finished(tmp_path) == WHOLE)
+    wait_for(lambda: not any(alive(pid) for pid in pids))
+
+
+@pytest.mark.slow
+def test_a_second_run_on_the_same_folder_is_refused_and_harms_nothing(tmp_path: Path) -> None:
+    with start(command(tmp_path, HANG)) as first:
+        pids = wait_until_it_hangs(tmp_path)
+        second = subprocess.run(command(tmp_path, {}), env=environment(), capture_output=True, text=True)
+        assert second.returncode == 1
+        assert second.stderr.count("\n") == 1
+        for words in (str(tmp_path / "data/stage"), f"process {pids[0]}", f"kill {pids[0]}"):
+            assert words in second.stderr
+        (tmp_path / "go").touch()
+        _, errors = first.communicate(timeout=30)
+    assert first.returncode == 0, errors
+    assert calls(tmp_path) == [], "the second, which starts the log anew, called nothing"
+    assert finished(tmp_path) == WHOLE
+    assert not list((tmp_path / "data/.resume").iterdir())
+
+
+def alive(pid: int) -> bool:
     """A process that has ended but that nobody waited for (a zombie) is not alive."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
@@ -195,7 +359,7 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def _wait_for(condition: Any) -> None:
+def wait_for(condition: Any) -> None:
     for _ in range(300):
         if condition():
             return

@@ -87,7 +87,7 @@ def test_an_error_leaves_nothing_new_and_nothing_broken(tmp_path: Path) -> None:
     assert (tmp_path / "a.h5").read_bytes() == before
 
 
-@pytest.mark.parametrize("how", ["append", "put", "many small", "blank"])
+@pytest.mark.parametrize("how", ["append", "put", "many small", "blank", "nothing"])
 def test_a_full_disk_leaves_nothing_new_and_nothing_broken(tmp_path: Path, how: str) -> None:
     """A limit on file size fails writes as a full disk does: partly, late, and on closing as well."""
     before = write(tmp_path / "a.h5").read_bytes()
@@ -101,6 +101,8 @@ def test_a_full_disk_leaves_nothing_new_and_nothing_broken(tmp_path: Path, how: 
         def main(path: Path, how: str) -> None:
             noise = np.random.default_rng(0).integers(0, 256, (9, 300, 400), np.uint8)
             with DriveWriter(path, stage="clouds", drive="d", params={}) as file:
+                if how == "nothing":
+                    file.attrs |= {f"a{i}": "x" * 60_000 for i in range(20)}  # written at the end
                 if how == "put":
                     file.put("a", noise)
                 if how == "blank":
@@ -124,9 +126,68 @@ def test_a_full_disk_leaves_nothing_new_and_nothing_broken(tmp_path: Path, how: 
     )
     assert run.returncode == 1, run.stderr
     assert run.stderr.count("\n") == 1
-    assert f"{os.strerror(errno.EFBIG)} while writing {tmp_path / 'a.h5.tmp'}" in run.stderr
+    assert f"{os.strerror(errno.EFBIG)} while writing {tmp_path / 'a.h5'}." in run.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
     assert (tmp_path / "a.h5").read_bytes() == before
+
+
+def test_a_full_disk_is_told_from_whatever_hdf5_makes_of_it(tmp_path: Path) -> None:
+    """It writes a chunk once nothing uses it, and fails to read it back for the next rows, with errors of its own."""
+    program = """
+        import resource, sys
+        from pathlib import Path
+        import numpy as np
+        from pipeline.base.store import DriveWriter
+
+        rng = np.random.default_rng(0)
+        for limit in range(1000, 25_000, 2000):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+            try:
+                with DriveWriter(Path(sys.argv[1]), stage="ingest", drive="d", params={}) as file:
+                    for _ in range(100):
+                        file.append("lidar", rng.random((100, 4), np.float32))
+            except Exception as error:
+                print(getattr(error, "filename", None), getattr(error, "errno", None), type(error.__cause__).__name__)
+    """
+    run = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program), str(tmp_path / "a.h5")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    told = [line.rsplit(maxsplit=1) for line in run.stdout.splitlines()]
+    assert [text for text, _ in told] == [f"{tmp_path / 'a.h5'} {errno.EFBIG}"] * 12
+    assert "OSError" in {cause for _, cause in told}, "HDF5's own was among them"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "a").touch()
+    with pytest.raises(OSError, match=str(tmp_path / "a")):
+        write(tmp_path / "a/b.h5")
+
+
+def test_reader_tells_no_permission_from_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "a.h5")
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EACCES, "Unable to synchronously open file (…)")  # root may read everything
+
+    monkeypatch.setattr(h5py, "File", refuse)
+    with pytest.raises(PermissionError, match=f"Permission denied: '{path}'"):
+        DriveReader(path, stage="clouds")
+
+
+def test_damage_within_a_file_is_named_with_file_and_dataset(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.h5")
+    with h5py.File(path) as file:
+        where = file["image"].id.get_chunk_info(1)
+    content = bytearray(path.read_bytes())
+    content[where.byte_offset : where.byte_offset + where.size] = bytes(where.size)
+    path.write_bytes(content)
+    with DriveReader(path, stage="clouds") as file:
+        file.row("image", 0)
+        for read in (lambda: file["image"], lambda: file.row("image", 1), lambda: file.rows("image", 0, 2)):
+            with pytest.raises(InputError, match=r"a.h5 is damaged in dataset 'image'.*dvc repro --force clouds"):
+                read()
 
 
 def test_reader_refuses_what_it_cannot_read(tmp_path: Path) -> None:
@@ -156,6 +217,7 @@ def test_index_round_trip_and_faults(tmp_path: Path) -> None:
         write(tmp_path / f"{drive}.h5")
     store.write_index(tmp_path, splits)
     assert store.read_index(tmp_path, stage="clouds") == splits
+    assert store.indexed(tmp_path) == sorted(splits)
     assert store.of_split(splits, "train") == ["b", "c"]
     assert store.of_split(splits, "val", "test") == ["a"]
 
@@ -163,10 +225,10 @@ def test_index_round_trip_and_faults(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"lacks c, named in its index.json. Get them: dvc pull clouds"):
         store.read_index(tmp_path, stage="clouds")
     store.write_json(tmp_path / "index.json", {"schema": 0, "drives": {}})
-    with pytest.raises(InputError, match="has schema 0, this code reads 1"):
+    with pytest.raises(InputError, match=r"has schema 0, this code reads 1.*dvc repro --force"):
         store.read_index(tmp_path, stage="clouds")
     (tmp_path / "index.json").write_text('{"schema": 1, ')
-    with pytest.raises(InputError, match="is no JSON"):
+    with pytest.raises(InputError, match=r"index.json is not valid JSON.*dvc repro --force clouds"):
         store.read_index(tmp_path, stage="clouds")
     with pytest.raises(InputError, match=r"index.json is missing. Make it: dvc repro clouds"):
         store.read_index(tmp_path / "nowhere", stage="clouds")

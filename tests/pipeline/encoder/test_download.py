@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from pipeline.encoder.download import find
 
 from pipeline.base.errors import InputError
 from pipeline.encoder import download
-from pipeline.encoder.download import find
 
 KEY = "encoder.weights"
 CONTENT = b"some weights"

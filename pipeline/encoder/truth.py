@@ -1,0 +1,69 @@
+"""What is known of a frame: its depth and its classes, from dense truth or a LiDAR scan."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pipeline.base.store import DriveReader
+from pipeline.camera import classes
+from pipeline.camera.geometry import scan_depth
+from pipeline.camera.images import to_metres
+
+OCCLUDER_RAD = 0.004
+OCCLUDED_RATIO = 1.25  # of two neighbouring rings on flat ground, one is a quarter nearer only beyond 60 m
+DepthSource = Literal["dense", "lidar"]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known of a frame: depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown."""
+
+    depth_m: np.ndarray
+    depth_source: DepthSource | None
+    cls: np.ndarray
+    has_cls: bool
+
+
+def read_truth(drive: DriveReader, row: int) -> Truth:
+    """Return what the drive's file of stage ingest knows of the frame in `row`.
+
+    Dense depth goes before projected LiDAR; of the scan's points in a pixel the nearest counts.
+    """
+    size = image_size(drive)
+    depth = np.zeros(size, np.float32)
+    source: DepthSource | None = None
+    if drive.row("has_depth", row):
+        depth, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
+    elif drive.row("has_lidar", row):
+        scan = drive.rows("lidar", *drive.rows("lidar_ptr", row, row + 2))
+        depth, source = scan_depth(scan, drive["T_cam_velo"], drive["K"], size), "lidar"
+    has_cls = bool(drive.row("has_cls", row))
+    cls = drive.row("cls", row) if has_cls else np.full(size, classes.VOID, np.uint8)
+    return Truth(depth, source, cls, has_cls)
+
+
+def visible(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Return sparse depth [H,W] without the points that the camera cannot see.
+
+    The scanner looks over things from above the camera; of what it sees behind them, points fall between theirs. A
+    point is dropped if another less than 0.23 degrees away (that is about a ring of KITTI's scanner) is a fifth nearer.
+    """
+    import cv2
+
+    reach = [max(1, round(OCCLUDER_RAD * f)) for f in (K[0, 0], K[1, 1])]
+    known = np.where(depth_m > 0, depth_m, np.inf).astype(np.float32)
+    nearest = cv2.erode(known, np.ones((2 * reach[1] + 1, 2 * reach[0] + 1), np.uint8))  # erosion is a local minimum
+    return np.where(known / OCCLUDED_RATIO <= nearest, depth_m, 0).astype(depth_m.dtype)
+
+
+def image_size(drive: DriveReader) -> tuple[int, int]:
+    """Return (H, W) of the drive's images."""
+    _, height, width, _ = drive.shape("image")
+    return height, width
+
+
+def teaching_rows(drive: DriveReader) -> np.ndarray:
+    """Return the rows of the frames that have an image and something to learn from it, int64 [n]."""
+    known = np.any([drive[f"has_{what}"] for what in ("depth", "cls", "lidar")], axis=0)
+    return np.flatnonzero(drive["has_image"].astype(bool) & known)

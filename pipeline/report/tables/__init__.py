@@ -1,0 +1,1 @@
+"""What stage report writes: tables for people, flat figures and curves for DVC."""

@@ -1,0 +1,40 @@
+"""The figures of all models under flat, short names: the columns of ``dvc metrics show`` and ``dvc exp show``."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pipeline.base.params import SPLITS
+
+Figures = dict[str, float]
+TRUTHS = ("dense", "lidar")  # of depth
+
+
+def figures(results: Sequence[Mapping[str, Any]], scores: Mapping[str, Any] | None) -> Figures:
+    """Return name → value.
+
+    ``<model>.nmse``, its 95 % interval ``nmse_low`` to ``nmse_high``, ``mae_deg``; ``encoder.miou`` of classes,
+    ``encoder.abs_rel_dense`` and ``encoder.abs_rel_lidar`` of depth by either truth. Those of the other splits begin
+    with ``train_`` or ``val_``. What was not measured is left out: DVC shows a gap.
+
+    Args:
+        results: the ``metrics.json`` of models that are evaluated.
+        scores: the ``metrics.json`` of stage scores, split → scores; None where it is not.
+    """
+    values: dict[str, float | None] = {}
+    for result in results:
+        model, test = result["model"], result["test"]
+        low, high = test["nmse_ci95"]
+        values |= {f"{model}.nmse_low": low, f"{model}.nmse_high": high, f"{model}.mae_deg": test["mae_deg"]}
+        values |= {f"{model}.{_prefix(split)}nmse": result[split]["nmse"] for split in SPLITS if result[split]}
+    for split, of_split in (scores or {}).items():
+        if classes := of_split["classes"]:
+            values[f"encoder.{_prefix(split)}miou"] = classes["mean_iou"]
+        for truth in TRUTHS:
+            if depth := of_split[f"depth_{truth}"]:
+                values[f"encoder.{_prefix(split)}abs_rel_{truth}"] = depth["abs_rel"]
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _prefix(split: str) -> str:
+    """The test split's figures are the ones that count: they go by the plain name."""
+    return "" if split == "test" else f"{split}_"

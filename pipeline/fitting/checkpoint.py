@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 
 
@@ -15,31 +16,25 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
     # By way of memory: on a full disk torch's own writer raises RuntimeError, a plain file an OSError that says so.
     buffer = io.BytesIO()
     torch.save(dict(content), buffer)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tmp = path.with_name(path.name + ".tmp")
-    try:
+    with replacing(path) as tmp:
         tmp.write_bytes(buffer.getbuffer())
-        tmp.replace(path)
-    finally:
-        tmp.unlink(missing_ok=True)
 
 
-def read(path: Path, kind: str, mend: str) -> dict[str, Any]:
+def read(path: Path, kind: str) -> dict[str, Any]:
     """Read a file of :func:`write` onto the CPU.
 
     Args:
         kind: what `content["kind"]` must be, for instance "steering net".
-        mend: ends the error message: what to do about it.
 
-    Raises InputError if it is missing, cut short, or another kind of file.
+    Raises InputError if it is missing, cut short, or another kind of file; callers know what to do about it.
     """
-    content = load(path, mend)
+    content = load(path)
     if not isinstance(content, dict) or content.get("kind") != kind:
-        raise InputError(f"{path} is no checkpoint of this project's {kind}. {mend}")
+        raise InputError(f"{path} is not a checkpoint of this project's {kind}")
     return content
 
 
-def load(path: Path, mend: str) -> Any:
+def load(path: Path) -> Any:
     """Return what a file of torch.save holds, tensors and numbers on the CPU; code in it is refused, never run.
 
     Raises InputError if it is missing, cut short, or holds more than tensors and plain values.
@@ -58,25 +53,25 @@ def load(path: Path, mend: str) -> Any:
     ]
 
     if not path.is_file():
-        raise InputError(f"{path} is missing. {mend}")
+        raise InputError(f"{path} is missing")
     try:
         with torch.serialization.safe_globals(numbers):
             return torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
-        raise InputError(f"{path} is cut short, or holds more than tensors and plain values. {mend}") from error
+        raise InputError(f"{path} is cut short, or holds more than tensors and plain values") from error
 
 
-def load_state(module: Any, state: Mapping[str, Any], path: Path, mend: str) -> None:
+def load_state(module: Any, state: Mapping[str, Any], path: Path) -> None:
     """Copy tensors into a torch module. Raises InputError unless names and shapes agree one by one."""
     own = module.state_dict()
     for name in sorted(own.keys() | state.keys()):
         if name not in state:
             fault = f"lacks {name}"
         elif name not in own:
-            fault = f"has {name}, which the network has not"
+            fault = f"has {name}, which the network lacks"
         elif state[name].shape != own[name].shape:
             fault = f"has {name} of shape {list(state[name].shape)}, the network {list(own[name].shape)}"
         else:
             continue
-        raise InputError(f"{path} does not fit the network of this code: it {fault}. {mend}")
+        raise InputError(f"{path} does not fit the network of this code: it {fault}")
     module.load_state_dict(state, strict=True)

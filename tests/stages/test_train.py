@@ -15,8 +15,8 @@ import yaml
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.train import distributed, windows
-from pipeline.train import fit as steering_fit
+from pipeline.fitting import checkpoint
+from pipeline.train import distributed, fit, frames, predict, windows
 from stages import evaluate, report, train
 from tests import artefacts
 
@@ -43,22 +43,24 @@ def folder(dataset: Path, tmp_path: Path) -> Path:
 
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
     content = yaml.safe_load(PARAMS.read_text())
-    small = {"layers": [16, 16], "features": 8, "window": 4}
-    content["models"] = {"net": {**content["models"]["sa-gnn-ncp"], **small, **(model or {})}}
+    line = {"spatial": "gnn", **(model or {})}
+    knobs = {"layers": [16, 16], "semantics": 1.0}
+    means_nothing = {"cnn": {"layers", "semantics"}, "pointnet2": {"layers"}}.get(str(line["spatial"]), set())
+    small = {"input": "semantic", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
+    small |= {knob: value for knob, value in knobs.items() if knob not in means_nothing}
+    content["models"] = {"net": small | line}
     content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
     (folder / "params.yaml").write_text(yaml.safe_dump(content))
 
 
 def run_train(folder: Path) -> Path:
-    train.main("net", folder / "graphs", folder / "labels", folder / "train", folder / "params.yaml")
-    return folder / "train" / "net"
+    return train.main("net", folder / "graphs", folder / "labels", folder / "train", folder / "params.yaml")
 
 
 def run_evaluate(folder: Path) -> Path:
-    evaluate.main(
+    return evaluate.main(
         "net", folder / "train", folder / "graphs", folder / "labels", folder / "evaluate", folder / "params.yaml"
     )
-    return folder / "evaluate" / "net"
 
 
 @pytest.mark.parametrize("temporal", ["ncp", "lstm"])
@@ -78,18 +80,18 @@ def test_killed_and_resumed_gives_the_weights_of_an_undisturbed_run(
 ) -> None:
     straight = torch.load(run_train(folder) / "last.pt", weights_only=True)
     shutil.rmtree(folder / "train")
-    write = steering_fit.checkpoint.write
+    write = checkpoint.write
 
     def killed(path: Path, content: dict[str, object]) -> None:
         write(path, content)
         if content["epoch"] == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(steering_fit.checkpoint, "write", killed)
+    monkeypatch.setattr(checkpoint, "write", killed)
     with pytest.raises(KeyboardInterrupt):
         run_train(folder)
     assert not (folder / "train").exists()
-    monkeypatch.setattr(steering_fit.checkpoint, "write", write)
+    monkeypatch.setattr(checkpoint, "write", write)
     resumed = torch.load(run_train(folder) / "last.pt", weights_only=True)
     assert resumed["curve"] == straight["curve"]
     assert all(torch.equal(resumed["net"][name], tensor) for name, tensor in straight["net"].items())
@@ -97,7 +99,7 @@ def test_killed_and_resumed_gives_the_weights_of_an_undisturbed_run(
 
 
 def test_a_killed_run_with_other_params_is_not_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(steering_fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         run_train(folder)
     monkeypatch.undo()
@@ -119,13 +121,6 @@ def test_checkpoints_say_what_they_are(folder: Path) -> None:
     assert len(curve) == 4
     judged = [float(row.split(",")[-1]) for row in curve[1:]]
     assert best["epoch"] == 1 + int(np.argmin(judged))
-
-
-def test_early_stopping(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    curve = [steering_fit.Epoch(n, 0.1, 0.1, 0.1, nmse) for n, nmse in enumerate([0.9, 0.5, 0.6, 0.7], start=1)]
-    assert steering_fit.best_epoch(curve) == 2
-    assert steering_fit.out_of_patience(curve, patience=2)
-    assert not steering_fit.out_of_patience(curve, patience=3)
 
 
 def test_without_validation_drives_the_last_epoch_counts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -182,7 +177,9 @@ def test_two_processes_train_as_one(folder: Path) -> None:
     assert not (folder / ".resume" / "two-net").exists()
     # Some steps had one run only: a process without a run took part, and did not count.
     drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", store.of_split(SPLITS, "train"), 4)
-    spans = [len(windows.spans(drives, 4, 24, np.random.default_rng([seed, epoch]))) for epoch in range(1, epochs + 1)]
+    spans = [
+        len(windows.random_spans(drives, 4, 24, np.random.default_rng([seed, epoch]))) for epoch in range(1, epochs + 1)
+    ]
     assert any(count % 2 for count in spans)
 
 
@@ -232,14 +229,14 @@ def test_sets_and_images_go_the_same_way(
     write_params(tmp_path, line, epochs=epochs, average=0.0)
     run_train(tmp_path)
     config = json.loads((tmp_path / "train/net/config.json").read_text())
-    frames = 3 * 60
+    count = 3 * 60
     if "alpha" in line:
         assert (
-            f"weighted by alpha 5, {frames} frames count as {config['effective_frames']:.0f}" in capsys.readouterr().out
+            f"weighted by alpha 5, {count} frames count as {config['effective_frames']:.0f}" in capsys.readouterr().out
         )
-        assert 100 < config["effective_frames"] < frames
+        assert 100 < config["effective_frames"] < count
     else:
-        assert config["effective_frames"] == pytest.approx(frames)
+        assert config["effective_frames"] == pytest.approx(count)
     result = json.loads((run_evaluate(tmp_path) / "metrics.json").read_text())
     assert result["test"]["nmse"] < 0.5
     assert result["edges_per_frame"] is None
@@ -250,7 +247,9 @@ def test_sets_and_images_go_the_same_way(
 def test_a_checkpoint_for_other_inputs_is_refused(folder: Path) -> None:
     run_train(folder)
     artefacts.write_dataset(folder, SPLITS, frames=60, points=60, write=artefacts.write_images)
-    with pytest.raises(InputError, match=r"models.net: spatial: gnn eats kNN graphs, .*force train@net"):
+    with pytest.raises(
+        InputError, match=r"model net expects kNN graphs, but .*\.h5 holds images of 32 x 48 .*force train@net"
+    ):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()
 
@@ -261,7 +260,7 @@ def test_a_killed_run_is_not_resumed_on_another_split(folder: Path, monkeypatch:
     for splits in (SPLITS, {**SPLITS, "2026_01_01_drive_0003": "val"}):
         store.write_index(folder / "graphs/semantic", splits)
         with monkeypatch.context() as patch:
-            patch.setattr(steering_fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+            patch.setattr(fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
             with pytest.raises(KeyboardInterrupt):
                 run_train(folder)
         keys.append({path.name for path in (folder / ".resume/train-net").glob("*.pt")})
@@ -291,14 +290,13 @@ def test_impossible_models_are_refused_before_anything_is_written(
 
 def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
     made = run_train(folder)
+    config = json.loads((made / "config.json").read_text())
+    store.write_json(made / "config.json", config | {"model": config["model"] | {"alpha": 1.0}})
+    with pytest.raises(InputError, match=r"best\.pt is of model net, seed 0, .*config.* --force train@net"):
+        run_evaluate(folder)
     content = torch.load(made / "best.pt", weights_only=True)
     content["model"]["features"] = 9
-    torch.save(content, made / "best.pt")
-    with pytest.raises(InputError, match=r"best\.pt is of model net, seed 0, and not what .* --force train@net"):
-        run_evaluate(folder)
-    config = json.loads((made / "config.json").read_text())
-    config["model"]["features"] = 9
-    (made / "config.json").write_text(json.dumps(config))
+    checkpoint.write(made / "best.pt", content)
     with pytest.raises(InputError, match=r"best\.pt does not fit .* dvc repro --force train@net"):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()
@@ -307,7 +305,7 @@ def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
 def test_a_checkpoint_of_another_model_is_refused(folder: Path) -> None:
     made = run_train(folder)
     content = torch.load(made / "best.pt", weights_only=True)
-    torch.save(content | {"name": "other"}, made / "best.pt")
+    checkpoint.write(made / "best.pt", content | {"name": "other"})
     with pytest.raises(InputError, match=r"best\.pt is of model other, seed 0, .*Train it again"):
         run_evaluate(folder)
     (made / "best.pt").write_bytes((made / "last.pt").read_bytes()[:-100])
@@ -346,6 +344,20 @@ def test_predictions_csv_covers_every_frame(folder: Path) -> None:
     error = np.array([float(row[5]) - float(row[4]) for row in rows[3:]])
     result = json.loads((folder / "evaluate/net/metrics.json").read_text())
     assert result["test"]["mse_rad2"] == pytest.approx(float((error**2).mean()), rel=1e-3)
+
+
+def test_in_python_a_model_predicts_the_numbers_of_predictions_csv(folder: Path) -> None:
+    write_params(folder, seeds=[0, 7], epochs=1)
+    made, judged = run_train(folder), run_evaluate(folder)
+    for own, trained in ((judged, made), (judged / "seed-7", str(made / "seed-7"))):
+        with (own / "predictions.csv").open(newline="") as file:
+            written = {int(row["frame"]): row["predicted_rad"] for row in csv.DictReader(file)}
+        model = predict.load(trained)
+        with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+            every, some = model.predict(graphs), model.predict(graphs, [59, 2, 30])
+        assert [("" if np.isnan(angle) else f"{angle:.6f}") for angle in every] == list(written.values())
+        assert some == pytest.approx(every[[59, 2, 30]], abs=1e-6, nan_ok=True)
+        assert np.isnan(some[1])
 
 
 def test_report_names_models_that_are_not_here(folder: Path) -> None:

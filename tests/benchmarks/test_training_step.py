@@ -44,6 +44,7 @@ def test_all_models_of_the_paper_are_there_at_full_size(tmp_path: Path) -> None:
     assert all(content[section] == source[section] for section in ("graphs", "train", "clouds"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", PAPER)
 def test_every_model_makes_a_row(folder: Path, model: str) -> None:
     params = folder / "params.yaml"

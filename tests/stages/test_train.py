@@ -13,7 +13,7 @@ import pytest
 import torch
 import yaml
 
-from pipeline.base import store
+from pipeline.base import provenance, store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
 from pipeline.train import distributed, fit, frames, predict, windows
@@ -63,6 +63,7 @@ def run_evaluate(folder: Path) -> Path:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("temporal", ["ncp", "lstm"])
 def test_a_trained_model_reads_the_bend(folder: Path, temporal: str) -> None:
     write_params(folder, {"temporal": temporal}, epochs=14)
@@ -133,6 +134,7 @@ def test_without_validation_drives_the_last_epoch_counts(folder: Path, capsys: p
     assert result["val"] is None
 
 
+@pytest.mark.slow
 def test_figures_are_means_over_seeds(folder: Path) -> None:
     write_params(folder, seeds=[0, 7], epochs=2)
     made = run_train(folder)
@@ -156,6 +158,7 @@ def test_figures_are_means_over_seeds(folder: Path) -> None:
     assert alone[0]["nmse_std"] is None
 
 
+@pytest.mark.slow
 def test_two_processes_train_as_one(folder: Path) -> None:
     """torchrun's processes share each step's runs: in float64 the losses are those of one process, to rounding."""
     epochs, seed = 4, 0
@@ -205,6 +208,7 @@ def test_bfloat16_products_train_nearly_the_same(folder: Path) -> None:
     assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [{"spatial": "edgeconv", "cell": "eq4"}, {"spatial": "gatv2", "cell": "cfc"}], ids=str)
 def test_other_networks_train_and_are_judged(folder: Path, line: dict[str, object]) -> None:
     write_params(folder, line, epochs=2)
@@ -215,6 +219,7 @@ def test_other_networks_train_and_are_judged(folder: Path, line: dict[str, objec
     assert json.loads((run_evaluate(folder) / "metrics.json").read_text())["test"]["mse_rad2"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("write", "line", "epochs"),
     [
@@ -376,3 +381,12 @@ def test_report_names_models_that_are_not_here(folder: Path) -> None:
     assert [row["model"] for row in rows] == ["net", "zero", "train_mean", "persistence"]
     assert float(rows[0]["test_nmse_low"]) <= float(rows[0]["test_nmse_high"])
     assert rows[1]["test_nmse"] == "1.0"
+
+
+def test_no_edit_of_judging_trains_and_no_edit_of_the_run_is_judged() -> None:
+    trained_by, judged_by = (
+        {str(path) for path in provenance.import_closure(f"stages.{stage}")} for stage in ("train", "evaluate")
+    )
+    assert not {path for path in trained_by if path.startswith("pipeline/report")}
+    assert not {path for path in judged_by if Path(path).stem in ("fit", "augment", "schedule")}
+    assert {"pipeline/train/predict.py", "pipeline/train/windows.py"} <= trained_by & judged_by

@@ -276,11 +276,11 @@ def test_a_killed_run_is_not_resumed_on_another_split(folder: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ({"spatial": "cnnn"}, "models.net: spatial.*cnnn.*gnn"),
-        ({"spatial": "cnn"}, "models.net: spatial: cnn eats images .* and input: semantic holds kNN graphs"),
-        ({"spatial": "pointnet2"}, "models.net: spatial: pointnet2 eats points .* holds kNN graphs"),
-        ({"temporal": "gru"}, "models.net: temporal.*gru.*ncp.*lstm"),
-        ({"temporal": "lstm", "cell": "eq4"}, "models.net: cell.*eq4.*ncp, not of lstm"),
+        ({"spatial": "cnnn"}, r"models\.net.*spatial.*cnnn.*gnn"),
+        ({"spatial": "cnn"}, r"models\.net.*cnn.* images.*semantic holds kNN graphs"),
+        ({"spatial": "pointnet2"}, r"models\.net.*pointnet2.* points .*holds kNN graphs"),
+        ({"temporal": "gru"}, r"models\.net.*temporal.*gru.*(ncp.*lstm|lstm.*ncp)"),
+        ({"temporal": "lstm", "cell": "eq4"}, r"models\.net.*cell.*eq4.*lstm.*leave it out"),
         ({"window": 61}, "no window of 61 consecutive frames"),
     ],
 )
@@ -374,7 +374,7 @@ def test_report_names_models_that_are_not_here(folder: Path) -> None:
     report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
     text = (folder / "report" / "table.md").read_text()
     assert "| net | " in text
-    assert "other is not evaluated on this machine: dvc pull evaluate@other" in text
+    assert "other is not evaluated on this machine" in text
     assert len(re.findall(r"\| \*zero\* \|.*\| 1\.000 \|", text)) == 1
     with (folder / "report" / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

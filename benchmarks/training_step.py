@@ -63,24 +63,24 @@ def main(
     """
     with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
         folder = Path(scratch)
-        settings = folder / "params.yaml"
-        town_frames.write_params(params, settings, frames=1)
-        known = names("models", settings)
+        written = folder / "params.yaml"
+        town_frames.write_params(params, written, frames=1)
+        known = names("models", written)
         for name in models or []:
             if name not in known:
                 raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
-        lines = {name: load_entry(Model, "models", name, settings) for name in models or known}
-        longest = max(line.window for line in lines.values())
-        count = max(step_frames(longest, load(Train, settings)), town_frames.BENT)
-        town_frames.write_params(params, settings, count)
-        _apart(town_frames.make, settings, folder, sorted({line.input for line in lines.values()}))
-        rows = [_apart(measure, name, settings, folder, steps) for name in lines]
+        entries = {name: load_entry(Model, "models", name, written) for name in models or known}
+        longest = max(entry.window for entry in entries.values())
+        count = max(step_frames(longest, load(Train, written)), town_frames.BENT)
+        town_frames.write_params(params, written, count)
+        _apart(town_frames.make, written, folder, sorted({entry.input for entry in entries.values()}))
+        rows = [_apart(measure, name, written, folder, steps) for name in entries]
     print(table(rows))
 
 
-def step_frames(window: int, section: Train) -> int:
+def step_frames(window: int, settings: Train) -> int:
     """Return how many consecutive frames hold the windows of one run."""
-    return section.run_windows + window - 1
+    return settings.run_windows + window - 1
 
 
 def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
@@ -89,40 +89,42 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
 
     from benchmarks import work
     from models.steering.core import steering_net
-    from pipeline.train import fit as steering_fit
+    from pipeline.train import fit
 
     bare_bytes = _peak_bytes()
-    line, section = load_entry(Model, "models", name, params), load(Train, params)
-    count = step_frames(line.window, section)
-    (drive,) = windows.read_drives(folder / "graphs" / line.input, folder / "labels", [town_frames.DRIVE], line.window)
+    model, settings = load_entry(Model, "models", name, params), load(Train, params)
+    count = step_frames(model.window, settings)
+    (drive,) = windows.read_drives(
+        folder / "graphs" / model.input, folder / "labels", [town_frames.DRIVE], model.window
+    )
     drive = replace(drive, runs=((0, count),))
-    group = [windows.Span(0, 0, count)] * section.batch_runs
+    group = [windows.Span(0, 0, count)] * settings.batch_runs
     reading = []
     for _ in range(READINGS):
         start = time.perf_counter()
-        (batch,) = windows.batches([drive], [group], line.window)
+        (batch,) = windows.examples([drive], [group], model.window)
         reading.append(time.perf_counter() - start)
     frame, total, predictions = describe(batch), len(group) * count, len(batch["windows"])
     del batch
 
     torch.manual_seed(0)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    net = steering_net.build(line.model_dump(), **frames.contents(drive.graphs)).to(device)
+    net = steering_net.build(model.model_dump(), **frames.contents(drive.graphs)).to(device)
     # An epoch cuts runs at random places. Ours are as long as a step's, and must stay whole.
-    whole = section.model_copy(update={"epochs": 1, "run_windows": 1 << 40})
+    whole = settings.model_copy(update={"epochs": 1, "run_windows": 1 << 40})
 
     def train(steps: int, probe: Callable[[], T]) -> list[T]:
         """Train for `steps` steps; return what `probe` says as the forward pass of each begins."""
-        found = []
+        readings = []
 
         def forward(net: Any, batch: windows.Batch) -> torch.Tensor:
-            found.append(probe())
+            readings.append(probe())
             return steering_net.predict(net, batch)
 
-        fit = steering_fit.Fit(net, forward, line.window, line.alpha, whole, seed=0)
+        run = fit.Fit(net, forward, model.window, model.alpha, whole, seed=0)
         with tempfile.TemporaryDirectory() as kept:
-            fit.run([drive] * (steps * section.batch_runs), [], Path(kept) / "state.pt", {}, name)
-        return found
+            run.run([drive] * (steps * settings.batch_runs), [], Path(kept) / "state.pt", {}, name)
+        return readings
 
     # From one forward pass to the next: backward pass, clipping, update, average, and what a thread reads meanwhile.
     times = [after - before for before, after in pairwise(train(steps + 2, time.perf_counter))]

@@ -1,8 +1,8 @@
 """Judge a trained model on each split, beside the trivial predictors: data/evaluate/<model>/."""
 
-import csv
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -10,17 +10,9 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
-from pipeline.fitting import checkpoint
-from pipeline.report import judge as metrics
-from pipeline.report import plots
+from pipeline.report.judge import predictions, split, steering_plot
 from pipeline.sections.evaluate import Evaluate
-from pipeline.sections.models import Model
-from pipeline.train import frames, windows
-
-if TYPE_CHECKING:
-    from models.steering.core.steering_net import SteeringNet
-
-COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid")
+from pipeline.train import frames, predict, seeds, windows
 
 
 def main(
@@ -30,140 +22,81 @@ def main(
     labels: Path = Path("data/labels"),
     out: Annotated[Path, typer.Option(help="the model gets a folder in it")] = Path("data/evaluate"),
     params: Path = Path("params.yaml"),
-) -> None:
+) -> Path:
     """Write metrics.json, predictions.csv and a plot of the test drives; predictions of further seeds in folders.
 
-    Invalid frames have no say in any figure. Figures are means over the seeds.
+    Invalid frames have no say in any figure. Figures are means over the seeds. Returns the model's folder.
     """
-    from pipeline.train import fit as steering_fit
-
-    section = load(Evaluate, params)
+    settings = load(Evaluate, params)
     config = store.read_json(train / name / "config.json", stage=f"train@{name}")
-    line = Model.model_validate(config["model"])
-    variant = graphs / line.input
+    line = config["model"]
+    variant = graphs / line["input"]
     splits = store.read_index(variant, stage="graphs")
-    data = {split: windows.read_drives(variant, labels, store.of_split(splits, split), line.window) for split in SPLITS}
-    found = {
-        seed: _predict(name, folder, seed, line, variant, data)
-        for seed, folder in steering_fit.folders(train / name, config["seeds"]).items()
+    drives = {
+        of: windows.read_drives(variant, labels, store.of_split(splits, of), line["window"]) for of in SPLITS
+    }  # fmt: skip
+    predicted = {
+        seed: _predict(_load(folder, name, seed, config), drives)
+        for seed, folder in seeds.folders(train / name, config["seeds"]).items()
     }
 
     result: dict[str, Any] = {
         "model": name,
-        "line": line.model_dump(),
-        "seeds": list(found),
-        "drives": {split: store.of_split(splits, split) for split in SPLITS},
+        "line": line,
+        "seeds": config["seeds"],
+        "drives": {of: store.of_split(splits, of) for of in SPLITS},
         "parameters": config["parameters"],
         "encode_ms_per_frame": config["encode_ms_per_frame"],
-        **_sizes(data["test"]),
+        **split.sizes(drives["test"]),
     }
-    for split, drives in data.items():
-        of_seeds = [predicted[split] for predicted in found.values()]
-        result[split] = _judge(drives, of_seeds, section, config["target"]["mean_rad"]) if drives else None
+    for of in SPLITS:
+        by_seed = [of_seed[of] for of_seed in predicted.values()]
+        mean_rad = config["target"]["mean_rad"]
+        result[of] = split.figures(drives[of], by_seed, settings, mean_rad) if drives[of] else None
     store.write_json(out / name / "metrics.json", result)
-    for seed, folder in steering_fit.folders(out / name, config["seeds"]).items():
-        _write_predictions(folder / "predictions.csv", data["test"], found[seed]["test"])
-    test = result["test"]
-    title = f"{name}: nmse {test['nmse']:.3f}" + (f" (mean of {len(found)} seeds, one shown)" if len(found) > 1 else "")
-    plots.steering(out / name / "steering.png", data["test"], found[config["seeds"][0]]["test"], title)
-    spread = "" if test["nmse_std"] is None else f" ± {test['nmse_std']:.3f} over {len(found)} seeds"
+    for seed, folder in seeds.folders(out / name, config["seeds"]).items():
+        predictions.write(folder / "predictions.csv", drives["test"], predicted[seed]["test"])
+    _draw_and_say(out / name / "steering.png", result, drives["test"], predicted[config["seeds"][0]]["test"])
+    return out / name
+
+
+def _load(folder: Path, name: str, seed: int, config: Mapping[str, Any]) -> predict.Trained:
+    model = predict.load(folder)
+    if (model.name, model.line, model.seed) != (name, config["model"], seed):
+        raise InputError(
+            f"{folder / 'best.pt'} is of model {model.name}, seed {model.seed}, and not what config.json beside it "
+            f"says. Train it again: dvc repro --force train@{name}"
+        )
+    return model
+
+
+def _predict(model: predict.Trained, drives: Mapping[str, list[windows.Drive]]) -> dict[str, list[np.ndarray]]:
+    """Return for each split what the model predicts, [G] rad for each drive."""
+    predicted: dict[str, list[np.ndarray]] = {of: [] for of in drives}
+    for of, of_split in drives.items():
+        for drive in of_split:
+            with frames.open_graphs(drive.graphs) as graphs:
+                predicted[of].append(model.predict(graphs))
+    return predicted
+
+
+def _draw_and_say(
+    path: Path, result: Mapping[str, Any], drives: list[windows.Drive], predicted_rad: list[np.ndarray]
+) -> None:
+    """Draw the test drives with one seed's predictions, and print the test's figures."""
+    name, test, count = result["model"], result["test"], len(result["seeds"])
+    steering_plot.draw(
+        path,
+        drives,
+        predicted_rad,
+        f"{name}: nmse {test['nmse']:.3f}" + (f" (mean of {count} seeds, one shown)" if count > 1 else ""),
+    )
+    spread = "" if test["nmse_std"] is None else f" ± {test['nmse_std']:.3f} over {count} seeds"
     low, high = test["nmse_ci95"]
     print(
         f"{name}: test nmse {test['nmse']:.3f}{spread} [{low:.3f}, {high:.3f}], "
         f"mean error {test['mae_deg']:.2f} deg over {test['frames']} frames"
     )
-
-
-def _predict(
-    name: str, folder: Path, seed: int, line: Model, variant: Path, data: dict[str, list[windows.Drive]]
-) -> dict[str, list[np.ndarray]]:
-    """Return for each split what the network of one seed predicts, [G] rad for each drive."""
-    import torch
-
-    from models.steering.core import steering_net
-    from pipeline.train import fit as steering_fit
-
-    again = f"Train it again: dvc repro --force train@{name}"
-    trained = checkpoint.read(folder / "best.pt", steering_fit.KIND, again)
-    if (trained["name"], trained["model"], trained["seed"]) != (name, line.model_dump(), seed):
-        raise InputError(
-            f"{folder / 'best.pt'} is of model {trained['name']}, seed {trained['seed']}, and not what config.json "
-            f"beside it says. {again}"
-        )
-    net = _build(name, line, variant, again)
-    checkpoint.load_state(net, trained["net"], folder / "best.pt", again)
-    net.to("cuda" if torch.cuda.is_available() else "cpu")
-    target = steering_fit.Target(**trained["target"])
-    return {
-        split: steering_fit.predict_drives(net, steering_net.predict, drives, line.window, target)
-        for split, drives in data.items()
-    }
-
-
-def _build(name: str, line: Model, variant: Path, again: str) -> "SteeringNet":
-    from models.steering.core import steering_net
-
-    first = next(iter(store.read_index(variant, stage="graphs")))
-    try:
-        return steering_net.build(line.model_dump(), **frames.contents(variant / f"{first}.h5"))
-    except ValueError as error:
-        raise InputError(f"models.{name}: {error}. {again}") from error
-
-
-def _judge(
-    drives: list[windows.Drive], predicted_rad: list[list[np.ndarray]], section: Evaluate, train_mean_rad: float
-) -> dict[str, Any]:
-    """Return the figures of one split, of predictions by seed and drive.
-
-    Frames that are invalid or too early for a whole window do not count.
-    """
-    judged = [drive.valid & ~np.isnan(found) for drive, found in zip(drives, predicted_rad[0], strict=True)]
-
-    def column(of_drive: list[np.ndarray]) -> np.ndarray:
-        return np.concatenate([values[rows] for values, rows in zip(of_drive, judged, strict=True)])
-
-    steering = column([drive.steering_rad for drive in drives])
-    found = np.stack([column(of_seed) for of_seed in predicted_rad])  # [S,N]
-    before = column([metrics.last_valid(drive.steering_rad, drive.valid) for drive in drives])
-    number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])
-    curvature = column([drive.curvature_1pm for drive in drives])
-    interval = metrics.nmse_interval(
-        steering, found, number, section.bootstrap_block_frames, section.bootstrap_samples, section.seed
-    )
-    return metrics.scores(steering, found) | {
-        "nmse_std": metrics.nmse_std(steering, found),
-        "nmse_ci95": list(interval),
-        "baselines": metrics.baselines(steering, before, train_mean_rad),
-        "by_curvature": metrics.by_curvature(steering, found, curvature, section.curvature_bins_1pm),
-    }
-
-
-def _sizes(drives: list[windows.Drive]) -> dict[str, float | None]:
-    """Return means over the drives' frames: points, kNN edges before and after pruning; None for what there is not."""
-    counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}
-    for drive in drives:
-        with store.DriveReader(drive.graphs, stage="graphs") as file:
-            if "ptr" in file:
-                counts["points"].append(np.diff(file["ptr"]))
-            for name in ("edges_knn", "edges_kept"):
-                if name in file:
-                    counts[name].append(file[name])
-    points, knn, kept = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
-    return {"points_per_frame": points, "edges_per_frame": kept, "edges_per_frame_unpruned": knn}
-
-
-def _write_predictions(path: Path, drives: list[windows.Drive], predicted_rad: list[np.ndarray]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(COLUMNS)
-        for drive, found in zip(drives, predicted_rad, strict=True):
-            for row in range(len(drive.frame)):
-                angle = "" if np.isnan(found[row]) else f"{found[row]:.6f}"
-                rows.writerow([
-                    drive.name, drive.frame[row], f"{drive.time_s[row]:.6f}", f"{drive.speed_mps[row]:.4f}",
-                    f"{drive.steering_rad[row]:.9f}", angle, int(drive.valid[row]),
-                ])  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -4,10 +4,11 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import torch
-from torch import Tensor, distributed
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 T = TypeVar("T")
 
@@ -28,9 +29,11 @@ class World:
         """Return which of `count` things are this process's; none if there are too few."""
         return list(range(self.rank, count, self.size))
 
-    def sum(self, tensor: Tensor) -> Tensor:
+    def sum(self, tensor: "Tensor") -> "Tensor":
         """Add up the processes' tensors, in place."""
         if self.size > 1:
+            from torch import distributed
+
             distributed.all_reduce(tensor)
         return tensor
 
@@ -38,14 +41,19 @@ class World:
         """Return the processes' parts in the order of their numbers."""
         if self.size == 1:
             return [part]
+        from torch import distributed
+
         parts: list[T] = [part] * self.size
         distributed.all_gather_object(parts, part)
         return parts
 
 
 @contextmanager
-def joined() -> Iterator[tuple[World, torch.device]]:
+def joined() -> Iterator[tuple[World, "torch.device"]]:
     """Join the processes that torchrun started, each on a GPU of its own if there are any; yield place and device."""
+    import torch
+    from torch import distributed
+
     cuda = torch.cuda.is_available()
     device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if cuda else torch.device("cpu")
     if int(os.environ.get("WORLD_SIZE", 1)) == 1:

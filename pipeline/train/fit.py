@@ -4,7 +4,7 @@ import csv
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -16,38 +16,17 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, explained
 from pipeline.fitting import checkpoint
 from pipeline.fitting.precision import autocast
 from pipeline.fitting.prefetch import prefetch
 from pipeline.fitting.schedule import warm_up_cosine
-from pipeline.report import judge as metrics
 from pipeline.sections.train import Train
-from pipeline.train import windows
+from pipeline.train import predict, score, windows
+from pipeline.train.augment import Change
 from pipeline.train.distributed import World
 
 WARM_UP = 0.05  # share of the steps in which the learning rate rises
-KIND = "steering net"  # of checkpoint
-EVALUATION_WINDOWS = 96  # windows per batch when nothing is learned
-
-Forward = Callable[[Any, windows.Batch], Tensor]
-"""A network and a batch of arrays → predictions [W] in units of the labels' deviation, on the network's device."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """Mean and standard deviation of the training labels, rad.
-
-    The network learns Θ / std, where 0 stays straight ahead; the mean is for the predictor that knows nothing else.
-    """
-
-    mean_rad: float
-    std_rad: float
-
-    @classmethod
-    def of(cls, drives: Sequence[windows.Drive]) -> "Target":
-        steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
-        return cls(float(steering.mean()), max(float(steering.std()), 1e-6))  # a road without a bend has no spread
 
 
 @dataclass(frozen=True)
@@ -70,7 +49,7 @@ class Fit:
     def __init__(
         self,
         net: nn.Module,
-        forward: Forward,
+        forward: predict.Forward,
         window: int,
         alpha: float,
         settings: Train,
@@ -108,14 +87,15 @@ class Fit:
         After each epoch the state goes to `kept`, beside what `about` says of the run; if that file exists, training
         goes on from there, to the same result. Raises InputError if the loss is no longer finite.
         """
-        target, epochs = Target.of(train), self.settings.epochs
+        target, epochs = predict.Target.of(train), self.settings.epochs
         if kept.is_file():
-            self._load(checkpoint.read(kept, KIND, f"Delete {kept} to start again"))
+            with explained(hint=f"Delete {kept} to start again"):
+                self._load(checkpoint.read(kept, predict.KIND))
             self._say(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before")
         if self.alpha:
             count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
             self._say(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}")
-        started, done = time.perf_counter(), len(self.curve)
+        started, before = time.perf_counter(), len(self.curve)
         while len(self.curve) < epochs and not out_of_patience(self.curve, self.settings.patience):
             epoch = len(self.curve) + 1
             loss, rate = self._train(train, target, epoch)
@@ -128,8 +108,8 @@ class Fit:
             if better:
                 self.best = copy_of(self.average.module)
             if self.world.leads:
-                checkpoint.write(kept, {**about, **self._state(), "kind": KIND, "epoch": epoch})
-            eta = (time.perf_counter() - started) / (epoch - done) * (epochs - epoch)
+                checkpoint.write(kept, {**about, **self._state(), "kind": predict.KIND, "epoch": epoch})
+            eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
             nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (best)' if better else ''}" if val else ""
             self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go")
 
@@ -137,18 +117,18 @@ class Fit:
         if self.world.leads:
             print(line, flush=True)
 
-    def _train(self, drives: Sequence[windows.Drive], target: Target, epoch: int) -> tuple[float, float]:
+    def _train(self, drives: Sequence[windows.Drive], target: predict.Target, epoch: int) -> tuple[float, float]:
         settings = self.settings
         # Everything random in an epoch follows from its number: a resumed run goes on as if it had never stopped.
         rng = np.random.default_rng([self.seed, epoch])
-        spans = windows.spans(drives, self.window, settings.run_windows, rng)
+        spans = windows.random_spans(drives, self.window, settings.run_windows, rng)
         groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
         # A process without a run of its own takes part with one that counts nothing.
         shares = [self.world.share(len(group)) for group in groups]
         own = [[group[run] for run in share or [0]] for group, share in zip(groups, shares, strict=True)]
         self.learner.train()
         total, rate = torch.zeros(2, dtype=torch.float64, device=self.device), 0.0  # sums of weight · error², weight
-        steps = zip(groups, shares, own, prefetch(windows.batches(drives, own, self.window)), strict=True)
+        steps = zip(groups, shares, own, prefetch(windows.examples(drives, own, self.window)), strict=True)
         hidden = not (self.world.leads and sys.stderr.isatty())
         bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=hidden)
         for step, (group, share, runs, batch) in enumerate(bar):
@@ -174,16 +154,16 @@ class Fit:
         error_sum, weight_sum = self.world.sum(total).tolist()
         return error_sum / weight_sum, rate
 
-    def _validate(self, drives: Sequence[windows.Drive], target: Target) -> tuple[float, float]:
+    def _validate(self, drives: Sequence[windows.Drive], target: predict.Target) -> tuple[float, float]:
         if not drives:
             return math.nan, math.nan
-        found = np.concatenate(
-            predict_drives(self.average.module, self.forward, drives, self.window, target, self.world)
+        predicted = np.concatenate(
+            predict.over_drives(self.average.module, self.forward, drives, self.window, target, self.world)
         )
         steering = np.concatenate([drive.steering_rad for drive in drives])
-        judged = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(found)
-        result = metrics.scores(steering[judged], found[judged])
-        return result["mse_rad2"], result["nmse"]
+        judged = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(predicted)
+        steering, predicted = steering[judged], predicted[judged]
+        return score.mse(steering, predicted), score.nmse(steering, predicted)
 
     def _state(self) -> dict[str, Any]:
         return {
@@ -199,33 +179,6 @@ class Fit:
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
-
-
-@dataclass(frozen=True)
-class Change:
-    """What augmentation does to each of a step's runs [R]: whether it is mirrored, and how much larger its world is."""
-
-    mirrored: np.ndarray
-    factor: np.ndarray
-
-    @classmethod
-    def draw(cls, runs: int, settings: Train, rng: np.random.Generator) -> "Change":
-        mirrored = rng.random(runs) < 0.5 if settings.mirror else np.zeros(runs, bool)
-        factor = settings.rescale ** rng.uniform(-1, 1, runs) if settings.rescale > 1 else np.ones(runs)
-        return cls(mirrored, factor.astype(np.float32))
-
-    def of(self, runs: Sequence[int]) -> "Change":
-        return Change(self.mirrored[list(runs)], self.factor[list(runs)])
-
-    def apply(self, batch: windows.Batch, frames: Sequence[int]) -> windows.Batch:
-        """Change a batch whose runs are `frames` long each."""
-        batch = windows.mirror(batch, np.repeat(self.mirrored, frames))
-        return windows.rescale(batch, np.repeat(self.factor, frames))
-
-
-def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
-    """Return where the run of each seed is kept: the first one's files are the model's, others get a folder in it."""
-    return {seed: model / f"seed-{seed}" if position else model for position, seed in enumerate(seeds)}
 
 
 def best_epoch(curve: Sequence[Epoch]) -> int:
@@ -244,32 +197,6 @@ def copy_of(net: nn.Module) -> dict[str, Tensor]:
     return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
 
 
-def predict_drives(
-    net: nn.Module,
-    forward: Forward,
-    drives: Sequence[windows.Drive],
-    window: int,
-    target: Target,
-    world: World = World(),
-) -> list[np.ndarray]:
-    """Return the steering in rad that `net` predicts for each drive's frames, [G] each; NaN where no window ends.
-
-    The processes of a `world` share the work, and all get the whole.
-    """
-    spans = windows.spans(drives, window, EVALUATION_WINDOWS)
-    own = [spans[index] for index in world.share(len(spans))]
-    predicted = []
-    net.eval()
-    with torch.inference_mode():
-        for batch in prefetch(windows.batches(drives, [[span] for span in own], window)):
-            predicted.append(forward(net, batch).double().cpu().numpy() * target.std_rad)
-    found = [np.full(len(drive.frame), np.nan) for drive in drives]
-    for part in world.gather(list(zip(own, predicted, strict=True))):
-        for span, values in part:
-            found[span.drive][span.start + window - 1 : span.stop] = values
-    return found
-
-
 def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
     """Return (Σw)² / Σw² of the loss weights w = exp(alpha |Θ|) over the valid frames (Kish's effective sample size).
 
@@ -283,18 +210,6 @@ def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
 def weighted_error(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
     """Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 once divided by Σ w."""
     return (weight * (predicted - wanted).square()).sum()
-
-
-def ms_per_frame(net: nn.Module, encode: Forward, drives: Sequence[windows.Drive], window: int) -> float:
-    """Return the median time of ``encode(net, batch)`` per frame, in ms, over a few batches after a warm-up."""
-    groups = [[span] for span in windows.spans(drives, window, EVALUATION_WINDOWS)][:6]
-    times = []
-    with torch.inference_mode():
-        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
-            started = time.perf_counter()
-            encode(net, batch).cpu()  # waits for the device
-            times.append((time.perf_counter() - started) / (span.stop - span.start))
-    return float(np.median(times[1:] or times)) * 1e3
 
 
 def write_curve(path: Path, curve: Sequence[Epoch]) -> None:

@@ -1,11 +1,14 @@
-"""Frames of a graph file as a network eats them: what kind they are, and runs of them as arrays.
+"""Reading graph files: what kind of frames one holds, and runs of them as the arrays that networks expect.
 
 Three kinds. `graph`: xyz float32 [N,3], cls uint8 [N], ptr int64 [B+1], degree uint8 [N], indices int64 [E].
 `pointnet2`: xyz, cls, ptr, and for each level l from 1: centres_l int64 [M], neighbours_l int64 [M,n], centres_l_ptr
 int64 [B+1]. `image`: uint8 [B,H,W,3]. Files number rows from 0 in each frame; arrays count on through all their frames.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -16,42 +19,44 @@ from pipeline.base import store
 Arrays = dict[str, np.ndarray]
 
 
-def contents(path: Path) -> dict[str, Any]:
-    """Return what kind of frames a graph file holds, as `steering_net.build` asks: kind, levels or image_size."""
-    with store.DriveReader(path, stage="graphs") as file:
-        if "image" in file:
-            height, width = file.shape("image")[1:3]
-            return {"kind": "image", "image_size": (height, width)}
-        if "degree" in file:
-            return {"kind": "graph"}
-        return {"kind": "pointnet2", "levels": _levels(file)}
-
-
-class Reader:
-    """Reads runs of frames of an open graph file. What tells where frames begin is read once."""
+class Graphs:
+    """An open graph file. What tells where frames begin is read once."""
 
     def __init__(self, file: store.DriveReader) -> None:
         self._file = file
-        if "image" in file:
-            self._names, self._ptr = ["image"], {"image": np.arange(len(file.frame) + 1)}
-            return
-        ptr = file["ptr"]
-        self._names = ["xyz", "cls"]
-        self._ptr = {"xyz": ptr, "cls": ptr}
-        if "degree" in file:
-            self._names += ["degree", "indices"]
-            self._ptr |= {"degree": ptr, "indices": file["indices_ptr"]}
-        else:
-            for level in range(1, _levels(file) + 1):
-                centres, neighbours = f"centres_{level}", f"neighbours_{level}"
-                self._names += [centres, neighbours]
-                self._ptr |= dict.fromkeys((centres, neighbours), file[f"{centres}_ptr"])
+        self.path = file.path
+        self.frame = file.frame  # int32 [G], KITTI frame numbers, ascending
+        self.time_s = file.time_s  # float64 [G]
+
+    @cached_property
+    def contents(self) -> dict[str, Any]:
+        """What its frames are, as `steering_net.build` asks: kind, and levels or image_size."""
+        if "image" in self._file:
+            height, width = self._file.shape("image")[1:3]
+            return {"kind": "image", "image_size": (height, width)}
+        if "degree" in self._file:
+            return {"kind": "graph"}
+        return {"kind": "pointnet2", "levels": next(n for n in count() if f"centres_{n + 1}" not in self._file)}
+
+    @cached_property
+    def _ptr(self) -> dict[str, np.ndarray]:
+        """Array → int64 [G+1], where each frame's rows begin."""
+        if self.contents["kind"] == "image":
+            return {"image": np.arange(len(self.frame) + 1)}
+        ptr = self._file["ptr"]
+        if self.contents["kind"] == "graph":
+            return {"xyz": ptr, "cls": ptr, "degree": ptr, "indices": self._file["indices_ptr"]}
+        of_levels: dict[str, np.ndarray] = {}
+        for level in range(1, self.contents["levels"] + 1):
+            centres = f"centres_{level}"
+            of_levels |= dict.fromkeys((centres, f"neighbours_{level}"), self._file[f"{centres}_ptr"])
+        return {"xyz": ptr, "cls": ptr, **of_levels}
 
     def read(self, start: int, stop: int) -> Arrays:
         """Return the arrays of frames [start, stop)."""
         arrays = {}
-        for name in self._names:
-            ptr = self._ptr[name][start : stop + 1]
+        for name, starts in self._ptr.items():
+            ptr = starts[start : stop + 1]
             rows = self._file.rows(name, ptr[0], ptr[-1])
             if (numbered := _numbered(name)) is not None:
                 first = self._ptr[numbered][start:stop]  # of the rows that are numbered, each frame's first
@@ -61,6 +66,29 @@ class Reader:
             if name in _POINTERS or name.startswith("centres_"):
                 arrays[_POINTERS.get(name, f"{name}_ptr")] = ptr - ptr[0]
         return arrays
+
+
+@contextmanager
+def open_graphs(path: str | Path) -> Iterator[Graphs]:
+    """Open a graph file, data/graphs/<variant>/<drive>.h5. Raises InputError if it is missing, damaged or another's."""
+    with store.DriveReader(Path(path), stage="graphs") as file:
+        yield Graphs(file)
+
+
+def contents(path: Path) -> dict[str, Any]:
+    """Return :attr:`Graphs.contents` of a graph file."""
+    with open_graphs(path) as graphs:
+        return graphs.contents
+
+
+def described(contents: Mapping[str, Any]) -> str:
+    """Say what frames of these :attr:`Graphs.contents` are."""
+    if contents["kind"] == "image":
+        height, width = contents["image_size"]
+        return f"images of {height} x {width} pixels"
+    if contents["kind"] == "pointnet2":
+        return f"points with PointNet++'s neighbourhoods in {contents['levels']} levels"
+    return "kNN graphs"
 
 
 def concatenate(parts: Sequence[Arrays]) -> Arrays:
@@ -91,10 +119,3 @@ def _numbered(name: str) -> str | None:
     if what in ("centres", "neighbours"):
         return "xyz" if level == "1" else f"centres_{int(level) - 1}"
     return None
-
-
-def _levels(file: store.DriveReader) -> int:
-    level = 0
-    while f"centres_{level + 1}" in file:
-        level += 1
-    return level

@@ -44,23 +44,27 @@ def test_all_models_of_the_paper_are_there_at_full_size(tmp_path: Path) -> None:
     assert all(content[section] == source[section] for section in ("graphs", "train", "clouds"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", PAPER)
 def test_every_model_makes_a_row(folder: Path, model: str) -> None:
     params = folder / "params.yaml"
     row = training_step.measure(model, params, folder, steps=1)
-    line = load_entry(Model, "models", model, params)
-    assert (row.frames, row.windows) == (2 * training_step.step_frames(line.window, load(Train, params)), 2 * WINDOWS)
+    settings = load_entry(Model, "models", model, params)
+    assert (row.frames, row.windows) == (
+        2 * training_step.step_frames(settings.window, load(Train, params)),
+        2 * WINDOWS,
+    )
     figures = {key: value for key, value in dataclasses.asdict(row).items() if isinstance(value, int | float)}
     assert all(0 < value < float("inf") for value in figures.values()), figures
     assert row.peak_bytes >= row.bare_bytes
-    assert row.disk_bytes == (folder / f"graphs/{line.input}/{town_frames.DRIVE}.h5").stat().st_size / FRAMES
+    assert row.disk_bytes == (folder / f"graphs/{settings.input}/{town_frames.DRIVE}.h5").stat().st_size / FRAMES
 
 
 def test_a_frame_is_described_by_what_is_in_it(folder: Path) -> None:
     described = {}
-    for variant, length in (("semantic", 8), ("lidar-pointnet2", 6), ("image", 16)):
-        drives = windows.read_drives(folder / "graphs" / variant, folder / "labels", [town_frames.DRIVE], length)
-        (batch,) = windows.batches(drives, [[windows.Span(0, 0, length)]], length)
+    for variant, window in (("semantic", 8), ("lidar-pointnet2", 6), ("image", 16)):
+        drives = windows.read_drives(folder / "graphs" / variant, folder / "labels", [town_frames.DRIVE], window)
+        (batch,) = windows.batches(drives, [[windows.Span(0, 0, window)]], window)
         described[variant] = training_step.describe(batch)
     assert described["semantic"].startswith("300 points, ")
     assert described["lidar-pointnet2"] == "300 points, 16 × 6, 5 × 4"

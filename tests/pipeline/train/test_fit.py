@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from pipeline.train import fit as steering_fit
-from pipeline.train import windows
+from pipeline.train import fit, windows
 from tests import artefacts
 
 
@@ -15,12 +14,33 @@ def drives(tmp_path):
 
 def test_equal_weights_count_every_valid_frame(drives):
     drives[0].valid[:5] = False
-    assert steering_fit.effective_frames(drives, 0.0) == pytest.approx(2 * 23 - 5)
+    assert fit.effective_frames(drives, 0.0) == pytest.approx(2 * 23 - 5)
 
 
 def test_a_large_alpha_leaves_the_loss_to_a_few_frames(drives):
     weight = np.exp(20 * np.abs(np.concatenate([drive.steering_rad for drive in drives])))
-    found = [steering_fit.effective_frames(drives, alpha) for alpha in (0.0, 5.0, 20.0, 100_000.0)]
-    assert found[2] == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
-    assert found == sorted(found, reverse=True)
-    assert found[3] == pytest.approx(1, abs=0.1)  # the sharpest bend alone, without overflow
+    counts = [fit.effective_frames(drives, alpha) for alpha in (0.0, 5.0, 20.0, 100_000.0)]
+    assert counts[2] == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
+    assert counts == sorted(counts, reverse=True)
+    assert counts[3] == pytest.approx(1, abs=0.1)  # the sharpest bend alone, without overflow
+
+
+def test_patience_counts_epochs_since_the_best():
+    curve = [fit.Epoch(n, 0.1, 0.1, 0.1, nmse) for n, nmse in enumerate([0.9, 0.5, 0.6, 0.7], start=1)]
+    assert fit.best_epoch(curve) == 2
+    assert fit.out_of_patience(curve, patience=2)
+    assert not fit.out_of_patience(curve, patience=3)
+
+
+def test_an_epoch_whose_validation_says_nothing_is_not_the_best():
+    curve = [fit.Epoch(1, 0.1, 0.1, 0.1, float("nan")), fit.Epoch(2, 0.1, 0.1, 0.1, 0.9)]
+    assert fit.best_epoch(curve) == 2
+    assert fit.best_epoch([]) == 0
+
+
+def test_curve_leaves_empty_what_was_not_measured(tmp_path):
+    nothing = float("nan")
+    fit.write_curve(tmp_path / "curve.csv", [fit.Epoch(1, 0.003, 0.5, nothing, nothing)])
+    assert (tmp_path / "curve.csv").read_text() == (
+        "epoch,learning_rate,train_loss,val_mse_rad2,val_nmse\n1,0.003,0.5,,\n"
+    )

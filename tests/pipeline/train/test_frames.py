@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.base import store
+from pipeline.base.errors import InputError
 from pipeline.train import frames
 from tests import artefacts
 
@@ -21,21 +22,31 @@ def made(tmp_path: Path, write: Callable[..., None]) -> Path:
 
 
 def read(path: Path, runs: list[tuple[int, int]]) -> frames.Arrays:
-    with store.DriveReader(path, stage="graphs") as file:
-        reader = frames.Reader(file)
-        return frames.concatenate([reader.read(*run) for run in runs])
+    with frames.open_graphs(path) as graphs:
+        return frames.concatenate([graphs.read(*run) for run in runs])
 
 
 @pytest.mark.parametrize(
-    ("write", "contents"),
+    ("write", "contents", "words"),
     [
-        (artefacts.write_graphs, {"kind": "graph"}),
-        (artefacts.write_sets, {"kind": "pointnet2", "levels": 2}),
-        (artefacts.write_images, {"kind": "image", "image_size": (32, 48)}),
+        (artefacts.write_graphs, {"kind": "graph"}, ["kNN graphs"]),
+        (artefacts.write_sets, {"kind": "pointnet2", "levels": 2}, ["points", "PointNet++", "2 levels"]),
+        (artefacts.write_images, {"kind": "image", "image_size": (32, 48)}, ["images", "32 x 48"]),
     ],
 )
-def test_contents(tmp_path: Path, write: Callable[..., None], contents: dict[str, object]) -> None:
+def test_contents(tmp_path: Path, write: Callable[..., None], contents: dict[str, object], words: list[str]) -> None:
     assert frames.contents(made(tmp_path, write)) == contents
+    assert all(word in frames.described(contents) for word in words)
+
+
+def test_a_graph_file_is_opened_by_path_or_text_and_numbers_its_frames(tmp_path: Path) -> None:
+    path = made(tmp_path, artefacts.write_graphs)
+    for name in (path, str(path)):
+        with frames.open_graphs(name) as graphs:
+            assert graphs.frame.tolist() == list(range(FRAMES))
+            assert graphs.time_s == pytest.approx(np.arange(FRAMES) * 0.1)
+    with pytest.raises(InputError, match="missing"), frames.open_graphs(tmp_path / "other.h5"):
+        pass
 
 
 def test_neighbours_are_the_same_points_wherever_they_lie_in_the_batch(tmp_path: Path) -> None:

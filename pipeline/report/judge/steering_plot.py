@@ -1,4 +1,4 @@
-"""Diagrams of what a model predicts. Files are byte-identical for identical input."""
+"""A diagram of what a model predicts. Files are byte-identical for identical input."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,17 +8,17 @@ import numpy as np
 from pipeline.train.windows import Drive
 
 
-def steering(path: Path, drives: Sequence[Drive], predicted_rad: Sequence[np.ndarray], title: str) -> None:
+def draw(path: Path, drives: Sequence[Drive], predicted_rad: Sequence[np.ndarray], title: str) -> None:
     """Draw true and predicted steering over time, a panel per drive; grey where the label is invalid."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 0.6 + 2.4 * len(drives)), layout="constrained")
     panels = figure.subplots(len(drives), squeeze=False)[:, 0]
-    for panel, drive, found in zip(panels, drives, predicted_rad, strict=True):
+    for panel, drive, predicted in zip(panels, drives, predicted_rad, strict=True):
         truth = np.rad2deg(np.where(drive.valid, drive.steering_rad, np.nan))
         panel.axhline(0, color="0.85", linewidth=0.8)
         panel.plot(drive.time_s, truth, color="tab:red", label="driven (bicycle model)")
-        panel.plot(drive.time_s, np.rad2deg(found), color="tab:green", label="predicted")
+        panel.plot(drive.time_s, np.rad2deg(predicted), color="tab:green", label="predicted")
         panel.fill_between(
             drive.time_s, 0, 1, where=~drive.valid, transform=panel.get_xaxis_transform(), color="0.93", linewidth=0
         )

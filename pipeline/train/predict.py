@@ -1,0 +1,176 @@
+"""Steering from a trained network, in validation, in stage evaluate and in a notebook alike.
+
+from pipeline.train import frames, predict
+
+model = predict.load("data/train/sa-gnn-ncp")
+with frames.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+    steering_rad = model.predict(graphs, [60, 61, 200])
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.errors import InputError, explained
+from pipeline.fitting import checkpoint
+from pipeline.fitting.prefetch import prefetch
+from pipeline.train import frames, seeds, windows
+from pipeline.train.distributed import World
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor, nn
+
+    from models.steering.core.steering_net import SteeringNet
+
+KIND = "steering net"  # of checkpoint
+WINDOWS = 96  # per batch when nothing is learned: what bounds the memory
+
+Forward = Callable[[Any, windows.Batch], "Tensor"]
+"""A network and a batch of arrays → predictions [W] in units of the labels' deviation, on the network's device."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Mean and standard deviation of the training labels, rad.
+
+    The network learns Θ / std, where 0 stays straight ahead; the mean is for the predictor that knows nothing else.
+    """
+
+    mean_rad: float
+    std_rad: float
+
+    @classmethod
+    def of(cls, drives: Sequence[windows.Drive]) -> "Target":
+        steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
+        return cls(float(steering.mean()), max(float(steering.std()), 1e-6))  # a road without a bend has no spread
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained network with all that it takes to use it."""
+
+    name: str
+    seed: int
+    line: dict[str, Any]  # as resolved when it was trained: input, spatial, temporal, window, …
+    contents: dict[str, Any]  # of the graph files it was trained on, see frames.Graphs
+    target: Target
+    net: "SteeringNet"
+
+    @property
+    def window(self) -> int:
+        """Frames that a prediction sees."""
+        return int(self.line["window"])
+
+    def predict(self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """Return the steering in rad, left +, at frames of an open graph file: float64, one per frame.
+
+        NaN where no whole window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded
+        once, however many windows hold it, at most WINDOWS windows at a time.
+
+        Args:
+            graphs: of :func:`frames.open_graphs`.
+            numbers: KITTI frame numbers, in any order; None: all frames of the file.
+        Raises:
+            InputError: the file holds another kind of frames than the network was trained on, or no such frame.
+        """
+        from models.steering.core import steering_net
+
+        if graphs.contents != self.contents:
+            raise InputError(
+                f"model {self.name} expects {frames.described(self.contents)}, but {graphs.path} holds "
+                f"{frames.described(graphs.contents)}: give it graphs of input: {self.line['input']} as it was trained "
+                f"on, or train it again: dvc repro --force train@{self.name}"
+            )
+        timeline = windows.Timeline.of(graphs)
+        rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows_of(numbers)
+        (steering_rad,) = over_drives(
+            self.net, steering_net.predict, [timeline], self.window, self.target, rows=[rows], opened={0: graphs}
+        )
+        return steering_rad[rows]
+
+
+def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
+    """Load the best epoch of a trained model: data/train/<model>, or data/train/<model>/seed-<n> of a further seed.
+
+    Args:
+        folder: its best.pt holds all that is needed; neither params.yaml nor graphs are read.
+        device: where to compute; None: a GPU if there is one.
+    Raises:
+        InputError: `folder` is not a trained model, or one that this code cannot rebuild.
+    """
+    import torch
+
+    from models.steering.core import steering_net
+
+    folder = Path(folder)
+    path, name = folder / "best.pt", seeds.model_name(folder)
+    if not path.is_file():
+        models = sorted(best.parent.name for best in folder.glob("*/best.pt"))
+        hint = f"name one of those in it: {', '.join(models)}" if models else f"train it: dvc repro train@{name}"
+        raise InputError(f"{folder} is not a trained model, best.pt is missing: {hint}")
+    with explained(hint=f"Train it again: dvc repro --force train@{name}"):
+        content = checkpoint.read(path, KIND)
+        missing = {"name", "seed", "model", "contents", "target", "net"} - content.keys()
+        if missing:
+            raise InputError(f"{path} lacks {', '.join(sorted(missing))}: an older version of this project wrote it")
+        with explained(where=str(path)):
+            net = steering_net.build(content["model"], **content["contents"])
+        checkpoint.load_state(net, content["net"], path)
+    net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
+    return Trained(
+        name=content["name"],
+        seed=content["seed"],
+        line=content["model"],
+        contents=content["contents"],
+        target=Target(**content["target"]),
+        net=net,
+    )
+
+
+def over_drives(
+    net: "nn.Module",
+    forward: Forward,
+    timelines: Sequence[windows.Timeline],
+    window: int,
+    target: Target,
+    world: World = World(),
+    rows: Sequence[np.ndarray] | None = None,
+    opened: Mapping[int, frames.Graphs] | None = None,
+) -> list[np.ndarray]:
+    """Return the steering in rad that `net` predicts for each timeline's frames, [G] each; NaN where no window ends.
+
+    With `rows`, int [..] of each timeline, at least theirs, and no frame is encoded for others. The processes of a
+    `world` share the work, and all get the whole. `opened` as in :func:`windows.batches`.
+    """
+    import torch
+
+    spans = windows.spans(timelines, window, WINDOWS, rows)
+    own = [spans[index] for index in world.share(len(spans))]
+    net.eval()
+    with torch.inference_mode():
+        read = prefetch(windows.batches(timelines, [[span] for span in own], window, opened))
+        predicted = [forward(net, batch).double().cpu().numpy() * target.std_rad for batch in read]
+    steering_rad = [np.full(len(timeline.frame), np.nan) for timeline in timelines]
+    for part in world.gather(list(zip(own, predicted, strict=True))):
+        for span, values in part:
+            steering_rad[span.drive][span.start + window - 1 : span.stop] = values
+    return steering_rad
+
+
+def ms_per_frame(net: "nn.Module", encode: Forward, drives: Sequence[windows.Timeline], window: int) -> float:
+    """Return the median time of ``encode(net, batch)`` per frame, in ms, over a few batches after a warm-up."""
+    import torch
+
+    groups = [[span] for span in windows.spans(drives, window, WINDOWS)][:6]
+    times = []
+    with torch.inference_mode():
+        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
+            started = time.perf_counter()
+            encode(net, batch).cpu()  # waits for the device
+            times.append((time.perf_counter() - started) / (span.stop - span.start))
+    return float(np.median(times[1:] or times)) * 1e3

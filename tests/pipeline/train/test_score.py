@@ -1,0 +1,22 @@
+import numpy as np
+import pytest
+
+from pipeline.train import score
+
+
+def test_scores_by_hand() -> None:
+    steering, predicted = np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1])
+    assert score.mse(steering, predicted) == pytest.approx((0 + 0.04 + 0.01) / 3)
+    assert score.nmse(steering, predicted) == pytest.approx(0.05 / 0.06)
+    assert score.nmse(steering, np.zeros(3)) == 1
+
+
+def test_of_seeds_it_is_the_mean() -> None:
+    rng = np.random.default_rng(0)
+    steering, seeds = rng.normal(size=40), rng.normal(size=(3, 40))
+    for of in (score.mse, score.nmse):
+        assert of(steering, seeds) == pytest.approx(np.mean([of(steering, of_seed) for of_seed in seeds]))
+
+
+def test_labels_that_are_all_zero_have_no_nmse() -> None:
+    assert np.isnan(score.nmse(np.zeros(3), np.ones(3)))

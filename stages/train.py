@@ -5,14 +5,17 @@ On several GPUs: torchrun --nproc-per-node 2 -m stages.train MODEL; all processe
 
 import shutil
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base import console, pool, provenance, store
+from pipeline.base import console, provenance, store
 from pipeline.base.errors import InputError, explained
+from pipeline.base.lock import held
 from pipeline.base.params import SPLITS, load, load_entry
+from pipeline.base.resume import resume_key
 from pipeline.fitting import checkpoint
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
@@ -40,17 +43,19 @@ def main(
 
     model, settings = load_entry(Model, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": model.learning_rate or settings.learning_rate})
-    line = model.model_dump()
+    with explained(where=f"{params}: models.{name}"):
+        line = steering_net.resolved(model.model_dump())
     variant = graphs / model.input
     splits = store.read_index(variant, stage="graphs")
     # The test drives are read too, only to find out now, not after training, that this model has no frame in them.
     train, val, _ = (
         windows.read_drives(variant, labels, store.of_split(splits, split), model.window) for split in SPLITS
     )
+    modules = ["stages.train", *steering_net.modules(line)]
     contents = frames.contents(train[0].graphs)
     files = [file for drive in train + val for file in (drive.graphs, drive.labels)]
     kept = out.parent / ".resume" / f"{out.name}-{name}"
-    with distributed.joined() as (world, device):
+    with distributed.joined() as (world, device), held(out / name, kept) if world.leads else nullcontext():
         if world.size > settings.batch_runs:
             raise InputError(
                 f"{params}: train.batch_runs = {settings.batch_runs}: the runs of a step cannot be spread over "
@@ -73,7 +78,7 @@ def main(
                 "revision": provenance.revision(),
                 **determined_by,
             }
-            state = kept / f"{pool.resume_key('stages.train', determined_by | {'splits': splits}, files)}.pt"
+            state = kept / f"{resume_key(modules, determined_by | {'splits': splits}, files)}.pt"
             run.run(train, val, state, about, f"{name} seed {seed}")
             if world.leads:
                 more = {

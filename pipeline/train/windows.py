@@ -36,7 +36,7 @@ class Timeline:
 
     @classmethod
     def of(cls, graphs: frames.Graphs) -> "Timeline":
-        from models.steering.cell.ltc import NOMINAL_STEP_S
+        from models.steering.core.recurrent import NOMINAL_STEP_S
 
         runs = consecutive(graphs.frame)
         dt_s = np.diff(graphs.time_s, prepend=np.nan)

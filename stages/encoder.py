@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.pool import resume_key
+from pipeline.base.resume import resume_key
 from pipeline.encoder import precomputed
 from pipeline.encoder.weights import Setting, Source, fill, write_weights
 from pipeline.sections.encoder import PARTS, Encoder, Teacher

@@ -55,7 +55,7 @@ def main(
         list(splits),
         module="stages.ingest",
         out=out,
-        inputs=lambda drive: list(attributes[drive].values()),
+        inputs=lambda drive: [*attributes[drive].values(), found[drive].changes(settings.cameras)],
         settings=settings.model_dump(exclude={"drives"}),
         workers=workers,
         effort=lambda drive: len(found[drive].oxts),

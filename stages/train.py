@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base import console, store
-from pipeline.base import pool as drives
-from pipeline.base import provenance as code
+from pipeline.base import console, provenance, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load, load_entry
+from pipeline.base.resume import resume_key
 from pipeline.fitting import checkpoint
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
@@ -68,10 +67,10 @@ def main(
                 "name": name,
                 "splits": splits,
                 "target": vars(steering_fit.Target.of(train)),
-                "revision": code.revision(),
+                "revision": provenance.revision(),
                 **settings,
             }
-            state = kept / f"{drives.resume_key('stages.train', settings | {'splits': splits}, files)}.pt"
+            state = kept / f"{resume_key('stages.train', settings | {'splits': splits}, files)}.pt"
             fit.run(train, val, state, about, f"{name} seed {seed}")
             if world.leads:
                 more = {

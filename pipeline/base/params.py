@@ -4,6 +4,7 @@ Units stand in names or descriptions; a value out of range, an unknown key or a 
 :class:`~pipeline.base.errors.InputError` that names file, key, value and what is allowed.
 """
 
+import re
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
@@ -22,6 +23,7 @@ Seed = Annotated[int, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=32, le=4096)]
 ImageSize = Annotated[tuple[Side, Side], Field(description="[H, W] in pixels")]
+NAME = re.compile("[A-Za-z0-9][A-Za-z0-9_-]*")  # what DVC can address in a stage's name, and no shell misreads
 SPLITS = ("train", "val", "test")
 
 
@@ -49,6 +51,7 @@ def load(section: type[S], path: Path) -> S:
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises InputError."""
     content = _read(path)
+    _check_name(name, mapping, path)
     entries = content.get(mapping)
     if not isinstance(entries, dict) or name not in entries:
         known = list(entries) if isinstance(entries, dict) else []
@@ -58,20 +61,32 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
 
 
 def names(mapping: str, path: Path) -> list[str]:
-    """Return the names in a mapping section (``graphs`` or ``models``), in the file's order."""
+    """Return the names in a mapping section (``graphs`` or ``models``), in the file's order. Raises InputError."""
     entries = _read(path).get(mapping)
     if not isinstance(entries, dict) or not entries:
         raise InputError(f"{path}: section {mapping!r} is missing or empty: it needs at least one entry")
+    for name in entries:
+        _check_name(name, mapping, path)
     return list(entries)
+
+
+def _check_name(name: Any, mapping: str, path: Path) -> None:
+    """It becomes part of folder names, stage names and commands. YAML reads 1 and on, without quotes, as no text."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise InputError(
+            f"{path}: section {mapping!r}: the name {name!r} is not allowed: take letters a-z and A-Z, digits, _ and -, "
+            f"starting with a letter or digit{'' if isinstance(name, str) else ', and put it in quotes'}"
+        )
 
 
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path} is missing: run from the repository's root, or: git checkout {path.name}")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        with explained(f"{path} is not valid YAML"):  # text that is not UTF-8
+            content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
-        raise InputError(f"{path} is no YAML: {error}") from error
+        raise InputError(f"{path} is not valid YAML: {error}") from error
     if not isinstance(content, dict):
         raise InputError(f"{path} holds no sections")
     for name in content:

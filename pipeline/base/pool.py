@@ -1,10 +1,9 @@
-"""Run a function over drives: worker processes, progress, and resume after a kill.
+"""Run a function over drives: worker processes, progress, and going on after a kill.
 
 DVC deletes a stage's outputs before it runs the stage, so finished drives wait in ``data/.resume/<stage>/`` under a
 key that hashes all that determines them; they are moved into the stage's folder when every drive is done.
 """
 
-import hashlib
 import json
 import multiprocessing
 import os
@@ -23,10 +22,12 @@ from typing import Any
 from tqdm import tqdm
 
 from pipeline.base import progress
-from pipeline.base import provenance as code
+from pipeline.base.atomic import replacing, sweep
 from pipeline.base.console import default_workers
 from pipeline.base.errors import InputError
-from pipeline.base.store import write_json
+from pipeline.base.lock import held
+from pipeline.base.resume import resume_key
+from pipeline.base.store import indexed, write_json
 
 REFRESH_S = 0.5  # of the bar, while workers count
 Summary = dict[str, Any]
@@ -42,7 +43,7 @@ def run_over_drives(
     work: Work,
     drives: Sequence[str],
     *,
-    module: str,
+    module: str | Sequence[str],
     out: Path,
     inputs: Callable[[str], Sequence[Path | str]],
     settings: Mapping[str, Any],
@@ -57,53 +58,65 @@ def run_over_drives(
 
     Args:
         work: a picklable function (``functools.partial`` of a module-level one).
-        module: dotted name of the stage's module; its code is part of the resume key.
+        module: dotted name of the stage's module; its code is part of the resume key (:func:`resume_key`).
         out: the stage's folder, for instance ``data/clouds/pseudo``.
         inputs: drive → what it is made from: files, whose contents are part of the key, or strings that stand for some.
         settings: JSON-able parameters that determine the files; part of the key.
         workers: processes; None means :func:`pipeline.base.console.default_workers`. Never changes a result.
-        resume: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
+        resume: where finished drives wait, locked; default ``.resume/<name of out>`` beside `out`. Never inside a DVC
+            output.
         target: drive → where its file or folder ends up; default ``out/<drive>.h5``.
         effort: drive → how long it takes, in any unit; the longest start first, so that no worker ends alone.
             Default: the size of the input files.
-        frames: drive → how many frames `work` tells :func:`pipeline.base.progress.advance` of, for a bar that counts frames.
-            Default: it counts drives.
+        frames: drive → how many frames `work` tells :func:`pipeline.base.progress.advance` of, for a bar that counts
+            frames. Default: it counts drives.
         describe: one drive's summary → what the log prints of it.
+
+    Of what was in `out`, it removes the files of drives that an ``index.json`` there names and `drives` does not.
 
     Returns: drive → summary, in the order of `drives`.
 
-    Raises the first error of a worker after the drives in progress are done; what is finished is kept for the next run.
+    Raises InputError if another process writes the same folder; the first error of a worker after the drives in
+    progress are done; what is finished is kept for the next run.
     """
     kept = resume or out.parent / ".resume" / out.name
-    kept.mkdir(parents=True, exist_ok=True)
     target = target or (lambda drive: out / f"{drive}.h5")
-    paths = {
-        drive: kept / (resume_key(module, {"drive": drive, **settings}, inputs(drive)) + target(drive).suffix)
-        for drive in drives
-    }
-    todo = [drive for drive in drives if not paths[drive].exists() or not _sidecar(paths[drive]).is_file()]
-    todo.sort(key=effort or (lambda drive: _bytes(inputs(drive))), reverse=True)
-    if len(todo) < len(drives):
-        print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
-    with tqdm(
-        total=sum(map(frames, todo)) if frames else len(todo),
-        unit=" frames" if frames else " drives",
-        disable=not sys.stderr.isatty(),
-    ) as bar:
-        _run(work, {drive: paths[drive] for drive in todo}, workers or default_workers(), describe, bar, bool(frames))
+    with held(out, kept):
+        paths = {
+            drive: kept / (resume_key(module, {"drive": drive, **settings}, inputs(drive)) + target(drive).suffix)
+            for drive in drives
+        }
+        todo = [drive for drive in drives if not paths[drive].exists() or not _sidecar(paths[drive]).is_file()]
+        todo.sort(key=effort or (lambda drive: _bytes(inputs(drive))), reverse=True)
+        if len(todo) < len(drives):
+            print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
+        with tqdm(
+            total=sum(map(frames, todo)) if frames else len(todo),
+            unit=" frames" if frames else " drives",
+            disable=not sys.stderr.isatty(),
+        ) as bar:
+            todo_paths = {drive: paths[drive] for drive in todo}
+            _run(work, todo_paths, workers or default_workers(), describe, bar, bool(frames))
 
-    out.mkdir(parents=True, exist_ok=True)
-    summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
-    for drive, path in paths.items():
-        target(drive).parent.mkdir(parents=True, exist_ok=True)
-        if target(drive).is_dir():
-            shutil.rmtree(target(drive))  # a file is replaced, a folder that is not empty would not be
-        path.replace(target(drive))
-    # Earlier files may still be there (persist in dvc.yaml): drop those of other drives.
-    for stale in set(out.rglob("*.h5")) - {target(drive) for drive in drives}:
-        stale.unlink()
-    shutil.rmtree(kept)
+        summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
+        _move({path: target(drive) for drive, path in paths.items()}, out)
+        shutil.rmtree(kept)
     return summaries
+
+
+def _move(targets: Mapping[Path, Path], out: Path) -> None:
+    """Move finished files and folders to where they belong, and remove those of drives that are no longer wanted."""
+    out.mkdir(parents=True, exist_ok=True)
+    for folder in {target.parent for target in targets.values()}:
+        sweep(folder)
+    for path, target in targets.items():
+        with replacing(target) as tmp:
+            shutil.move(path, tmp)  # copies, if the stage's folder is a link to another disk
+    # Earlier files may still be there (persist in dvc.yaml, or no DVC). Files of others stay.
+    kinds = {(target.parent, target.suffix) for target in targets.values()}
+    earlier = {folder / f"{drive}{suffix}" for folder, suffix in kinds for drive in indexed(folder)}
+    for stale in earlier.difference(targets.values()):
+        stale.unlink(missing_ok=True)
 
 
 def _run(
@@ -214,25 +227,3 @@ def _size(path: Path) -> int:
 
 def _bytes(inputs: Sequence[Path | str]) -> int:
     return sum(path.stat().st_size for path in inputs if isinstance(path, Path))
-
-
-def resume_key(module: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
-    """Return a hash of all that determines a result: a module's code, parameters, input files.
-
-    Args:
-        module: dotted name; the code of all it imports counts.
-        settings: JSON-able.
-        inputs: files, whose contents count, or strings that stand for some.
-    """
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + code.fingerprint(module).encode())
-    for item in inputs:
-        digest.update((item if isinstance(item, str) else file_hash(item)).encode() + b"\0")
-    return digest.hexdigest()[:32]
-
-
-def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file's contents, as hex. Raises InputError if it is missing."""
-    if not path.is_file():
-        raise InputError(f"{path} is missing: dvc repro makes it, dvc pull brings it from another machine")
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

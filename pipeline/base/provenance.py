@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import subprocess
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -10,28 +11,31 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
 
 
-def import_closure(module: str) -> list[Path]:
-    """Return the project's source files that `module` (dotted name) imports, directly or not, itself included.
+def import_closure(*modules: str) -> list[Path]:
+    """Return the project's source files that `modules` (dotted names) import, directly or not, themselves included.
 
-    Imports inside functions count. Paths are relative to the repository root, sorted.
+    Imports inside functions count, and so do the ``__init__.py`` of the packages on the way. Imports under
+    ``if TYPE_CHECKING:`` do not: they never run. What is imported by a computed name is not seen: give that module too.
+    Paths are relative to the repository root, sorted.
     """
-    seen: dict[str, Path] = {}
-    todo = [module]
+    paths: dict[str, Path] = {}
+    todo = list(modules)
     while todo:
         name = todo.pop()
         path = _source(name)
-        if name in seen or path is None:
+        if name in paths or path is None:
             continue
-        seen[name] = path
-        todo += _imports(path)
-    return sorted({path.relative_to(ROOT) for path in seen.values()})
+        paths[name] = path
+        package, _, _ = name.rpartition(".")
+        todo += [package, *_imports(path, name if path.name == "__init__.py" else package)]
+    return sorted({path.relative_to(ROOT) for path in paths.values()})
 
 
 @cache
-def fingerprint(module: str) -> str:
-    """Return a hash of the contents of :func:`import_closure` of `module`."""
+def fingerprint(*modules: str) -> str:
+    """Return a hash of the contents of :func:`import_closure` of `modules`."""
     digest = hashlib.sha256()
-    for path in import_closure(module):
+    for path in import_closure(*modules):
         digest.update(str(path).encode() + b"\0" + (ROOT / path).read_bytes() + b"\0")
     return digest.hexdigest()
 
@@ -49,18 +53,31 @@ def _source(name: str) -> Path | None:
     if name.split(".")[0] not in PACKAGES:
         return None
     base = ROOT.joinpath(*name.split("."))
-    for path in (base.with_suffix(".py"), base / "__init__.py"):
+    for path in (base / "__init__.py", base.with_suffix(".py")):  # Python's order, should both be there
         if path.is_file():
             return path
     return None
 
 
-def _imports(path: Path) -> list[str]:
+def _imports(path: Path, package: str) -> list[str]:
+    """Return dotted names that the file imports; some may be functions, which have no source file of their own."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in _nodes_that_run(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            # ``from pipeline import store`` names a module, ``from pipeline.store import open_drive`` a function.
-            names += [node.module] + [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: -(node.level - 1) or None] if node.level else []
+            module = ".".join([*parents, *([node.module] if node.module else [])])
+            # ``from pipeline.base import store`` names a module, ``from pipeline.base.store import indexed`` a function.
+            names += [module] + [f"{module}.{alias.name}" for alias in node.names]
     return names
+
+
+def _nodes_that_run(tree: ast.AST) -> Iterator[ast.AST]:
+    yield tree
+    for child in ast.iter_child_nodes(tree):
+        if isinstance(child, ast.If) and ast.unparse(child.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            for other in child.orelse:
+                yield from _nodes_that_run(other)
+        else:
+            yield from _nodes_that_run(child)

@@ -5,13 +5,14 @@ the file), and whatever the stage adds; every dataset has an attribute ``unit``.
 numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row. Ragged data: ``ptr`` int64 [F+1] and
 concatenated rows, so that frame i owns ``rows[ptr[i]:ptr[i+1]]``.
 
-Files are deterministic: written once, in a fixed order, with no clock, host or user inside, to a ``.tmp`` name that is
-renamed when complete.
+Files are deterministic: written once, in a fixed order, with no clock, host or user inside, to a temporary name that
+is changed when they are complete.
 """
 
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -20,11 +21,13 @@ from typing import Any, Self
 import h5py
 import numpy as np
 
-from pipeline.base.errors import InputError
+from pipeline.base.atomic import replacing
+from pipeline.base.errors import InputError, explained
 
 SCHEMA = 1
 _CHUNK_ROWS = 8192  # of ragged data
 _MISSING = "{path} is missing. Make it: dvc repro {stage}. Bring it from another machine: dvc pull {stage}"
+_AGAIN = "Make it again: dvc repro --force {stage}"
 
 
 class DriveWriter:
@@ -33,10 +36,6 @@ class DriveWriter:
     def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
         """`params` is the JSON-able content of the params sections that determine the file."""
         self.path = path
-        self._tmp = path.with_name(path.name + ".tmp")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._sink = _Sink(self._tmp)
-        self._file = h5py.File(self._sink, "w", libver="v110")
         self.attrs: dict[str, Any] = {
             "schema": SCHEMA,
             "stage": stage,
@@ -84,22 +83,22 @@ class DriveWriter:
         self._sink.check()
 
     def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self._sink = stack.enter_context(_Sink(stack.enter_context(replacing(self.path)), self.path))
+            stack.enter_context(self._sink.to_blame())
+            self._file = stack.enter_context(h5py.File(self._sink, "w", libver="v110"))
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            if kind is None:
-                for name, value in self.attrs.items():
-                    self._file.attrs[name] = value
-            self._file.close()
-            self._sink.close()
-            if kind is None:
-                self._sink.check()
-                self._tmp.replace(self.path)
-        finally:
-            self._tmp.unlink(missing_ok=True)
+        if error is not None:
+            self._stack.__exit__(kind, error, trace)
+            return
+        with self._stack:
+            for name, value in self.attrs.items():
+                self._file.attrs[name] = value
 
 
 class _Sink(io.FileIO):
@@ -109,8 +108,9 @@ class _Sink(io.FileIO):
     file that looks complete, and crash as the process ends.
     """
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, "w+")
+    def __init__(self, tmp: Path, path: Path) -> None:
+        """Write to `tmp`; errors name `path`, which it becomes."""
+        super().__init__(tmp, "w+")
         self._path = str(path)
         self._error: OSError | None = None
 
@@ -140,11 +140,22 @@ class _Sink(io.FileIO):
         if self._error:
             raise self._error
 
+    @contextmanager
+    def to_blame(self) -> Iterator[None]:
+        """Raise the first error there was in place of what HDF5 says of a file that lacks what it believes written."""
+        try:
+            yield
+        except Exception as error:
+            if self._error and error is not self._error:
+                raise self._error from error
+            raise
+        self.check()
+
 
 class DriveReader:
     """Read one drive's file; a context manager.
 
-    Raises InputError if the file is missing, is no HDF5 file, or was written by another stage or schema.
+    Raises InputError if the file is missing, is not an HDF5 file, or was written by another stage or schema.
     """
 
     def __init__(self, path: Path, *, stage: str) -> None:
@@ -153,15 +164,15 @@ class DriveReader:
         try:
             self._file = h5py.File(path, "r")
         except OSError as error:
-            raise InputError(f"{path} is damaged ({error}). Make it again: dvc repro --force {stage}") from error
+            raise InputError(f"{path} is damaged ({error}). {_AGAIN.format(stage=stage)}") from error
         self.path = path
         self.attrs: dict[str, Any] = dict(self._file.attrs)
-        found = (self.attrs.get("stage"), self.attrs.get("schema"))
-        if found != (stage, SCHEMA):
+        writer, schema = self.attrs.get("stage"), self.attrs.get("schema")
+        if (writer, schema) != (stage, SCHEMA):
             self._file.close()
             raise InputError(
-                f"{path} has stage {found[0]!r}, schema {found[1]}; this code reads stage {stage!r}, schema {SCHEMA}. "
-                f"Make it again: dvc repro --force {stage}"
+                f"{path} has stage {writer!r}, schema {schema}; this code reads stage {stage!r}, schema {SCHEMA}. "
+                + _AGAIN.format(stage=stage)
             )
         self.drive = str(self.attrs["drive"])
 
@@ -177,10 +188,10 @@ class DriveReader:
 
     def row_of(self, number: int) -> int:
         """Return the row of the frame with this KITTI number. Raises InputError if the file has no such frame."""
-        found = np.flatnonzero(self.frame == number)
-        if not len(found):
+        rows = np.flatnonzero(self.frame == number)
+        if not len(rows):
             raise InputError(f"{self.path} has no frame {number}")
-        return int(found[0])
+        return int(rows[0])
 
     def __contains__(self, name: str) -> bool:
         return name in self._file
@@ -215,20 +226,16 @@ class DriveReader:
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON with sorted keys, in one step: nobody ever reads a half-written file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tmp = path.with_name(path.name + ".tmp")
-    tmp.write_text(json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
-    tmp.replace(path)
+    with replacing(path) as tmp:
+        tmp.write_text(json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path, *, stage: str) -> Any:
-    """Read JSON written by `stage`. Raises InputError if it is missing or no JSON."""
+    """Read JSON written by `stage`. Raises InputError if it is missing or not valid JSON."""
     if not path.is_file():
         raise InputError(_MISSING.format(path=path, stage=stage))
-    try:
+    with explained(f"{path} is not valid JSON", hint=_AGAIN.format(stage=stage)):
         return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"{path} is no JSON ({error}). Make it again: dvc repro --force {stage}") from error
 
 
 def write_index(folder: Path, splits: Mapping[str, str]) -> None:
@@ -242,13 +249,22 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     if index.get("schema") != SCHEMA:
         raise InputError(
             f"{folder / 'index.json'} has schema {index.get('schema')}, this code reads {SCHEMA}. "
-            f"Make it again: dvc repro --force {stage}"
+            + _AGAIN.format(stage=stage)
         )
     drives: dict[str, str] = index["drives"]
     missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
     if missing:
         raise InputError(f"{folder} lacks {', '.join(missing)}, named in its index.json. Get them: dvc pull {stage}")
     return drives
+
+
+def indexed(folder: Path) -> list[str]:
+    """Return the drives that the folder's index.json names, whatever its schema; none if there is no sound one."""
+    try:
+        drives = json.loads((folder / "index.json").read_text(encoding="utf-8"))["drives"]
+        return [drive for drive in drives if Path(drive).name == drive]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
 
 
 def of_split(splits: Mapping[str, str], *names: str) -> list[str]:

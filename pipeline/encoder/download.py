@@ -9,7 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from pipeline.base.errors import InputError
-from pipeline.base.pool import file_hash
+from pipeline.base.resume import file_hash
 
 SHA256 = re.compile(r"[0-9a-fA-F]{64}")
 CACHE = Path("weights")

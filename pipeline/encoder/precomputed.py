@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.pool import file_hash
+from pipeline.base.resume import file_hash
 from pipeline.camera import classes
 from pipeline.camera.images import read_classes, read_depth
 

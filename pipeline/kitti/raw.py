@@ -53,14 +53,27 @@ class RawDrive:
         Contents of images and scans are left out: hashing 175 GB would take longer than ingesting it.
         """
         digest = hashlib.sha256()
-        big = [self.scans, self.truth_depth, self.truth_cls, *(self.images(camera) for camera in cameras)]
-        for path in (path for paths in big for path in paths.values()):
+        for path in self._big(cameras):
             digest.update(f"{path.relative_to(self.folder)} {path.stat().st_size}\n".encode())
         small = [*self.oxts.values(), self.oxts_times, *sorted(self.calibration.glob("calib_*.txt"))]
         for path in (path for path in small if path.is_file()):
             content = path.read_bytes()
             digest.update(f"{path.relative_to(self.calibration)} {len(content)}\n".encode() + content)
         return digest.hexdigest()
+
+    def changes(self, cameras: Sequence[int]) -> str:
+        """Return a hash of when the drive's images and scans were last changed: what :meth:`fingerprint` leaves out.
+
+        It tells a file that was extracted again: unzip gives it the archive's time of modification, and its change time
+        is the clock's. It says nothing of contents: a copy of the drive has another one.
+        """
+        stats = ((path, path.stat()) for path in self._big(cameras))
+        lines = (f"{path.relative_to(self.folder)} {stat.st_mtime_ns} {stat.st_ctime_ns}\n" for path, stat in stats)
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+    def _big(self, cameras: Sequence[int]) -> list[Path]:
+        folders = [self.scans, self.truth_depth, self.truth_cls, *(self.images(camera) for camera in cameras)]
+        return [path for paths in folders for path in paths.values()]
 
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:

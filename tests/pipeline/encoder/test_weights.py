@@ -7,7 +7,7 @@ import torch
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
-from pipeline.base.pool import file_hash
+from pipeline.base.resume import file_hash
 from pipeline.encoder.weights import Source, fill, read_published, read_weights, write_weights
 from pipeline.fitting.checkpoint import load_state
 

@@ -41,7 +41,7 @@ def make(params: Path, folder: Path, variants: Sequence[str]) -> None:
         _perceive(folder / f"ingest/{drive}.h5", folder / f"perception/{drive}.h5", drive)
     clouds.main(folder / "ingest", folder / "perception", folder / "clouds", params)
     for variant in variants:
-        graphs.main(variant, folder / "clouds", folder / "graphs", params, ingest=folder / "ingest")
+        graphs.main(variant, folder, folder / "graphs", params)
 
 
 def record(params: Path, folder: Path) -> None:

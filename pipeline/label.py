@@ -1,4 +1,4 @@
-"""The steering label (paper section 4.1), how plausible a drive's labels are, and the path that steering leads along.
+"""The steering label (paper section 4.1), its file, how plausible a drive's labels are, and where steering leads.
 
 Signs: yaw rate and steering angle are positive to the left. ``v`` is oxts' forward speed ``vf``, parallel to the
 earth's surface, and the yaw rate is its match ``wu``.
@@ -7,6 +7,8 @@ earth's surface, and the yaw rate is its match ``wu``.
 from typing import Literal
 
 import numpy as np
+
+from pipeline.base.store import DriveWriter
 
 Standstill = Literal["invalid", "raw", "zero"]
 # Forward speed at standstill dips to -0.15 m/s in KITTI, so what is slower than this really rolls backwards.
@@ -26,7 +28,7 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
     return np.where((speed_mps == 0) & (yaw_rate_radps == 0), 0.0, angle)
 
 
-def label(
+def steering_labels(
     yaw_rate_radps: np.ndarray,
     speed_mps: np.ndarray,
     *,
@@ -45,6 +47,27 @@ def label(
     if standstill == "zero":
         steering_rad = np.where(slow, 0.0, steering_rad)
     return steering_rad, ~slow if standstill == "invalid" else np.ones_like(slow)
+
+
+def write(
+    file: DriveWriter,
+    frame: np.ndarray,
+    time_s: np.ndarray,
+    *,
+    steering_rad: np.ndarray,
+    valid: np.ndarray,
+    speed_mps: np.ndarray,
+    yaw_rate_radps: np.ndarray,
+    wheelbase_m: float,
+) -> None:
+    """Write a drive's labels file, data/labels/<drive>.h5: arrays [F] of its frames, and the curvature tan Θ / L."""
+    file.put("frame", np.asarray(frame, np.int32))
+    file.put("time_s", time_s, "s")
+    file.put("steering_rad", steering_rad, "rad, left positive")
+    file.put("valid", valid.astype(np.uint8))
+    file.put("speed_mps", speed_mps, "m/s")
+    file.put("yaw_rate_radps", yaw_rate_radps, "rad/s, left positive")
+    file.put("curvature_1pm", np.tan(steering_rad) / wheelbase_m, "1/m, left positive")
 
 
 def plausibility(

@@ -5,9 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from pipeline import label as steering
+from pipeline import label
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.pool import run_over_drives
@@ -20,12 +18,15 @@ def main(
     out: Path = Path("data/labels"),
     params: Path = Path("params.yaml"),
     workers: int | None = None,
-) -> None:
-    """Compute the steering angle of each frame (paper section 4.1) and say which frames have a usable one."""
+) -> Path:
+    """Compute the steering angle of each frame (paper section 4.1) and say which frames have a usable one.
+
+    Returns the folder that it wrote.
+    """
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
     summaries = run_over_drives(
-        partial(label, ingest=ingest, settings=settings),
+        partial(label_drive, ingest=ingest, settings=settings),
         list(splits),
         module="stages.labels",
         out=out,
@@ -39,29 +40,33 @@ def main(
     suspect = [drive for drive, summary in summaries.items() if summary["sideways_frames"]]
     if suspect:
         print(f"labels in doubt, oxts says that the car slides sideways: {', '.join(suspect)}")
+    return out
 
 
-def label(drive: str, path: Path, ingest: Path, settings: Labels) -> dict[str, Any]:
+def label_drive(drive: str, path: Path, ingest: Path, settings: Labels) -> dict[str, Any]:
     """Write one drive's labels and return their plausibility summary."""
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
         frame, time_s, oxts = raw.frame, raw.time_s, raw["oxts"]
-    speed, yaw_rate = oxts[:, VF], oxts[:, WU]
-    steering_rad, valid = steering.label(
-        yaw_rate,
-        speed,
+    speed_mps, yaw_rate_radps = oxts[:, VF], oxts[:, WU]
+    steering_rad, valid = label.steering_labels(
+        yaw_rate_radps,
+        speed_mps,
         wheelbase_m=settings.wheelbase_m,
         min_speed_mps=settings.min_speed_mps,
         standstill=settings.standstill,
     )
     with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
-        file.put("frame", frame)
-        file.put("time_s", time_s, "s")
-        file.put("steering_rad", steering_rad, "rad, left positive")
-        file.put("valid", valid.astype(np.uint8))
-        file.put("speed_mps", speed, "m/s")
-        file.put("yaw_rate_radps", yaw_rate, "rad/s, left positive")
-        file.put("curvature_1pm", np.tan(steering_rad) / settings.wheelbase_m, "1/m, left positive")
-    return steering.plausibility(steering_rad, valid, speed, oxts[:, VL], time_s)
+        label.write(
+            file,
+            frame,
+            time_s,
+            steering_rad=steering_rad,
+            valid=valid,
+            speed_mps=speed_mps,
+            yaw_rate_radps=yaw_rate_radps,
+            wheelbase_m=settings.wheelbase_m,
+        )
+    return label.plausibility(steering_rad, valid, speed_mps, oxts[:, VL], time_s)
 
 
 def describe(summary: Mapping[str, Any]) -> str:

@@ -12,10 +12,10 @@ from pipeline.base import console
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.pool import run_over_drives
-from pipeline.kitti import raw as kitti
+from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.town import Town
-from pipeline.town import contact_sheet as figures
+from pipeline.town.contact_sheet import contact_sheet, write_rgb
 from pipeline.town.drive import write_drive
 from pipeline.town.layout import read_views
 from pipeline.town.rig import make_rig, write_calibration
@@ -25,13 +25,16 @@ def main(
     out: Path = Path("data/town"),
     params: Path = Path("params.yaml"),
     workers: int | None = None,
-) -> None:
-    """Render the drives that section ingest names; with ingest.source kitti, nothing."""
+) -> Path:
+    """Render the drives that section ingest names; with ingest.source kitti, nothing.
+
+    Returns the folder that it wrote.
+    """
     settings, ingest = load(Town, params), load(Ingest, params)
     if ingest.source == "kitti":
         out.mkdir(parents=True, exist_ok=True)
         print("nothing to render: ingest.source is kitti")
-        return
+        return out
     splits = ingest.drives.splits()
     folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in splits}
     recorded = find_recorded(settings, list(splits))
@@ -52,17 +55,18 @@ def main(
     rig = make_rig(settings.image_size)
     for date in sorted({folder.parent for folder in folders.values()}):
         write_calibration(rig, date)
-    figures.write_rgb(out / "contact_sheet.png", figures.contact_sheet(read_views(list(folders.values()), count=7)))
+    write_rgb(out / "contact_sheet.png", contact_sheet(read_views(list(folders.values()), count=7)))
+    return out
 
 
-def find_recorded(settings: Town, drives: Sequence[str]) -> dict[str, kitti.RawDrive]:
+def find_recorded(settings: Town, drives: Sequence[str]) -> dict[str, RawDrive]:
     """Return the real drives to drive along; none without town.replay."""
     if settings.replay is None:
         return {}
     root = Path(settings.replay)
     if not root.is_dir():
         raise InputError(f"town.replay = {root} is missing. Link it: ln -s /path/to/kitti {root}")
-    return kitti.find_drives(root, drives)
+    return find_drives(root, drives)
 
 
 def render(drive: str, path: Path, splits: Mapping[str, str], settings: Town) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from pipeline.camera.png import read_png
 Size = tuple[int, int]
 """(H, W) pixels."""
 DEPTH_UNITS_PER_M = 256  # of stored depth, as in KITTI's depth benchmark; 0 is none
+MAX_UNITS = np.iinfo(np.uint16).max
 
 
 def to_metres(units: np.ndarray) -> np.ndarray:
@@ -19,7 +20,7 @@ def to_metres(units: np.ndarray) -> np.ndarray:
 
 def to_units(depth_m: np.ndarray) -> np.ndarray:
     """Return depth in metres as it is stored, uint16 in 1/256 m, at least 1; where it is 0 (none) it stays 0."""
-    units = np.clip(np.rint(depth_m * DEPTH_UNITS_PER_M), 1, np.iinfo(np.uint16).max).astype(np.uint16)
+    units = np.clip(np.rint(depth_m * DEPTH_UNITS_PER_M), 1, MAX_UNITS).astype(np.uint16)
     units[depth_m == 0] = 0
     return units
 

@@ -22,13 +22,13 @@ def read_png(path: Path) -> np.ndarray:
     _check(content, path)
     pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or (pixels.ndim == 3 and pixels.shape[2] != 3):
-        raise DamagedFile(f"{path} is no grey or RGB image")
+        raise DamagedFile(f"{path} is not a grey or RGB image")
     return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
 
 
 def _check(content: bytes, path: Path) -> None:
     if not content.startswith(_SIGNATURE):
-        raise DamagedFile(f"{path} is no PNG" if content else f"{path} is empty")
+        raise DamagedFile(f"{path} is not a PNG file" if content else f"{path} is empty")
     at = len(_SIGNATURE)
     # A chunk: length, kind, data, CRC-32 of kind and data; the last one is IEND.
     while at + 12 <= len(content):

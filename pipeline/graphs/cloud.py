@@ -1,21 +1,24 @@
-"""A frame's semantic point cloud (paper eq. 6 and 7), in the order in which it is stored.
+"""A frame's semantic point cloud (paper eq. 6 and 7), as it is stored, and the writer of its file.
 
 Clouds are in the rectified camera frame, metres: x right, y down, z forward. The factor λ of eq. 7 is a model's own
 setting (`semantics`), so clouds always carry the class.
 """
 
 import zlib
+from collections.abc import Iterable
 
 import numpy as np
 
+from pipeline.base.store import DriveWriter, pointers
 from pipeline.camera import classes, geometry
+
+Cloud = tuple[np.ndarray, np.ndarray]
+"""xyz float32 [P,3] in metres, cls uint8 [P]."""
 
 RESOLUTION_M = 1 / 1024  # coordinates are stored in steps of about a millimetre: far below any sensor, and files shrink
 
 
-def pseudo_cloud(
-    depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float
-) -> tuple[np.ndarray, np.ndarray]:
+def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float) -> Cloud:
     """Lift an image's pixels into 3D.
 
     Args:
@@ -26,13 +29,11 @@ def pseudo_cloud(
 
     Returns: xyz float32 [P,3], cls uint8 [P]. Sky, void and invalid pixels give no point.
     """
-    seen = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY) & (cls != classes.VOID)
-    return geometry.back_project(depth_m, K)[seen].astype(np.float32), cls[seen].astype(np.uint8)
+    solid = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY) & (cls != classes.VOID)
+    return geometry.back_project(depth_m, K)[solid].astype(np.float32), cls[solid].astype(np.uint8)
 
 
-def lidar_cloud(
-    scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
+def lidar_cloud(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np.ndarray | None) -> Cloud:
     """Bring a scan into the camera frame and give each point the class of the pixel that it falls on.
 
     Args:
@@ -54,6 +55,35 @@ def lidar_cloud(
     return xyz.astype(np.float32), labels
 
 
+def stored(cloud: Cloud, max_points: int, rng: np.random.Generator) -> Cloud:
+    """Return a cloud as it is stored: at most `max_points`, drawn by `rng`, on the grid, in Morton order."""
+    xyz, cls = cloud
+    chosen = sample(len(xyz), max_points, rng)
+    xyz, cls = quantise(xyz[chosen]), cls[chosen]
+    order = morton_order(xyz)
+    return xyz[order], cls[order]
+
+
+def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iterable[Cloud]) -> dict[str, int]:
+    """Write a drive's clouds file, data/clouds/<kind>/<drive>.h5; return how many frames and points it holds.
+
+    Args:
+        frame: KITTI frame numbers [F]; time_s: their times [F].
+        clouds: of each frame its cloud, as it is stored.
+    """
+    file.put("frame", np.asarray(frame, np.int32))
+    file.put("time_s", time_s, unit="s")
+    file.append("xyz", np.empty((0, 3), np.float32), unit="m")
+    file.append("cls", np.empty(0, np.uint8), unit="trainId")
+    counts = []
+    for xyz, cls in clouds:
+        file.append("xyz", xyz)
+        file.append("cls", cls)
+        counts.append(len(xyz))
+    file.put("ptr", pointers(counts), unit="row")
+    return {"frames": len(counts), "points": sum(counts)}
+
+
 def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
     """Return a generator that depends on the frame alone, so that no result depends on the order of work."""
     return np.random.default_rng([seed, zlib.crc32(drive.encode()), frame])
@@ -65,6 +95,16 @@ def cropped(xyz: np.ndarray, left_near_right_far_m: tuple[float, float, float, f
         return np.arange(len(xyz))
     xz, bounds = xyz[:, [0, 2]], np.array(left_near_right_far_m)
     return np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
+
+
+def chosen_points(
+    cloud: Cloud, left_near_right_far_m: tuple[float, float, float, float] | None, points: int, rng: np.random.Generator
+) -> Cloud:
+    """Return at most `points` of a cloud's points that lie in the crop, drawn by `rng`, in the cloud's order."""
+    xyz, cls = cloud
+    inside = cropped(xyz, left_near_right_far_m)
+    chosen = inside[sample(len(inside), points, rng)]
+    return xyz[chosen], cls[chosen]
 
 
 def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:

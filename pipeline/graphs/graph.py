@@ -59,11 +59,11 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
     points = o3c.Tensor.from_numpy(np.ascontiguousarray(xyz, np.float32))
     search = o3c.nns.NearestNeighborSearch(points)
     search.knn_index()
-    found = search.knn_search(points, k + 1)[0].numpy()  # [P,k+1], mostly the point itself first
-    own = found == np.arange(count)[:, None]
+    neighbours = search.knn_search(points, k + 1)[0].numpy()  # [P,k+1], mostly the point itself first
+    own = neighbours == np.arange(count)[:, None]
     # Where points coincide, a point may not find itself among k+1: then its last neighbour goes.
     own[~own.any(axis=1), -1] = True
-    return found[~own].reshape(count, k)
+    return neighbours[~own].reshape(count, k)
 
 
 def _keep(same_class: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> np.ndarray:

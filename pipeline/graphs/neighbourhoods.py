@@ -66,12 +66,12 @@ def ball_query(
     order = np.arange(len(xyz)) if order is None else order
     place = np.argsort(order)
     axes = _axes(xyz[order])
-    found = np.empty((len(centres), neighbours), np.int64)
+    members = np.empty((len(centres), neighbours), np.int64)
     for row, centre in enumerate(place[centres]):
         ball = np.flatnonzero(_squared_distances(axes, centre) <= radius_m**2)[:neighbours]
-        found[row] = ball[0]  # a centre is in its own ball
-        found[row, : len(ball)] = ball
-    return order[found]
+        members[row] = ball[0]  # a centre is in its own ball
+        members[row, : len(ball)] = ball
+    return order[members]
 
 
 def _axes(xyz: np.ndarray) -> Sequence[np.ndarray]:

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, explained
+
+_AGAIN = "Extract the date's calibration archive again"
 
 
 @dataclass(frozen=True)
@@ -57,22 +59,16 @@ def _read(path: Path) -> dict[str, np.ndarray]:
 
     if not path.is_file():
         raise InputError(f"{path} is missing: extract the date's calibration archive (…_calib.zip) there")
-    try:
+    with explained(f"{path} is not a calibration file", hint=_AGAIN):
         return dict(read_calib_file(path))
-    except ValueError as error:
-        raise InputError(
-            f"{path} is no calibration file ({error}): extract the date's calibration archive again"
-        ) from error
 
 
 def _matrix(entries: dict[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
     if name not in entries:
-        raise InputError(f"{path} has no {name}: extract the date's calibration archive again")
+        raise InputError(f"{path} has no {name}. {_AGAIN}")
     values = entries[name]
     if values.size != np.prod(shape) or not np.isfinite(values).all():
-        raise InputError(
-            f"{path}: {name} is not {np.prod(shape)} finite numbers: extract the date's calibration archive again"
-        )
+        raise InputError(f"{path}: {name} is not {np.prod(shape)} finite numbers. {_AGAIN}")
     return values.reshape(shape)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.errors import DamagedFile, InputError, explained
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -16,6 +16,15 @@ COLUMNS = (
 VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
 # Heading, rad, counter-clockwise from east; forward acceleration, m/s².
 YAW, AF = (COLUMNS.index(name) for name in ("yaw", "af"))
+COUNTS = COLUMNS.index("navstat")  # from here on, whole numbers
+
+
+def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
+    """Return packets, float64 [F,30], that hold these columns, each [F] or one number for all; the others are 0."""
+    rows = np.zeros((frames, len(COLUMNS)))
+    for name, values in columns.items():
+        rows[:, COLUMNS.index(name)] = values
+    return rows
 
 
 def read_row(path: Path) -> np.ndarray:
@@ -29,7 +38,7 @@ def read_row(path: Path) -> np.ndarray:
     try:
         row = np.array(words, np.float64)
     except ValueError as error:
-        raise DamagedFile(f"{path} holds something that is no number ({error})") from error
+        raise DamagedFile(f"{path} holds something that is not a number ({error})") from error
     if not np.isfinite(row).all():
         raise DamagedFile(f"{path}: {COLUMNS[int(np.argmin(np.isfinite(row)))]} is {row[~np.isfinite(row)][0]}")
     return row
@@ -54,10 +63,8 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         raise InputError(
             f"{path} has {len(lines)} lines, frame {frames[-1]} needs line {frames[-1] + 1}: extract it again"
         )
-    try:
+    with explained(f"{path} holds something that is not a time", hint="Extract it again"):
         stamps = np.array([lines[number].strip() for number in numbers], dtype="datetime64[ns]")
-    except ValueError as error:
-        raise InputError(f"{path} holds something that is no time ({error}): extract it again") from error
     if np.isnat(stamps).any():
         line = numbers[int(np.argmax(np.isnat(stamps)))] + 1
         raise InputError(f"{path} is empty at line {line}, the time of a frame that has a packet: extract it again")

@@ -84,7 +84,7 @@ def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:
     folders = [path for path in root.glob("????_??_??/*_drive_????_sync") if path.is_dir()]
     known = sorted(path.name.removesuffix("_sync") for path in folders)
     if not known:
-        raise InputError(f"{root} holds no drives: it needs <date>/<date>_drive_NNNN_sync folders, KITTI raw's layout")
+        raise InputError(f"{root} holds no drives: KITTI raw's layout is <date>/<date>_drive_NNNN_sync")
     for drive in drives:
         if drive not in known:
             raise InputError(f"{root} has no drive {drive}, named in ingest.drives: {closest(drive, known)}")
@@ -97,7 +97,7 @@ def read_scan(path: Path) -> np.ndarray:
 
     size = path.stat().st_size
     if size == 0 or size % 16 != 0:
-        raise DamagedFile(f"{path} is cut short: {size} bytes are no whole number of points, 16 bytes each")
+        raise DamagedFile(f"{path} is cut short: {size} bytes are not a whole number of points of 16 bytes")
     scan: np.ndarray = load_velo_scan(path)
     if not np.isfinite(scan).all() or np.abs(scan[:, :3]).max() > _MAX_RANGE_M:
         raise DamagedFile(f"{path} is damaged: it holds points that are not finite or beyond {_MAX_RANGE_M:.0f} m")

@@ -1,19 +1,20 @@
 """A street as the pipeline sees it (the paper's Figure 2): image, depth, classes, cloud from above."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 
+from pipeline.base.atomic import replacing
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
+from pipeline.camera.colours import FAR_M, NEAR_M, colourise_depth, depth_scale
+from pipeline.camera.images import to_metres
 
-NEAR_M, FAR_M = 4.0, 80.0  # ends of the colour scale of depth
 LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # what is shown from above
 
 
@@ -29,27 +30,32 @@ class View(NamedTuple):
     points_cls: np.ndarray
 
 
-def read_view(raw: DriveReader, seen: DriveReader, cloud: DriveReader, number: int) -> View:
+def evenly_spread(frames: np.ndarray, count: int) -> list[int]:
+    """Return `count` of the `frames` [F] (all, if there are fewer): the middles of as many equal parts."""
+    count = min(count, len(frames))
+    return [int(frames[(2 * part + 1) * len(frames) // (2 * count)]) for part in range(count)]
+
+
+def read_view(raw: DriveReader, perceived: DriveReader, cloud: DriveReader, number: int) -> View:
     """Read frame `number` from its drive's files of stages ingest, perception and clouds.
 
     Raises InputError if one of them has no such frame.
     """
-    row, points = seen.row_of(number), cloud.row_of(number)
+    row, points = perceived.row_of(number), cloud.row_of(number)
     start, stop = cloud.rows("ptr", points, points + 2)
     return View(
         frame=number,
         rgb=raw.row("image", raw.row_of(number)),
-        depth_m=seen.row("depth_m", row) / 256,
-        cls=seen.row("cls", row),
+        depth_m=to_metres(perceived.row("depth_m", row)),
+        cls=perceived.row("cls", row),
         xyz=cloud.rows("xyz", start, stop),
         points_cls=cloud.rows("cls", start, stop),
     )
 
 
-def draw_depth(panel: Axes, depth_m: np.ndarray) -> AxesImage:
+def draw_depth(panel: Axes, depth_m: np.ndarray) -> None:
     """Draw depth [H,W] in metres: near is red, far is blue on a logarithmic scale, none is blank."""
-    known = np.ma.masked_equal(depth_m, 0)
-    return panel.imshow(known, cmap="turbo_r", norm=LogNorm(NEAR_M, FAR_M), interpolation="nearest")
+    panel.imshow(colourise_depth(depth_m), interpolation="nearest")
 
 
 def draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray) -> None:
@@ -78,7 +84,7 @@ def sheet(title: str, views: Sequence[View]) -> Figure:
     for row, view in enumerate(views):
         left = [figure.add_subplot(grid[3 * row + i, 0]) for i in range(3)]
         left[0].imshow(view.rgb)
-        depth = draw_depth(left[1], view.depth_m)
+        draw_depth(left[1], view.depth_m)
         left[2].imshow(classes.colourise(view.cls), interpolation="nearest")
         for panel, name in zip(left, (f"frame {view.frame}", "depth", "classes"), strict=True):
             panel.set_title(name, fontsize="small", loc="left")
@@ -87,10 +93,16 @@ def sheet(title: str, views: Sequence[View]) -> Figure:
         draw_cloud(above, view.xyz, view.points_cls)
         above.set_title(f"cloud from above: {len(view.xyz):,} points", fontsize="small", loc="left")
         scale = figure.colorbar(
-            depth, ax=left, location="left", shrink=0.3, format="%d m", ticks=[NEAR_M, 10, 20, FAR_M]
+            depth_scale(), ax=left, location="left", shrink=0.3, format="%d m", ticks=[NEAR_M, 10, 20, FAR_M]
         )
         scale.ax.tick_params(labelsize="x-small")
         scale.minorticks_off()
     class_legend(figure, np.stack([view.cls for view in views]), columns=8)
     figure.suptitle(title)
     return figure
+
+
+def draw_sheet(path: Path, title: str, views: Sequence[View]) -> None:
+    """Write :func:`sheet` as a PNG file."""
+    with replacing(path) as unfinished:
+        sheet(title, views).savefig(unfinished, format="png", dpi=90, metadata={"Software": None})

@@ -1,6 +1,6 @@
-"""Section ``graphs``: what the networks eat, one entry per variant."""
+"""Section ``graphs``: what the networks see, one entry per variant."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -8,14 +8,21 @@ from pipeline.base.params import Count, Fraction, Positive, Section, Seed
 
 Kind = Literal["graph", "pointnet2", "image"]
 
+_OF_POINTS = {"source", "neighbourhood", "points", "crop_m", "seed"}
+_KEYS: dict[Kind, tuple[str, set[str], set[str]]] = {  # what it is, the keys that it needs, and those that it knows
+    "graph": ("a kNN graph", {"points", "k"}, {*_OF_POINTS, "k", "keep_inter_class"}),
+    "pointnet2": ("neighbourhood: pointnet2", {"points"}, {*_OF_POINTS, "centres", "radius_m", "neighbours"}),
+    "image": ("source: ingest, which is images", set(), {"source"}),
+}
+
 
 class Variant(Section):
-    """One entry of ``graphs``: what a network eats. Without a cloud it is the images."""
+    """One entry of ``graphs``: what a network sees, made of a folder below data/: clouds, or ingest's images."""
 
-    cloud: Literal["pseudo", "lidar", "none"]
+    source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
     neighbourhood: Literal["knn", "pointnet2"] = "knn"
-    points: Count = 0  # 0, which nobody can give: not given
-    k: Annotated[int, Field(ge=1, le=32)] = 0
+    points: Count | None = None
+    k: Annotated[int, Field(ge=1, le=32)] | None = None
     keep_inter_class: Fraction = 1.0
     crop_m: Annotated[
         tuple[float, float, float, float] | None,
@@ -31,7 +38,7 @@ class Variant(Section):
     @property
     def kind(self) -> Kind:
         """What the variant's frames are."""
-        if self.cloud == "none":
+        if self.source == "ingest":
             return "image"
         return "pointnet2" if self.neighbourhood == "pointnet2" else "graph"
 
@@ -40,19 +47,23 @@ class Variant(Section):
         """Centres, radius and neighbours of each level of PointNet++."""
         return list(zip(self.centres, self.radius_m, self.neighbours, strict=True))
 
+    @model_validator(mode="before")
+    @classmethod
+    def _names_its_source(cls, content: Any) -> Any:
+        if isinstance(content, dict) and "cloud" in content:
+            sources = {"pseudo": "clouds/pseudo", "lidar": "clouds/lidar", "none": "ingest"}
+            cloud = content["cloud"]
+            source = sources.get(str(cloud)) or " | ".join(sources.values())
+            raise ValueError(f"cloud: {cloud} is the old spelling: write source: {source} instead")
+        return content
+
     @model_validator(mode="after")
-    def _says_what_it_needs_and_no_more(self) -> Self:
-        sizes = {"centres", "radius_m", "neighbours"}
-        anyhow = {"cloud", "neighbourhood", "crop_m", "seed"}
-        what, needed, possible = {
-            "graph": ("a kNN graph", {"points", "k"}, anyhow | {"keep_inter_class"}),
-            "pointnet2": ("neighbourhood: pointnet2", {"points"}, anyhow | sizes),
-            "image": ("a variant without a cloud", set(), {"cloud"}),
-        }[self.kind]
-        for key in sorted(needed - self.model_fields_set):
+    def _has_what_it_needs_and_no_more(self) -> Self:
+        what, needed, known = _KEYS[self.kind]
+        for key in sorted(key for key in needed if getattr(self, key) is None):
             raise ValueError(f"{what} needs {key}")
-        for key in sorted(self.model_fields_set - needed - possible):
-            raise ValueError(f"{key} says nothing to {what}: leave it out")
+        for key in sorted(self.model_fields_set - known):
+            raise ValueError(f"{key} means nothing to {what}: leave it out. Keys that do: {', '.join(sorted(known))}")
         if len({len(self.centres), len(self.radius_m), len(self.neighbours)}) > 1:
             raise ValueError("centres, radius_m and neighbours must have one number for each level")
         if self.crop_m and not (self.crop_m[0] < self.crop_m[2] and self.crop_m[1] < self.crop_m[3]):

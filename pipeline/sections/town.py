@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from pipeline.base.params import Count, ImageSize, Section, Seed
 
@@ -22,10 +22,3 @@ class Town(Section):
     replay: Annotated[str, Field(min_length=1)] | None
     frames: Frames
     scan_rays: Annotated[tuple[Count, Count], Field(description="[rings, rays per ring] of the LiDAR")]
-
-    @field_validator("image_size")
-    @classmethod
-    def _size(cls, size: tuple[int, int]) -> tuple[int, int]:
-        if not all(32 <= side <= 4096 for side in size):
-            raise ValueError("each side must be 32 to 4096 pixels")
-        return size

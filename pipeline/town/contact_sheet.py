@@ -1,4 +1,4 @@
-"""Pictures for people: depth and classes in colour, contact sheets."""
+"""The contact sheet: a few frames of the sample beside their depth and classes, for people."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,20 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.camera import classes
+from pipeline.camera.colours import colourise_depth
 
 View = tuple[np.ndarray, np.ndarray, np.ndarray]
 """RGB uint8 [H,W,3], depth in metres [H,W] (0: none), class numbers uint8 [H,W]."""
-
-
-def colourise_depth(depth_m: np.ndarray, near_m: float = 4.0, far_m: float = 80.0) -> np.ndarray:
-    """Return uint8 RGB [H,W,3]: near is red, far is blue on a logarithmic scale, none is black."""
-    import cv2
-
-    known = depth_m > 0
-    share = np.log(np.where(known, depth_m, near_m) / near_m) / np.log(far_m / near_m)
-    level = (255 * (1 - np.clip(share, 0, 1))).astype(np.uint8)
-    picture = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_TURBO))[..., ::-1]
-    return np.where(known[..., None], picture, 0).astype(np.uint8)
 
 
 def contact_sheet(views: Sequence[View], width: int = 360, gap: int = 4) -> np.ndarray:
@@ -37,7 +27,7 @@ def contact_sheet(views: Sequence[View], width: int = 360, gap: int = 4) -> np.n
         tiles = []
         for picture, how in (
             (rgb, cv2.INTER_AREA),
-            (colourise_depth(depth_m), cv2.INTER_NEAREST_EXACT),
+            (colourise_depth(depth_m)[..., :3], cv2.INTER_NEAREST_EXACT),
             (classes.colourise(cls), cv2.INTER_NEAREST_EXACT),
         ):
             tile = cv2.resize(picture, (width, height), interpolation=how)

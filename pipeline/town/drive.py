@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.base.atomic import replacing
 from pipeline.kitti.raw import RawDrive
 from pipeline.town import light as lights
 from pipeline.town.journey import draw_journey, record
@@ -19,6 +20,8 @@ from pipeline.town.sensors import Camera, Scanner, imu_pose
 from pipeline.town.street import build_street, draw_character
 from pipeline.town.traffic import draw_traffic, shown
 from pipeline.town.world import World
+
+WHEELBASE_M = 2.7  # of the steering that the log tells; labels have their own in params.yaml
 
 
 def write_drive(
@@ -40,7 +43,7 @@ def write_drive(
         recorded: a real drive; the ego then drives as it did, along a road laid where it drove, for its first `frames`
             frames, and its oxts files are copied.
 
-    Returns: what a log may say: frames, metres driven, mean squared steering angle of the road (wheelbase 2.7 m).
+    Returns: what a log may say: frames, metres driven, mean squared steering angle of the road (:data:`WHEELBASE_M`).
 
     The folder appears under its name only when complete. Calibration files belong to the date's folder, see
     :func:`pipeline.town.rig.write_calibration`.
@@ -57,20 +60,18 @@ def write_drive(
     near = [shown(vehicle, journey) for vehicle in traffic]
     recording = recording or record(journey, drive[:10], rng)
 
-    unfinished = path.with_name(path.name + ".tmp")
-    shutil.rmtree(unfinished, ignore_errors=True)
-    folder = DriveFolder(unfinished)
-    folder.put_recording(recording)
     rig = make_rig(size)
     camera, scanner = Camera(rig), Scanner(rig, scan_rays)
-    for i, frame in enumerate(recording.packets):
-        world.set_traffic([vehicle.at(i) for vehicle, near_at in zip(traffic, near, strict=True) if near_at[i]])
-        pose = imu_pose(journey.xy[i], journey.heading_rad[i])
-        noise = np.random.default_rng([_seed(seed, drive), frame])
-        folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise))
-    shutil.rmtree(path, ignore_errors=True)
-    unfinished.rename(path)
-    steering = np.arctan(2.7 * route.curvature(motion.s_m))
+    with replacing(path) as unfinished:
+        folder = DriveFolder(unfinished)
+        folder.put_recording(recording)
+        for i, frame in enumerate(recording.packets):
+            world.set_traffic([vehicle.at(i) for vehicle, near_at in zip(traffic, near, strict=True) if near_at[i]])
+            pose = imu_pose(journey.xy[i], journey.heading_rad[i])
+            noise = np.random.default_rng([_seed(seed, drive), frame])
+            folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise))
+        shutil.rmtree(path, ignore_errors=True)  # a folder that is not empty is not replaced
+    steering = np.arctan(WHEELBASE_M * route.curvature(motion.s_m))
     return {
         "frames": len(recording.packets),
         "metres": round(float(motion.s_m[-1] - motion.s_m[0]), 1),

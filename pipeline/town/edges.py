@@ -4,9 +4,8 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.town import shapes
-from pipeline.town.lots import unit
 from pipeline.town.plan import CELL_M, KERB_M, Plan
-from pipeline.town.route import Route
+from pipeline.town.route import Route, unit
 from pipeline.town.shapes import Mesh
 
 BARRIER_M = (2.0, 3.5)  # from the junction's edge to the barrier of a closed arm
@@ -29,7 +28,7 @@ def horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
     size = np.array(plan.kind.shape[::-1]) * CELL_M
     middle, radius, n = plan.origin + size / 2, np.linalg.norm(size) / 2 + 25, 160
     angle = np.arange(n) * 2 * np.pi / n
-    ring = middle + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    ring = middle + radius * unit(angle)
     heights = 9 + 5 * rng.random(n) + 4 * np.sin(angle * 3 + rng.uniform(0, 6.28))
     vertices = np.concatenate([np.column_stack([ring, np.zeros(n)]), np.column_stack([ring, heights])])
     i, j = np.arange(n), (np.arange(n) + 1) % n

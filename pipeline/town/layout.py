@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.camera.images import to_metres
 from pipeline.camera.png import read_png
 from pipeline.town.recording import Recording
 
@@ -60,5 +61,5 @@ def read_views(folders: list[Path], count: int) -> list[tuple[np.ndarray, np.nda
         frames = sorted((folder / "truth" / "cls").iterdir())
         name = frames[(2 * i + 1) * len(frames) // (2 * count)].name
         rgb, depth = read_png(folder / "image_02" / "data" / name), read_png(folder / "truth" / "depth" / name)
-        views.append((rgb, depth / 256, read_png(folder / "truth" / "cls" / name)))
+        views.append((rgb, to_metres(depth), read_png(folder / "truth" / "cls" / name)))
     return views

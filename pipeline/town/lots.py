@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from pipeline.town.plan import CELL_M, Plan
-from pipeline.town.route import Route
+from pipeline.town.route import Route, unit
 
 
 class Ground:
@@ -64,8 +64,3 @@ def footprint(xy: np.ndarray, outward_rad: float, size: tuple[float, float]) -> 
     """Corners [4,2] of a rectangle `size` (along the street, away from it)."""
     along, away = unit(outward_rad - np.pi / 2) * size[0] / 2, unit(outward_rad) * size[1] / 2
     return np.array([xy + along + away, xy - along + away, xy - along - away, xy + along - away])
-
-
-def unit(heading_rad: float) -> np.ndarray:
-    """Return the unit vector [2] of a heading."""
-    return np.array([np.cos(heading_rad), np.sin(heading_rad)])

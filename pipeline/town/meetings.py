@@ -25,11 +25,11 @@ def find_meetings(route: Route) -> Meetings:
     """Compare each metre of the route with all others."""
     every = round(1 / STEP_M)
     s, xy, heading = route.s_m[::every], route.xy[::every], route.heading_rad[::every]
-    found = np.zeros((3, len(s)))
+    meetings = np.zeros((3, len(s)))
     for i in range(len(s)):
         to = np.linalg.norm(xy - xy[i], axis=1)
         to[np.abs(s - s[i]) <= _APART_M] = _FAR_M
         across = np.abs(np.sin(heading - heading[i])) > np.sin(_MOUTH_RAD)
-        found[:, i] = to.min(), to[: i + 1].min(), (across & (to < _MOUTH_M)).any()
-    other, earlier, junction = (np.interp(route.s_m, s, row) for row in found)
+        meetings[:, i] = to.min(), to[: i + 1].min(), (across & (to < _MOUTH_M)).any()
+    other, earlier, junction = (np.interp(route.s_m, s, row) for row in meetings)
     return Meetings(other, earlier, junction > 0)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.kitti.oxts import make_rows
 from pipeline.town.route import STEP_M, Route
 
 PERIOD_S = 0.1036  # KITTI's synchronised stream
@@ -69,7 +70,7 @@ def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: floa
 
 
 def oxts_rows(route: Route, motion: Motion, latitude_deg: float, longitude_deg: float) -> np.ndarray:
-    """Return the 30 columns of KITTI's oxts files [F,30] for a level road.
+    """Return the rows of KITTI's oxts files, [F,30], for a level road.
 
     Latitude and longitude by the local tangent plane at the first row's latitude, which agrees with KITTI's Mercator
     formula to millimetres over a drive.
@@ -78,15 +79,15 @@ def oxts_rows(route: Route, motion: Motion, latitude_deg: float, longitude_deg: 
     xy = xy - xy[0]
     v, a = motion.speed_mps, motion.acceleration_mps2
     yaw_rate = v * route.curvature(motion.s_m)
-    rows = np.zeros((len(v), 30))
-    rows[:, 0] = latitude_deg + np.rad2deg(xy[:, 1] / EARTH_RADIUS_M)
-    rows[:, 1] = longitude_deg + np.rad2deg(xy[:, 0] / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg))))
-    rows[:, 2] = 110.0 + IMU_HEIGHT_M
-    rows[:, 5] = np.arctan2(np.sin(heading), np.cos(heading))
-    rows[:, 6], rows[:, 7], rows[:, 8] = v * np.sin(heading), v * np.cos(heading), v
-    for forward in (11, 14):  # along the body's axes, then forward-left-up: the same on a level road
-        rows[:, forward], rows[:, forward + 1], rows[:, forward + 2] = a, v * yaw_rate, GRAVITY_MPS2
-    rows[:, 19] = rows[:, 22] = yaw_rate
-    rows[:, 23], rows[:, 24] = 0.05, 0.02
-    rows[:, 25:] = [4, 9, 4, 4, 4]
-    return rows
+    sideways = v * yaw_rate
+    return make_rows(
+        len(v),
+        lat=latitude_deg + np.rad2deg(xy[:, 1] / EARTH_RADIUS_M),
+        lon=longitude_deg + np.rad2deg(xy[:, 0] / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
+        alt=110.0 + IMU_HEIGHT_M,
+        yaw=np.arctan2(np.sin(heading), np.cos(heading)),
+        vn=v * np.sin(heading), ve=v * np.cos(heading), vf=v,
+        # Along the body's axes, then forward, left, up: the same on a level road.
+        ax=a, ay=sideways, az=GRAVITY_MPS2, af=a, al=sideways, au=GRAVITY_MPS2, wz=yaw_rate, wu=yaw_rate,
+        pos_accuracy=0.05, vel_accuracy=0.02, navstat=4, numsats=9, posmode=4, velmode=4, orimode=4,
+    )  # fmt: skip

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from pipeline.town.meetings import Meetings, find_meetings
-from pipeline.town.route import STEP_M, Route
+from pipeline.town.route import STEP_M, Route, unit
 
 CELL_M = 0.1
 MARGIN_M = 45.0
@@ -43,7 +43,7 @@ class Plan:
 
 def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_chance: float) -> Plan:
     """Paint the route's road, its arms, pavements of `pavement_m`, parking bays and markings."""
-    ends = [arm.xy + arm.length_m * _unit(arm.heading_rad) for arm in route.arms]
+    ends = [arm.xy + arm.length_m * unit(arm.heading_rad) for arm in route.arms]
     points = np.concatenate([route.xy, np.reshape(ends, (-1, 2))])
     origin = points.min(axis=0) - MARGIN_M
     width, height = np.ceil((points.max(axis=0) + MARGIN_M - origin) / CELL_M).astype(int)
@@ -58,8 +58,8 @@ def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_cha
     _paint_band(road, left, right, origin, 1)
     half = route.lane_m + 0.25
     for arm in route.arms:
-        along = arm.xy + np.array([[0.0], [arm.length_m]]) * _unit(arm.heading_rad)
-        side = half * _unit(arm.heading_rad + np.pi / 2)
+        along = arm.xy + np.array([[0.0], [arm.length_m]]) * unit(arm.heading_rad)
+        side = half * unit(arm.heading_rad + np.pi / 2)
         _paint_band(road, along + side, along - side, origin, 1)
     road = _close(road, CORNER_M)
 
@@ -124,7 +124,3 @@ def _paint_line(canvas: np.ndarray, ends: np.ndarray, origin: np.ndarray) -> Non
 def _fixed(xy: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """World metres -> OpenCV's fixed-point pixels with four fractional bits."""
     return np.rint((xy - origin) / CELL_M * 16).astype(np.int32)
-
-
-def _unit(heading_rad: float) -> np.ndarray:
-    return np.array([np.cos(heading_rad), np.sin(heading_rad)])

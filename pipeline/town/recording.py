@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.kitti.oxts import read_row, read_times
+from pipeline.kitti.oxts import COUNTS, read_row, read_times
 from pipeline.kitti.raw import RawDrive
 
 
@@ -32,8 +32,8 @@ def read_recording(raw: RawDrive, most: int) -> Recording:
     timestamps = raw.oxts_times.read_bytes()
     if len(frames) < len(raw.oxts) and len(timestamps.rstrip().split(b"\n")) <= max(raw.oxts):
         raise InputError(
-            f"{raw.oxts_times} has one line per packet, of a drive cut out of a longer one: it says nothing of the "
-            f"first {most} packets alone, raise town.frames to {len(raw.oxts)}"
+            f"{raw.oxts_times} has one line per packet, of a drive cut out of a longer one, so which lines belong to "
+            f"the first {most} packets alone is not known: raise town.frames to {len(raw.oxts)}"
         )
     packets = {frame: raw.oxts[frame].read_bytes() for frame in frames}
     return Recording(rows, time_s, packets, timestamps)
@@ -51,5 +51,5 @@ def make_recording(rows: np.ndarray, time_s: np.ndarray, date: str, start_s: flo
 
 
 def _packet(row: np.ndarray) -> bytes:
-    words = [f"{value:.13g}" for value in row[:25]] + [f"{value:.0f}" for value in row[25:]]
+    words = [f"{value:.13g}" for value in row[:COUNTS]] + [f"{value:.0f}" for value in row[COUNTS:]]
     return (" ".join(words) + "\n").encode("ascii")

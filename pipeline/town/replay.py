@@ -16,7 +16,7 @@ from pipeline.town.edges import BARRIER_M
 from pipeline.town.journey import Journey
 from pipeline.town.motion import Motion
 from pipeline.town.recording import Recording
-from pipeline.town.route import AHEAD_M, BEHIND_M, STEP_M, Arm, Route, arm_is_clear, turn_arms
+from pipeline.town.route import AHEAD_M, BEHIND_M, STEP_M, Arm, Route, arm_is_clear, turn_arms, unit
 
 _SMOOTH_M = 1.5  # standard deviation: takes off the noise; from 2.5 on, sharp turns lose their sharpness
 _FADE_M = 8.0  # over which a bend ends that a recording breaks off in
@@ -45,9 +45,9 @@ def replay(drive: str, recording: Recording, rng: np.random.Generator) -> Journe
         )
     junctions, arms = [], []
     for start, end in _turns(route):
-        found = [arm for arm in turn_arms(route, start, end, rng) if _is_free(arm, route)]
-        arms += found
-        junctions += [(start + end) / 2] * bool(found)
+        ways = [arm for arm in turn_arms(route, start, end, rng) if _is_free(arm, route)]
+        arms += ways
+        junctions += [(start + end) / 2] * bool(ways)
     route = replace(route, junctions_m=tuple(junctions), arms=tuple(arms))
     return Journey(route, Motion(time_s, s, speed, recording.rows[:, AF]), xy, heading)
 
@@ -95,7 +95,7 @@ def _run_out(heading: float, curvature_1pm: float, length_m: float) -> np.ndarra
     u = (np.arange(round(length_m / STEP_M)) + 0.5) * STEP_M
     bent = np.minimum(u, _FADE_M)
     heading_at = heading + curvature_1pm * (bent - bent**2 / (2 * _FADE_M))
-    return np.cumsum(np.stack([np.cos(heading_at), np.sin(heading_at)], axis=-1) * STEP_M, axis=0)
+    return np.cumsum(unit(heading_at) * STEP_M, axis=0)
 
 
 def _turns(route: Route) -> list[tuple[float, float]]:
@@ -112,7 +112,7 @@ def _turns(route: Route) -> list[tuple[float, float]]:
 
 def _is_free(arm: Arm, route: Route) -> bool:
     """Neither the arm nor the barrier across its mouth is in the way of any stretch of the route."""
-    out = np.array([np.cos(arm.heading_rad), np.sin(arm.heading_rad)])
+    out = unit(arm.heading_rad)
     half = route.lane_m + 0.25
     along, across = np.meshgrid(half + np.linspace(*BARRIER_M, 4), np.linspace(-half, half, 9))
     barrier = arm.xy + along[..., None] * out + across[..., None] * [-out[1], out[0]]

@@ -1,7 +1,7 @@
 """The sensors' places on the car and KITTI's calibration files that describe them.
 
-Modelled on KITTI's rig with numbers of our own: camera 1.65 m and scanner 1.73 m above the road, the scanner 0.8 m in
-front of the IMU, the cameras 0.27 m in front of the scanner. ``T_a_b`` takes points from frame b to frame a.
+Modelled on KITTI's rig with numbers of our own: the scanner stands 0.8 m in front of the IMU, the cameras 0.27 m in
+front of the scanner. ``T_a_b`` takes points from frame b to frame a.
 """
 
 from dataclasses import dataclass
@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.town.motion import IMU_HEIGHT_M
 
+SCANNER_HEIGHT_M = 1.73
 FOCAL_PER_WIDTH = 360.8 / 621
 PRINCIPAL_POINT = (304.5 / 621, 86.2 / 188)  # as shares of width and height
 CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}  # of camera 0: grey left, right, colour left, right
@@ -49,13 +51,13 @@ def make_rig(size: tuple[int, int]) -> Rig:
     P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}
     T_velo_imu = np.eye(4)
     T_velo_imu[:3, :3] = _rotation(0.002, -0.0015, 0.001)
-    T_velo_imu[:3, 3] = -0.81, 0.30, IMU_HEIGHT_M - 1.73
+    T_velo_imu[:3, 3] = -0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M
     R_rect = _rotation(-0.004, 0.007, -0.009)
     T_cam_velo = np.eye(4)
     # The rectified cameras look straight ahead but for the few milliradians of a mounting; the raw camera's and the
     # scanner's own tilts cancel.
     T_cam_velo[:3, :3] = R_rect.T @ _rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
-    T_cam_velo[:3, 3] = R_rect.T @ [0.0, -0.08, -0.27]
+    T_cam_velo[:3, 3] = R_rect.T @ [0.0, round(CAMERA_HEIGHT_M - SCANNER_HEIGHT_M, 3), -0.27]
     return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
 
 

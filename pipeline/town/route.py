@@ -65,6 +65,11 @@ class Route:
         return np.interp(s_m, self.s_m, self.curvature_1pm)
 
 
+def unit(heading_rad: np.ndarray | float) -> np.ndarray:
+    """Return the unit vectors [..., 2] of headings [...]."""
+    return np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
+
+
 def draw_route(rng: np.random.Generator, length_m: float) -> Route:
     """Draw a route of at least `length_m` from the first frame on that keeps clear of itself and turns both ways."""
     while True:
@@ -90,7 +95,7 @@ def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     curvature = first + (last - first) * (s - knots[index]) / np.maximum(lengths, 1e-9)
     heading = np.concatenate([[0.0], np.cumsum((curvature[1:] + curvature[:-1]) / 2 * STEP_M)])
     middle = (heading[1:] + heading[:-1]) / 2
-    steps = np.stack([np.cos(middle), np.sin(middle)], axis=-1) * STEP_M
+    steps = unit(middle) * STEP_M
     return s, np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), heading, curvature
 
 
@@ -115,9 +120,9 @@ def _draw(rng: np.random.Generator, length_m: float) -> Route:
     for kind, start, end in turns:
         if kind in ("turn", "crossing"):
             draw = turn_arms if kind == "turn" else _crossing_arms
-            found = draw(route, start - BEHIND_M, end - BEHIND_M, rng)
-            arms += found
-            if found:
+            ways = draw(route, start - BEHIND_M, end - BEHIND_M, rng)
+            arms += ways
+            if ways:
                 junctions.append((start + end) / 2 - BEHIND_M)
     return Route(s, xy, heading, curvature, route.lane_m, tuple(junctions), tuple(arms))
 
@@ -147,8 +152,7 @@ def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) 
     last, heading_out = route.at(end, route.centre_m)
     length = rng.uniform(28, 45)
     # The roads' middle lines meet at the junction; every way but the driven one is closed or absent.
-    into = np.array([np.cos(heading_in), np.sin(heading_in)])
-    out = np.array([np.cos(heading_out), np.sin(heading_out)])
+    into, out = unit(heading_in), unit(heading_out)
     along = np.linalg.solve(np.stack([into, -out], axis=1), last - first)[0]
     middle = first + along * into
     which = rng.integers(4)  # a plain corner | a T, coming from its stem | straight on closed | both
@@ -159,7 +163,7 @@ def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) 
 def arm_is_clear(arm: Arm, xy: np.ndarray) -> bool:
     """No point of the path xy [N,2] comes close to the arm beyond its mouth."""
     along = np.arange(14, arm.length_m)[:, None]
-    points = arm.xy + along * [np.cos(arm.heading_rad), np.sin(arm.heading_rad)]
+    points = arm.xy + along * unit(arm.heading_rad)
     return not (np.linalg.norm(points[:, None] - xy[None], axis=-1) < 8).any()
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from pipeline.camera import classes, geometry
+from pipeline.camera.images import MAX_UNITS, to_metres, to_units
 from pipeline.town.light import Light, shade
 from pipeline.town.motion import IMU_HEIGHT_M
 from pipeline.town.rig import Rig
@@ -10,6 +11,7 @@ from pipeline.town.world import World, dot
 
 ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
+FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # that depth's units can say
 RANGE_NOISE_M = 0.015
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
@@ -32,7 +34,7 @@ class Camera:
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
 
     def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky, or beyond 255 m), classes uint8 [H,W]."""
+        """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky, or too far for it), classes uint8 [H,W]."""
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
         facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)  # the sky has no normal
@@ -41,8 +43,8 @@ class Camera:
         lit = np.zeros(len(rays), bool)
         lit[facing] = world.lit(points, light.sun)
         picture = shade(light, hits, rays, lit, self._size)
-        depth = np.where(hits.cls == classes.SKY, 0, hits.distance_m * self._z_per_m * 256)
-        depth = np.where(depth < 65535, np.rint(depth), 0).astype(np.uint16)
+        depth_m = hits.distance_m * self._z_per_m  # of the sky it is infinite
+        depth = to_units(np.where(depth_m < FARTHEST_M, depth_m, 0))
         return picture, depth.reshape(self._size), hits.cls.reshape(self._size)
 
 
@@ -65,9 +67,9 @@ class Scanner:
         hits = world.cast(rays)
         distance = hits.distance_m + rng.normal(0, RANGE_NOISE_M, len(rays))
         reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=1) * rng.uniform(0.6, 1.0, len(rays))
-        kept = hits.distance_m < SCAN_RANGE_M
-        xyz = self._directions[kept] * distance[kept, None]
-        return np.column_stack([xyz, np.round(np.clip(reflectance[kept], 0, 0.99), 2)]).astype(np.float32)
+        in_range = hits.distance_m < SCAN_RANGE_M
+        xyz = self._directions[in_range] * distance[in_range, None]
+        return np.column_stack([xyz, np.round(np.clip(reflectance[in_range], 0, 0.99), 2)]).astype(np.float32)
 
 
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -6,9 +6,9 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.town import edges, shapes
-from pipeline.town.lots import Frontage, Ground, footprint, frontages, unit
+from pipeline.town.lots import Frontage, Ground, footprint, frontages
 from pipeline.town.plan import CELL_M, KERB_M, Plan
-from pipeline.town.route import Route
+from pipeline.town.route import Route, unit
 from pipeline.town.shapes import Mesh
 
 _WALLS = [(0.62, 0.50, 0.38), (0.70, 0.66, 0.58), (0.55, 0.30, 0.24), (0.78, 0.76, 0.72), (0.48, 0.46, 0.44),

@@ -57,7 +57,7 @@ def test_no_calibration(tmp_path: Path) -> None:
         ("P_rect_02: 5.000000000e+01", "P_rect_02: inf", "P_rect_02 is not 12 finite numbers"),
         ("S_rect_02: 64", "S_rect_02:", "S_rect_02 is not 2 finite numbers"),
         ("R_rect_00", "R_rect_99", "has no R_rect_00"),
-        ("calib_time:", "<html>\ncalib_time:", "is no calibration file"),
+        ("calib_time:", "<html>\ncalib_time:", "not a calibration file"),
     ],
 )
 def test_damaged_calibration(tmp_path: Path, old: str, new: str, message: str) -> None:

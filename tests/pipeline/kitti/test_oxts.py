@@ -29,7 +29,7 @@ def test_row_reads_what_was_written(tmp_path: Path) -> None:
         ("", "has 0 of 30"),
         ("1.0 " * 29, "has 29 of 30"),
         ("1.0 " * 31, "has 31 of 30"),
-        ("1.0 " * 29 + "1.0.0", "no number"),
+        ("1.0 " * 29 + "1.0.0", "not a number"),
         ("1.0 " * 22 + "nan " + "1.0 " * 7, "wu is nan"),
         ("1.0 " * 8 + "inf " + "1.0 " * 21, "vf is inf"),
         ("\0" * 300, "has 1 of 30"),
@@ -74,7 +74,7 @@ def test_empty_line_of_a_frame_that_is_not_there_does_not_matter(tmp_path: Path)
         (["25.0", "", "25.2"], "empty at line 2"),
         (["25.0", "25.2", "25.1"], "time goes from .*25.2.* to .*25.1.* at line 3"),
         (["25.0", "25.1", "25.1"], "at line 3, it must increase"),
-        (["25.0", "what", "25.1"], "no time"),
+        (["25.0", "what", "25.1"], "not a time"),
     ],
 )
 def test_bad_times(tmp_path: Path, lines: list[str], message: str) -> None:

@@ -1,0 +1,75 @@
+"""The writers of the ingest file, all that later stages need of a raw drive: data/ingest/<drive>.h5.
+
+Frames go by KITTI's numbers. What a frame lacks stays empty, and ``has_<what>`` says so.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.base.store import DriveWriter, pointers
+from pipeline.camera.classes import VOID
+from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, read_classes, read_depth, read_image
+
+Rows = Iterable[tuple[int, np.ndarray]]
+"""Of the frames that have one: position among the drive's frames, and the array."""
+
+
+class Pixels(NamedTuple):
+    """A dataset [F,H,W,…] of pixels: how a raw file is read, its channels, dtype and unit, the value where none is."""
+
+    read: Callable[..., np.ndarray]  # of path, size and new_size
+    channels: tuple[int, ...]
+    dtype: type
+    unit: str
+    absent: int
+
+
+PIXELS = {
+    "image": Pixels(read_image, (3,), np.uint8, "RGB", 0),
+    "depth": Pixels(read_depth, (), np.uint16, f"1/{DEPTH_UNITS_PER_M} m, 0 = none", 0),
+    "cls": Pixels(read_classes, (), np.uint8, f"trainId, {VOID} = void", VOID),
+}
+
+
+def put_motion(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, oxts: np.ndarray) -> None:
+    """Write frame numbers [F], seconds since the drive's first packet [F] and the packets [F,30]. Comes first."""
+    file.put("frame", np.asarray(frame, np.int32))
+    file.put("time_s", time_s, "s")
+    file.put("oxts", oxts, "as KITTI's oxts/dataformat.txt")
+
+
+def put_camera(file: DriveWriter, K: np.ndarray, T_cam_velo: np.ndarray | None) -> None:
+    """Write the intrinsics [3,3] for the size of the images, and [4,4] where the LiDAR is calibrated."""
+    file.put("K", K, "pixels")
+    if T_cam_velo is not None:
+        file.put("T_cam_velo", T_cam_velo, "m")
+
+
+def put_pixels(file: DriveWriter, name: str, frames: int, size: Size, rows: Rows | None) -> int:
+    """Write dataset `name` of :data:`PIXELS` and which of so many frames have a row; return how many have.
+
+    `rows` None leaves the dataset out; images are there always, so that their size is.
+    """
+    pixels = PIXELS[name]
+    has = np.zeros(frames, np.uint8)
+    if rows is not None or name == "image":
+        file.blank(name, (frames, *size, *pixels.channels), pixels.dtype, pixels.unit, value=pixels.absent)
+    for index, array in rows or ():
+        file.fill(name, index, array)
+        has[index] = 1
+    file.put(f"has_{name}", has)
+    return int(has.sum())
+
+
+def put_scans(file: DriveWriter, frames: int, rows: Rows) -> int:
+    """Write LiDAR scans [P,4] and which of so many frames have one; return how many have."""
+    points = np.zeros(frames, np.int64)
+    file.append("lidar", np.zeros((0, 4), np.float32), "m, m, m, reflectance")
+    for index, scan in rows:
+        file.append("lidar", scan)
+        points[index] = len(scan)
+    file.put("lidar_ptr", pointers(points), "rows of lidar")
+    file.put("has_lidar", (points > 0).astype(np.uint8))
+    return int(np.count_nonzero(points))

@@ -1,9 +1,10 @@
 """Find faults in the whole params file before any stage spends time: it has no outputs."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
-from pipeline.base import console
-from pipeline.base.errors import InputError, closest
+from pipeline.base import console, provenance
+from pipeline.base.errors import InputError, closest, explained
 from pipeline.base.params import load, load_entry, names
 from pipeline.encoder import download, precomputed, weights
 from pipeline.sections.clouds import Clouds
@@ -18,49 +19,80 @@ from pipeline.sections.pictures import Pictures
 from pipeline.sections.town import Town
 from pipeline.sections.train import Train
 
+# What DVC watches for every model; beside it, of networks, only the two files that a model's line names.
+WATCHED = {
+    Path("models/steering/core"),
+    Path("models/steering/cell"),
+    Path("pipeline/camera/classes.py"),
+    Path("pipeline/camera/mount.py"),
+}
 
-def main(params: Path = Path("params.yaml")) -> None:
-    """Read every section; build every model once, so that a network that cannot be is found now, and look for weights.
 
-    Nothing is fetched, and no file of weights is opened.
+def main(params: Path = Path("params.yaml")) -> Path:
+    """Read every section; build every network once, so that one that cannot be is noticed now, and look for weights.
+
+    Nothing is fetched, and no file of weights is opened. Returns `params`.
     """
     for section in (Town, Ingest, Labels, Perception, Clouds, Pictures, Train, Evaluate):
         load(section, params)
-    encoder, image_size = load(Encoder, params), load(Ingest, params).image_size
+    with explained(str(params)):
+        check_encoder(load(Encoder, params))
     variants = {name: load_entry(Variant, "graphs", name, params) for name in names("graphs", params)}
-    lines = {name: load_entry(Model, "models", name, params) for name in names("models", params)}
-    for name, line in lines.items():
-        if line.input not in variants:
-            near = closest(line.input, list(variants))
-            raise InputError(f"{params}: models.{name}.input = {line.input!r} is no variant of graphs: {near}")
+    for name in names("models", params):
+        settings = load_entry(Model, "models", name, params)
+        try:
+            check_model(settings, variants, load(Ingest, params).image_size)
+        except ValueError as error:
+            raise InputError(f"{params}: models.{name}.{error}") from error
+    return params
 
+
+def check_encoder(encoder: Encoder) -> None:
+    """Build the encoder and its teacher, and look where their weights lie. Raises InputError."""
     import torch
 
     from models.encoder import unified_encoder
-    from models.steering.core import steering_net
 
     networks: list[Encoder | Teacher] = [encoder, encoder.teacher] if encoder.teacher else [encoder]
     for network in networks:
         if network.backbone == precomputed.BACKBONE:
             precomputed.find(Path(str(network.weights)))
             continue
-        key = f"{network.key}.backbone"
-        if network.backbone not in unified_encoder.BACKBONES:
-            near = closest(network.backbone, [*unified_encoder.BACKBONES, precomputed.BACKBONE])
-            raise InputError(f"{params}: {key} = {network.backbone!r} is none of this project: {near}")
-        try:
+        with explained(f"{network.key}.backbone = {network.backbone!r}"):
+            if network.backbone not in unified_encoder.BACKBONES:
+                known = [*unified_encoder.BACKBONES, precomputed.BACKBONE]
+                raise InputError(f"no such backbone: {closest(network.backbone, known)}")
             with torch.device("meta"):  # takes neither memory nor time
                 unified_encoder.UnifiedEncoder(network.backbone)
-        except ValueError as error:
-            raise InputError(f"{params}: {key} = {network.backbone}: {error}") from error
-        for name, file in weights.files(network.weights, f"{network.key}.weights").items():
-            download.locate(file, name)
-    for name, line in lines.items():
-        try:
-            variant = variants[line.input]
-            steering_net.build(line.model_dump(), variant.kind, len(variant.levels), image_size)
-        except ValueError as error:
-            raise InputError(f"{params}: models.{name}: {error}") from error
+        for key, file in weights.files(network.weights, f"{network.key}.weights").items():
+            download.locate(file, key)
+
+
+def check_model(settings: Model, variants: dict[str, Variant], image_size: tuple[int, int]) -> None:
+    """Build a model's network. Raises ValueError, whose text starts with the key that is wrong."""
+    from models.steering.core import steering_net
+
+    if settings.input not in variants:
+        raise ValueError(f"input = {settings.input!r} is no variant of graphs: {closest(settings.input, [*variants])}")
+    variant, line = variants[settings.input], settings.model_dump()
+    steering_net.build(line, variant.kind, len(variant.levels), image_size)
+    for module in steering_net.modules(line):
+        *_, part, name = module.split(".")
+        own = Path(*module.split(".")).with_suffix(".py")
+        if others := unwatched(provenance.import_closure(module), own):
+            raise ValueError(
+                f"{part} = {name!r}: {own} uses {', '.join(map(str, others))}, which could be edited without training "
+                "this model again: move what it needs from there to models/steering/core"
+            )
+
+
+def unwatched(files: Iterable[Path], own: Path) -> list[Path]:
+    """Return those of a network's imported files whose edits DVC would not notice; packages' docstrings aside."""
+    return [
+        file
+        for file in files
+        if file != own and file not in WATCHED and WATCHED.isdisjoint(file.parents) and file.name != "__init__.py"
+    ]
 
 
 if __name__ == "__main__":

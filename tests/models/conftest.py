@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from models.steering.core import steering_net
 from models.steering.core.batch import GraphBatch, SetBatch
 from pipeline.graphs import neighbourhoods
 from pipeline.train import frames
 
 MakeBatch = Callable[..., GraphBatch]
 MakeSets = Callable[..., SetBatch]
+MakeLine = Callable[..., dict[str, object]]
 
 
 @pytest.fixture
@@ -56,29 +58,29 @@ def make_sets() -> MakeSets:
     return make
 
 
-@pytest.fixture
-def line() -> dict[str, object]:
-    """A small model's line of params.yaml."""
-    wiring = {
+SMALL: dict[str, object] = {
+    "layers": [8, 12],
+    "semantics": 1.0,
+    "width": 0.125,
+    "units": 7,
+    "wiring": {
         "inter": 8,
         "command": 5,
         "sensory_fanout": 3,
         "inter_fanout": 2,
         "recurrent_command_synapses": 4,
         "motor_fanin": 3,
-    }
-    return {
-        "input": "semantic",
-        "spatial": "gnn",
-        "equivariant": False,
-        "temporal": "ncp",
-        "cell": "ltc",
-        "window": 4,
-        "semantics": 1.0,
-        "alpha": 0.0,
-        "layers": [8, 12],
-        "width": 0.125,
-        "features": 6,
-        "units": 7,
-        "wiring": {**wiring, "seed": 0},
-    }
+    },
+}
+
+
+@pytest.fixture
+def make_line() -> MakeLine:
+    """make_line(spatial="gnn", temporal="ncp", key=value, …) → a small model's line of params.yaml."""
+
+    def make(spatial: str = "gnn", temporal: str = "ncp", **changes: object) -> dict[str, object]:
+        line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": 4, "equivariant": False}
+        knobs = steering_net.knobs(line)
+        return line | {"features": 8} | {key: SMALL[key] for key in knobs if key in SMALL} | changes
+
+    return make

@@ -6,8 +6,7 @@ from numpy import int8
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from models.steering.cell.ltc import NOMINAL_STEP_S, OUTPUT_REACH
-from models.steering.core.recurrent import RecurrentCell, State
+from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_REACH, RecurrentCell, State
 from models.steering.core.sparse_matrix import SparseMatrix
 from models.steering.core.wiring import Wiring
 
@@ -68,3 +67,6 @@ def closed_form(affine: Tensor, dt: Tensor) -> Tensor:
     """Return the new states [W,H] from f ‖ g ‖ a ‖ b [W,4H] and dt [W,1], in frames."""
     f, g, a, b = affine.chunk(4, dim=1)
     return torch.lerp(f.tanh(), g.tanh(), (a * dt + b).sigmoid())
+
+
+cell = CfC

@@ -1,10 +1,9 @@
-"""The paper's eq. 4 as printed, on a sparse wiring. The cell that the paper cites and names is `models.ltc`."""
+"""The paper's eq. 4 as printed, on a sparse wiring. The cell that the paper cites and names is ltc.py."""
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.cell.ltc import NOMINAL_STEP_S, OUTPUT_REACH
-from models.steering.core.recurrent import RecurrentCell, State
+from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_REACH, RecurrentCell, State
 from models.steering.core.sparse_matrix import SparseMatrix
 from models.steering.core.wiring import Wiring
 
@@ -60,3 +59,6 @@ class Eq4(RecurrentCell):
             states.append(h)
         y = torch.stack(states, dim=1)[..., : self.motor].sigmoid()  # [W,T,motor]
         return y * self.output_scale + self.output_shift, (h,)
+
+
+cell = Eq4

@@ -6,14 +6,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from models.steering.core.recurrent import RecurrentCell, State
+from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_REACH, RecurrentCell, State
 from models.steering.core.wiring import Wiring
 
-NOMINAL_STEP_S = 0.1  # KITTI's frame interval is one unit of the cell's time, as ncps has 1 per frame
 EPSILON = 1e-8
-# Potentials stay within about ±1, standardised steering has sharp bends at 3 and more: from 1, as in ncps, the scale
-# has to grow first, and training error after 8 epochs on synthetic streets was twice as large.
-OUTPUT_REACH = 3.0
 
 
 class LTC(RecurrentCell):
@@ -99,3 +95,6 @@ def uniform(count: int, low: float, high: float) -> Tensor:
 def inverse_softplus(y: Tensor) -> Tensor:
     """Return x with softplus(x) = y, for y > 0: parameters start where the literature has them."""
     return y + (-(-y).expm1()).log()
+
+
+cell = LTC

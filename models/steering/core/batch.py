@@ -1,17 +1,16 @@
-"""Frames as the spatial networks see them: images, or many point clouds side by side; points' features and pooling."""
+"""Frames as the spatial networks see them: images, or many point clouds side by side."""
 
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-CLASSES = 19  # Cityscapes trainIds 0-18; any other number is void and has no class feature
-CAMERA_HEIGHT_M = 1.65  # KITTI's camera above the road: the ground is at y = +1.65 m
-GEOMETRY = 6  # columns of node_features that come from the point's place alone
+Kind = Literal["graph", "pointnet2", "image"]
+"""What the frames of an input are: GraphBatch, SetBatch or ImageBatch."""
 
 
 @dataclass(frozen=True)
@@ -124,40 +123,3 @@ def of_arrays(arrays: Mapping[str, np.ndarray]) -> Batch:
 def flipped(xyz: Tensor) -> Tensor:
     """Return points [N,3] of the camera frame with x as -x."""
     return xyz * xyz.new_tensor([-1.0, 1.0, 1.0])
-
-
-def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
-    """Describe each point by its place and, weighted by `semantics`, by its class (paper eq. 7).
-
-    Args:
-        xyz: [N,3] metres, camera frame.
-        cls: uint8 [N], trainId.
-        semantics: λ in [0,1]; 0 leaves zeros where the classes were, so only geometry speaks.
-    Returns:
-        [N, GEOMETRY + CLASSES], each column O(1) over a street, in the dtype of `xyz`.
-    """
-    x, y, z = xyz.unbind(1)
-    distance = (x.square() + z.square()).clamp_min(1.0).sqrt()
-    # The paper names no node features. Scales fit a street seen to 80 m; x/distance is the bearing, which
-    # tells near and far parts of a bend apart without the network having to learn a division.
-    geometry = [x / 10, (y - CAMERA_HEIGHT_M) / 2, z / 40, x / distance, distance.log() - 2.5, 10 / distance]
-    one_hot = cls[:, None] == torch.arange(CLASSES, dtype=cls.dtype, device=cls.device)
-    return torch.cat([torch.stack(geometry, dim=1), semantics * one_hot.to(xyz.dtype)], dim=1)
-
-
-def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
-    """Return each frame's mean ‖ max over its points: [N,C], ptr [B+1] → [B,2C]; zeros for a frame without points."""
-    # A loop over frames is faster here than segment_reduce (8x, 2 cores) and, unlike index_add, deterministic on CUDA.
-    pooled = [
-        torch.cat([points.mean(0), points.max(0).values]) if len(points) else points.new_zeros(2 * x.shape[1])
-        for points in torch.split(x, ptr.diff().tolist())
-    ]
-    return torch.stack(pooled)
-
-
-def max_pool(x: Tensor, ptr: Tensor) -> Tensor:
-    """Return each frame's max over its points: [N,C], ptr [B+1] → [B,C]; zeros for a frame without points."""
-    return torch.stack([
-        points.amax(0) if len(points) else points.new_zeros(x.shape[1])
-        for points in torch.split(x, ptr.diff().tolist())
-    ])  # fmt: skip

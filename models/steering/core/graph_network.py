@@ -3,33 +3,31 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import CLASSES, GEOMETRY, GraphBatch, mean_max_pool, node_features
+from models.steering.core.batch import GraphBatch
+from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
+from models.steering.core.knobs import Fraction, Widths
 
 
 class GraphNetwork(nn.Module):
-    """The spatial network on point graphs; which convolution it stacks is a constructor.
+    """The spatial networks on point graphs, each with its own kind of layer.
 
     Args:
         layer: class with `layer(inputs, outputs)`, a static `operator(batch, dtype)`, computed once per batch for all
             layers, and `forward(x [N, inputs], operator) -> [N, outputs]`.
-        widths: channels after each layer.
         features: numbers per frame that go to the recurrent network.
-        semantics: λ of paper eq. 7, in [0,1].
-    Raises:
-        ValueError: semantics out of range.
+        layers: channels after each layer.
+        semantics: λ of paper eq. 7, how much the classes count: from 0 (depth only) to 1.
     """
 
-    def __init__(self, layer: type[nn.Module], widths: list[int], features: int, semantics: float) -> None:
+    def __init__(
+        self, layer: type[nn.Module], features: int, *, layers: Widths = (32, 32, 64), semantics: Fraction = 0.0
+    ) -> None:
         super().__init__()
-        if not 0 <= semantics <= 1:
-            raise ValueError(
-                f"semantics = {semantics} is out of range: it weights the classes, from 0 (depth only) to 1"
-            )
         self.semantics = semantics
         self.layers = nn.ModuleList(
-            layer(inputs, outputs) for inputs, outputs in zip([GEOMETRY + CLASSES, *widths[:-1]], widths, strict=True)
+            layer(inputs, outputs) for inputs, outputs in zip([NODE_FEATURES, *layers[:-1]], layers, strict=True)
         )
-        self.read_out = nn.Linear(2 * widths[-1], features)
+        self.read_out = nn.Linear(2 * layers[-1], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B, features]; neither the order of points nor other frames in the batch change a frame's numbers."""

@@ -1,46 +1,42 @@
-"""The paper's figure: a spatial network on each frame, a recurrent one over the frames."""
+"""The paper's figure: a spatial network on each frame, a recurrent one over the frames.
 
-from collections.abc import Callable, Mapping
-from typing import Any
+A network is a file: `spatial: mean` in params.yaml is models/steering/spatial/mean.py, and nothing else names it:
+
+    INPUT: Kind = "graph"                  # what it expects: "graph" | "pointnet2" | "image"; spatial networks only
+
+    class Mean(nn.Module):                 # GraphBatch | SetBatch | ImageBatch of B frames → [B, features]
+        def __init__(self, features: int, *, scale_m: Annotated[float, Field(gt=0)] = 10.0) -> None: ...
+
+    network = Mean                         # a class, or a function that returns an nn.Module
+
+By position it takes what is known of its data, by name: `features` (numbers per frame between the two networks),
+`window` (frames), `levels` (pointnet2), `image_size` (image; H, W). Behind the * stand its knobs: keys of the model's
+line, with their types and defaults. A temporal file's network is a RecurrentCell (see recurrent.py). `cell: NAME` of
+temporal ncp is cell/NAME.py, whose `cell(wiring)` returns a RecurrentCell.
+DVC trains a model again when core, cell, or one of its two files changes; so a file may import only these and
+pipeline.camera.classes and mount, which stage check sees to: what two networks share lies in core.
+"""
+
+from collections.abc import Mapping
+from typing import Any, get_args
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.steering.cell.cfc import CfC
-from models.steering.cell.eq4 import Eq4
-from models.steering.cell.ltc import LTC
-from models.steering.core import batch as frames
-from models.steering.core.graph_network import GraphNetwork
-from models.steering.core.recurrent import LSTM, RecurrentCell
-from models.steering.core.wiring import Wiring, ncp
-from models.steering.spatial.cnn import SteeringCNN
-from models.steering.spatial.edgeconv import EdgeConvLayer
-from models.steering.spatial.gatv2 import GATv2Layer
-from models.steering.spatial.gnn import GCNLayer
-from models.steering.spatial.pointnet2 import PointNet2
+from models.steering.core.batch import Batch, Kind, of_arrays
+from models.steering.core.knobs import meant, plain, written
+from models.steering.core.network_file import Network, Part, load
+from models.steering.core.recurrent import RecurrentCell
 
-Line = dict[str, Any]  # a model's line of params.yaml
+Line = Mapping[str, Any]  # a model's line of params.yaml
 
-SPATIAL: dict[str, Callable[[Line], nn.Module]] = {
-    "gnn": lambda line: GraphNetwork(GCNLayer, line["layers"], line["features"], line["semantics"]),
-    "edgeconv": lambda line: GraphNetwork(EdgeConvLayer, line["layers"], line["features"], line["semantics"]),
-    "gatv2": lambda line: GraphNetwork(GATv2Layer, line["layers"], line["features"], line["semantics"]),
-    "pointnet2": lambda line: PointNet2(line["levels"], line["width"], line["features"], line["semantics"]),
-    "cnn": lambda line: SteeringCNN(line["image_size"], line["features"]),
-}
-# What a spatial network's frames must be; those that are not named eat kNN graphs.
-EATS = {"pointnet2": "pointnet2", "cnn": "image"}
-KINDS = {
+# The keys of a line that are no network's; pipeline/sections/models.py has their types.
+GENERAL = ("input", "spatial", "temporal", "window", "equivariant", "learning_rate", "alpha", "features")
+KINDS: dict[Kind, str] = {
     "graph": "kNN graphs",
     "pointnet2": "points with neighbourhood: pointnet2",
-    "image": "images (a variant with cloud: none)",
-}
-CELL: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4, "cfc": CfC}
-DEFAULT_CELL = "ltc"  # of a line that names none, whatever its temporal network
-TEMPORAL: dict[str, Callable[[Line], RecurrentCell]] = {
-    "ncp": lambda line: CELL[line["cell"]](ncp(line["features"], **line["wiring"])),
-    "lstm": lambda line: LSTM(line["features"], line["units"]),
+    "image": "images",
 }
 
 
@@ -59,12 +55,12 @@ class SteeringNet(nn.Module):
         self.temporal = temporal
         self.equivariant = equivariant
 
-    def encode(self, batch: frames.Batch) -> Tensor:
+    def encode(self, batch: Batch) -> Tensor:
         """Return what the spatial network sees in each frame, [B,F]; minus the same in the mirror, if equivariant."""
         features: Tensor = self.spatial(batch)
         return features - self.spatial(batch.mirrored()) if self.equivariant else features
 
-    def forward(self, batch: frames.Batch, windows: Tensor, dt_s: Tensor) -> Tensor:
+    def forward(self, batch: Batch, windows: Tensor, dt_s: Tensor) -> Tensor:
         """Predict the (scaled) steering at each window's last frame.
 
         Windows may overlap: each frame is encoded once, however many windows hold it.
@@ -90,32 +86,77 @@ class SteeringNet(nn.Module):
         return out[:, -1, 0]
 
 
-def build(line: Line, kind: str = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
+def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
     """Build the network of a model's line of params.yaml, with new weights from torch's random state.
 
     Args:
-        line: `spatial`, `temporal`, `features`, `equivariant`, and what the two networks need: `layers`, `width` and
-            `semantics`; `units` (lstm), or `cell` and `wiring` (ncp).
-        kind: what the frames of the line's input are, a key of KINDS.
+        line: `input`, `spatial`, `temporal`, `window`, `features`, `equivariant`, and knobs of the two networks.
+        kind: what the frames of the line's input are.
         levels: PointNet++'s samplings in the input, if it is of that kind.
         image_size: (H,W) pixels of the input's images, if it is of that kind.
     Raises:
-        ValueError: an unknown network or cell (lists the known ones), a cell for a network that has no choice of one,
-            an input that the spatial network does not eat, a semantics out of [0,1], an impossible wiring.
+        ValueError: an unknown network or cell, an input that the spatial network is not made for, a knob that means
+            nothing to the two, a value that a knob cannot have. It starts with the key: "semantics = 1.5: …".
     """
-    parts: dict[str, list[str]] = {"spatial": list(SPATIAL), "temporal": list(TEMPORAL), "cell": list(CELL)}
-    for part, known in parts.items():
-        if line[part] not in known:
-            raise ValueError(f"{part}: {line[part]!r} is no network of this project: choose {' | '.join(known)}")
-    if line["temporal"] != "ncp" and line["cell"] != DEFAULT_CELL:
-        raise ValueError(f"cell: {line['cell']!r} is a cell of temporal: ncp, not of {line['temporal']}: leave it out")
-    eats = EATS.get(line["spatial"], "graph")
-    if eats != kind:
+    spatial, _ = networks = _networks(line)
+    expected: Any = getattr(spatial.module, "INPUT", None)
+    if expected not in KINDS:
+        raise ValueError(f"{spatial.path} needs a line INPUT: Kind = … , one of {', '.join(KINDS)}")
+    if expected != kind:
         raise ValueError(
-            f"spatial: {line['spatial']} eats {KINDS[eats]}, and input: {line['input']} holds {KINDS[kind]}: change one"
+            f"spatial = {spatial.name!r} expects {KINDS[expected]}, but input: {line['input']} holds {KINDS[kind]}: "
+            "change one"
         )
-    spatial = SPATIAL[line["spatial"]]({**line, "levels": levels, "image_size": image_size})
-    return SteeringNet(spatial, TEMPORAL[line["temporal"]](line), line["equivariant"])
+    _refuse_what_means_nothing(line, networks)
+    settings = [network.settings(line) for network in networks]
+    of_kind: dict[Kind, dict[str, Any]] = {
+        "graph": {},
+        "pointnet2": {"levels": levels},
+        "image": {"image_size": image_size},
+    }
+    given = {"features": line["features"], "window": line["window"], **of_kind[kind]}
+    # Random numbers are drawn in this order: a seed's weights depend on it.
+    each, over = (network.build(given, own) for network, own in zip(networks, settings, strict=True))
+    return SteeringNet(each, over, line["equivariant"])
+
+
+def knobs(line: Line) -> list[str]:
+    """Return the keys that mean something to the networks of a line, beside GENERAL. Raises ValueError as `build`."""
+    return [knob for network in _networks(line) for knob in network.knobs]
+
+
+def resolved(line: Line) -> dict[str, Any]:
+    """Return a line with all that its networks were built with, defaults included. Raises ValueError as `build`."""
+    whole = {key: line[key] for key in GENERAL if key in line}
+    networks = _networks(line)
+    _refuse_what_means_nothing(line, networks)
+    for network in networks:
+        whole |= {key: plain(network.annotation(key), value) for key, value in network.settings(line).items()}
+    return whole
+
+
+def modules(line: Line) -> list[str]:
+    """Return the dotted names of the files that a line names: imports do not show them. Raises ValueError."""
+    whole = resolved(line)
+    return [load(part, whole[part]).__name__ for part in get_args(Part) if part in whole]
+
+
+def _networks(line: Line) -> tuple[Network, Network]:
+    return Network("spatial", line["spatial"]), Network("temporal", line["temporal"])
+
+
+def _refuse_what_means_nothing(line: Line, networks: tuple[Network, Network]) -> None:
+    spatial, temporal = networks
+    known = [*spatial.knobs, *temporal.knobs]
+    for key in known:
+        if key in GENERAL or known.count(key) > 1:
+            raise ValueError(f"{key} has two meanings: call the knob of {spatial.path} or {temporal.path} otherwise")
+    for key, value in line.items():
+        if key not in known and key not in GENERAL:
+            raise ValueError(
+                f"{written(key, value)} means nothing to spatial: {spatial.name} with temporal: {temporal.name}, "
+                f"which take {', '.join(known) or 'no knobs'}: {meant(key, [*known, *GENERAL], 'leave it out')}"
+            )
 
 
 def parameter_count(model: nn.Module) -> int:
@@ -127,10 +168,10 @@ def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
     """Return the network's output [W] for arrays: those of a batch of frames, `windows` [W,T] and `dt_s` [W,T]."""
     device = next(net.parameters()).device
     windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
-    output: Tensor = net(frames.of_arrays(arrays).to(device), windows, dt_s)
+    output: Tensor = net(of_arrays(arrays).to(device), windows, dt_s)
     return output
 
 
 def encode(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
     """Return the spatial features [B,F] of a batch of arrays."""
-    return net.encode(frames.of_arrays(arrays).to(next(net.parameters()).device))
+    return net.encode(of_arrays(arrays).to(next(net.parameters()).device))

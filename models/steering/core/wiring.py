@@ -1,9 +1,13 @@
 """Wiring of a neural circuit policy: which neuron listens to which, and with what sign (Lechner et al. 2020)."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+
+from models.steering.core.knobs import Count, Group, Seed
 
 Polarity = NDArray[np.int8]
 Neurons = NDArray[np.int64]
@@ -28,18 +32,19 @@ class Wiring:
         return self.motor + self.command + self.inter
 
 
-def ncp(
-    inputs: int,
-    *,
-    inter: int = 12,
-    command: int = 6,
-    motor: int = 1,
-    sensory_fanout: int = 6,
-    inter_fanout: int = 4,
-    recurrent_command_synapses: int = 6,
-    motor_fanin: int = 6,
-    seed: int = 0,
-) -> Wiring:
+class Sizes(Group):
+    """Knob `wiring`: neurons of each layer, synapses of each neuron, and the seed of the draw."""
+
+    inter: Count = 12
+    command: Count = 6
+    sensory_fanout: Count = 6
+    inter_fanout: Count = 4
+    recurrent_command_synapses: Annotated[int, Field(ge=0)] = 6
+    motor_fanin: Count = 6
+    seed: Seed = 0
+
+
+def ncp(inputs: int, sizes: Sizes = Sizes(), motor: int = 1) -> Wiring:
     """Draw the four-layer wiring sensory → inter → command (⟲) → motor; the same seed draws the same wiring.
 
     Every sensory neuron feeds `sensory_fanout` inter neurons, every inter neuron `inter_fanout` command neurons, and
@@ -47,32 +52,33 @@ def ncp(
     neuron without listener, gets as many synapses as its layer has on average.
 
     Raises:
-        ValueError: a fan-out or fan-in of 0 or of more than the layer that it reaches, too many recurrent synapses.
+        ValueError: a fan-out or fan-in of more than the layer that it reaches, too many recurrent synapses.
     """
+    inter, command = sizes.inter, sizes.command
     for name, count, layer, size in [
-        ("sensory_fanout", sensory_fanout, "inter", inter),
-        ("inter_fanout", inter_fanout, "command", command),
-        ("motor_fanin", motor_fanin, "command", command),
+        ("sensory_fanout", sizes.sensory_fanout, "inter", inter),
+        ("inter_fanout", sizes.inter_fanout, "command", command),
+        ("motor_fanin", sizes.motor_fanin, "command", command),
     ]:
-        if not 1 <= count <= size:
-            raise ValueError(f"wiring: {name} = {count}, but there are {layer} = {size} neurons: choose 1 to {size}")
-    if not 0 <= recurrent_command_synapses <= command**2:
+        if count > size:
+            raise ValueError(f"wiring.{name} = {count}, but there are {layer} = {size} neurons: choose 1 to {size}")
+    if sizes.recurrent_command_synapses > command**2:
         raise ValueError(
-            f"wiring: recurrent_command_synapses = {recurrent_command_synapses}, "
+            f"wiring.recurrent_command_synapses = {sizes.recurrent_command_synapses}, "
             f"but command = {command} neurons have room for 0 to {command**2}"
         )
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(sizes.seed)
     units = motor + command + inter
     sensory = np.zeros((inputs, units), dtype=np.int8)
     internal = np.zeros((units, units), dtype=np.int8)
     motors, commands, inters = np.split(np.arange(units), [motor, motor + command])
 
-    _fan_out(rng, sensory, np.arange(inputs), inters, sensory_fanout)
-    _fan_out(rng, internal, inters, commands, inter_fanout)
-    for place in rng.choice(command**2, size=recurrent_command_synapses, replace=False):
+    _fan_out(rng, sensory, np.arange(inputs), inters, sizes.sensory_fanout)
+    _fan_out(rng, internal, inters, commands, sizes.inter_fanout)
+    for place in rng.choice(command**2, size=sizes.recurrent_command_synapses, replace=False):
         internal[commands[place // command], commands[place % command]] = rng.choice([-1, 1])
-    _fan_out(rng, internal.T, motors, commands, motor_fanin)  # transposed: fan-in is the fan-out of the listeners
+    _fan_out(rng, internal.T, motors, commands, sizes.motor_fanin)  # transposed: fan-in is the fan-out of the listeners
     return Wiring(sensory, internal, motor, command, inter)
 
 

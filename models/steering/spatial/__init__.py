@@ -1,1 +1,1 @@
-"""A spatial network a file, named as in params.yaml."""
+"""A spatial network a file, named as in params.yaml: see models/steering/core/steering_net.py."""

@@ -3,8 +3,9 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import ImageBatch
+from models.steering.core.batch import ImageBatch, Kind
 
+INPUT: Kind = "image"
 CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]  # maps, side of the kernel, stride
 
 
@@ -12,13 +13,13 @@ class SteeringCNN(nn.Module):
     """Standardised image → five convolutions → each of the 8 maps → a dense layer of its own.
 
     Args:
-        image_size: (H,W) pixels.
         features: numbers per frame that go to the recurrent network; the NCP paper has 32, 4 of each map.
+        image_size: (H,W) pixels.
     Raises:
         ValueError: `features` is no multiple of the number of maps.
     """
 
-    def __init__(self, image_size: tuple[int, int], features: int) -> None:
+    def __init__(self, features: int, image_size: tuple[int, int]) -> None:
         super().__init__()
         maps = CONVOLUTIONS[-1][0]
         if features % maps:
@@ -48,3 +49,6 @@ def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:
     pixels = image.to(dtype).permute(0, 3, 1, 2)
     deviation, mean = torch.std_mean(pixels, dim=(1, 2, 3), keepdim=True, correction=0)
     return (pixels - mean) / deviation.clamp_min(pixels[0].numel() ** -0.5)  # an image of one colour becomes 0
+
+
+network = SteeringCNN

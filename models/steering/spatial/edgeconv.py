@@ -1,10 +1,15 @@
 """Edge convolution on a cached graph (DGCNN; Wang et al. 2019)."""
 
+from functools import partial
+
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.aggregate import Chunks, aggregate, neighbourhoods
-from models.steering.core.batch import GraphBatch
+from models.steering.core.batch import GraphBatch, Kind
+from models.steering.core.graph_network import GraphNetwork
+
+INPUT: Kind = "graph"
 
 
 class EdgeConvLayer(nn.Module):
@@ -36,3 +41,6 @@ class EdgeConvLayer(nn.Module):
 def own_plus_max(rows: Tensor, own: Tensor) -> Tensor:
     """Return own [n,C] + the maximum over the neighbours' rows [n,d,C]; equal maxima share the gradient."""
     return own + rows.amax(dim=1)
+
+
+network = partial(GraphNetwork, EdgeConvLayer)

@@ -1,13 +1,16 @@
 """Graph attention on a cached graph: edges weighted by what their two ends have learned (GATv2; Brody et al. 2022)."""
 
 import math
+from functools import partial
 
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.aggregate import Chunks, aggregate, neighbourhoods
-from models.steering.core.batch import GraphBatch
+from models.steering.core.batch import GraphBatch, Kind
+from models.steering.core.graph_network import GraphNetwork
 
+INPUT: Kind = "graph"
 HEADS = 4
 SLOPE = 0.2  # of the leaky ReLU, as in the paper
 
@@ -47,3 +50,6 @@ def attend(rows: Tensor, own: Tensor, attention: Tensor) -> Tensor:
     heard = nn.functional.leaky_relu(sent + own.view(n, 1, *attention.shape), SLOPE)
     alpha = (heard * attention).sum(3).softmax(dim=1)  # [n,d,heads]
     return (alpha[..., None] * sent).sum(1).flatten(1)
+
+
+network = partial(GraphNetwork, GATv2Layer)

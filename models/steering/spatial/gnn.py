@@ -1,12 +1,16 @@
 """Graph convolution on a symmetric graph (paper eq. 3; Kipf and Welling 2017)."""
 
 import warnings
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import GraphBatch
+from models.steering.core.batch import GraphBatch, Kind
+from models.steering.core.graph_network import GraphNetwork
+
+INPUT: Kind = "graph"
 
 
 class GCNLayer(nn.Module):
@@ -74,3 +78,6 @@ class _SymmetricProduct(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
         return None, propagate(ctx.matrix, gradient)
+
+
+network = partial(GraphNetwork, GCNLayer)

@@ -1,12 +1,17 @@
 """PointNet++ (paper eq. 1 and 2; Qi et al. 2017, single-scale grouping): sets of points in balls, in balls of balls."""
 
 from itertools import pairwise
+from typing import Annotated
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
-from models.steering.core.batch import CLASSES, GEOMETRY, SetBatch, max_pool, node_features
+from models.steering.core.batch import Kind, SetBatch
+from models.steering.core.features import NODE_FEATURES, max_pool, node_features
+from models.steering.core.knobs import Fraction
 
+INPUT: Kind = "pointnet2"
 OFFSET_M = 10.0  # balls of a street are some 8 to 16 m wide: a neighbour's offset becomes O(1)
 
 
@@ -47,24 +52,25 @@ class PointNet2(nn.Module):
     256-512-1024, then 512 and 256.
 
     Args:
+        features: numbers per frame that go to the recurrent network.
         levels: set abstractions before the one over the whole frame; as many as the variant has.
         width: factor on the reference's channels.
-        features: numbers per frame that go to the recurrent network.
-        semantics: λ of paper eq. 7, in [0,1].
-    Raises:
-        ValueError: semantics out of range.
+        semantics: λ of paper eq. 7, how much the classes count: from 0 (depth only) to 1.
     """
 
-    def __init__(self, levels: int, width: float, features: int, semantics: float) -> None:
+    def __init__(
+        self,
+        features: int,
+        levels: int,
+        *,
+        width: Annotated[float, Field(gt=0, le=4)] = 1.0,
+        semantics: Fraction = 0.0,
+    ) -> None:
         super().__init__()
-        if not 0 <= semantics <= 1:
-            raise ValueError(
-                f"semantics = {semantics} is out of range: it weights the classes, from 0 (depth only) to 1"
-            )
         self.semantics = semantics
         base = [max(1, round(width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …
         sizes = [[base[level], base[level], base[level + 1]] for level in range(levels)]
-        inputs = [GEOMETRY + CLASSES, *(widths[-1] for widths in sizes)]
+        inputs = [NODE_FEATURES, *(widths[-1] for widths in sizes)]
         self.levels = nn.ModuleList(SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False))
         # Over the whole frame: one set, around the camera.
         self.whole = SetAbstraction(inputs[-1], base[levels : levels + 3]).mlp
@@ -84,3 +90,6 @@ class PointNet2(nn.Module):
             xyz, ptr = xyz[level.centres], level.ptr
         h = self.whole(torch.cat([xyz / OFFSET_M, f], dim=1))  # [M,1024 width]
         return torch.tanh(self.read_out(self.head(max_pool(h, ptr))))  # [B,features]; the range LTC synapses listen to
+
+
+network = PointNet2

@@ -1,1 +1,1 @@
-"""A temporal network a file, named as in params.yaml."""
+"""A temporal network a file, named as in params.yaml: see models/steering/core/steering_net.py."""

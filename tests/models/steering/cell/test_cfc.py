@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from models.steering.cell.cfc import CfC
-from models.steering.cell.ltc import NOMINAL_STEP_S
-from models.steering.core.wiring import ncp
+from models.steering.core.recurrent import NOMINAL_STEP_S
+from models.steering.core.wiring import Sizes, ncp
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -39,9 +39,9 @@ class Layered(PeerWiring):
 @pytest.mark.parametrize("motor", [1, 2])
 def test_equals_ncps_forward_and_gradients(motor):
     torch.manual_seed(0)
-    wiring = ncp(7, inter=6, command=5, motor=motor, sensory_fanout=3, inter_fanout=2, motor_fanin=3)
+    wiring = ncp(7, Sizes(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3), motor=motor)
     ours, peer = CfC(wiring).double(), WiredCfCCell(None, Layered(wiring)).double()
-    pairs = list(zip([ours.inter, ours.command, ours.motor], peer._layers, strict=True))
+    pairs = list(zip([ours.inter, ours.command, ours.motor], peer.children(), strict=True))
     with torch.no_grad():
         ours.output_scale.normal_()
         ours.output_shift.normal_()

@@ -7,11 +7,11 @@ from scipy.integrate import solve_ivp
 from scipy.special import expit
 
 from models.steering.cell.eq4 import Eq4
-from models.steering.cell.ltc import NOMINAL_STEP_S
-from models.steering.core.wiring import ncp
+from models.steering.core.recurrent import NOMINAL_STEP_S
+from models.steering.core.wiring import Sizes, ncp
 
 DT_S = torch.tensor([[0.1, 0.31, 0.02, 0.1], [0.08, 0.1, 0.12, 0.6]], dtype=torch.float64)
-WIRING = ncp(5, inter=6, command=5, motor=2, sensory_fanout=3, inter_fanout=3, motor_fanin=3)
+WIRING = ncp(5, Sizes(inter=6, command=5, sensory_fanout=3, inter_fanout=3, motor_fanin=3), motor=2)
 
 
 def cell_of(unfolds: int) -> Eq4:

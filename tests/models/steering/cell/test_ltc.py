@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.cell.ltc import LTC, NOMINAL_STEP_S, inverse_softplus
-from models.steering.core.wiring import ncp
+from models.steering.cell.ltc import LTC, inverse_softplus
+from models.steering.core.recurrent import NOMINAL_STEP_S
+from models.steering.core.wiring import Sizes, ncp
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -34,10 +35,10 @@ def pair(wiring):
     matches = []
     for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
         matches += [
-            (getattr(synapses, name), peer._params[prefix + theirs], signs.nonzero())
+            (getattr(synapses, name), getattr(peer, prefix + theirs), signs.nonzero())
             for name, theirs in SYNAPSE.items()
         ]
-    matches += [(getattr(ours, name), peer._params[theirs], ...) for name, theirs in (NEURON | MAP).items()]
+    matches += [(getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()]
     for parameter, theirs, which in matches:
         theirs.data[which] = parameter.data
     return ours, peer, matches
@@ -46,7 +47,7 @@ def pair(wiring):
 @pytest.mark.parametrize("motor", [1, 2])
 def test_equals_ncps_forward_and_gradients(motor):
     torch.manual_seed(0)
-    wiring = ncp(7, inter=6, command=5, motor=motor, sensory_fanout=3, inter_fanout=2, motor_fanin=3)
+    wiring = ncp(7, Sizes(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3), motor=motor)
     ours, peer, matches = pair(wiring)
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
     dt_s = torch.rand(3, 5, dtype=torch.float64) * 0.3 + 0.01  # irregular, and different in each window
@@ -72,7 +73,7 @@ def test_equals_ncps_forward_and_gradients(motor):
 
 
 def test_gradients_through_dt():
-    cell = LTC(ncp(4, inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2)).double()
+    cell = LTC(ncp(4, Sizes(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).double()
     sensed = cell.sense(torch.randn(2, 3, 4, dtype=torch.float64)).detach()
     dt_s = torch.full((2, 3), 0.1, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda dt: cell(sensed, dt)[0], dt_s)

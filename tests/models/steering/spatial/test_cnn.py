@@ -13,7 +13,7 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 @pytest.fixture
 def network():
     torch.manual_seed(0)
-    return SteeringCNN((33, 50), features=32).double()
+    return SteeringCNN(32, image_size=(33, 50)).double()
 
 
 def images(count: int = 3, size: tuple[int, int] = (33, 50)) -> ImageBatch:
@@ -57,6 +57,6 @@ def test_an_image_of_one_colour_is_finite():
 
 
 def test_features_are_shared_out_among_the_maps():
-    assert SteeringCNN((32, 32), 16)(images(size=(32, 32))).shape == (3, 16)
-    with pytest.raises(ValueError, match="features = 30: cnn gives each of its 8 maps as many: use a multiple of 8"):
-        SteeringCNN((32, 32), 30)
+    assert SteeringCNN(16, (32, 32))(images(size=(32, 32))).shape == (3, 16)
+    with pytest.raises(ValueError, match=r"^features = 30: .* multiple of 8"):
+        SteeringCNN(30, (32, 32))

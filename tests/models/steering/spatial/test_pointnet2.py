@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch.nn import functional
 
-from models.steering.core.batch import SetBatch, node_features
+from models.steering.core.batch import SetBatch
+from models.steering.core.features import node_features
 from models.steering.spatial.pointnet2 import OFFSET_M, PointNet2, SetAbstraction
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
@@ -13,7 +14,7 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 @pytest.fixture
 def network():
     torch.manual_seed(0)
-    return PointNet2(levels=2, width=0.125, features=5, semantics=1.0).double()
+    return PointNet2(5, levels=2, width=0.125, semantics=1.0).double()
 
 
 def plain_mlp(layers, row):
@@ -65,7 +66,7 @@ def test_network_equals_plain_loops(make_sets, network):
 
 
 def test_sizes_of_width_one_are_the_references():
-    network = PointNet2(levels=2, width=1.0, features=32, semantics=0.0)
+    network = PointNet2(32, levels=2)
     widths = [[linear.out_features for linear in layer.mlp[::3]] for layer in network.levels]
     assert widths == [[64, 64, 128], [128, 128, 256]]
     assert [linear.out_features for linear in network.whole[::3]] == [256, 512, 1024]
@@ -115,8 +116,3 @@ def test_without_semantics_classes_change_nothing(make_sets, network):
     assert not torch.allclose(network(batch), network(other))
     network.semantics = 0.0
     assert torch.equal(network(batch), network(other))
-
-
-def test_semantics_out_of_range():
-    with pytest.raises(ValueError, match=r"semantics = 2 .* from 0 .* to 1"):
-        PointNet2(levels=1, width=0.1, features=2, semantics=2)

@@ -1,0 +1,34 @@
+"""Long short-term memory (Hochreiter and Schmidhuber 1997)."""
+
+import torch
+from torch import Tensor, nn
+
+from models.steering.core.knobs import Count
+from models.steering.core.recurrent import RecurrentCell, State
+
+
+class LSTM(RecurrentCell):
+    """torch.nn.LSTM's cell (parameters, gate order and initialisation), with a linear read-out. It ignores dt."""
+
+    def __init__(self, features: int, *, units: Count = 32) -> None:
+        super().__init__()
+        reference = nn.LSTMCell(features, units)
+        self.weight_ih, self.weight_hh = reference.weight_ih, reference.weight_hh  # [4U,D], [4U,U]: gates i, f, g, o
+        self.bias_ih, self.bias_hh = reference.bias_ih, reference.bias_hh  # [4U]
+        self.read_out = nn.Linear(units, 1)
+
+    def sense(self, x: Tensor) -> Tensor:
+        return nn.functional.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)  # [..., 4U]
+
+    def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+        h, c = state or 2 * (sensed.new_zeros(len(sensed), self.weight_hh.shape[1]),)
+        hidden = []
+        for frame in sensed.unbind(1):
+            i, f, g, o = torch.addmm(frame, h, self.weight_hh.T).chunk(4, dim=1)  # each [W,U]
+            c = f.sigmoid() * c + i.sigmoid() * g.tanh()
+            h = o.sigmoid() * c.tanh()
+            hidden.append(h)
+        return self.read_out(torch.stack(hidden, dim=1)), (h, c)
+
+
+network = LSTM

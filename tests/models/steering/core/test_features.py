@@ -1,0 +1,47 @@
+import pytest
+import torch
+
+from models.steering.core.features import GEOMETRY, NODE_FEATURES, max_pool, mean_max_pool, node_features
+from pipeline.camera import classes
+
+
+def test_classes_enter_in_proportion_to_semantics(make_batch):
+    batch = make_batch([40])
+    none, half, full = (node_features(batch.xyz, batch.cls, weight) for weight in (0.0, 0.5, 1.0))
+    assert torch.equal(none[:, :GEOMETRY], full[:, :GEOMETRY])
+    assert not none[:, GEOMETRY:].any()
+    assert torch.equal(half[:, GEOMETRY:], full[:, GEOMETRY:] / 2)
+    known = batch.cls < classes.COUNT
+    assert torch.equal(full[known, GEOMETRY:].argmax(1), batch.cls[known].long())
+    assert torch.equal(full[:, GEOMETRY:].sum(1), known.double())  # void has no class
+
+
+def test_features_of_the_mirrored_street_differ_in_sign_of_the_lateral_ones_only(make_batch):
+    batch = make_batch([30])
+    mirrored = batch.xyz * torch.tensor([-1.0, 1.0, 1.0])
+    signs = torch.ones(NODE_FEATURES)
+    signs[[0, 3]] = -1
+    assert torch.equal(node_features(mirrored, batch.cls, 1.0), node_features(batch.xyz, batch.cls, 1.0) * signs)
+
+
+def test_features_are_of_order_one_over_a_street():
+    edges = torch.cartesian_prod(
+        torch.tensor([-30.0, 0, 30]), torch.tensor([-10.0, 1.65]), torch.tensor([0.0, 2, 20, 80])
+    )
+    features = node_features(edges, torch.zeros(len(edges), dtype=torch.uint8), 1.0)
+    assert torch.isfinite(features).all()
+    assert features.abs().max() <= 10
+
+
+def test_pooling_is_mean_and_max_of_each_frame():
+    x = torch.tensor([[1.0, -4.0], [3.0, -2.0], [5.0, -9.0]])
+    pooled = mean_max_pool(x, torch.tensor([0, 2, 2, 3]))
+    assert pooled.tolist() == [[2, -3, 3, -2], [0, 0, 0, 0], [5, -9, 5, -9]]
+    assert torch.equal(max_pool(x, torch.tensor([0, 2, 2, 3])), pooled[:, 2:])
+
+
+@pytest.mark.parametrize("counts", [[4, 4, 4], [1, 0, 9], [0, 0]])
+def test_pooling_gradient(counts):
+    x = torch.randn(sum(counts), 3, dtype=torch.float64, requires_grad=True)
+    ptr = torch.tensor([0, *counts]).cumsum(0)
+    assert torch.autograd.gradcheck(lambda x: mean_max_pool(x, ptr), x)

@@ -50,7 +50,7 @@ def main(
         list(splits),
         module="stages.ingest",
         out=out,
-        inputs=lambda drive: [*attributes[drive].values(), found[drive].changes(settings.cameras)],
+        inputs=lambda drive: [*attributes[drive].values(), drives[drive].changes(settings.cameras)],
         settings=settings.model_dump(exclude={"drives"}),
         workers=workers,
         effort=lambda drive: len(drives[drive].oxts),

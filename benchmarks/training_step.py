@@ -50,10 +50,8 @@ class Row:
 
 
 def main(
-    models: Annotated[list[str] | None, typer.Argument(metavar="MODEL", help="default: all of the params file")] = None,
-    params: Annotated[
-        Path, typer.Option(exists=True, dir_okay=False, help="models that are comments count too")
-    ] = Path("params.kitti.yaml"),
+    models: Annotated[list[str] | None, typer.Argument(metavar="MODEL", help="default: all of preset table2")] = None,
+    preset: Annotated[str, typer.Option(help="whose sizes: a name in presets/, or a file")] = "kitti",
     steps: Annotated[int, typer.Option(min=1, help="timed, after one that is not")] = 3,
 ) -> None:
     """Measure one training step of each model on generated frames, and print a Markdown table.
@@ -64,15 +62,15 @@ def main(
     with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
         folder = Path(scratch)
         settings = folder / "params.yaml"
-        town_frames.write_params(params, settings, frames=1)
+        town_frames.write_params(preset, settings, frames=1)
         known = names("models", settings)
         for name in models or []:
             if name not in known:
-                raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
+                raise InputError(f"there is no model {name!r}: {closest(name, known)}")
         lines = {name: load_entry(Model, "models", name, settings) for name in models or known}
         longest = max(line.window for line in lines.values())
         count = max(step_frames(longest, load(Train, settings)), town_frames.BENT)
-        town_frames.write_params(params, settings, count)
+        town_frames.write_params(preset, settings, count)
         _apart(town_frames.make, settings, folder, sorted({line.input for line in lines.values()}))
         rows = [_apart(measure, name, settings, folder, steps) for name in lines]
     print(table(rows))

@@ -15,6 +15,7 @@ import yaml
 from pipeline.base import provenance as code
 from pipeline.base import store
 from pipeline.camera import classes
+from pipeline.sections import preset
 
 STAGE_ORDER = [
     "town", "ingest", "labels", "encoder", "perception", "clouds", "pictures", "graphs", "train", "evaluate", "report",
@@ -175,7 +176,7 @@ def test_a_damaged_frame_is_one_line_and_leaves_what_was_there(sample: Path) -> 
 def test_real_drives_run_the_same_chain(real_kitti: Path, real_weights: Path, tmp_path: Path) -> None:
     """Drive 0052 (colour, LiDAR) trains, 0042 (grey, turning, no LiDAR) is tested; classes are ESPNetv2's."""
     folder = scratch_copy(tmp_path)
-    params = yaml.safe_load((folder / "params.real.yaml").read_text())
+    params = preset.merged("real")
     params["ingest"]["image_size"] = [192, 640]  # a quarter of the pixels, of the time
     params["graphs"] = {name: params["graphs"][name] for name in ("semantic", "lidar")}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))

@@ -18,7 +18,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
-from pipeline.base.params import Section, fault, parse, without_none
+from pipeline.base.params import NAME, Section, fault, parse, without_none
 from pipeline.base.provenance import ROOT
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.encoder import Encoder
@@ -35,6 +35,7 @@ from pipeline.sections.train import Train
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
 _WIDTH = 80  # where DVC's writer breaks a line of {…}
+Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]
 _OVER = " is laid over params.yaml:"
 
 
@@ -48,8 +49,8 @@ class Params(Section):
     perception: Perception
     clouds: Clouds
     pictures: Pictures
-    graphs: Annotated[dict[str, Variant], Field(min_length=1)]
-    models: Annotated[dict[str, Model], Field(min_length=1)]
+    graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
+    models: Annotated[dict[Name, Model], Field(min_length=1)]
     train: Train
     evaluate: Evaluate
 
@@ -122,6 +123,7 @@ def _merge(base: CommentedMap, changes: CommentedMap, kind: Any, depth: int = 0)
             if not isinstance(base.get(key), CommentedMap):
                 base[key] = _like(value)
             _merge(base[key], value, inner, depth + 1)
+            base[key] = base[key] or CommentedMap()  # comments of what is gone would stand where {} belongs
             _break(base[key], key, depth)
         elif value is None and optional and (key in base or get_origin(kind) is not dict):
             base.pop(key, None)
@@ -130,11 +132,15 @@ def _merge(base: CommentedMap, changes: CommentedMap, kind: Any, depth: int = 0)
 
 
 def _schema(kind: Any, key: str) -> tuple[bool, Any]:
-    """Say of `key` in a mapping of type `kind`: may it be left out, and of what type is it."""
+    """Say of `key` in a mapping of type `kind`: may null take it out, and of what type is it. None: any."""
     if get_origin(kind) is dict:
         return True, get_args(kind)[1]
-    field = kind.model_fields.get(key) if isinstance(kind, type) and issubclass(kind, Section) else None
-    return (False, None) if field is None else (not field.is_required(), without_none(field.annotation))
+    if not (isinstance(kind, type) and issubclass(kind, Section)):
+        return True, None
+    field = kind.model_fields.get(key)
+    if field is None:
+        return kind.model_config.get("extra") == "allow", None
+    return not field.is_required(), without_none(field.annotation)
 
 
 def _plain(value: Any) -> Any:

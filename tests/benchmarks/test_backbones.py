@@ -13,6 +13,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 K = np.array([[50.0, 0, 31], [0, 50.0, 15], [0, 0, 1]])
 
 
+@pytest.mark.slow
 def test_rendered_frames_are_read_as_the_stages_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEER_WORKERS", "1")
     params = tmp_path / "params.yaml"

@@ -1,6 +1,5 @@
 """Stage ingest on small drives in KITTI raw's layout, sound and damaged."""
 
-import json
 import os
 import shutil
 import subprocess

@@ -1,4 +1,5 @@
-# make demo · make table2 · make replay · make test · make lint: each sets up what it needs (Debian, Python 3.11 or 3.12).
+# make demo · make PRESET · make params PRESET=… · make test · make lint: each sets up what it needs (Debian, Python 3.11
+# or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make replay.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -7,26 +8,33 @@ BIN := $(VENV)/bin
 export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
 
-.PHONY: demo table2 replay test lint format setup system
+PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
+
+.PHONY: demo $(PRESETS) params test lint format setup system
 
 demo: setup            ## the whole chain on the embedded sample, then its table
 	dvc repro
 	@cat data/report/table.md
 
-# table2: every model of the paper's tables, on the sample. replay: the sample along the recorded drives of data/raw.
-# The same chain with params.NAME.yaml, in a copy of the code under runs/NAME: params.yaml and data/ stay as they are.
-# What is there already, here or from an earlier run, comes from the one cache.
-table2 replay: setup
-	@mkdir -p runs/$@/data data/report weights
-	@rm -rf runs/$@/pipeline runs/$@/models runs/$@/stages
-	@cp -R pipeline models stages dvc.yaml runs/$@/ && cp params.$@.yaml runs/$@/params.yaml
-	@cp data/.gitignore runs/$@/data/ && ln -sfn ../../../data/raw runs/$@/data/raw && ln -sfn ../../weights runs/$@/weights
-	@cd runs/$@ && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
-	@for kind in md csv; do cp runs/$@/data/report/table.$$kind data/report/$@.$$kind; done
-	@cat data/report/$@.md
+# The same chain with a preset laid over params.yaml, in a copy of the code under runs/NAME: params.yaml and data/ stay as
+# they are. What is there already, here or from an earlier run, comes from the one cache.
+$(PRESETS): setup
+	@mkdir -p "runs/$@/data" data/report weights
+	@python -m pipeline.sections.preset "$@" --out "runs/$@/params.yaml"
+	@rm -rf "runs/$@/pipeline" "runs/$@/models" "runs/$@/stages"
+	@cp -R pipeline models stages dvc.yaml .dvcignore "runs/$@/" && cp data/.gitignore "runs/$@/data/"
+	@ln -sfn ../../../data/raw "runs/$@/data/raw" && ln -sfn ../../weights "runs/$@/weights"
+	@cd "runs/$@" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
+	@for kind in md csv; do cp "runs/$@/data/report/table.$$kind" "data/report/$@.$$kind"; done
+	@cat "data/report/$@.md"
 
-test: setup            ## all tests, with coverage of pipeline/ and models/
-	pytest --cov --cov-report=term:skip-covered --cov-fail-under=90
+PRESET ?=
+params: setup          ## a preset's changes written into params.yaml: make params PRESET=kitti, or a file of your own
+	@[ -n "$(PRESET)" ] || { echo "make params PRESET=… is one of: $(PRESETS), or the path of a file" >&2; exit 1; }
+	@python -m pipeline.sections.preset "$(PRESET)" --out params.yaml
+
+test: setup            ## all tests on all cores, with coverage of pipeline/ and models/; pytest -m "not slow": the quick ones
+	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --cov --cov-report=term:skip-covered --cov-fail-under=98
 
 lint: setup
 	ruff check .

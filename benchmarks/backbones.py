@@ -52,7 +52,9 @@ class Reading:
 
 def main(
     backbones: Annotated[list[str] | None, typer.Argument(metavar="BACKBONE", help="others: dinov2-vitb14, …")] = None,
-    params: Annotated[Path, typer.Option(exists=True, dir_okay=False)] = Path("params.kitti.yaml"),
+    preset: Annotated[
+        str, typer.Option(help="whose image size, batch and precision: a name in presets/, or a file")
+    ] = "kitti",
     rounds: Annotated[int, typer.Option(min=1, help="timed, after one that is not")] = 5,
 ) -> None:
     """Time each backbone with random weights on rendered images, and print a Markdown table."""
@@ -61,10 +63,10 @@ def main(
             raise InputError(f"there is no backbone {name!r}: {closest(name, list(BACKBONES))}")
     with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
         folder = Path(scratch)
-        town_frames.write_params(params, folder / "params.yaml", FRAMES)
+        town_frames.write_params(preset, folder / "params.yaml", FRAMES)
         town_frames.record(folder / "params.yaml", folder)
         reading, images, K = read(folder, rounds)
-        batch = images[: load(Perception, params).batch]
+        batch = images[: load(Perception, folder / "params.yaml").batch]
         rows = [measure(name, batch, K, rounds) for name in backbones or DEFAULT]
     device = "cuda" if torch.cuda.is_available() else f"cpu, {torch.get_num_threads()} threads"
     print(table(rows, reading))

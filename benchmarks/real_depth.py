@@ -20,6 +20,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera.png import read_png
 from pipeline.kitti.oxts import COLUMNS
 from pipeline.perception.scores import DEPTH_ERRORS
+from pipeline.sections.preset import merged
 from stages import encoder, ingest, perception, scores
 
 DATE = "2011_09_26"
@@ -38,16 +39,16 @@ Row = tuple[int, float, np.ndarray, np.ndarray]
 
 def main(
     kitti: Annotated[Path, typer.Argument(metavar="KITTI_ROOT", help=f"holds {DATE}/ and object/")],
-    params: Annotated[Path, typer.Option(exists=True, dir_okay=False)] = Path("params.real.yaml"),
-    image_size: Annotated[tuple[int, int] | None, typer.Option(metavar="H W", help="instead of the params'")] = None,
-    epochs: Annotated[int | None, typer.Option(min=1, help="instead of the params'")] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="instead of the params'")] = None,
+    preset: Annotated[str, typer.Option(help="a name in presets/, or a file")] = "real",
+    image_size: Annotated[tuple[int, int] | None, typer.Option(metavar="H W", help="instead of the preset's")] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="instead of the preset's")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="instead of the preset's")] = None,
 ) -> None:
     """Fit the depth head to 40 frames of drive 0052, score it on others, and print a Markdown table."""
     with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
         folder = Path(scratch)
         lay_out(kitti.resolve(), folder / "raw")
-        content = yaml.safe_load(params.read_text(encoding="utf-8"))
+        content = merged(preset)
         drives = {"train": [FITTED], "test": [HELD_OUT, *UNSEEN]}
         content["ingest"] |= {"source": "kitti", "cameras": [2], "drives": drives}
         if image_size:

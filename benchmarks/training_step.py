@@ -50,10 +50,8 @@ class Row:
 
 
 def main(
-    models: Annotated[list[str] | None, typer.Argument(metavar="MODEL", help="default: all of the params file")] = None,
-    params: Annotated[
-        Path, typer.Option(exists=True, dir_okay=False, help="models that are comments count too")
-    ] = Path("params.kitti.yaml"),
+    models: Annotated[list[str] | None, typer.Argument(metavar="MODEL", help="default: all of preset table2")] = None,
+    preset: Annotated[str, typer.Option(help="whose sizes: a name in presets/, or a file")] = "kitti",
     steps: Annotated[int, typer.Option(min=1, help="timed, after one that is not")] = 3,
 ) -> None:
     """Measure one training step of each model on generated frames, and print a Markdown table.
@@ -64,15 +62,15 @@ def main(
     with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
         folder = Path(scratch)
         written = folder / "params.yaml"
-        town_frames.write_params(params, written, frames=1)
+        town_frames.write_params(preset, written, frames=1)
         known = names("models", written)
         for name in models or []:
             if name not in known:
-                raise InputError(f"{params} has no model {name!r}: {closest(name, known)}")
+                raise InputError(f"there is no model {name!r}: {closest(name, known)}")
         entries = {name: load_entry(Model, "models", name, written) for name in models or known}
         longest = max(entry.window for entry in entries.values())
         count = max(step_frames(longest, load(Train, written)), town_frames.BENT)
-        town_frames.write_params(params, written, count)
+        town_frames.write_params(preset, written, count)
         _apart(town_frames.make, written, folder, sorted({entry.input for entry in entries.values()}))
         rows = [_apart(measure, name, written, folder, steps) for name in entries]
     print(table(rows))

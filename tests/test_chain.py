@@ -11,6 +11,7 @@ import yaml
 
 from pipeline.base import store
 from pipeline.camera import classes
+from pipeline.sections import preset
 from tests import scratch
 
 STAGE_ORDER = [
@@ -139,7 +140,7 @@ def test_a_damaged_frame_is_one_line_and_leaves_what_was_there(sample: Path) -> 
 def test_real_drives_run_the_same_chain(real_kitti: Path, real_weights: Path, tmp_path: Path) -> None:
     """Drive 0052 (colour, LiDAR) trains, 0042 (grey, turning, no LiDAR) is tested; classes are ESPNetv2's."""
     folder = scratch.copy(tmp_path)
-    params = yaml.safe_load((folder / "params.real.yaml").read_text())
+    params = preset.merged("real")
     params["ingest"]["image_size"] = [192, 640]  # a quarter of the pixels, of the time
     params["graphs"] = {name: params["graphs"][name] for name in ("semantic", "lidar")}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))

@@ -6,10 +6,12 @@ Units stand in names or descriptions; a value out of range, an unknown key or a 
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar, get_args
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from pipeline.base.errors import InputError, closest, explained
 
@@ -42,7 +44,8 @@ def load(section: type[S], path: Path) -> S:
     content = _read(path)
     if section.key not in content:
         raise InputError(f"{path} has no section {section.key!r}: take it from the project's own params.yaml")
-    return _parse(section, content[section.key], path, section.key)
+    with explained(str(path)):
+        return parse(section, content[section.key], section.key)
 
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
@@ -53,7 +56,8 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     if not isinstance(entries, dict) or name not in entries:
         known = list(entries) if isinstance(entries, dict) else []
         raise InputError(f"{path}: {mapping} has no {name!r}: {closest(name, known)}")
-    return _parse(kind, entries[name], path, f"{mapping}.{name}")
+    with explained(str(path)):
+        return parse(kind, entries[name], f"{mapping}.{name}")
 
 
 def names(mapping: str, path: Path) -> list[str]:
@@ -91,21 +95,35 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
-def _parse(kind: type[S], value: Any, path: Path, where: str) -> S:
+def parse(kind: type[S], value: Any, where: str) -> S:
+    """Return `value`, which stands at the dotted key `where`, as a `kind`. Raises InputError, caused by pydantic's."""
     try:
         return kind.model_validate(value)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join([where, *(str(part) for part in first["loc"])])
+        first = fault(error)
+        key = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
         if first["type"] == "extra_forbidden":
             section: Any = kind
             for part in first["loc"][:-1]:
-                annotation = section.model_fields[part].annotation
-                section = next(t for t in get_args(annotation) or [annotation] if t is not type(None))  # of Optional
+                of_a_mapping = get_origin(section) is dict
+                section = get_args(section)[1] if of_a_mapping else without_none(section.model_fields[part].annotation)
             known = list(section.model_fields)
-            raise InputError(f"{path}: unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
+            raise InputError(f"unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
         if first["type"] == "missing":
-            raise InputError(f"{path}: {key} is missing: take it from the project's own params.yaml") from error
+            raise InputError(f"{key} is missing: take it from the project's own params.yaml") from error
         # A rule on a whole section would print all of it.
         value = "" if isinstance(first["input"], dict) else f" = {first['input']!r}"
-        raise InputError(f"{path}: {key}{value}: {first['msg'].removeprefix('Value error, ')}") from error
+        raise InputError(f"{key}{value}: {first['msg'].removeprefix('Value error, ')}") from error
+
+
+def fault(error: ValidationError) -> ErrorDetails:
+    """Return the one of its faults that is worth a line: an unknown key explains the one that is missing."""
+    faults = error.errors()
+    return next((one for one in faults if one["type"] == "extra_forbidden"), faults[0])
+
+
+def without_none(annotation: Any) -> Any:
+    """Return X of ``X | None``, and any other type as it is."""
+    if get_origin(annotation) not in (Union, UnionType):
+        return annotation
+    return next(kind for kind in get_args(annotation) if kind is not NoneType)

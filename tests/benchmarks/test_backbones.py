@@ -10,14 +10,14 @@ import yaml
 from benchmarks import backbones, town_frames
 from models.encoder.unified_encoder import UnifiedEncoder
 
-KITTI = Path(__file__).resolve().parents[2] / "params.kitti.yaml"
 K = np.array([[50.0, 0, 31], [0, 50.0, 15], [0, 0, 1]])
 
 
+@pytest.mark.slow
 def test_rendered_frames_are_read_as_the_stages_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEER_WORKERS", "1")
     params = tmp_path / "params.yaml"
-    town_frames.write_params(KITTI, params, 3, {"image_size": [48, 160], "scan_rays": [8, 60]})
+    town_frames.write_params("kitti", params, 3, {"image_size": [48, 160], "scan_rays": [8, 60]})
     content = yaml.safe_load(params.read_text())
     content["ingest"]["image_size"] = [32, 96]
     params.write_text(yaml.safe_dump(content))

@@ -14,9 +14,9 @@ from pipeline.camera.geometry import project, transform
 from pipeline.encoder.weights import write_weights
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.raw import find_drives
+from pipeline.sections.preset import find
 from tests.kitti_drive import SIZE, scan, write, write_drive, write_png
 
-PARAMS = Path(__file__).resolve().parents[2] / "params.real.yaml"
 RNG = np.random.default_rng(0)
 MATRICES = {
     "P2": np.hstack([[[50, 0, 31], [0, 50, 22], [0, 0, 1]], RNG.normal(0, 0.1, (3, 1))]),
@@ -51,11 +51,11 @@ def test_each_place_has_its_line(
     kitti: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STEER_WORKERS", "1")
-    content = yaml.safe_load(PARAMS.read_text())
+    changes = yaml.safe_load(find("real").read_text())
     write_weights(tmp_path / "small.pt", "small", UnifiedEncoder("small").state_dict())
-    content["encoder"] |= {"backbone": "small", "weights": str(tmp_path / "small.pt"), "frames": 4}
-    (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
-    real_depth.main(kitti, tmp_path / "params.yaml", image_size=SIZE, epochs=1)
+    changes["encoder"] |= {"backbone": "small", "weights": str(tmp_path / "small.pt"), "frames": 4}
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(changes))
+    real_depth.main(kitti, str(tmp_path / "small.yaml"), image_size=SIZE, epochs=1)
     printed = capsys.readouterr()
     assert "epoch 1/1: loss" in printed.err
     lines = [line.strip("| ").split(" | ") for line in printed.out.splitlines()]

@@ -9,20 +9,20 @@ import yaml
 from benchmarks import town_frames, training_step
 from pipeline.base.params import load, load_entry, names
 from pipeline.sections.models import Model
+from pipeline.sections.preset import merged
 from pipeline.sections.train import Train
 from pipeline.train import windows
 
-KITTI = Path(__file__).resolve().parents[2] / "params.kitti.yaml"
-PAPER = ["sa-gnn-ncp", "do-gnn-ncp", "gnn-ncp", "gnn-lstm", "pointnet2-ncp", "pointnet2-lstm", "cnn-ncp"]
+MODELS = list(merged("table2")["models"])
 FRAMES, WINDOWS = 18, 3  # 18 frames hold 3 windows of 16
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Frames of all variants and the params file that made them: params.kitti.yaml, but small."""
+    """Frames of all variants and the params file that made them: preset kitti, but small."""
     folder = tmp_path_factory.mktemp("benchmark")
     path = folder / "params.yaml"
-    town_frames.write_params(KITTI, path, FRAMES, {"image_size": [48, 160], "scan_rays": [24, 120]})
+    town_frames.write_params("kitti", path, FRAMES, {"image_size": [48, 160], "scan_rays": [24, 120]})
     content = yaml.safe_load(path.read_text())
     content["ingest"]["image_size"] = [32, 96]
     for variant in content["graphs"].values():
@@ -38,14 +38,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_all_models_of_the_paper_are_there_at_full_size(tmp_path: Path) -> None:
-    town_frames.write_params(KITTI, tmp_path / "params.yaml", FRAMES)
-    assert names("models", tmp_path / "params.yaml") == PAPER
-    content, source = (yaml.safe_load(path.read_text()) for path in (tmp_path / "params.yaml", KITTI))
-    assert all(content[section] == source[section] for section in ("graphs", "train", "clouds"))
+    town_frames.write_params("kitti", tmp_path / "params.yaml", FRAMES)
+    assert names("models", tmp_path / "params.yaml") == MODELS
+    content, kitti = yaml.safe_load((tmp_path / "params.yaml").read_text()), merged("kitti")
+    assert all(content[section] == kitti[section] for section in ("graphs", "train", "clouds"))
+    assert not any("width" in settings for settings in content["models"].values())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", PAPER)
+@pytest.mark.parametrize("model", MODELS)
 def test_every_model_makes_a_row(folder: Path, model: str) -> None:
     params = folder / "params.yaml"
     row = training_step.measure(model, params, folder, steps=1)

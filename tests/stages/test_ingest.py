@@ -1,5 +1,6 @@
 """Stage ingest on small drives in KITTI raw's layout, sound and damaged."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -297,3 +298,25 @@ def test_real_drives(real_kitti: Path, tmp_path: Path) -> None:
         assert file.attrs["camera"] == 0
         assert np.ptp(file["image"], axis=-1).max() == 0
         assert np.diff(file.time_s) == pytest.approx(0.1037, abs=0.02)
+
+
+def test_a_frame_that_was_extracted_again_is_read_again(tmp_path: Path) -> None:
+    """Its drive waits, finished, for the next run, and the new file has the old one's size and time."""
+    write_drive(tmp_path / "raw")
+    other = write_drive(tmp_path / "raw", OTHER, seed=1)
+    scan = tmp_path / "raw" / DATE / f"{DRIVE}_sync/velodyne_points/data/0000000002.bin"
+    damaged = other / "velodyne_points/data/0000000001.bin"
+    sound = damaged.read_bytes()
+    damaged.write_bytes(b"cut")
+    with pytest.raises(InputError, match="is cut short"):
+        run(tmp_path)
+    assert len(list((tmp_path / "data/.resume/ingest").glob("*.h5"))) == 1
+    damaged.write_bytes(sound)
+    before, points = scan.stat(), np.fromfile(scan, np.float32).reshape(-1, 4)
+    points[:, 3] = 0.5
+    scan.write_bytes(points.tobytes())
+    os.utime(scan, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert scan.stat().st_size == before.st_size
+    with run(tmp_path) as file:
+        start, stop = file["lidar_ptr"][2:4]
+        np.testing.assert_array_equal(file.rows("lidar", start, stop), points)

@@ -1,29 +1,64 @@
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
-from tests.pipeline.test_score_card import metrics
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.perception.scores import Scores
 from stages import report
+from tests.pipeline.report.tables.results import result
 
 
-def run(folder: Path) -> str:
-    (folder / "params.yaml").write_text("models: {lonely: {}}")
-    report.main(folder / "evaluate", folder / "report", folder / "params.yaml", folder / "perception")
-    return (folder / "report/table.md").read_text()
+def run(folder: Path, *models: str) -> str:
+    (folder / "params.yaml").write_text(f"models: {{{', '.join(f'{model}: {{}}' for model in models)}}}")
+    out = report.main(*(folder / name for name in ("evaluate", "report", "params.yaml", "scores", "train")))
+    assert out == folder / "report"
+    return (out / "table.md").read_text()
+
+
+def evaluate(folder: Path, model: str) -> None:
+    store.write_json(folder / f"evaluate/{model}/metrics.json", result(model))
+    columns = "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid"
+    (folder / f"evaluate/{model}/predictions.csv").write_text(f"{columns}\na,0,0.0,8.0,0.1,0.2,1\n")
 
 
 def test_what_depth_is_worth_stands_below_the_models_where_it_is_known(tmp_path: Path) -> None:
-    without = run(tmp_path)
-    store.write_json(tmp_path / "perception/metrics.json", metrics())
-    assert "lonely is not evaluated on this machine" in without
+    without = run(tmp_path, "lonely")
+    scores = {split: Scores() for split in ("train", "val", "test")}
+    truth = np.full((40, 50), 10.0)
+    scores["test"].add_depth("depth_dense", truth, truth)
+    scores["test"].add_depth("ground_plane_dense", 2 * truth, truth)
+    store.write_json(tmp_path / "scores/metrics.json", {split: score.report() for split, score in scores.items()})
+    assert "train@lonely" in without
     assert "flat ground" not in without
-    assert run(tmp_path).startswith(without + "\n| depth of | truth |")
+    assert run(tmp_path, "lonely").startswith(without + "\n| depth of | truth |")
+    assert "encoder.abs_rel_dense" in json.loads((tmp_path / "report/metrics.json").read_text())
 
 
-def test_damaged_metrics_are_one_error(tmp_path: Path) -> None:
-    (tmp_path / "perception").mkdir()
-    (tmp_path / "perception/metrics.json").write_text("{")
-    with pytest.raises(InputError, match="dvc repro --force perception"):
-        run(tmp_path)
+def test_figures_and_curves_lie_beside_the_table(tmp_path: Path) -> None:
+    evaluate(tmp_path, "net")
+    text = run(tmp_path, "net", "absent")
+    assert "| net | semantic |" in text
+    assert "train@absent" in text
+    assert json.loads((tmp_path / "report/metrics.json").read_text())["net.nmse"] == 0.2
+    assert (tmp_path / "report/table.csv").read_text().splitlines()[1].startswith("net,semantic,gnn,ncp,ltc,")
+    assert [path.name for path in (tmp_path / "report/steering").iterdir()] == ["net.csv"]
+    assert list((tmp_path / "report/learning").iterdir()) == []  # trained elsewhere, and still an out
+
+
+def test_the_same_again_is_the_same_bytes(tmp_path: Path) -> None:
+    def made() -> dict[str, bytes]:
+        run(tmp_path, "net")
+        return {path.name: path.read_bytes() for path in (tmp_path / "report").rglob("*") if path.is_file()}
+
+    evaluate(tmp_path, "net")
+    assert made() == made()
+
+
+def test_damaged_scores_are_one_error(tmp_path: Path) -> None:
+    (tmp_path / "scores").mkdir()
+    (tmp_path / "scores/metrics.json").write_text("{")
+    with pytest.raises(InputError, match="dvc repro --force scores"):
+        run(tmp_path, "lonely")

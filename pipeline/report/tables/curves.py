@@ -5,58 +5,65 @@ A model's first seed has file ``<model>.csv``, further ones ``<model>.seed-<n>.c
 
 import csv
 import math
-import shutil
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import explained
 
-COLUMNS = ("row", "drive", "frame", "time_s", "driven_deg", "predicted_deg")
+Row = dict[str, str]  # of a CSV file: column → value
 
 
 def write_learning(model: Path, out: Path) -> None:
-    """Copy the ``curve.csv`` of each seed of a model's folder of stage train to folder `out`."""
-    for path, name in _of_seeds(model, "curve.csv"):
-        with replacing(out / name) as tmp:
-            shutil.copyfile(path, tmp)
+    """Write the learning curve of each seed of a model's folder of stage train to folder `out`.
+
+    Columns: ``epoch``, ``train_loss``, ``val_nmse``. Raises InputError if a ``curve.csv`` lacks one.
+    """
+
+    def row_of(_: int, row: Row) -> Row:
+        return {column: row[column] for column in ("epoch", "train_loss", "val_nmse")}
+
+    _write(model, "curve.csv", row_of, out, stage="train")
 
 
 def write_steering(model: Path, out: Path) -> None:
-    """Write the ``predictions.csv`` of each seed of a model's folder of stage evaluate to folder `out`, in degrees.
+    """Write the steering on the test drives by each seed of a model's folder of stage evaluate to folder `out`.
 
-    ``row`` counts on over the test drives, one behind the other. Left is positive. Frames before a drive's first
-    whole window have no prediction and no line; ``driven_deg`` is empty where the label is invalid.
-
-    Raises:
-        InputError: a file holds no numbers.
+    Columns: ``row``, which counts on over drives one behind the other; ``drive``, ``frame``, ``time_s``; ``driven_deg``
+    and ``predicted_deg``, left is positive. Raises InputError if a ``predictions.csv`` does not hold them.
     """
-    for path, name in _of_seeds(model, "predictions.csv"):
-        with explained(str(path), hint=f"Make it again: dvc repro --force evaluate@{model.name}"):
-            rows = list(_steering(path))
-        with replacing(out / name) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-            lines = csv.writer(file, lineterminator="\n")
-            lines.writerow(COLUMNS)
-            lines.writerows(rows)
+
+    def row_of(number: int, row: Row) -> Row:
+        driven = _degrees(row["steering_rad"]) if row["valid"] == "1" else ""
+        same = {column: row[column] for column in ("drive", "frame", "time_s")}
+        return {"row": str(number), **same, "driven_deg": driven, "predicted_deg": _degrees(row["predicted_rad"])}
+
+    _write(model, "predictions.csv", row_of, out, stage="evaluate")
 
 
-def _steering(path: Path) -> Iterator[tuple[int | str, ...]]:
-    """Yield the rows of `COLUMNS` that a file of predictions has an angle for."""
+def _write(model: Path, name: str, row_of: Callable[[int, Row], Row], out: Path, stage: str) -> None:
+    """Write what `row_of` makes of the rows of each seed's file `name`, one file each."""
+    for path in (model / name, *sorted(model.glob(f"seed-*/{name}"))):
+        if not path.is_file():  # this model is not here
+            continue
+        with explained(str(path), hint=f"Make it again: dvc repro --force {stage}@{model.name}"):
+            rows = _read(path, row_of)
+        made = ".".join([model.name, *path.relative_to(model).parts[:-1], "csv"])
+        with replacing(out / made) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
+            table.writeheader()
+            # DVC draws an empty field as 0, and nan as a gap.
+            table.writerows({column: value or "nan" for column, value in row.items()} for row in rows)
+
+
+def _read(path: Path, row_of: Callable[[int, Row], Row]) -> list[Row]:
     with path.open(newline="", encoding="utf-8") as file:
-        for number, row in enumerate(csv.DictReader(file)):
-            if row["predicted_rad"]:
-                driven = _degrees(row["steering_rad"]) if row["valid"] == "1" else ""
-                yield number, row["drive"], row["frame"], row["time_s"], driven, _degrees(row["predicted_rad"])
-
-
-def _of_seeds(model: Path, file: str) -> list[tuple[Path, str]]:
-    """Return each seed's file of that name in a model's folder, and the name for what is made of it."""
-    return [
-        (path, ".".join([model.name, *path.relative_to(model).parts[:-1], "csv"]))
-        for path in (model / file, *sorted(model.glob(f"seed-*/{file}")))
-        if path.is_file()
-    ]
+        try:
+            return [row_of(number, row) for number, row in enumerate(csv.DictReader(file))]
+        except KeyError as error:
+            raise ValueError(f"has no column {error}") from error
 
 
 def _degrees(angle_rad: str) -> str:
-    return f"{math.degrees(float(angle_rad)):.4f}"
+    """Convert an angle; what is empty stays so."""
+    return angle_rad and f"{math.degrees(float(angle_rad)):.4f}"

@@ -156,6 +156,23 @@ def test_a_stage_ends_with_the_dvc_that_started_it(exits: Exits, monkeypatch: py
     assert asked == [os.getppid()], "nobody between"
 
 
+def test_the_shell_that_dvc_started_is_not_dvc(exits: Exits, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def pidfd_open(pid: int) -> int:
+        asked.append(pid)
+        raise PermissionError
+
+    monkeypatch.setattr(os, "pidfd_open", pidfd_open)
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as shell:  # it has DVC_STAGE, and these tests started it
+        monkeypatch.setattr(os, "getppid", lambda: shell.pid)
+        with pytest.raises(SystemExit):
+            console.run(lambda: None)
+        shell.communicate()
+    assert asked == [os.getpid()]
+    assert not exits
+
+
 @pytest.mark.parametrize(
     ("error", "statuses"), [(ProcessLookupError(), [1]), (PermissionError(), [])], ids=["ended", "forbidden"]
 )

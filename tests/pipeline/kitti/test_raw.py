@@ -1,5 +1,6 @@
 """KITTI raw's folders and scans."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -47,6 +48,25 @@ def test_find_drives(tmp_path: Path) -> None:
         find_drives(tmp_path, ["2011_09_26_drive_0010"])
     with pytest.raises(InputError, match="holds no drives"):
         find_drives(tmp_path / DATE, [DRIVE])
+
+
+def test_changes_tell_a_file_that_was_extracted_again(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, truth=True)
+
+    def changes() -> str:
+        return RawDrive(folder).changes([2])
+
+    first, fingerprint = changes(), RawDrive(folder).fingerprint([2])
+    assert changes() == first
+    told = {first}
+    for name in ("image_02/data/0000000001.png", "velodyne_points/data/0000000002.bin", "truth/cls/0000000000.png"):
+        path = folder / name
+        before = path.stat()
+        write(path, path.read_bytes())
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))  # as unzip does
+        told.add(changes())
+    assert len(told) == 4
+    assert RawDrive(folder).fingerprint([2]) == fingerprint, "which is part of what ingest writes"
 
 
 def test_fingerprint_follows_what_was_read(tmp_path: Path) -> None:

@@ -1,0 +1,35 @@
+import numpy as np
+import pytest
+
+from pipeline.perception.scores import Scores
+from pipeline.report.tables import metrics
+from tests.pipeline.report.tables.results import result, scores
+
+
+def test_names_are_flat_and_what_was_not_measured_is_left_out() -> None:
+    model = result("net", nmse=0.2)
+    assert metrics.figures([model], None) == pytest.approx(
+        {
+            "net.nmse": 0.2,
+            "net.nmse_low": 0.1,
+            "net.nmse_high": 0.3,
+            "net.mae_deg": 4 * 0.2**0.5,
+            "net.train_nmse": 0.1,
+        }
+    )
+    model["val"] = scores(0.15)
+    model["test"]["nmse"] = None  # a drive that is straight throughout
+    figures = metrics.figures([model], None)
+    assert figures["net.val_nmse"] == 0.15
+    assert "net.nmse" not in figures
+
+
+def test_the_encoder_has_figures_for_each_split_with_a_truth() -> None:
+    of_split = {split: Scores() for split in ("train", "val", "test")}
+    truth = np.full((40, 50), 10.0)
+    of_split["train"].add_depth("depth_lidar", 1.2 * truth, truth)
+    of_split["test"].add_depth("depth_dense", 1.1 * truth, truth)
+    of_split["test"].add_classes(np.array([[0, 0, 1, 1]]), np.array([[0, 0, 1, 1]]))
+    figures = metrics.figures([], {split: score.report() for split, score in of_split.items()})
+    expected = {"encoder.train_abs_rel_lidar": 0.2, "encoder.abs_rel_dense": 0.1, "encoder.miou": 1.0}
+    assert figures == pytest.approx(expected)

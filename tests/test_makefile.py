@@ -1,0 +1,83 @@
+"""What ``make PRESET`` prepares; in place of DVC stands a command that writes down how it was called."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from pipeline.base.provenance import ROOT
+from pipeline.sections import preset
+
+DVC = """#!/bin/sh
+echo "$@" >> {log}
+case "$1" in
+init) mkdir .dvc ;;
+repro) mkdir -p data/report && echo "| of $(basename "$PWD") |" | tee data/report/table.csv > data/report/table.md ;;
+esac
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A copy of the project, with an environment whose python is this one and whose dvc only pretends."""
+    folder = tmp_path / "checkout"
+    ignore = shutil.ignore_patterns("__pycache__")
+    for room in ("pipeline", "models", "stages", "presets"):
+        shutil.copytree(ROOT / room, folder / room, ignore=ignore)
+    for name in ("Makefile", "params.yaml", "dvc.yaml", ".dvcignore", "data/.gitignore"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        shutil.copyfile(ROOT / name, folder / name)
+    (folder / "fake/bin").mkdir(parents=True)
+    for name, text in {
+        "python": f'#!/bin/sh\nexec "{sys.executable}" "$@"\n',
+        "dvc": DVC.format(log=folder / "calls"),
+    }.items():
+        (folder / "fake/bin" / name).write_text(text)
+        (folder / "fake/bin" / name).chmod(0o755)
+    return folder
+
+
+def make(checkout: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run make without its target `setup`, which would install."""
+    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS")}
+    command = ["make", "-o", "setup", "VENV=fake", *words]
+    return subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_presets_run_in_copies_of_the_code_and_leave_ones_own_files_alone(checkout: Path) -> None:
+    own = (checkout / "params.yaml").read_text()
+    for name in ("kitti", "table2"):
+        made = make(checkout, name)
+        assert made.returncode == 0, made.stderr
+        run = checkout / "runs" / name
+        assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merged(name)
+        for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/label.py"):
+            assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
+        assert (run / "data/raw").resolve() == checkout / "data/raw"
+        assert (run / "weights").resolve() == checkout / "weights"
+        assert (checkout / f"data/report/{name}.md").read_text() == f"| of {name} |\n"
+        assert (checkout / f"data/report/{name}.csv").is_file()
+    assert (checkout / "params.yaml").read_text() == own
+    assert sorted(path.name for path in (checkout / "data").iterdir()) == [".gitignore", "report"]
+    (checkout / "runs/kitti/pipeline/gone.py").touch()
+    make(checkout, "kitti")
+    assert not (checkout / "runs/kitti/pipeline/gone.py").exists()
+    first = ["init --quiet --no-scm", "cache dir ../../.dvc/cache", "repro"]
+    assert (checkout / "calls").read_text().splitlines() == [*first, *first, *first[1:]]
+
+
+def test_a_preset_is_written_over_params_yaml(checkout: Path) -> None:
+    asked = make(checkout, "params")
+    assert asked.returncode != 0
+    assert "kitti real replay table2" in asked.stderr
+    (checkout / "mine.yaml").write_text("train: {epochs: 3}\n")
+    made = make(checkout, "params", "PRESET=mine.yaml")
+    assert "mine.yaml" in made.stdout, made.stderr
+    assert yaml.safe_load((checkout / "params.yaml").read_text())["train"]["epochs"] == 3
+    refused = make(checkout, "params", "PRESET=kiti")
+    assert refused.returncode != 0
+    assert "kitti" in refused.stderr

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base import console, store
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, explained
+from pipeline.base.lock import held
 from pipeline.base.params import load
 from pipeline.base.resume import resume_key
 from pipeline.encoder import precomputed
@@ -49,20 +51,21 @@ def main(
     kept = out.parent / ".resume" / out.name
     curve: Sequence[Any] = []
     trained_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
-    if settings.epochs:
-        curve, trained_on = _fit(model, settings, sources, ingest, drives, kept)
-    perceive.save(out, settings.backbone, model.state_dict())
-    config = settings.model_dump(mode="json") | trained_on | {
-        "sources": [asdict(source) for source in sources],
-        "losses": {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None,
-        "parameters": sum(parameter.numel() for parameter in model.parameters()),
-    }  # fmt: skip
-    store.write_json(out / "config.json", config)
-    with (out / "curve.csv").open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["epoch", "loss", "depth", "classes"])
-        rows.writerows([row.epoch, f"{row.loss:.6g}", f"{row.depth:.6g}", f"{row.classes:.6g}"] for row in curve)
-    shutil.rmtree(kept, ignore_errors=True)
+    with held(out, kept):
+        if settings.epochs:
+            curve, trained_on = _fit(model, settings, sources, ingest, drives, kept)
+        perceive.save(out, settings.backbone, model.state_dict())
+        config = settings.model_dump(mode="json") | trained_on | {
+            "sources": [asdict(source) for source in sources],
+            "losses": {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None,
+            "parameters": sum(parameter.numel() for parameter in model.parameters()),
+        }  # fmt: skip
+        store.write_json(out / "config.json", config)
+        with replacing(out / "curve.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(["epoch", "loss", "depth", "classes"])
+            rows.writerows([row.epoch, f"{row.loss:.6g}", f"{row.depth:.6g}", f"{row.classes:.6g}"] for row in curve)
+        shutil.rmtree(kept, ignore_errors=True)
     frames = sum(trained_on["frames_per_drive"].values())
     print(
         f"encoder: {settings.backbone}, {config['parameters']:,} parameters, "

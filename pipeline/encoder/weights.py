@@ -7,6 +7,7 @@ import http.client
 import re
 import socket
 import sys
+import urllib.request
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,6 +92,7 @@ def _fetch(url: str, path: Path, wanted: str, key: str) -> None:
     unlimited = socket.getdefaulttimeout()
     socket.setdefaulttimeout(TIMEOUT_S)  # torch sets none, and would wait for a silent server for ever
     try:
+        urllib.request.Request(url)  # a bad address would leave torch's temporary file
         download_url_to_file(url, str(path), hash_prefix=wanted, progress=sys.stderr.isatty())
     # A wrong hash is a RuntimeError; URLError and timeouts are OSErrors; bad addresses and lengths are ValueErrors or
     # HTTPExceptions.

@@ -1,8 +1,9 @@
 import pytest
 import torch
 
-from models.encoder.heads import CLASSES, MAX_DEPTH_M
+from models.encoder.heads import MAX_DEPTH_M
 from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder, ray_slopes
+from pipeline.camera import classes
 
 K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]], dtype=torch.float64)
 
@@ -21,7 +22,7 @@ def test_one_call_gives_depth_and_logits_of_every_pixel(model: UnifiedEncoder, s
     with torch.no_grad():
         depth, logits = model(image, K.expand(2, 3, 3))
     assert depth.shape == (2, *size)
-    assert logits.shape in {(2, CLASSES, *size), (2, CLASSES + 1, *size)}
+    assert logits.shape in {(2, classes.COUNT, *size), (2, classes.COUNT + 1, *size)}
     assert depth.min() > 0
     assert depth.max() <= MAX_DEPTH_M
     assert len(calls) == 1

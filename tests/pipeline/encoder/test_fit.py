@@ -8,7 +8,7 @@ from torch import nn
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
-from pipeline.encoder.examples import Supervision
+from pipeline.encoder.examples import Examples
 from pipeline.encoder.fit import EpochLoss, depth_and_class_loss, fit
 from pipeline.fitting import checkpoint
 from tests import street
@@ -17,19 +17,19 @@ DRIVE = "2026_01_01_drive_0001"
 
 
 @pytest.fixture
-def examples(tmp_path: Path) -> Supervision:
+def examples(tmp_path: Path) -> Examples:
     street.write_drive(tmp_path, DRIVE, 12)
-    return Supervision(tmp_path, [DRIVE], 12)
+    return Examples(tmp_path, [DRIVE], 12)
 
 
-def _fit(examples: Supervision, kept: Path, epochs: int = 3, **other: float) -> tuple[nn.Module, list[EpochLoss]]:
+def _fit(examples: Examples, kept: Path, epochs: int = 3, **other: float) -> tuple[nn.Module, list[EpochLoss]]:
     torch.manual_seed(0)
     model = UnifiedEncoder("small")
     curve = fit(model, examples, epochs=epochs, batch=5, **{"learning_rate": 0.003, "seed": 0, "kept": kept, **other})
     return model, curve
 
 
-def test_fitting_lowers_both_losses(examples: Supervision, tmp_path: Path) -> None:
+def test_fitting_lowers_both_losses(examples: Examples, tmp_path: Path) -> None:
     _, curve = _fit(examples, tmp_path / "kept.pt", epochs=8)
     assert curve[-1].depth < 0.8 * curve[0].depth
     assert curve[-1].classes < 0.8 * curve[0].classes
@@ -37,7 +37,7 @@ def test_fitting_lowers_both_losses(examples: Supervision, tmp_path: Path) -> No
 
 
 def test_same_seed_same_weights_and_a_killed_run_goes_on_to_the_same(
-    examples: Supervision, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    examples: Examples, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, curve = _fit(examples, tmp_path / "a.pt")
     again, _ = _fit(examples, tmp_path / "b.pt")
@@ -61,13 +61,13 @@ def test_same_seed_same_weights_and_a_killed_run_goes_on_to_the_same(
         assert torch.equal(tensor, resumed.state_dict()[name]), name
 
 
-def test_other_seed_other_weights(examples: Supervision, tmp_path: Path) -> None:
+def test_other_seed_other_weights(examples: Examples, tmp_path: Path) -> None:
     _, first = _fit(examples, tmp_path / "a.pt", epochs=1)
     _, second = _fit(examples, tmp_path / "b.pt", epochs=1, seed=1)
     assert first != second
 
 
-def test_a_frozen_backbone_stays(examples: Supervision, tmp_path: Path) -> None:
+def test_a_frozen_backbone_stays(examples: Examples, tmp_path: Path) -> None:
     model = UnifiedEncoder("small")
     model.backbone.requires_grad_(False)
     before = {name: tensor.clone() for name, tensor in model.state_dict().items()}
@@ -76,7 +76,7 @@ def test_a_frozen_backbone_stays(examples: Supervision, tmp_path: Path) -> None:
         assert torch.equal(tensor, before[name]) == name.startswith("backbone."), name
 
 
-def test_a_diverged_fit_names_the_learning_rate(examples: Supervision, tmp_path: Path) -> None:
+def test_a_diverged_fit_names_the_learning_rate(examples: Examples, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no longer finite in epoch \d+: lower encoder.learning_rate"):
         _fit(examples, tmp_path / "kept.pt", learning_rate=1e30)
 

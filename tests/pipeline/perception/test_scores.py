@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from pipeline.camera import classes
+from pipeline.encoder.truth import Truth
+from pipeline.perception.depth_scale import MODES
+from pipeline.perception.ground_plane import ground_plane_depth
 from pipeline.perception.scores import (
     DEPTH_SCORES,
     Scores,
@@ -13,7 +16,9 @@ from pipeline.perception.scores import (
     eigen_crop,
     mean_iou,
     pixel_accuracy,
+    summary_line,
 )
+from tests import street
 
 
 def test_depth_errors_equal_hand_values_and_skip_what_is_out_of_range() -> None:
@@ -42,7 +47,44 @@ def test_holes_in_the_prediction_do_not_count() -> None:
     scores = Scores()
     for predicted in (truth, np.zeros_like(truth)):
         scores.add_depth("depth_lidar", predicted, truth)
-    assert scores.report()["depth_lidar"] == {"frames": 1, "abs_rel": 0.0, "rmse_m": 0.0, "delta1": 1.0}
+    perfect = {"frames": 1, "abs_rel": 0.0, "rmse_m": 0.0, "delta1": 1.0}
+    assert scores.report()["depth_lidar"] == {**perfect, "coverage": 0.5}  # of the pixels of both frames
+
+
+def test_coverage_is_the_share_of_true_depths_in_range_that_have_a_prediction() -> None:
+    truth = np.array([[10.0, 20.0, 0.5, 0.0, 90.0, 30.0, 40.0]])
+    scores = Scores()
+    scores.add_depth("depth_dense", np.array([[10.0, 0.0, 1.0, 9.0, 9.0, 30.0, 0.0]]), truth)
+    scores.add_depth("depth_dense", truth, truth)
+    assert scores.report()["depth_dense"]["coverage"] == pytest.approx((2 + 4) / 8)
+
+
+def test_flat_ground_is_scored_where_the_encoder_has_a_depth_and_nowhere_else() -> None:
+    _, depth_m, cls = street.scene(0)
+    rng = np.random.default_rng(0)
+    stored = np.where(rng.random(street.SIZE) < 0.3, 0, depth_m)
+    truth = Truth(depth_m, "dense", cls, has_cls=True)
+    scores = Scores()
+    scores.add_frame(stored, cls, street.K, truth, MODES["metric"], 1.65)
+    report = scores.report()
+    flat = np.where(stored > 0, ground_plane_depth(cls, street.K, 1.65), 0)
+    assert report["depth_dense"]["abs_rel"] == 0
+    assert report["ground_plane_dense"]["abs_rel"] == pytest.approx(depth_errors(flat, depth_m)[0])
+    assert 0.5 < report["depth_dense"]["coverage"] == report["ground_plane_dense"]["coverage"] < 0.8
+    assert report["depth_lidar"] is None
+    assert report["classes"]["pixel_accuracy"] == 1
+    line = summary_line(report)
+    assert "abs rel 0.000" in line
+    assert "mean IoU 1.000" in line
+
+
+def test_depth_of_an_unknown_unit_is_scored_by_its_ratios() -> None:
+    _, depth_m, cls = street.scene(0)
+    truth = Truth(depth_m, "lidar", cls, has_cls=False)
+    scores = Scores()
+    scores.add_frame(0.2 * depth_m, cls, street.K, truth, MODES["none"], 1.65)
+    assert scores.report()["depth_lidar"]["abs_rel"] == pytest.approx(0, abs=1e-9)
+    assert scores.report()["classes"] is None
 
 
 def test_confusion_counts_pairs_and_leaves_void_out() -> None:
@@ -107,4 +149,5 @@ def test_what_lies_outside_the_crop_counts_for_the_whole_image_alone() -> None:
     report = scores.report()
     assert report["depth_lidar"]["frames"] == 2
     assert report["depth_lidar"]["abs_rel"] == pytest.approx((0.33 + 33 / 42) / 2)
-    assert report["depth_lidar_eigen"] == {"frames": 1, "abs_rel": 0.0, "rmse_m": 0.0, "delta1": 1.0}
+    crop = report["depth_lidar_eigen"]
+    assert crop == {"frames": 1, "abs_rel": 0.0, "rmse_m": 0.0, "delta1": 1.0, "coverage": 1.0}

@@ -1,0 +1,77 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base import store
+from pipeline.camera import classes
+from pipeline.camera.png import read_png
+from pipeline.encoder.truth import read_truth, teaching_rows, visible
+from pipeline.kitti.raw import RawDrive
+from tests import street
+
+DRIVE = "2026_01_01_drive_0001"
+
+
+def test_dense_truth_is_read_as_metres_and_classes(tmp_path: Path) -> None:
+    street.write_drive(tmp_path, DRIVE, 2, dense=True, lidar=True)
+    _, depth, cls = street.scene(1)
+    with store.DriveReader(tmp_path / f"{DRIVE}.h5", stage="ingest") as file:
+        truth = read_truth(file, 1)
+    assert truth.depth_source == "dense"
+    np.testing.assert_allclose(truth.depth_m, depth, atol=0.5 / 256 + 1e-6)
+    np.testing.assert_array_equal(truth.cls, cls)
+
+
+def test_lidar_truth_is_known_only_where_a_point_fell_and_classes_are_void(tmp_path: Path) -> None:
+    street.write_drive(tmp_path, DRIVE, 2, dense=False, lidar=True)
+    _, depth, _ = street.scene(1)
+    with store.DriveReader(tmp_path / f"{DRIVE}.h5", stage="ingest") as file:
+        truth = read_truth(file, 1)
+    hit = np.zeros(street.SIZE, bool)
+    hit[::2, ::4] = depth[::2, ::4] > 0
+    np.testing.assert_array_equal(truth.depth_m > 0, hit)
+    np.testing.assert_allclose(truth.depth_m[hit], depth[hit], rtol=1e-4)
+    assert truth.depth_source == "lidar"
+    assert not truth.has_cls
+    assert (truth.cls == classes.VOID).all()
+
+
+def test_rows_without_image_or_without_truth_teach_nothing(tmp_path: Path) -> None:
+    street.write_drive(tmp_path, DRIVE, 3, dense=False, lidar=False)
+    street.write_drive(tmp_path, "2026_01_01_drive_0002", 3, images=False)
+    for name in (DRIVE, "2026_01_01_drive_0002"):
+        with store.DriveReader(tmp_path / f"{name}.h5", stage="ingest") as file:
+            assert len(teaching_rows(file)) == 0
+
+
+def test_points_behind_a_near_edge_are_dropped_and_ground_stays() -> None:
+    K = np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]])
+    rows = np.arange(100)[:, None]
+    ground = np.where(rows > 45, 1.65 * 360 / np.maximum(rows - 40, 1), 0) * np.ones((1, 320))
+    ground[:, 1::3] = 0
+    np.testing.assert_array_equal(visible(ground, K), ground)
+    wall = ground.copy()
+    wall[20:80:2, 100:140:2] = 6.0  # a car, and the street that the scanner sees through its points
+    kept = visible(wall, K)
+    np.testing.assert_array_equal(kept[20:80:2, 100:140:2], 6.0)
+    hidden = np.zeros_like(wall, bool)
+    hidden[46:79, 100:139] = wall[46:79, 100:139] > 7.5
+    assert hidden.any()
+    assert not kept[hidden].any()
+    np.testing.assert_array_equal(kept[:, :98], ground[:, :98])
+
+
+@pytest.mark.real
+def test_what_stays_of_a_real_scan_agrees_better_with_the_benchmark(real_kitti: Path) -> None:
+    """KITTI's depth benchmark has thrown out what the camera cannot see by comparing with the stereo pair."""
+    name = "2011_09_26_drive_0001_sync_0000000005_{}_image_02.png"
+    folder = real_kitti / "depth_benchmark"
+    raw, truth = (read_png(folder / name.format(kind)) / 256 for kind in ("velodyne_raw", "groundtruth"))
+    camera = RawDrive(real_kitti / "2011_09_26" / "2011_09_26_drive_0001_sync").camera([2])
+    assert camera is not None
+    kept = visible(raw, camera.K)
+    both = (raw > 0) & (truth > 0)
+    wrong = both & (raw > 1.1 * truth)
+    assert (wrong & (kept > 0)).sum() < 0.7 * wrong.sum()
+    assert (both & ~wrong & (kept > 0)).sum() > 0.99 * (both & ~wrong).sum()

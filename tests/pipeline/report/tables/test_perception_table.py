@@ -1,7 +1,7 @@
 import numpy as np
 
 from pipeline.perception.scores import Scores
-from pipeline.report import perception_table as score_card
+from pipeline.report.tables import perception_table
 
 
 def metrics() -> dict[str, dict]:
@@ -19,7 +19,7 @@ def metrics() -> dict[str, dict]:
 
 
 def test_each_truth_of_each_split_has_a_row() -> None:
-    lines = score_card.markdown(metrics()).splitlines()
+    lines = perception_table.markdown(metrics()).splitlines()
     flat, eigen = "0.500, 5.00, 0.000", "0.200, 2.00, 1.000"
     assert f"| val | LiDAR | 1 | {eigen} | {flat} | {eigen} | {flat} |" in lines
     assert "| test | dense | 1 | 0.000, 0.00, 1.000 | 1.000, 10.00, 0.000 | none | 1.000, 10.00, 0.000 |" in lines
@@ -28,4 +28,4 @@ def test_each_truth_of_each_split_has_a_row() -> None:
 
 
 def test_without_any_truth_there_is_no_table() -> None:
-    assert score_card.markdown(dict.fromkeys(("train", "val", "test"), Scores().report())) == ""
+    assert perception_table.markdown(dict.fromkeys(("train", "val", "test"), Scores().report())) == ""

@@ -1,17 +1,18 @@
-"""DVC's own verbs on a small scratch copy: figures, curves, experiments, and a second machine."""
+"""What a user does, on a small scratch copy: DVC's own verbs, a second machine, a network of one's own, a notebook."""
 
 import csv
 import io
 import json
 import re
 import shutil
+import sys
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.base import store
+from pipeline.base import provenance, store
 from pipeline.perception.scores import Scores
 from tests import artefacts, scratch
 
@@ -32,7 +33,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = scratch.copy(tmp_path_factory.mktemp("trained"))
     params = folder / "params.yaml"
     params.write_text(re.sub(r"(?m)^  epochs: 12\b", "  epochs: 3", params.read_text()))
-    artefacts.write_dataset(folder / "data", SPLITS)
+    artefacts.write_dataset(folder / "data", SPLITS, frames=210)
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)
     scores["test"].add_depth("depth_dense", 1.1 * truth, truth)
@@ -120,3 +121,64 @@ def test_one_command_takes_a_second_machine_to_its_table(trained: Path, tmp_path
     params = second / "params.yaml"
     params.write_text(params.read_text().replace("semantics: 1.0", "semantics: 0.5"))
     assert scratch.stages_run(scratch.run(second, *command)) == NETWORK_STAGES
+
+
+HEIGHT = '''"""How high the points of a frame lie on average: a network that ignores the graph."""
+
+import torch
+from torch import Tensor, nn
+
+from models.steering.core.batch import GraphBatch, Kind
+from models.steering.core.features import mean_max_pool
+
+INPUT: Kind = "graph"
+
+
+class network(nn.Module):
+    def __init__(self, features: int, *, scale_m: float = 10.0) -> None:
+        super().__init__()
+        self.scale_m = scale_m
+        self.read_out = nn.Linear(6, features)
+
+    def forward(self, batch: GraphBatch) -> Tensor:
+        return torch.tanh(self.read_out(mean_max_pool(batch.xyz / self.scale_m, batch.ptr)))
+'''
+
+
+def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(trained: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(trained, folder, symlinks=True)
+    file = folder / "models/steering/spatial/height.py"
+    file.write_text(HEIGHT)
+    assert scratch.changed(folder) == {"check"}  # whose dep is all of models/: nobody else sees the file
+    line = "  mine: {input: semantic, spatial: height, temporal: lstm, window: 4, scale_m: 5.0}\n"
+    params = (folder / "params.yaml").read_text()
+    (folder / "params.yaml").write_text(params.replace(f"  {MODEL}:\n", f"{line}  {MODEL}:\n"))
+    own = ["train@mine", "evaluate@mine"]
+    assert [*own, "report"] == [
+        name for name in scratch.stages_run(scratch.run(folder, "dvc", "repro")) if name != "check"
+    ]
+    assert re.search(r"^\| mine \| semantic \|.* \| height \| lstm \|", (folder / "data/report/table.md").read_text(), re.M)
+    assert scratch.changed(folder) == set()
+
+    file.write_text(HEIGHT.replace("10.0", "9.0"))
+    assert scratch.changed(folder) == {"check", *own}
+    (folder / "models/steering/spatial/gatv2.py").open("a").write("# of nobody's\n")
+    assert scratch.changed(folder) == {"check", *own}
+    # What another network's file holds would go stale: DVC does not watch it for this model.
+    file.write_text(HEIGHT.replace("import torch\n", "import torch\nfrom models.steering.spatial import gatv2\n", 1))
+    output = scratch.run(folder, "dvc", "repro", "check", check=False)
+    assert "error: params.yaml: models.mine.spatial" in output
+    assert "gatv2.py" in output
+
+
+def test_the_lines_of_readme_give_the_numbers_of_evaluate(trained: Path) -> None:
+    (snippet,) = re.findall(r"```python\n(.*?)```", (provenance.ROOT / "README.md").read_text(), re.DOTALL)
+    assert len([line for line in snippet.splitlines() if line]) <= 6
+    printed = scratch.run(trained, sys.executable, "-c", snippet + "\nprint(steering_rad.tolist(), graphs.path)")
+    numbers, _, path = printed.partition("] ")
+    frames = [int(number) for number in re.findall(r"\d+", re.search(r"graphs, \[(.*?)\]", snippet)[1])]
+    with (trained / f"data/evaluate/{MODEL}/predictions.csv").open() as file:
+        rows = {(row["drive"], int(row["frame"])): row["predicted_rad"] for row in csv.DictReader(file)}
+    expected = [float(rows[Path(path.strip()).stem, frame]) for frame in frames]
+    assert json.loads(numbers + "]") == pytest.approx(expected, abs=1e-6)

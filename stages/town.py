@@ -28,7 +28,7 @@ def main(
 ) -> Path:
     """Render the drives that section ingest names; with ingest.source kitti, nothing.
 
-    Returns the folder that it wrote.
+    Returns the folder that it wrote. Raises InputError where it would replace a drive that it has not rendered.
     """
     settings, ingest = load(Town, params), load(Ingest, params)
     if ingest.source == "kitti":
@@ -37,6 +37,9 @@ def main(
         return out
     splits = ingest.drives.splits()
     folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in splits}
+    for folder in folders.values():
+        if folder.is_dir() and not (folder / "truth").is_dir():
+            raise InputError(f"{folder} is there and is not of the sample: name another --out, or move it away")
     recorded = find_recorded(settings, list(splits))
     frames = {drive: getattr(settings.frames, split) for drive, split in splits.items()}
     frames |= {drive: min(frames[drive], len(raw.oxts)) for drive, raw in recorded.items()}

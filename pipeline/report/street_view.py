@@ -6,15 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from pipeline.base.atomic import replacing
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
-from pipeline.camera.colours import FAR_M, NEAR_M, colourise_depth, depth_scale
 from pipeline.camera.images import to_metres
 
+NEAR_M, FAR_M = 4.0, 80.0  # the ends of the scale of depth; what lies beyond has their colours
 LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # what is shown from above
 
 
@@ -51,6 +53,16 @@ def read_view(raw: DriveReader, perceived: DriveReader, cloud: DriveReader, numb
         xyz=cloud.rows("xyz", start, stop),
         points_cls=cloud.rows("cls", start, stop),
     )
+
+
+def depth_scale() -> ScalarMappable:
+    """Return the colour scale of depth in metres: it colours arrays, and a figure can draw its bar."""
+    return ScalarMappable(LogNorm(NEAR_M, FAR_M), "turbo_r")
+
+
+def colourise_depth(depth_m: np.ndarray) -> np.ndarray:
+    """Return depth in metres [H,W] as uint8 RGBA [H,W,4]; where there is none (0) it is transparent black."""
+    return np.asarray(depth_scale().to_rgba(np.ma.masked_equal(depth_m, 0), bytes=True))
 
 
 def draw_depth(panel: Axes, depth_m: np.ndarray) -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.camera.colours import colourise_depth
 
 View = tuple[np.ndarray, np.ndarray, np.ndarray]
 """RGB uint8 [H,W,3], depth in metres [H,W] (0: none), class numbers uint8 [H,W]."""
+WHITE_M = 4.0  # nearer than this all is white; ten times as far, a tenth as bright
 
 
 def contact_sheet(views: Sequence[View], width: int = 360, gap: int = 4) -> np.ndarray:
@@ -27,13 +27,19 @@ def contact_sheet(views: Sequence[View], width: int = 360, gap: int = 4) -> np.n
         tiles = []
         for picture, how in (
             (rgb, cv2.INTER_AREA),
-            (colourise_depth(depth_m)[..., :3], cv2.INTER_NEAREST_EXACT),
+            (shaded_depth(depth_m), cv2.INTER_NEAREST_EXACT),
             (classes.colourise(cls), cv2.INTER_NEAREST_EXACT),
         ):
             tile = cv2.resize(picture, (width, height), interpolation=how)
             tiles.append(np.pad(tile, ((0, gap), (0, gap), (0, 0)), constant_values=255))
         rows.append(np.concatenate(tiles, axis=1))
     return np.concatenate(rows)[:-gap, :-gap]
+
+
+def shaded_depth(depth_m: np.ndarray) -> np.ndarray:
+    """Return depth in metres [H,W] as grey uint8 [H,W,3], the brighter the nearer; where there is none (0), black."""
+    nearness = WHITE_M / np.where(depth_m > 0, depth_m, np.inf)
+    return np.repeat((255 * nearness.clip(max=1)).astype(np.uint8)[..., None], 3, axis=-1)
 
 
 def write_rgb(path: Path, picture: np.ndarray) -> None:

@@ -126,3 +126,12 @@ def test_what_a_replay_lacks_is_one_line(tmp_path: Path) -> None:
     for path in drive.oxts.values():
         path.unlink()
     assert "holds no packets" in complaint()
+
+
+def test_drives_of_another_are_never_replaced(tmp_path: Path) -> None:
+    theirs = tmp_path / "raw" / DRIVES[0][:10] / f"{DRIVES[0]}_sync" / "oxts" / "data" / "0000000000.txt"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("49.0 8.4")
+    with pytest.raises(InputError, match=f"{DRIVES[0]}_sync.*not of the sample"):
+        town.main(out=tmp_path / "raw", params=write_params(tmp_path / "params.yaml"))
+    assert theirs.read_text() == "49.0 8.4"

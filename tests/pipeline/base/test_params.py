@@ -138,7 +138,7 @@ def test_entries_of_mappings() -> None:
 
 @pytest.mark.parametrize("name", ["a", "A-9_b", "50k", "0", "x" * 99])
 def test_names_that_dvc_and_shells_take(tmp_path: Path, name: str) -> None:
-    path = edited(tmp_path, "graphs", {name: {"cloud": "pseudo", "points": 9, "k": 2}})
+    path = edited(tmp_path, "graphs", {name: {"source": "clouds/pseudo", "points": 9, "k": 2}})
     assert params.names("graphs", path) == [name]
     assert params.load_entry(Variant, "graphs", name, path).k == 2
 

@@ -64,3 +64,17 @@ def test_a_sheet_names_each_class_in_view_once() -> None:
     names = [text.get_text() for text in street_view.sheet("drive", [one, unknown]).legends[0].get_texts()]
     assert names == ["road", "building", "sky"]
     assert not street_view.sheet("drive", [unknown]).legends[0].get_texts()
+
+
+def test_the_scale_of_depth_runs_from_red_to_blue_and_none_is_blank() -> None:
+    near, far, none = street_view.colourise_depth(np.array([[street_view.NEAR_M, street_view.FAR_M, 0.0]]))[0].astype(
+        int
+    )
+    assert near[0] > near[2] + 50
+    assert far[2] > far[0]
+    assert none.tolist() == [0, 0, 0, 0]
+
+
+def test_what_lies_beyond_the_scale_has_the_colours_of_its_ends() -> None:
+    beyond, ends = street_view.colourise_depth(np.array([[1.0, 500.0], [street_view.NEAR_M, street_view.FAR_M]]))
+    np.testing.assert_array_equal(beyond, ends)

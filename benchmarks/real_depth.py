@@ -61,7 +61,7 @@ def main(
         ingest.main(folder / "town", folder / "raw", ingested, chosen)
         fitted = encoder.main(ingested, folder / "encoder", chosen)
         perceived = perception.main(ingested, fitted, folder / "perception", chosen)
-        rows = read(scores.main(ingested, perceived, folder / "scores", chosen))
+        rows = read(scores.main(ingested, perceived, folder / "scores"))
     print(table(rows))
 
 

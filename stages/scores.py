@@ -7,35 +7,32 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base import console, progress, store
-from pipeline.base.params import SPLITS, load
+from pipeline.base.params import SPLITS
 from pipeline.base.pool import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.encoder.truth import Truth, read_truth
 from pipeline.perception.depth_scale import MODES
 from pipeline.perception.scores import Scores, summary_line
-from pipeline.sections.perception import Perception
 
 
 def main(
     ingest: Path = Path("data/ingest"),
     perception: Path = Path("data/perception"),
     out: Path = Path("data/scores"),
-    params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
     """Write metrics.json with the scores of each split, and <drive>/metrics.json with those of each drive.
 
-    Returns the folder that it wrote.
+    Depth's scale and the camera's height are those that perception wrote with. Returns the folder that it wrote.
     """
-    settings = load(Perception, params)
     splits = store.read_index(perception, stage="perception")
     summaries = run_over_drives(
-        partial(_score_drive, ingest=ingest, perception=perception, settings=settings),
+        partial(_score_drive, ingest=ingest, perception=perception),
         list(splits),
         module="stages.scores",
         out=out,
         inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, perception)],
-        settings=settings.model_dump(include={"depth_scale", "camera_height_m"}),
+        settings={},
         workers=workers,
         target=lambda drive: out / drive,
         frames=lambda drive: _frames(perception / f"{drive}.h5"),
@@ -51,16 +48,16 @@ def main(
     return out
 
 
-def _score_drive(drive: str, path: Path, *, ingest: Path, perception: Path, settings: Perception) -> Summary:
-    scores, scale = Scores(), MODES[settings.depth_scale]
+def _score_drive(drive: str, path: Path, *, ingest: Path, perception: Path) -> Summary:
+    scores = Scores()
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as seen,
     ):
-        count = len(seen.frame)
+        count, settings = len(seen.frame), seen.params["perception"]
         K = source["K"] if count else np.eye(3)  # a drive without images has no camera
         for depth, cls, truth in _read(source, seen):
-            scores.add_frame(depth, cls, K, truth, scale, settings.camera_height_m)
+            scores.add_frame(depth, cls, K, truth, MODES[settings["depth_scale"]], settings["camera_height_m"])
             progress.advance(1)
     report = scores.report()
     store.write_json(path / "metrics.json", report)

@@ -181,6 +181,12 @@ class DriveReader:
         self.drive = str(self.attrs["drive"])
 
     @cached_property
+    def params(self) -> dict[str, Any]:
+        """What made the file: section of params.yaml → its content."""
+        sections: dict[str, Any] = json.loads(self.attrs["params"])
+        return sections
+
+    @cached_property
     def frame(self) -> np.ndarray:
         """KITTI frame numbers, int32 [F], ascending."""
         return self["frame"]

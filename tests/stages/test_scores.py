@@ -3,7 +3,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
@@ -12,6 +11,7 @@ from pipeline.camera.images import to_metres, to_units
 from pipeline.encoder.truth import read_truth
 from pipeline.perception.ground_plane import ground_plane_depth
 from pipeline.perception.scores import depth_errors
+from pipeline.sections.perception import Perception
 from stages.scores import main
 from tests import street
 
@@ -20,15 +20,18 @@ DENSE, LIDAR, BLIND = SPLITS
 FACTOR = 1.1  # of each perceived depth
 
 
-def write_perceived(path: Path, ingest: Path, drive: str, factor: float = FACTOR) -> None:
-    """Write depth that is too far by a factor, with holes, and classes of which some are wrong."""
+def write_perceived(root: Path, drive: str, **settings: object) -> None:
+    """Write depth that is too far by FACTOR, with holes, and classes of which some are wrong."""
+    params = {"perception": Perception(batch=1, **settings).model_dump()}
     with (
-        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
-        store.DriveWriter(path / f"{drive}.h5", stage="perception", drive=drive, params={}) as target,
+        store.DriveReader(root / "ingest" / f"{drive}.h5", stage="ingest") as source,
+        store.DriveWriter(
+            root / "perception" / f"{drive}.h5", stage="perception", drive=drive, params=params
+        ) as target,
     ):
         numbers = source.frame[source["has_image"].astype(bool)]
         scenes = [street.scene(number) for number in numbers]
-        depth = np.array([factor * depth_m for _, depth_m, _ in scenes]).reshape(-1, *street.SIZE)
+        depth = np.array([FACTOR * depth_m for _, depth_m, _ in scenes]).reshape(-1, *street.SIZE)
         cls = np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *street.SIZE)
         cls[:, :3] = classes.VEGETATION
         depth[:, :, :9] = 0
@@ -44,15 +47,13 @@ def folder(tmp_path: Path) -> Path:
     street.write_drive(tmp_path / "ingest", LIDAR, 5, dense=False, lidar=True)
     street.write_drive(tmp_path / "ingest", BLIND, 3, dense=False, images=False)
     for drive in SPLITS:
-        write_perceived(tmp_path / "perception", tmp_path / "ingest", drive)
+        write_perceived(tmp_path, drive)
     store.write_index(tmp_path / "perception", SPLITS)
     return tmp_path
 
 
-def run(root: Path, name: str = "scores", workers: int = 1, **settings: object) -> dict:
-    params = root / "params.yaml"
-    params.write_text(yaml.safe_dump({"perception": {"batch": 1, **settings}}))
-    out = main(root / "ingest", root / "perception", root / name, params, workers)
+def run(root: Path, name: str = "scores", workers: int = 1) -> dict:
+    out = main(root / "ingest", root / "perception", root / name, workers)
     assert out == root / name
     return json.loads((out / "metrics.json").read_text())
 
@@ -111,7 +112,9 @@ def test_a_frame_goes_by_its_number(folder: Path) -> None:
     before = run(folder)["train"]["depth_dense"]["abs_rel"]
     with (
         store.DriveReader(folder / "perception" / f"{DENSE}.h5", stage="perception") as file,
-        store.DriveWriter(folder / "some" / f"{DENSE}.h5", stage="perception", drive=DENSE, params={}) as target,
+        store.DriveWriter(
+            folder / "some" / f"{DENSE}.h5", stage="perception", drive=DENSE, params=file.params
+        ) as target,
     ):
         for name in ("frame", "depth_m", "cls"):
             target.put(name, file[name][[1, 4]])
@@ -122,11 +125,14 @@ def test_a_frame_goes_by_its_number(folder: Path) -> None:
 
 
 def test_depth_of_an_unknown_unit_is_scaled_by_the_truth(folder: Path) -> None:
-    assert run(folder, depth_scale="none")["train"]["depth_dense"]["abs_rel"] < 0.01
+    write_perceived(folder, DENSE, depth_scale="none")
+    assert run(folder)["train"]["depth_dense"]["abs_rel"] < 0.01
 
 
 def test_the_cameras_height_is_that_of_flat_ground(folder: Path) -> None:
-    low, high = (run(folder, camera_height_m=height)["train"] for height in (1.65, 3.3))
+    low = run(folder)["train"]
+    write_perceived(folder, DENSE, camera_height_m=3.3)
+    high = run(folder)["train"]
     assert high["ground_plane_dense"]["abs_rel"] > low["ground_plane_dense"]["abs_rel"] + 0.1
     assert high["depth_dense"] == low["depth_dense"]
 

@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 import yaml
 
 from pipeline.base import provenance
 from pipeline.base.errors import InputError
-from pipeline.encoder import download, weights
+from pipeline.encoder import weights
 from pipeline.report.tables.paper import PAPER
 from pipeline.sections import preset
 from stages import check
@@ -27,8 +28,8 @@ def test_the_projects_own_files_are_right(name: str | None, tmp_path: Path, monk
         raise AssertionError("check reads or fetches weights")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(download, "file_hash", never)
-    monkeypatch.setattr(download, "_fetch", never)
+    monkeypatch.setattr(weights, "find", never)
+    monkeypatch.setattr(torch.hub, "download_url_to_file", never)
     (tmp_path / "weights").mkdir()
     params = tmp_path / "params.yaml"
     params.write_text(preset.text(name) if name else (ROOT / "params.yaml").read_text())
@@ -48,7 +49,7 @@ def test_weights_that_nothing_will_fetch_are_missed_before_ingest(
         check.main(tmp_path / "params.yaml")
     key = "encoder.weights.depth_head"
     with pytest.raises(InputError, match=rf"^{key}: weights/.*head\.pth is missing.*: curl ") as found:
-        download.find(preset.merged("kitti")["encoder"]["weights"]["depth_head"], key)
+        weights.find(preset.merged("kitti")["encoder"]["weights"]["depth_head"], key)
     assert str(checked.value).endswith(str(found.value))
 
 

@@ -12,7 +12,7 @@ import yaml
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.encoder.weights import read_weights, write_weights
+from pipeline.encoder import perceive
 from stages.encoder import main
 from tests import street
 from tests.kitti_drive import write_png
@@ -36,8 +36,9 @@ def ingest(tmp_path: Path) -> Path:
 def run(ingest: Path, name: str = "encoder", **settings: object) -> Path:
     params = ingest.parent / "params.yaml"
     params.write_text(yaml.safe_dump({"encoder": {**SETTINGS, **settings}}))
-    main(ingest, ingest.parent / name, params)
-    return ingest.parent / name
+    out = main(ingest, ingest.parent / name, params)
+    assert out == ingest.parent / name
+    return out
 
 
 def test_fits_on_training_drives_alone_and_writes_what_it_did(ingest: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,6 +54,7 @@ def test_fits_on_training_drives_alone_and_writes_what_it_did(ingest: Path, caps
     printed = capsys.readouterr().out
     assert "epoch 2/2: loss" in printed
     assert "fitted on 6 frames of 1 drives" in printed
+    assert "depth_head by dense depth, class_head by class truth" in printed
     assert not (ingest.parent / ".resume" / "encoder").exists()
 
 
@@ -90,11 +92,11 @@ def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path, capsys: pytest.Cap
     losses = json.loads((fitted / "config.json").read_text())["losses"]
     assert losses["depth"] > 0
     assert losses["classes"] == 0
-    assert "no training drive has class truth" in capsys.readouterr().out
+    assert "class_head stays as its file has it" in capsys.readouterr().out
 
     frozen = run(ingest, "frozen", weights=str(fitted / "encoder.pt"), frozen=True)
-    assert "no training drive has class truth" not in capsys.readouterr().out
-    before, after = (read_weights(out / "encoder.pt", "").state for out in (fitted, frozen))
+    assert "stays as its file has it" not in capsys.readouterr().out
+    before, after = (perceive.read(out / "encoder.pt").state for out in (fitted, frozen))
     changed = {name.split(".")[0] for name in before if not torch.allclose(before[name], after[name], atol=1e-5)}
     assert changed == {"depth_head"}  # not even weight decay moves the class head
 
@@ -108,7 +110,7 @@ def test_classes_that_nothing_gives_are_refused(ingest: Path, tmp_path: Path) ->
         ("backbone", {"backbone": "espnetv2-s1"}),  # its classes are the backbone's
     ]
     for part, settings in lacking:
-        with pytest.raises(InputError, match=f"has class truth, and encoder.weights names no {part}: name .*teacher$"):
+        with pytest.raises(InputError, match=f"class truth.* no {part}.*teacher$"):
             run(ingest, **settings)
     assert not (ingest.parent / "encoder").exists()
 
@@ -117,14 +119,14 @@ def test_depth_that_nothing_gives_is_refused_unless_it_needs_no_fitting(ingest: 
     start = run(ingest, "start", epochs=1)
     with h5py.File(ingest / f"{TRAIN}.h5", "r+") as file:
         file["has_depth"][:] = 0
-    with pytest.raises(InputError, match=r"has depth or LiDAR, and encoder\.weights names no depth_head: name"):
+    with pytest.raises(InputError, match=r"depth or LiDAR.* no depth_head"):
         run(ingest)
     kept = run(ingest, "kept", weights=str(start / "encoder.pt"))
-    before, after = (read_weights(out / "encoder.pt", "").state for out in (start, kept))
+    before, after = (perceive.read(out / "encoder.pt").state for out in (start, kept))
     heads = [name for name in before if name.startswith("depth_head")]
     assert all(torch.equal(before[name], after[name]) for name in heads)
     assert not torch.equal(before["backbone.down1.0.weight"], after["backbone.down1.0.weight"])
-    flat = read_weights(run(ingest, "flat", backbone="espnetv2-s1", epochs=1) / "encoder.pt", "").state
+    flat = perceive.read(run(ingest, "flat", backbone="espnetv2-s1", epochs=1) / "encoder.pt").state
     assert not flat["depth_head.ground.layers.3.weight"].any()  # flat ground: no correction
 
 
@@ -160,9 +162,9 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
 
 
 def test_weights_of_another_backbone_are_refused(ingest: Path, tmp_path: Path) -> None:
-    write_weights(tmp_path / "other.pt", "swin-t", {})
+    perceive.save(tmp_path / "other", "swin-t", {})
     with pytest.raises(InputError, match=r"holds backbone 'swin-t', 'small' is asked for"):
-        run(ingest, weights=str(tmp_path / "other.pt"))
+        run(ingest, weights=str(tmp_path / "other/encoder.pt"))
 
 
 def espnet(tmp_path: Path) -> tuple[str, dict[str, torch.Tensor]]:
@@ -178,12 +180,12 @@ def test_a_published_backbone_stays_and_its_depth_head_is_fitted(ingest: Path, t
     street.write_drive(ingest, TRAIN, 9, dense=False, lidar=True)
     file, state = espnet(tmp_path)
     out = run(ingest, backbone="espnetv2-s1", weights={"backbone": file}, frozen=True)
-    fitted = read_weights(out / "encoder.pt", "").state
+    fitted = perceive.read(out / "encoder.pt").state
     assert all(torch.equal(fitted[f"backbone.{name}"], tensor) for name, tensor in state.items())
     assert fitted["depth_head.ground.layers.3.weight"].any()  # it starts at zero
     sources = json.loads((out / "config.json").read_text())["sources"]
     assert [(source["part"], source["path"]) for source in sources] == [("backbone", file)]
-    with pytest.raises(InputError, match="names no depth_head: name one, or let"):
+    with pytest.raises(InputError, match="no depth_head"):
         run(ingest, "unfitted", backbone="espnetv2-s1", weights={"backbone": file}, epochs=0)
 
 

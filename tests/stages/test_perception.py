@@ -1,5 +1,3 @@
-import json
-import sys
 import threading
 from pathlib import Path
 
@@ -12,14 +10,9 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.encoder.examples import read_truth
-from pipeline.encoder.perceive import perceive
-from pipeline.encoder.weights import write_weights
-from pipeline.perception.ground_plane import ground_plane_depth
-from pipeline.perception.scores import depth_errors
-from pipeline.sections.perception import Perception
-from stages import perception
-from stages.perception import _load_model as load_model
+from pipeline.encoder.perceive import save
+from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
+from pipeline.kitti.oxts import make_rows
 from stages.perception import main
 from tests import street
 from tests.kitti_drive import write_png
@@ -37,15 +30,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     street.write_drive(root / "ingest", BLIND, 3, dense=False, lidar=True, images=False)
     store.write_index(root / "ingest", SPLITS)
     torch.manual_seed(0)
-    write_weights(root / "encoder" / "encoder.pt", "small", UnifiedEncoder("small").state_dict())
+    save(root / "encoder", "small", UnifiedEncoder("small").state_dict())
     run(root, "perception", batch=4)
     return root
 
 
-def run(root: Path, name: str, batch: int, **settings: object) -> None:
+def run(root: Path, name: str, batch: int, workers: int = 1, **settings: object) -> None:
     params = root / "params.yaml"
     params.write_text(yaml.safe_dump({"perception": {"batch": batch, **settings}}))
-    main(root / "ingest", root / "encoder", root / name, params, workers=1)
+    assert main(root / "ingest", root / "encoder", root / name, params, workers) == root / name
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
@@ -79,16 +72,14 @@ def test_only_frames_with_an_image_count_or_are_read(
         file["has_image"][2:5] = 0
     store.write_index(tmp_path / "ingest", {DENSE: "train"})
     (tmp_path / "encoder").symlink_to(folder / "encoder")
-    rows, seen = store.DriveReader.rows, []
+    row, rows_read = store.DriveReader.row, []
     monkeypatch.setattr(
         store.DriveReader,
-        "rows",
-        lambda self, name, start, stop: (
-            seen.extend(range(start, stop) if name == "image" else []) or rows(self, name, start, stop)
-        ),
+        "row",
+        lambda self, name, index: (rows_read.append(index) if name == "image" else None) or row(self, name, index),
     )
     run(tmp_path, "perception", batch=3)
-    assert seen == [0, 1, 5, 6]
+    assert rows_read == [0, 1, 5, 6]
     some, every = read(tmp_path / "perception" / f"{DENSE}.h5"), read(folder / "perception" / f"{DENSE}.h5")
     assert some["frame"].tolist() == [0, 1, 5, 6]
     np.testing.assert_allclose(some["depth_m"].astype(int), every["depth_m"][[0, 1, 5, 6]], atol=1)
@@ -115,74 +106,38 @@ def test_half_precision_products_change_little(folder: Path) -> None:
     assert (halves["cls"] == full["cls"]).mean() > 0.95
 
 
-def test_scores_equal_what_the_files_say(folder: Path) -> None:
-    metrics = json.loads((folder / "perception" / "metrics.json").read_text())
-    content = read(folder / "perception" / f"{DENSE}.h5")
-    scenes = [street.scene(frame) for frame in range(7)]
-    # Depth is scored as the network gives it, also where it sees sky: so ask the network again.
-    model = load_model(folder / "encoder" / "encoder.pt")
-    errors = [
-        depth_errors(perceive(model, image[None], street.K)[0][0], np.rint(depth * 256) / 256)
-        for image, depth, _ in scenes
-    ]
-    dense = metrics["train"]["depth_dense"]
-    found = [dense["abs_rel"], dense["rmse_m"], dense["delta1"]]
-    assert found == pytest.approx(np.mean(errors, axis=0), rel=1e-3)
-    true_cls = np.stack([cls for _, _, cls in scenes])
-    assert metrics["train"]["classes"]["pixel_accuracy"] == pytest.approx((true_cls == content["cls"]).mean())
-    assert metrics["train"]["depth_lidar"] is None
-    assert metrics["test"]["depth_lidar"]["frames"] == 5
-    assert metrics["test"]["depth_dense"] is None
-    assert metrics["test"]["classes"] is None
-    assert set(metrics["val"].values()) == {None}
-
-
 def test_a_bad_checkpoint_is_one_error_that_names_the_command(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "encoder").mkdir()
     (tmp_path / "encoder" / "encoder.pt").write_bytes(b"nothing")
     (tmp_path / "ingest").symlink_to(folder / "ingest")
     with pytest.raises(InputError, match=r"cut short.*dvc repro --force encoder"):
         run(tmp_path, "perception", batch=1)
-    write_weights(tmp_path / "encoder" / "encoder.pt", "no-such", {})
-    with pytest.raises(InputError, match=r"no backbone 'no-such'.*dvc repro --force encoder"):
-        run(tmp_path, "perception", batch=1)
 
 
-def test_a_package_that_is_missing_is_asked_for_and_nothing_else(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "transformers", None)
-    write_weights(tmp_path / "encoder" / "encoder.pt", "swin-t", {})
-    (tmp_path / "ingest").symlink_to(folder / "ingest")
-    with pytest.raises(InputError, match=r"pip install '\.\[pretrained\]'$"):
-        run(tmp_path, "perception", batch=1)
-
-
-def test_no_thread_reads_on_once_the_network_has_failed(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: object) -> None:
-        raise RuntimeError("out of memory")
-
-    monkeypatch.setattr(perception, "_seer", lambda *_: fails)
-    settings = Perception(batch=1)
-    with pytest.raises(RuntimeError, match="out of memory") as caught:  # a traceback keeps generators alive
-        perception._perceive_drive(
-            DENSE, tmp_path / "out.h5", ingest=folder / "ingest", encoder=folder / "encoder", settings=settings
-        )
-    assert caught.tb
-    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("prefetch")]
-
-
-def test_flat_ground_is_scored_beside_the_encoder(folder: Path) -> None:
-    metrics = json.loads((folder / "perception" / "metrics.json").read_text())
-    content = read(folder / "perception" / f"{LIDAR}.h5")
-    errors = []
-    with store.DriveReader(folder / "ingest" / f"{LIDAR}.h5", stage="ingest") as source:
-        for row, cls in enumerate(content["cls"]):
-            errors.append(depth_errors(ground_plane_depth(cls, street.K, 1.65), read_truth(source, row).depth_m))
-    assert metrics["test"]["ground_plane_lidar"]["abs_rel"] == pytest.approx(np.mean(errors, axis=0)[0])
-    assert metrics["test"]["ground_plane_dense"] is None
+@pytest.mark.slow
+def test_the_same_bytes_for_any_number_of_workers_and_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size, frames = (96, 320), 5  # at which one pass on several threads has other bytes
+    images = np.random.default_rng(0).integers(0, 256, (frames, *size, 3), np.uint8)
+    for drive in (DENSE, LIDAR):
+        with store.DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+            put_motion(file, np.arange(frames), np.arange(frames) / 10, make_rows(frames))
+            put_camera(file, street.K, None)
+            put_pixels(file, "image", frames, size, enumerate(images))
+            put_scans(file, frames, ())
+    store.write_index(tmp_path / "ingest", {DENSE: "train", LIDAR: "test"})
+    torch.manual_seed(1)
+    save(tmp_path / "encoder", "small", UnifiedEncoder("small").state_dict())
+    before = torch.get_num_threads()
+    monkeypatch.setenv("STEER_WORKERS", "4")  # cores, of which each of two workers has its share
+    for name, workers, threads in (("one", 1, 1), ("side", 1, 3), ("two", 2, 1)):
+        torch.set_num_threads(threads)
+        try:
+            run(tmp_path, name, batch=2, workers=workers)
+        finally:
+            torch.set_num_threads(before)
+    for drive in (DENSE, LIDAR):
+        contents = {(tmp_path / name / f"{drive}.h5").read_bytes() for name in ("one", "side", "two")}
+        assert len(contents) == 1, drive
 
 
 def write_precomputed(root: Path, factor: float = 1.0) -> None:
@@ -208,8 +163,10 @@ def test_precomputed_files_go_where_their_frames_are(tmp_path: Path) -> None:
         np.testing.assert_array_equal(content["cls"][frame], cls)
         np.testing.assert_array_equal(content["depth_m"][frame], np.rint(depth * 256))
     (tmp_path / "made" / DENSE / "cls" / "0000000004.png").unlink()
-    with pytest.raises(InputError, match=r"cls/0000000004\.png is missing"):
-        run(tmp_path, "again", batch=3)
+    with pytest.raises(InputError, match=r"cls/0000000004\.png is missing") as caught:  # a traceback keeps generators
+        run(tmp_path, "again", batch=1)
+    assert caught.tb
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("prefetch")]
 
 
 @pytest.mark.parametrize(("mode", "expected"), [("camera_height", 1.0), ("lidar_median", 1.0), ("none", 0.4)])
@@ -219,5 +176,12 @@ def test_depth_of_another_unit_gets_its_scale(tmp_path: Path, mode: str, expecte
     found = read(tmp_path / "perception" / f"{DENSE}.h5")["depth_m"].astype(float)
     truth = np.stack([street.scene(frame)[1] for frame in range(7)]) * 256
     assert np.median(found[truth > 0] / truth[truth > 0]) == pytest.approx(expected, rel=0.01)
-    metrics = json.loads((tmp_path / "perception" / "metrics.json").read_text())
-    assert metrics["test"]["depth_dense"]["abs_rel"] < 0.02
+    with store.DriveReader(tmp_path / "perception" / f"{DENSE}.h5", stage="perception") as file:
+        assert ("unknown unit" in file.dataset("depth_m").attrs["unit"]) == (mode == "none")
+
+
+def test_the_median_of_lidar_is_that_of_the_scan_not_of_dense_truth(tmp_path: Path) -> None:
+    write_precomputed(tmp_path, factor=0.4)
+    street.write_drive(tmp_path / "ingest", DENSE, 7)  # dense truth alone
+    run(tmp_path, "perception", batch=3, depth_scale="lidar_median")
+    assert not read(tmp_path / "perception" / f"{DENSE}.h5")["depth_m"].any()

@@ -165,7 +165,7 @@ def test_a_file_that_does_not_fit_is_refused(
     model = UnifiedEncoder("dinov2-vits14")
     faults = {
         "it lacks ": {name: tensor for name, tensor in state.items() if name != lost},
-        "which the network has not": state | {added: torch.zeros(1)},
+        "which the network lacks": state | {added: torch.zeros(1)},
         r"of shape \[\d\], the network": state | {lost: torch.zeros(3)},
     }
     for message, fault in faults.items():

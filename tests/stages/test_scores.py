@@ -1,0 +1,142 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.camera import classes
+from pipeline.camera.images import to_metres, to_units
+from pipeline.encoder.truth import read_truth
+from pipeline.perception.ground_plane import ground_plane_depth
+from pipeline.perception.scores import depth_errors
+from pipeline.sections.perception import Perception
+from stages.scores import main
+from tests import street
+
+SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test", "2026_01_03_drive_0002": "test"}
+DENSE, LIDAR, BLIND = SPLITS
+FACTOR = 1.1  # of each perceived depth
+
+
+def write_perceived(root: Path, drive: str, **settings: object) -> None:
+    """Write depth that is too far by FACTOR, with holes, and classes of which some are wrong."""
+    params = {"perception": Perception(batch=1, **settings).model_dump()}
+    with (
+        store.DriveReader(root / "ingest" / f"{drive}.h5", stage="ingest") as source,
+        store.DriveWriter(
+            root / "perception" / f"{drive}.h5", stage="perception", drive=drive, params=params
+        ) as target,
+    ):
+        numbers = source.frame[source["has_image"].astype(bool)]
+        scenes = [street.scene(number) for number in numbers]
+        depth = np.array([FACTOR * depth_m for _, depth_m, _ in scenes]).reshape(-1, *street.SIZE)
+        cls = np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *street.SIZE)
+        cls[:, :3] = classes.VEGETATION
+        depth[:, :, :9] = 0
+        target.put("frame", numbers)
+        target.put("depth_m", to_units(depth))
+        target.put("cls", cls)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Drives with dense truth, with LiDAR alone and without images, and what perception would write of them."""
+    street.write_drive(tmp_path / "ingest", DENSE, 6)
+    street.write_drive(tmp_path / "ingest", LIDAR, 5, dense=False, lidar=True)
+    street.write_drive(tmp_path / "ingest", BLIND, 3, dense=False, images=False)
+    for drive in SPLITS:
+        write_perceived(tmp_path, drive)
+    store.write_index(tmp_path / "perception", SPLITS)
+    return tmp_path
+
+
+def run(root: Path, name: str = "scores", workers: int = 1) -> dict:
+    out = main(root / "ingest", root / "perception", root / name, workers)
+    assert out == root / name
+    return json.loads((out / "metrics.json").read_text())
+
+
+def errors(root: Path, drive: str, flat: bool) -> tuple[float, float]:
+    """Return abs rel and coverage of a drive, frame by frame from the files."""
+    found, covered = [], []
+    with (
+        store.DriveReader(root / "ingest" / f"{drive}.h5", stage="ingest") as source,
+        store.DriveReader(root / "perception" / f"{drive}.h5", stage="perception") as file,
+    ):
+        for row, (depth, cls) in enumerate(zip(file["depth_m"], file["cls"], strict=True)):
+            truth_m = read_truth(source, row).depth_m
+            known = (truth_m >= 1) & (truth_m <= 80)
+            covered.append((known & (depth > 0), known))
+            predicted = ground_plane_depth(cls, street.K, 1.65) if flat else to_metres(depth)
+            found.append(depth_errors(np.where(depth > 0, predicted, 0), truth_m))
+    both, known = np.sum(covered, axis=(0, 2, 3))
+    return np.mean(found, axis=0)[0], both / known
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_scores_are_those_of_what_perception_wrote(folder: Path, flat: bool) -> None:
+    metrics = run(folder)
+    key = "ground_plane" if flat else "depth"
+    for split, drive, truth in (("train", DENSE, "dense"), ("test", LIDAR, "lidar")):
+        score = metrics[split][f"{key}_{truth}"]
+        assert (score["abs_rel"], score["coverage"]) == pytest.approx(errors(folder, drive, flat))
+        assert 0.5 < score["coverage"] < 0.95
+        assert metrics[split][f"{key}_{'lidar' if truth == 'dense' else 'dense'}"] is None
+    assert metrics["train"]["depth_dense"]["abs_rel"] == pytest.approx(FACTOR - 1, rel=0.01)
+    assert metrics["test"]["depth_lidar"]["frames"] == 5
+    assert metrics["test"]["classes"] is None
+    assert set(metrics["val"].values()) == {None}
+
+
+def test_classes_are_scored_where_they_are_known(folder: Path) -> None:
+    true_cls = np.stack([street.scene(frame)[2] for frame in range(6)])
+    with store.DriveReader(folder / "perception" / f"{DENSE}.h5", stage="perception") as file:
+        right = (file["cls"] == true_cls).mean()
+    assert run(folder)["train"]["classes"]["pixel_accuracy"] == pytest.approx(right)
+
+
+def test_each_drive_has_its_own_and_workers_change_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    metrics = run(folder)
+    drives = {drive: json.loads((folder / "scores" / drive / "metrics.json").read_text()) for drive in SPLITS}
+    assert drives[DENSE] == metrics["train"]
+    assert set(drives[BLIND].values()) == {None}
+    assert "no truth" in capsys.readouterr().out
+    assert run(folder, "two", workers=2) == metrics
+    assert not (folder / ".resume" / "scores").exists()
+
+
+def test_a_frame_goes_by_its_number(folder: Path) -> None:
+    """Without some images, rows of perception are not rows of ingest."""
+    before = run(folder)["train"]["depth_dense"]["abs_rel"]
+    with (
+        store.DriveReader(folder / "perception" / f"{DENSE}.h5", stage="perception") as file,
+        store.DriveWriter(
+            folder / "some" / f"{DENSE}.h5", stage="perception", drive=DENSE, params=file.params
+        ) as target,
+    ):
+        for name in ("frame", "depth_m", "cls"):
+            target.put(name, file[name][[1, 4]])
+    (folder / "some" / f"{DENSE}.h5").replace(folder / "perception" / f"{DENSE}.h5")
+    score = run(folder)["train"]["depth_dense"]
+    assert score["frames"] == 2
+    assert score["abs_rel"] == pytest.approx(before, rel=1e-3)
+
+
+def test_depth_of_an_unknown_unit_is_scaled_by_the_truth(folder: Path) -> None:
+    write_perceived(folder, DENSE, depth_scale="none")
+    assert run(folder)["train"]["depth_dense"]["abs_rel"] < 0.01
+
+
+def test_the_cameras_height_is_that_of_flat_ground(folder: Path) -> None:
+    low = run(folder)["train"]
+    write_perceived(folder, DENSE, camera_height_m=3.3)
+    high = run(folder)["train"]
+    assert high["ground_plane_dense"]["abs_rel"] > low["ground_plane_dense"]["abs_rel"] + 0.1
+    assert high["depth_dense"] == low["depth_dense"]
+
+
+def test_without_perception_the_command_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="dvc repro perception"):
+        run(tmp_path)

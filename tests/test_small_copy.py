@@ -158,7 +158,9 @@ def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(train
     assert [*own, "report"] == [
         name for name in scratch.stages_run(scratch.run(folder, "dvc", "repro")) if name != "check"
     ]
-    assert re.search(r"^\| mine \| semantic \|.* \| height \| lstm \|", (folder / "data/report/table.md").read_text(), re.M)
+    assert re.search(
+        r"^\| mine \| semantic \|.* \| height \| lstm \|", (folder / "data/report/table.md").read_text(), re.M
+    )
     assert scratch.changed(folder) == set()
 
     file.write_text(HEIGHT.replace("10.0", "9.0"))

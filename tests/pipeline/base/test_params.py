@@ -99,7 +99,7 @@ def test_splits_keep_their_order(tmp_path: Path) -> None:
         ("graphs.semantic.centres", [9], r"graphs.semantic: centres means nothing to a kNN graph.*keep_inter_class"),
         ("models.sa-gnn-ncp.window", 0, r"models.sa-gnn-ncp.window = 0: .*greater than or equal to 1"),
         ("models.sa-gnn-ncp.input", "semantics", r"models.sa-gnn-ncp.input = 'semantics' .*did you mean semantic\?"),
-        ("models.sa-gnn-ncp.wiring", {"inters": 3}, r"unknown key models.sa-gnn-ncp.wiring.inters"),
+        ("models.sa-gnn-ncp.wiring", {"inters": 3}, r"models.sa-gnn-ncp.wiring.inters = 3: .*did you mean inter"),
     ],
 )
 def test_a_wrong_value_is_named(tmp_path: Path, key: str, value: Any, message: str) -> None:

@@ -35,7 +35,7 @@ params: setup          ## a preset's changes written into params.yaml: make para
 	@python -m pipeline.sections.preset "$(PRESET)" --out params.yaml
 
 test: setup            ## all tests on all cores, with coverage of pipeline/ and models/; pytest -m "not slow": the quick ones
-	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --cov --cov-report=term:skip-covered --cov-fail-under=98
+	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=98
 
 lint: setup
 	ruff check .

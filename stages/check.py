@@ -68,7 +68,9 @@ def check_model(settings: Model, variants: dict[str, Variant], image_size: tuple
     from models.steering.core import steering_net
 
     if settings.input not in variants:
-        raise ValueError(f"input = {settings.input!r} is no variant of graphs: {closest(settings.input, [*variants])}")
+        raise ValueError(
+            f"input = {settings.input!r} is not a variant in graphs: {closest(settings.input, [*variants])}"
+        )
     variant, line = variants[settings.input], settings.model_dump()
     steering_net.build(line, variant.kind, len(variant.levels), image_size)
     for module in steering_net.modules(line):

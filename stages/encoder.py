@@ -30,8 +30,10 @@ def main(
     Returns the folder that it wrote.
     """
     settings = load(Encoder, params)
+    kept = out.parent / ".resume" / out.name
     if settings.backbone == precomputed.BACKBONE:
-        return _take_precomputed(settings, out)
+        with held(out, kept):
+            return _take_precomputed(settings, out)
     drives = store.of_split(store.read_index(ingest, stage="ingest"), "train")
 
     import torch
@@ -48,7 +50,6 @@ def main(
         if part and not settings.epochs:
             raise InputError(f"encoder.weights names no {part}: name one, or let encoder.epochs fit it")
 
-    kept = out.parent / ".resume" / out.name
     curve: Sequence[Any] = []
     trained_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
     with held(out, kept):

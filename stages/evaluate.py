@@ -9,6 +9,7 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
+from pipeline.base.lock import held
 from pipeline.base.params import SPLITS, load
 from pipeline.report.judge import predictions, split, steering_plot
 from pipeline.sections.evaluate import Evaluate
@@ -27,7 +28,11 @@ def main(
 
     Invalid frames have no say in any figure. Figures are means over the seeds. Returns the model's folder.
     """
-    settings = load(Evaluate, params)
+    with held(out / name, out.parent / ".resume" / f"{out.name}-{name}"):
+        return _evaluate(name, train, graphs, labels, out, load(Evaluate, params))
+
+
+def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, settings: Evaluate) -> Path:
     config = store.read_json(train / name / "config.json", stage=f"train@{name}")
     line = config["model"]
     variant = graphs / line["input"]

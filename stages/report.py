@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.atomic import replacing
+from pipeline.base.lock import held
 from pipeline.base.params import names
 from pipeline.report.tables import curves, metrics, perception_table, steering_table
 
@@ -33,19 +34,20 @@ def main(
     text = steering_table.markdown(results, absent=[model for model in models if model not in here])
     if encoder:
         text += "\n" + perception_table.markdown(encoder)
-    with replacing(out / "table.md") as tmp:
-        tmp.write_text(text, encoding="utf-8")
-    with replacing(out / "table.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-        rows = steering_table.rows(results)
-        table = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
-    store.write_json(out / "metrics.json", metrics.figures(results, encoder))
-    for folder in ("learning", "steering"):  # DVC misses an out that is not there, be it empty
-        (out / folder).mkdir(exist_ok=True)
-    for model in here:
-        curves.write_learning(train / model, out / "learning")
-        curves.write_steering(evaluate / model, out / "steering")
+    with held(out, out.parent / ".resume" / out.name):
+        with replacing(out / "table.md") as tmp:
+            tmp.write_text(text, encoding="utf-8")
+        with replacing(out / "table.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+            rows = steering_table.rows(results)
+            table = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
+            table.writeheader()
+            table.writerows(rows)
+        store.write_json(out / "metrics.json", metrics.figures(results, encoder))
+        for folder in ("learning", "steering"):  # DVC misses an out that is not there, be it empty
+            (out / folder).mkdir(exist_ok=True)
+        for model in here:
+            curves.write_learning(train / model, out / "learning")
+            curves.write_steering(evaluate / model, out / "steering")
     print(text)
     return out
 

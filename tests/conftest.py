@@ -28,3 +28,9 @@ def _shared(name: str) -> Path:
     if not path.is_dir():
         pytest.skip(f"real data is absent: ../shared/{name} does not lie beside the checkout")
     return path
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take minutes: beside them the others find room."""
+    longest = ("test_chain.py", "test_small_copy.py", "test_edit_cost.py")
+    items.sort(key=lambda item: item.path.name not in longest)

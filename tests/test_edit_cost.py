@@ -55,8 +55,9 @@ def edit(project: Path) -> Iterator[object]:
     ],
 )
 def test_judging_and_showing_run_no_network_for_hours(edit, file: str, stages: set[str]) -> None:
-    assert edit(file) == stages
-    assert not stages & NETWORKS
+    changed = edit(file)
+    assert changed == stages
+    assert not changed & NETWORKS
 
 
 @pytest.mark.parametrize("file", ["fit", "augment", "score", "windows", "frames", "predict"])
@@ -77,6 +78,7 @@ def test_the_trainer_runs_neither_encoder_nor_graphs(edit, file: str) -> None:
         ("models/steering/temporal/lstm.py", {"attention"}),
         ("models/steering/temporal/ncp.py", {"plain"}),
         ("models/steering/core/steering_net.py", {"plain", "attention"}),
+        ("models/steering/core/cell/cfc.py", {"plain", "attention"}),  # DVC cannot depend on a key that a line may lack
     ],
 )
 def test_a_network_trains_the_models_that_use_it(edit, file: str, models: set[str]) -> None:

@@ -48,6 +48,7 @@ def make(checkout: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_presets_run_in_copies_of_the_code_and_leave_ones_own_files_alone(checkout: Path) -> None:
     own = (checkout / "params.yaml").read_text()
     for name in ("kitti", "table2"):
@@ -70,6 +71,7 @@ def test_presets_run_in_copies_of_the_code_and_leave_ones_own_files_alone(checko
     assert (checkout / "calls").read_text().splitlines() == [*first, *first, *first[1:]]
 
 
+@pytest.mark.slow
 def test_a_preset_is_written_over_params_yaml(checkout: Path) -> None:
     asked = make(checkout, "params")
     assert asked.returncode != 0

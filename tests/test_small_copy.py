@@ -165,7 +165,8 @@ def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(train
 
     file.write_text(HEIGHT.replace("10.0", "9.0"))
     assert scratch.changed(folder) == {"check", *own}
-    (folder / "models/steering/spatial/gatv2.py").open("a").write("# of nobody's\n")
+    other = folder / "models/steering/spatial/gatv2.py"
+    other.write_text(other.read_text() + "# of nobody's\n")
     assert scratch.changed(folder) == {"check", *own}
     # What another network's file holds would go stale: DVC does not watch it for this model.
     file.write_text(HEIGHT.replace("import torch\n", "import torch\nfrom models.steering.spatial import gatv2\n", 1))

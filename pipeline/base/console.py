@@ -38,7 +38,7 @@ def run(main: Callable[..., object]) -> None:
             _stop(str(error))
         except BrokenPipeError:  # stages print, to a pipe that is gone; Python would try once more as it ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            _stop("nobody reads what this prints any more (| head?), so it ended: finished drives are kept")
+            _stop("the output pipe is closed: finished drives are kept")
         except OSError as error:
             _stop(_explain(error))
         except KeyboardInterrupt:  # Typer would end silently
@@ -79,7 +79,7 @@ def _explain(error: OSError) -> str:
     if link:
         hint = f"{link} is a link to {link.readlink()}, which is missing: mount or make that, or remove the link"
     elif error.errno in _RIGHTS:
-        hint = f"You may not do that: see whose it is with ls -ld {files}, and change that with chown or chmod"
+        hint = f"See whose it is with ls -ld {error.filename}, and change that with chown or chmod"
     elif error.errno == errno.EROFS:
         hint = "The file system is read-only: mount it for writing, or choose a folder elsewhere"
     elif error.errno in _WRONG_KIND:

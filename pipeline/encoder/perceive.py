@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
+from pipeline.base.console import default_workers
 from pipeline.base.errors import InputError, closest, explained
 from pipeline.camera import classes
 from pipeline.camera.images import to_units
@@ -99,7 +100,7 @@ def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:
     """
     threads = torch.get_num_threads()
     alone = partial(torch.set_num_threads, 1)
-    side = 1 if torch.cuda.is_available() else threads
+    side = 1 if torch.cuda.is_available() else min(threads, default_workers())  # STEER_WORKERS bounds the memory
     alone()
     try:
         # Each thread that works has a number of its own.

@@ -30,7 +30,7 @@ def choose(model: nn.Module, weights: Setting, known: Set[str], *, teacher: bool
         model.get_submodule(head).requires_grad_(lesson in FITTED_TO)
         if lesson == FILE and not frozen:
             print(
-                f"note: the {head} stays as its file has it, on a backbone that moves. "
+                f"note: the {head} is not fitted while its backbone is. "
                 "encoder.frozen: true keeps what encoder.weights gives",
                 flush=True,
             )

@@ -153,7 +153,7 @@ def _fill_all(model: Any, backbone: str, file: str, key: str, hint: str) -> Sour
         weights = perceive.read(path)
     with explained(hint=hint):
         if weights.backbone != backbone:
-            raise InputError(f"{path} holds backbone {weights.backbone!r}, {backbone!r} is asked for")
+            raise InputError(f"{path} holds backbone {weights.backbone!r}, expected {backbone!r}")
         checkpoint.load_state(model, weights.state, path)
     return Source("all", str(path), sha256)
 

@@ -71,15 +71,6 @@ class Unscaled(Scale):
 
     unit = f"1/{DEPTH_UNITS_PER_M} of an unknown unit"
 
-    def rescale(self, frame: Frame, before: float) -> float:
-        """Bring the frame's depth, in place, to that which is stored; return the factor.
-
-        Without a road (or a scan) to tell it, the factor is that of the frame `before`.
-        """
-        factor = self.factor(frame) or before
-        np.multiply(frame.depth, factor, out=frame.depth)
-        return factor
-
     def scoring_factor(self, depth: np.ndarray, truth_m: np.ndarray) -> float:
         return median_ratio(depth, truth_m) or 1.0
 

@@ -34,7 +34,7 @@ class Teacher(Section):
     @model_validator(mode="after")
     def _is_fitted(self) -> Self:
         if self.backbone == precomputed.BACKBONE:
-            raise ValueError("backbone: precomputed is no network and cannot teach: name the backbone of one")
+            raise ValueError("backbone: precomputed is not a network, so it cannot teach: name the backbone of one")
         if self.weights is None:
             raise ValueError("weights: null would teach random classes: name a fitted checkpoint or published files")
         return self

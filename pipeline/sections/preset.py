@@ -91,14 +91,25 @@ def text(name: str, params: Path = PARAMS) -> str:
     Raises:
         InputError: there is no such preset, or a key or value of either file is wrong: names file and line.
     """
+    from models.steering.core import steering_net  # takes a second to import
+
     source = find(name)
     changes, base, content = _read(source), _read(params), _read(params)
     _merge(content, changes, Params)
     result = _dump(content)
+    files = {source: changes, params: base}
     try:
-        parse(Params, yaml.safe_load(result), "")
+        whole = parse(Params, yaml.safe_load(result), "")
     except InputError as error:
-        raise InputError(f"{_culprit(error, {source: changes, params: base})}: {error}") from error
+        cause = error.__cause__
+        place = fault(cause)["loc"] if isinstance(cause, ValidationError) else ()
+        raise InputError(f"{_culprit(place, files)}: {error}") from error
+    for model, settings in whole.models.items():
+        try:
+            steering_net.resolved(settings.model_dump())  # the knobs of its networks
+        except ValueError as error:
+            place = ("models", model, *str(error).split(maxsplit=1)[0].strip(":").split("."))
+            raise InputError(f"{_culprit(place, files)}: models.{model}.{error}") from error
     about = source.read_text(encoding="utf-8").partition("\n")[0]
     head = f"# {_shown(source)}{_OVER}{about.removeprefix('#') if about.startswith('#') else ''}\n"
     return result if head in result else head + result
@@ -190,13 +201,11 @@ def _dump(content: Any, width: int = _WIDTH) -> str:
     return stream.getvalue()
 
 
-def _culprit(error: InputError, files: dict[Path, CommentedMap]) -> str:
-    """Return as FILE:LINE where the faulty key stands: in the file that has the most of its path."""
-    cause = error.__cause__
-    place = fault(cause)["loc"] if isinstance(cause, ValidationError) else ()
-    found = {path: _line(content, place) for path, content in files.items()}
-    path = max(found, key=lambda path: found[path][0])
-    return f"{_shown(path)}:{found[path][1]}"
+def _culprit(place: tuple[str | int, ...], files: dict[Path, CommentedMap]) -> str:
+    """Return as FILE:LINE where the faulty key `place` stands: in the file that has the most of its path."""
+    lines = {path: _line(content, place) for path, content in files.items()}
+    path = max(lines, key=lambda path: lines[path][0])
+    return f"{_shown(path)}:{lines[path][1]}"
 
 
 def _line(content: Any, place: tuple[str | int, ...]) -> tuple[int, int]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.atomic import replacing
 from pipeline.camera import classes
 
 View = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -47,4 +48,5 @@ def write_rgb(path: Path, picture: np.ndarray) -> None:
     import cv2
 
     content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
-    path.write_bytes(content.tobytes())
+    with replacing(path) as tmp:
+        tmp.write_bytes(content.tobytes())

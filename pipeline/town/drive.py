@@ -1,7 +1,6 @@
 """One drive of the town, from its name to files in KITTI raw's layout."""
 
 import hashlib
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +69,6 @@ def write_drive(
             pose = imu_pose(journey.xy[i], journey.heading_rad[i])
             noise = np.random.default_rng([_seed(seed, drive), frame])
             folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise))
-        shutil.rmtree(path, ignore_errors=True)  # a folder that is not empty is not replaced
     steering = np.arctan(WHEELBASE_M * route.curvature(motion.s_m))
     return {
         "frames": len(recording.packets),

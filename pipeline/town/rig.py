@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.atomic import replacing
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.town.motion import IMU_HEIGHT_M
 
@@ -80,8 +81,8 @@ def _line(name: str, values: np.ndarray) -> str:
 
 
 def _write(path: Path, lines: list[str]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    with replacing(path) as tmp:
+        tmp.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
 def _rotation(x: float, y: float, z: float) -> np.ndarray:

@@ -16,6 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, explained
 from pipeline.fitting import checkpoint
 from pipeline.fitting.precision import autocast
@@ -214,7 +215,7 @@ def weighted_error(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
 
 def write_curve(path: Path, curve: Sequence[Epoch]) -> None:
     """Write curve.csv, one row per epoch; what was not measured stays empty."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(field.name for field in fields(Epoch))
         for row in curve:

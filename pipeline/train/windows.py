@@ -98,7 +98,7 @@ def _read_drive(graphs: Path, labels: Path, name: str) -> Drive:
         row_of = {int(number): row for row, number in enumerate(truth.frame)}
         missing = [int(number) for number in file.frame if int(number) not in row_of]
         if missing:
-            raise InputError(f"{labels} has no label for frame {missing[0]} of {graphs}: make both again: dvc repro")
+            raise InputError(f"{labels} has no label for frame {missing[0]} of {graphs}: rebuild both with dvc repro")
         rows = np.array([row_of[int(number)] for number in file.frame], np.int64)
         columns: dict[str, Any] = {key: truth[key][rows] for key in ("steering_rad", "speed_mps", "curvature_1pm")}
         columns["valid"] = truth["valid"][rows].astype(bool)

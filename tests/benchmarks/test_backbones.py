@@ -37,6 +37,7 @@ def test_a_backbone_makes_a_row(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", backbones.DEFAULT)
+@pytest.mark.slow
 def test_two_separate_models_say_what_the_one_says(name: str) -> None:
     torch.manual_seed(0)
     model = UnifiedEncoder(name).eval()

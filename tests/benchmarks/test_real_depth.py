@@ -47,6 +47,7 @@ def test_frames_that_are_scored_were_not_fitted(kitti: Path, tmp_path: Path) -> 
         assert frames == [expected.pop(0)] * 3
 
 
+@pytest.mark.slow
 def test_each_place_has_its_line(
     kitti: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,7 +64,7 @@ def test_table2_shares_the_samples_artefacts() -> None:
     [
         ("models.sa-gnn-ncp.input", "semantc", "models.sa-gnn-ncp.input = 'semantc' .* did you mean semantic"),
         ("models.sa-gnn-ncp.spatial", "cnnn", "models.sa-gnn-ncp.spatial = 'cnnn' .* did you mean cnn"),
-        ("models.sa-gnn-ncp.temporal", "gru", "models.sa-gnn-ncp.temporal = 'gru' .* lstm, ncp"),
+        ("models.sa-gnn-ncp.temporal", "gru", "models.sa-gnn-ncp.temporal = 'gru' .*lstm, ncp"),
         ("models.sa-gnn-ncp.cell", "cfcc", "models.sa-gnn-ncp.cell = 'cfcc' .* did you mean cfc"),
         ("models.sa-gnn-ncp.semantics", 1.5, "models.sa-gnn-ncp.semantics = 1.5: "),
         (
@@ -89,7 +89,7 @@ def test_table2_shares_the_samples_artefacts() -> None:
         ("encoder", {**PRECOMPUTED, "weights": {"backbone": "made"}}, "name the folder in weights"),
         ("encoder", {**PRECOMPUTED, "weights": "nowhere"}, "encoder.weights: nowhere holds no PNG files"),
         ("encoder.weights", "nowhere.pt", "encoder.weights: nowhere.pt is missing"),
-        ("encoder.teacher", {"backbone": "precomputed", "weights": "made"}, "is no network and cannot teach"),
+        ("encoder.teacher", {"backbone": "precomputed", "weights": "made"}, "is not a network"),
         (
             "encoder.teacher",
             {"backbone": "small", "weights": None},

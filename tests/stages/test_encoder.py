@@ -92,10 +92,10 @@ def test_a_drive_with_lidar_alone_teaches_depth(ingest: Path, capsys: pytest.Cap
     losses = json.loads((fitted / "config.json").read_text())["losses"]
     assert losses["depth"] > 0
     assert losses["classes"] == 0
-    assert "class_head stays as its file has it" in capsys.readouterr().out
+    assert "class_head is not fitted" in capsys.readouterr().out
 
     frozen = run(ingest, "frozen", weights=str(fitted / "encoder.pt"), frozen=True)
-    assert "stays as its file has it" not in capsys.readouterr().out
+    assert "is not fitted" not in capsys.readouterr().out
     before, after = (perceive.read(out / "encoder.pt").state for out in (fitted, frozen))
     changed = {name.split(".")[0] for name in before if not torch.allclose(before[name], after[name], atol=1e-5)}
     assert changed == {"depth_head"}  # not even weight decay moves the class head
@@ -147,7 +147,7 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
         r"encoder.teacher.weights names no backbone": {
             "teacher": {"backbone": "small", "weights": {"class_head": "a.pth"}}
         },
-        r"precomputed is no network and cannot teach": {"teacher": {"backbone": "precomputed", "weights": "made"}},
+        r"precomputed is not a network": {"teacher": {"backbone": "precomputed", "weights": "made"}},
         r"encoder: backbone: precomputed reads DRIVE.*name the folder in weights": {"backbone": "precomputed"},
         r"nowhere\.pt is missing": {"weights": "nowhere.pt"},
         r"has the SHA-256": {"weights": f"{tmp_path / 'bad.pt'}#sha256={'1' * 64}"},
@@ -163,7 +163,7 @@ def test_nothing_is_written_and_one_line_said_about_a_bad_setting(ingest: Path, 
 
 def test_weights_of_another_backbone_are_refused(ingest: Path, tmp_path: Path) -> None:
     perceive.save(tmp_path / "other", "swin-t", {})
-    with pytest.raises(InputError, match=r"holds backbone 'swin-t', 'small' is asked for"):
+    with pytest.raises(InputError, match=r"holds backbone 'swin-t', expected 'small'"):
         run(ingest, weights=str(tmp_path / "other/encoder.pt"))
 
 

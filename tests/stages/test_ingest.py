@@ -63,6 +63,7 @@ def test_everything_of_a_drive(tmp_path: Path) -> None:
     assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", OTHER: "test"}
 
 
+@pytest.mark.slow
 def test_files_are_byte_identical_whoever_writes_them(tmp_path: Path) -> None:
     write_drive(tmp_path / "a/raw", truth=True)
     run(tmp_path / "a")
@@ -247,6 +248,7 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_raw_data_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     raw, out = tmp_path / "raw", tmp_path / "out"
     params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[OTHER])
@@ -270,6 +272,7 @@ def test_raw_data_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     assert f"error: {tmp_path / 'town'} is missing. Make it: dvc repro town" in error()
 
 
+@pytest.mark.slow
 def test_town_is_read_from_its_own_folder(tmp_path: Path) -> None:
     for seed, drive in enumerate([DRIVE, OTHER]):
         write_drive(tmp_path / "town", drive, seed=seed)

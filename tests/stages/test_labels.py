@@ -94,6 +94,7 @@ def test_two_runs_are_byte_identical(tmp_path: Path) -> None:
     assert contents(tmp_path / "labels") == first
 
 
+@pytest.mark.slow
 def test_bad_input_is_one_line_and_changes_nothing(tmp_path: Path) -> None:
     write_ingest(tmp_path / "ingest", speed=[10.0, 5.0], yaw_rate=[0.0, 0.5])
     run(tmp_path)

@@ -35,6 +35,7 @@ def draw(data: Path, out: Path, workers: int = 1) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in out.iterdir()}
 
 
+@pytest.mark.slow
 def test_each_drive_with_images_has_a_picture_of_frames_spread_over_it(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -45,6 +46,7 @@ def test_each_drive_with_images_has_a_picture_of_frames_spread_over_it(
     assert f"without images, so without pictures: {BLIND}" in log
 
 
+@pytest.mark.slow
 def test_a_picture_shows_the_classes_of_the_street_alone(data: Path, tmp_path: Path) -> None:
     draw(data, tmp_path / "pictures")
     pixels = np.rint(255 * imread(tmp_path / f"pictures/{LONG}.png")[..., :3])

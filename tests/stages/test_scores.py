@@ -97,6 +97,7 @@ def test_classes_are_scored_where_they_are_known(folder: Path) -> None:
     assert run(folder)["train"]["classes"]["pixel_accuracy"] == pytest.approx(right)
 
 
+@pytest.mark.slow
 def test_each_drive_has_its_own_and_workers_change_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     metrics = run(folder)
     drives = {drive: json.loads((folder / "scores" / drive / "metrics.json").read_text()) for drive in SPLITS}

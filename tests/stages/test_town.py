@@ -41,6 +41,7 @@ def test_drives_of_the_params_whatever_the_workers(tmp_path: Path, capsys: pytes
     assert "drive_0001: 2 frames" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_second_run_replaces_the_first(tmp_path: Path) -> None:
     out = tmp_path / "town"
     town.main(out=out, params=write_params(tmp_path / "params.yaml"), workers=1)
@@ -72,6 +73,7 @@ def replay_params(path: Path, root: Path, drives: list[str], **frames: int) -> P
     return path
 
 
+@pytest.mark.slow
 def test_replayed_drives_are_the_recorded_ones_capped_by_split(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -88,6 +90,7 @@ def test_replayed_drives_are_the_recorded_ones_capped_by_split(
     assert "drive_0001: 5 frames, 2.4 m" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_replay_that_was_stopped_goes_on_but_not_with_other_packets(tmp_path: Path) -> None:
     out, raw = tmp_path / "town", tmp_path / "raw"
     rows, _ = drive_along(np.full(4, 6.0), np.zeros(4))
@@ -104,6 +107,7 @@ def test_a_replay_that_was_stopped_goes_on_but_not_with_other_packets(tmp_path: 
     assert find_drives(out, DRIVES[:1])[DRIVES[0]].oxts[2].read_bytes() == changed
 
 
+@pytest.mark.slow
 def test_what_a_replay_lacks_is_one_line(tmp_path: Path) -> None:
     params = replay_params(tmp_path / "params.yaml", tmp_path / "raw", DRIVES[:2])
     rows, _ = drive_along(np.full(2, 6.0), np.zeros(2))

@@ -76,6 +76,7 @@ def test_a_trained_model_reads_the_bend(folder: Path, temporal: str) -> None:
     assert sum(row["frames"] for row in result["test"]["by_curvature"]) == 57
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_gives_the_weights_of_an_undisturbed_run(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +100,7 @@ def test_killed_and_resumed_gives_the_weights_of_an_undisturbed_run(
     assert not (folder / ".resume" / "train-net").exists()
 
 
+@pytest.mark.slow
 def test_a_killed_run_with_other_params_is_not_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
@@ -124,6 +126,7 @@ def test_checkpoints_say_what_they_are(folder: Path) -> None:
     assert best["epoch"] == 1 + int(np.argmin(judged))
 
 
+@pytest.mark.slow
 def test_without_validation_drives_the_last_epoch_counts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     splits = {drive: split for drive, split in SPLITS.items() if split != "val"}
     store.write_index(folder / "graphs/semantic", splits)
@@ -197,6 +200,7 @@ def test_more_processes_than_runs_in_a_step_are_refused(folder: Path, monkeypatc
     assert not (folder / "train").exists()
 
 
+@pytest.mark.slow
 def test_bfloat16_products_train_nearly_the_same(folder: Path) -> None:
     losses = {}
     for precision in ("float32", "bfloat16"):
@@ -259,6 +263,7 @@ def test_a_checkpoint_for_other_inputs_is_refused(folder: Path) -> None:
     assert not (folder / "evaluate").exists()
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_not_resumed_on_another_split(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was trained on must not become validation: the files are the same, only their roles differ."""
     keys = []

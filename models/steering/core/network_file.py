@@ -32,7 +32,7 @@ def load(part: Part, name: str) -> ModuleType:
     if name not in known:
         hint = meant(name, known, "choose one, or add a file")
         folder = PACKAGES[part].replace(".", "/")
-        raise ValueError(f"{part} = {name!r} is none of {folder}: {', '.join(known)}: {hint}")
+        raise ValueError(f"{part} = {name!r} is not in {folder} ({', '.join(known)}): {hint}")
     return importlib.import_module(f"{PACKAGES[part]}.{name}")
 
 
@@ -92,8 +92,8 @@ class Network:
         for name in self._given:
             if name not in given:
                 raise ValueError(
-                    f"{self.path}: network takes {name} by position, where only {', '.join(given)} are known: "
-                    "a knob of params.yaml stands behind a * and has a default"
+                    f"{self.path}: network has a positional argument {name}, but only {', '.join(given)} are passed: "
+                    "make it keyword-only with a default to use it as a knob of params.yaml"
                 )
         return self._build(*(given[name] for name in self._given), **settings)
 

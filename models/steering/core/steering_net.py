@@ -150,7 +150,7 @@ def _refuse_what_means_nothing(line: Line, networks: tuple[Network, Network]) ->
     known = [*spatial.knobs, *temporal.knobs]
     for key in known:
         if key in GENERAL or known.count(key) > 1:
-            raise ValueError(f"{key} has two meanings: call the knob of {spatial.path} or {temporal.path} otherwise")
+            raise ValueError(f"{key} is defined twice: rename the knob in {spatial.path} or {temporal.path}")
     for key, value in line.items():
         if key not in known and key not in GENERAL:
             raise ValueError(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.atomic import replacing
 from pipeline.train.windows import Drive
 
 COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid")
@@ -13,8 +14,7 @@ COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_r
 
 def write(path: Path, drives: Sequence[Drive], predicted_rad: Sequence[np.ndarray]) -> None:
     """Write one row per frame of `drives`; of predictions [G] rad of each drive, NaN stays empty."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
         for drive, predicted in zip(drives, predicted_rad, strict=True):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.atomic import replacing
 from pipeline.train.windows import Drive
 
 
@@ -28,4 +29,5 @@ def draw(path: Path, drives: Sequence[Drive], predicted_rad: Sequence[np.ndarray
     panels[0].legend(loc="upper right", frameon=False, ncols=2)
     panels[-1].set_xlabel("time in s")
     figure.suptitle(title)
-    figure.savefig(path, dpi=90, metadata={"Software": None})
+    with replacing(path) as tmp:
+        figure.savefig(tmp, dpi=90, metadata={"Software": None})

@@ -92,6 +92,7 @@ def test_on_a_terminal_a_bar_counts_drives_or_frames(
     assert ("frames/s" in bar) == (frames is not None)
 
 
+@pytest.mark.slow
 def test_fewer_drives_than_cores_share_all_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEER_WORKERS", "9")
     assert {summary["threads"] for summary in run(tmp_path, workers=None).values()} == {"2"}  # 4 drives

@@ -84,6 +84,7 @@ def restore_threads() -> Generator[Callable[[int], None]]:
     torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 def test_passes_give_the_same_bits_for_any_number_of_threads(restore_threads: Callable[[int], None]) -> None:
     torch.manual_seed(1)
     model = UnifiedEncoder("dinov2-vits14").eval()

@@ -208,7 +208,7 @@ def test_a_checkpoint_fills_all_if_it_is_of_the_same_backbone(tmp_path: Path) ->
     path = tmp_path / "encoder.pt"
     assert fill(model, "small", str(path), "encoder.weights") == [Source("all", str(path), file_hash(path))]
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), fitted.parameters(), strict=True))
-    with pytest.raises(InputError, match=r"'small', 'swin-t' is asked for\. Name another file in encoder\.weights$"):
+    with pytest.raises(InputError, match=r"'small', expected 'swin-t'\. Name another file in encoder\.weights$"):
         fill(model, "swin-t", str(path), "encoder.weights")
 
 

@@ -119,6 +119,8 @@ def test_a_model_goes_by_null_and_another_comes(tmp_path: Path) -> None:
         ),
         ("town:\n  frames:\n    tests: 3\n", r":3: unknown key town\.frames\.tests"),
         ("models:\n  sa-gnn-ncp:\n    window: 0\n", r":3: models\.sa-gnn-ncp\.window = 0"),
+        ("models:\n  sa-gnn-ncp:\n    semantcs: 1.0\n", r":3: models\.sa-gnn-ncp\.semantcs.*did you mean semantics"),
+        ("models:\n  sa-gnn-ncp:\n    wiring: {comand: 3}\n", r":3: models\.sa-gnn-ncp\.wiring\.comand"),
         ("models:\n\n  new: {spatial: gnn, temporal: ncp, window: 8}\n", r":3: models\.new\.input is missing"),
         ("models:\n  a;b: {input: depth, spatial: gnn, temporal: ncp, window: 8}\n", r":2: models\.a;b"),
         ("models:\n  sa-gnn-ncp: null\n", r":1: models: .*at least 1"),

@@ -105,6 +105,7 @@ def test_a_driver_sees_road_ahead(drive: RawDrive) -> None:
         assert rgb.std() > 20
 
 
+@pytest.mark.slow
 def test_same_name_same_bytes_other_name_other_road(tmp_path: Path) -> None:
     first, again = render(tmp_path / "a", frames=3), render(tmp_path / "b", frames=3)
     other, reseeded = (

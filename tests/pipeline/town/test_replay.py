@@ -119,6 +119,7 @@ def test_the_second_round_is_found(block: Journey) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_nothing_stands_on_driven_road(block: Journey, tmp_path: Path, seed: int) -> None:
     """Rays along both flanks of the car and its middle, from each frame to the next, meet nothing."""
     journey = journey_of(round_the_block()[0], tmp_path, seed)
@@ -195,6 +196,7 @@ def test_rendered_frames_keep_numbers_times_and_packets(tmp_path: Path) -> None:
             assert path.read_bytes() == (again.folder / path.relative_to(drive.folder)).read_bytes(), path
 
 
+@pytest.mark.slow
 def test_a_driver_sees_the_road_bend_as_he_steers(tmp_path: Path) -> None:
     """The camera stands on road, which 12 to 20 m ahead lies to the side that the car turns to."""
     rows, _ = drive_along(np.full(65, 12.0), np.repeat([0, 1 / 25, -1 / 25], [25, 20, 20]))
@@ -212,6 +214,7 @@ def test_a_driver_sees_the_road_bend_as_he_steers(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
+@pytest.mark.slow
 def test_real_tracks_make_roads_that_bend_as_their_labels(real_kitti: Path, tmp_path: Path) -> None:
     drives = ["2011_09_26_drive_0022", "2011_09_30_drive_0027", "2011_09_30_drive_0034", "2011_09_26_drive_0017"]
     wanted = tuple(f"{drive[:10]}/{drive}_sync/oxts" for drive in drives)

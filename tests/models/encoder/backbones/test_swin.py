@@ -32,6 +32,7 @@ def published(classifier: SwinForImageClassification, tmp_path_factory: pytest.T
     return state | {name.replace("bias_table", "index"): index for name in tables}
 
 
+@pytest.mark.slow
 def test_a_published_classifier_fills_the_backbone_and_gives_the_same_features(
     classifier: SwinForImageClassification, published: State, tmp_path: Path
 ) -> None:

@@ -98,10 +98,10 @@ def test_a_function_that_needs_to_know_its_window(make_line, write_network):
         ("def network(features, **more): ...", r"own\.py: network takes \*\*more"),
         ("def network(features, *, hidden=3): ...", r"own\.py: knob hidden .* type"),
         ("def network(features, *, hidden: int): ...", r"own\.py: knob hidden .* default"),
-        ("def network(features, hidden: int = 3): ...", r"own\.py: network takes hidden by position.*features, window"),
-        ("def network(features, levels): ...", r"own\.py: network takes levels by position"),
-        ("def network(features, *, window: int = 3): ...", r"^window has two meanings: .*own\.py"),
-        ("def network(features, *, wiring: int = 3): ...", r"^wiring has two meanings: .*own\.py or .*ncp\.py"),
+        ("def network(features, hidden: int = 3): ...", r"own\.py: .*positional argument hidden.*features, window"),
+        ("def network(features, levels): ...", r"own\.py: .*positional argument levels"),
+        ("def network(features, *, window: int = 3): ...", r"^window is defined twice: .*own\.py"),
+        ("def network(features, *, wiring: int = 3): ...", r"^wiring is defined twice: .*own\.py or .*ncp\.py"),
     ],
 )
 def test_a_file_that_is_not_as_it_should_be(write_network, text, message):

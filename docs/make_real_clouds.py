@@ -1,6 +1,6 @@
-"""Draw clouds of real drives from above, from what `dvc repro` with params.real.yaml left in data/clouds/.
+"""Draw clouds of real drives from above, from what `make real` left in runs/real/data/clouds/.
 
-python docs/make_real_clouds.py [DATA]
+python docs/make_real_clouds.py runs/real/data
 """
 
 import sys

@@ -59,7 +59,7 @@ def test_a_network_is_a_dependency_by_its_name() -> None:
 
 @pytest.mark.parametrize("name", STAGES)
 def test_deps_on_data_are_exactly_outs(name: str) -> None:
-    """Decision 2: a dep on a folder that merely holds outs trains on nothing. Report, which gathers, may."""
+    """A dep on a folder that merely holds outs trains on nothing. Report, which gathers, may."""
     outs = {out for stage in STAGES.values() for out in _outs(stage)}
     sources = {f"data/{source}" for source in get_args(Variant.model_fields["source"].annotation)}
     for dep in STAGES[name]["deps"]:

@@ -1,5 +1,6 @@
 """What an edit costs: which stages `dvc status` wants to run again after a file of each kind was touched."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -109,3 +110,15 @@ def test_other_edits_run_their_own_stage(edit, file: str, stages: set[str]) -> N
 def test_what_an_editor_leaves_behind_runs_nothing(edit, project: Path, file: str) -> None:
     (project / file).parent.mkdir(exist_ok=True)
     assert edit(file) == set()
+
+
+def test_no_name_runs_as_a_command(project: Path, tmp_path: Path) -> None:
+    """DVC puts a name into the command as it is, and `check` does not stand before a single stage."""
+    folder = tmp_path / "copy"
+    shutil.copytree(project, folder, symlinks=True)
+    name = "x';touch pwned;'$(touch pwned)\"`touch pwned`"
+    scratch.edit_params(folder, graphs={name: {"source": "clouds/pseudo", "points": 100, "k": 6}})
+    output = scratch.run(folder, "dvc", "repro", "graphs", check=False)
+    assert "error:" in output
+    assert "graphs" in output
+    assert not (folder / "pwned").exists()

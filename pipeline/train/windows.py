@@ -1,7 +1,7 @@
 """From graph files and labels to batches: runs of consecutive frames whose windows share their frames.
 
 A window is `window` consecutive frames and predicts the steering at its last one. A span is a run of consecutive
-frames that is read and encoded once; all its windows are unfolded from the embeddings (DESIGN decision 12).
+frames that is read and encoded once; all its windows are unfolded from the embeddings.
 Frames are consecutive by KITTI frame number, never by position: a missing frame ends a run.
 """
 

@@ -75,8 +75,8 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
         target.append("cls", np.zeros((0, *size), np.uint8), "Cityscapes trainId")
         batches = _read(source, rows, settings.batch, scans=mode.needs_scan)
         # One thread reads, others run the network, this one scales and writes.
-        with closing(passes(lambda batch: (batch, *see(batch)), batches)) as seen:
-            for batch, depth, cls in seen:
+        with closing(passes(lambda batch: (batch, *see(batch)), batches)) as results:
+            for batch, depth, cls in results:
                 for frame in zip(depth, cls, batch.scans_m, strict=True):
                     factor = mode.rescale(Frame(*frame, batch.K, settings.camera_height_m), factor)
                 target.append("depth_m", stored_depth(depth, cls))

@@ -52,11 +52,11 @@ def _score_drive(drive: str, path: Path, *, ingest: Path, perception: Path) -> S
     scores = Scores()
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
-        store.DriveReader(perception / f"{drive}.h5", stage="perception") as seen,
+        store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
-        count, settings = len(seen.frame), seen.params["perception"]
+        count, settings = len(perceived.frame), perceived.params["perception"]
         K = source["K"] if count else np.eye(3)  # a drive without images has no camera
-        for depth, cls, truth in _read(source, seen):
+        for depth, cls, truth in _read(source, perceived):
             scores.add_frame(depth, cls, K, truth, MODES[settings["depth_scale"]], settings["camera_height_m"])
             progress.advance(1)
     report = scores.report()
@@ -64,15 +64,16 @@ def _score_drive(drive: str, path: Path, *, ingest: Path, perception: Path) -> S
     return {"frames": count, "sums": scores.sums(), "line": summary_line(report)}
 
 
-def _read(source: store.DriveReader, seen: store.DriveReader) -> Generator[tuple[np.ndarray, np.ndarray, Truth]]:
+def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[tuple[np.ndarray, np.ndarray, Truth]]:
     """Yield depth [H,W] in the unit that is stored, trainIds [H,W] and the truth of each frame that has an image."""
-    for row, number in enumerate(seen.frame):
-        yield to_metres(seen.row("depth_m", row)), seen.row("cls", row), read_truth(source, source.row_of(number))
+    for row, number in enumerate(perceived.frame):
+        depth, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
+        yield depth, cls, read_truth(source, source.row_of(number))
 
 
 def _frames(path: Path) -> int:
-    with store.DriveReader(path, stage="perception") as seen:
-        return len(seen.frame)
+    with store.DriveReader(path, stage="perception") as perceived:
+        return len(perceived.frame)
 
 
 if __name__ == "__main__":

@@ -108,6 +108,14 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(restore_threads: Ca
         assert len(users[0]) == 1
 
 
+def test_steer_workers_bounds_the_passes_side_by_side(
+    restore_threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STEER_WORKERS", "1")
+    restore_threads(5)
+    assert len(set(passes(lambda _: threading.current_thread().name, (number for number in range(9))))) == 1
+
+
 def test_an_error_in_a_pass_gives_the_threads_back(restore_threads: Callable[[int], None]) -> None:
     torch.set_num_threads(3)
 

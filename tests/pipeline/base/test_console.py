@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -164,7 +165,10 @@ def test_the_shell_that_dvc_started_is_not_dvc(exits: Exits, monkeypatch: pytest
         raise PermissionError
 
     monkeypatch.setattr(os, "pidfd_open", pidfd_open)
-    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as shell:  # it has DVC_STAGE, and these tests started it
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "bufsize": 0}
+    with subprocess.Popen(["cat"], **pipes) as shell:  # it has DVC_STAGE, and these tests started it
+        shell.stdin.write(b"?")
+        assert shell.stdout.read(1) == b"?"  # its environment is there once it runs, not as soon as it is made
         monkeypatch.setattr(os, "getppid", lambda: shell.pid)
         with pytest.raises(SystemExit):
             console.run(lambda: None)

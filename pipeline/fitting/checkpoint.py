@@ -57,11 +57,9 @@ def load(path: Path) -> Any:
     try:
         with torch.serialization.safe_globals(numbers):
             return torch.load(path, weights_only=True, map_location="cpu")
-    except OSError as error:
-        if error.errno:  # of the system: no permission, a bad disk
-            raise
-        raise InputError(f"{path} is cut short, or holds more than tensors and plain values") from error
     except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
+        if isinstance(error, OSError) and error.errno:  # of the system: no permission, a bad disk
+            raise
         raise InputError(f"{path} is cut short, or holds more than tensors and plain values") from error
 
 

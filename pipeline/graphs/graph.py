@@ -37,7 +37,7 @@ def build(xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng
     a, b = pair // max(count, 1), pair % max(count, 1)
     keep = _keep(cls[a] == cls[b], keep_inter_class, rng)
     a, b = a[keep], b[keep]
-    degree, indices = _csr(a, b, count)
+    degree, indices = csr(a, b, count)
     return Graph(
         degree, indices.astype(index_dtype(count)), edges_knn=len(source), edges_kept=int(multiplicity[keep].sum())
     )
@@ -73,7 +73,11 @@ def _keep(same_class: np.ndarray, keep_inter_class: float, rng: np.random.Genera
     return keep
 
 
-def _csr(a: np.ndarray, b: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def csr(a: np.ndarray, b: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return degree uint8 [count] and indices [2E] of the graph whose edges join nodes a [E] and b [E], each once.
+
+    Raises InputError if a node has more than 255 neighbours.
+    """
     row, column = np.concatenate([a, b]), np.concatenate([b, a])
     order = np.argsort(row * count + column)
     degree = np.bincount(row, minlength=count)

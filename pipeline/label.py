@@ -28,6 +28,20 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
     return np.where((speed_mps == 0) & (yaw_rate_radps == 0), 0.0, angle)
 
 
+def measured_angle(
+    yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, wheelbase_m: float, min_speed_mps: float
+) -> np.ndarray:
+    """Return the steering angle that measured motion says, float64 [F] in rad: :func:`steering_angle`, held.
+
+    Where motion is not `valid` or slower than `min_speed_mps`, in either direction, it says nothing: the angle is that
+    of the last frame that does, and 0 before the first.
+    """
+    says = np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
+    angle = steering_angle(np.asarray(yaw_rate_radps, np.float64), np.asarray(speed_mps, np.float64), wheelbase_m)
+    last = np.maximum.accumulate(np.where(says, np.arange(len(says)), -1))
+    return np.where(last >= 0, angle[last], 0.0)
+
+
 def steering_labels(
     yaw_rate_radps: np.ndarray,
     speed_mps: np.ndarray,

@@ -10,13 +10,22 @@ from contextlib import contextmanager
 from functools import cached_property
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pipeline.base import store
+from pipeline.base.errors import InputError
 
 Arrays = dict[str, np.ndarray]
+
+
+class Motion(NamedTuple):
+    """What the car did since the frame before, left and forward +; all 0 where it is not valid."""
+
+    yaw_rate_radps: np.ndarray  # float32 [G]
+    speed_mps: np.ndarray  # float32 [G]
+    valid: np.ndarray  # uint8 [G]
 
 
 class Graphs:
@@ -37,6 +46,20 @@ class Graphs:
         if "degree" in self._file:
             return {"kind": "graph"}
         return {"kind": "pointnet2", "levels": next(n for n in count() if f"centres_{n + 1}" not in self._file)}
+
+    @cached_property
+    def motions(self) -> tuple[str, ...]:
+        """The kinds of measured motion that the file carries: visual, lidar."""
+        return tuple(kind for kind in ("visual", "lidar") if f"{kind}_valid" in self._file)
+
+    def motion(self, kind: str) -> Motion:
+        """Return the motion of this kind, of all frames. Raises InputError if the file carries none."""
+        if kind not in self.motions:
+            raise InputError(
+                f"{self.path} carries no motion: {kind} (it has {', '.join(self.motions) or 'none'}): "
+                f"put {kind} into motion.kinds of the params file and run dvc repro"
+            )
+        return Motion(*(self._file[f"{kind}_{name}"] for name in Motion._fields))
 
     @cached_property
     def _ptr(self) -> dict[str, np.ndarray]:

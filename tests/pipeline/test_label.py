@@ -122,3 +122,14 @@ def test_paper_model_is_its_formula_and_no_car() -> None:
     xy = label.path(np.full(3, 0.2), np.array([5.0, 10.0, 0.0]), time_s, wheelbase_m=L, model="paper")
     distance = np.array([0.0, 0.5, 2.5])
     np.testing.assert_allclose(xy, distance[:, None] * [np.cos(0.2), np.sin(0.2)])
+
+
+def test_measured_angle_is_held_where_motion_says_nothing() -> None:
+    yaw_rate, speed = np.array([9.0, 0.3, 9.0, 0.5, -0.2]), np.array([9.0, 6.0, 6.0, 0.4, -3.0])
+    valid = np.array([0, 1, 0, 1, 1], np.uint8)
+    angle = label.measured_angle(yaw_rate.astype(np.float32), speed.astype(np.float32), valid, 2.7, 1.0)
+    left, reverse = np.arctan(2.7 * 0.3 / 6), np.arctan(2.7 * 0.2 / 3)
+    assert angle.dtype == np.float64
+    assert angle == pytest.approx([0, left, left, left, reverse], rel=1e-6)
+    assert label.measured_angle(speed, speed, np.zeros(5), 2.7, 1.0).tolist() == [0] * 5
+    assert label.measured_angle(speed[:0], speed[:0], valid[:0], 2.7, 1.0).shape == (0,)

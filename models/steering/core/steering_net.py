@@ -32,7 +32,10 @@ from models.steering.core.recurrent import RecurrentCell
 Line = Mapping[str, Any]  # a model's line of params.yaml
 
 # The keys of a line that are no network's; pipeline/sections/models.py has their types.
-GENERAL = ("input", "spatial", "temporal", "window", "equivariant", "learning_rate", "alpha", "features")
+GENERAL = (
+    "input", "spatial", "temporal", "window", "equivariant", "learning_rate", "alpha", "features", "horizon", "motion",
+    "fit_to", "roads",
+)  # fmt: skip
 KINDS: dict[Kind, str] = {
     "graph": "kNN graphs",
     "pointnet2": "points with neighbourhood: pointnet2",

@@ -24,7 +24,7 @@ def write_model(folder: Path, contents: dict[str, Any] = CONTENTS, **line: objec
     resolved = Model.model_validate(
         {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 8} | line
     ).model_dump()
-    best = {"name": "net", "seed": 0, "model": resolved, "contents": contents, "kind": predict.KIND}
+    best = {"name": "net", "seed": 0, "fold": None, "model": resolved, "contents": contents, "kind": predict.KIND}
     best["target"] = {"mean_rad": 0.01, "std_rad": 0.12, "wheelbase_m": 2.7, "min_speed_mps": 1.0}
     best["net"] = steering_net.build(resolved, **contents).state_dict()
     checkpoint.write(folder / "best.pt", best)

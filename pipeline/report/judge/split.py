@@ -54,12 +54,12 @@ class _Columns:
 
     def __init__(self, cases: Sequence[Case]) -> None:
         def column(of_cases: Sequence[np.ndarray]) -> np.ndarray:
-            pairs = zip(of_cases, cases, strict=True)
-            return np.concatenate([values[..., case.judged] for values, case in pairs], axis=-1)
+            return np.concatenate([values[case.judged] for values, case in zip(of_cases, cases, strict=True)])
 
         drives = [case.drive for case in cases]
         self.steering = column([drive.steering_rad for drive in drives])
-        self.predicted = column([case.predicted for case in cases])  # [S,N]
+        by_seed = zip(*(case.predicted for case in cases), strict=True)
+        self.predicted = np.stack([column(of_seed) for of_seed in by_seed])  # [S,N]
         self.curvature = column([drive.curvature_1pm for drive in drives])
         self.near = column([decisions.near(drive) for drive in drives])
         self.number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])

@@ -144,7 +144,8 @@ class Fit:
             weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(self.alpha * steering.abs())
             weight = weight if share else torch.zeros_like(weight)
             mass = self.world.sum(weight.sum())
-            error = weighted_error(predicted, steering / target.std_rad, weight)
+            left_open = steering - torch.from_numpy(batch["base_rad"]).to(predicted)
+            error = weighted_error(predicted, left_open / target.std_rad, weight)
             self.optimiser.zero_grad(set_to_none=True)
             # The learner averages over the processes; their errors add up.
             (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]

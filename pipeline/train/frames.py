@@ -10,13 +10,23 @@ from contextlib import contextmanager
 from functools import cached_property
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pipeline.base import store
+from pipeline.base.errors import InputError
 
 Arrays = dict[str, np.ndarray]
+KINDS = ("visual", "lidar")  # of motion
+
+
+class Motion(NamedTuple):
+    """What the car did since the frame before, [G] each, by images or by scans; 0 where it is not valid."""
+
+    yaw_rate_radps: np.ndarray  # float32, left +
+    speed_mps: np.ndarray  # float32, forward +
+    valid: np.ndarray  # uint8
 
 
 class Graphs:
@@ -37,6 +47,17 @@ class Graphs:
         if "degree" in self._file:
             return {"kind": "graph"}
         return {"kind": "pointnet2", "levels": next(n for n in count() if f"centres_{n + 1}" not in self._file)}
+
+    @cached_property
+    def motions(self) -> tuple[str, ...]:
+        """The kinds of motion that the file carries."""
+        return tuple(kind for kind in KINDS if f"{kind}_valid" in self._file)
+
+    def motion(self, kind: str) -> Motion:
+        """Return the motion of one kind. Raises InputError if the file carries none of it."""
+        if kind not in self.motions:
+            raise InputError(f"{self.path} carries motion: {', '.join(self.motions) or 'none'}, and not {kind}")
+        return Motion(*(self._file[f"{kind}_{name}"] for name in Motion._fields))
 
     @cached_property
     def _ptr(self) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ with frames.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as grap
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,23 +31,36 @@ KIND = "steering net"  # of checkpoint
 WINDOWS = 96  # per batch when nothing is learned: what bounds the memory
 
 Forward = Callable[[Any, windows.Batch], "Tensor"]
-"""A network and a batch of arrays → predictions [W] in units of the labels' deviation, on the network's device."""
+"""A network and a batch of arrays → its answers [W] in units of the target's deviation, on the network's device."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """Mean and standard deviation of the training labels, rad.
+    """What the network learns of the training drives' steering, and what its answer means.
 
-    The network learns Θ / std, where 0 stays straight ahead; the mean is for the predictor that knows nothing else.
+    Θ = base + std · answer: base is the measured angle of the last frame seen, 0 without motion, and std the deviation
+    of Θ - base. So an answer of 0 stays straight ahead, or on the course measured. The mean of Θ is for the predictor
+    that knows nothing else.
     """
 
     mean_rad: float
     std_rad: float
+    wheelbase_m: float
+    min_speed_mps: float
 
     @classmethod
     def of(cls, drives: Sequence[windows.Drive]) -> "Target":
         steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
-        return cls(float(steering.mean()), max(float(steering.std()), 1e-6))  # a road without a bend has no spread
+        left_open = np.concatenate([(drive.steering_rad - drive.base_rad)[drive.valid] for drive in drives])
+        spread = max(float(left_open.std()), 1e-6)  # a road without a bend has none
+        return cls(float(steering.mean()), spread, **vars(drives[0].car))
+
+    @property
+    def car(self) -> windows.Car:
+        return windows.Car(self.wheelbase_m, self.min_speed_mps)
+
+
+TARGET = tuple(field.name for field in fields(Target))
 
 
 @dataclass(frozen=True)
@@ -66,17 +79,24 @@ class Trained:
         """Frames that a prediction sees."""
         return int(self.line["window"])
 
-    def predict(self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Return the steering in rad, left +, at frames of an open graph file: float64, one per frame.
+    @property
+    def horizon(self) -> int:
+        """How many frames after the last one seen the predicted angle is driven."""
+        return int(self.line["horizon"])
 
-        NaN where no whole window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded
-        once, however many windows hold it, at most WINDOWS windows at a time.
+    def predict(self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """Return the steering in rad, left +, for frames of an open graph file: float64, one per frame.
+
+        What is returned for frame t is the angle at frame t + :attr:`horizon`, by what is seen until t. NaN where no
+        whole window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded once, however
+        many windows hold it, at most WINDOWS windows at a time.
 
         Args:
             graphs: of :func:`frames.open_graphs`.
             numbers: KITTI frame numbers, in any order; None: all frames of the file.
         Raises:
-            InputError: the file holds another kind of frames than the network was trained on, or no such frame.
+            InputError: the file holds another kind of frames than the network was trained on, lacks the motion that it
+                takes, or has no such frame.
         """
         from models.steering.core import steering_net
 
@@ -86,7 +106,8 @@ class Trained:
                 f"{frames.described(graphs.contents)}: give it graphs of input: {self.line['input']} as it was trained "
                 f"on, or train it again: dvc repro --force train@{self.name}"
             )
-        timeline = windows.Timeline.of(graphs)
+        with explained(where=f"model {self.name}, motion: {self.line['motion']}"):
+            timeline = windows.Timeline.of(graphs, self.line["motion"], self.target.car)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows_of(numbers)
         (steering_rad,) = over_drives(
             self.net, steering_net.predict, [timeline], self.window, self.target, rows=[rows], opened={0: graphs}
@@ -115,7 +136,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         raise InputError(f"{folder} is not a trained model, best.pt is missing: {hint}")
     with explained(hint=f"Train it again: dvc repro --force train@{name}"):
         content = checkpoint.read(path, KIND)
-        missing = {"name", "seed", "model", "contents", "target", "net"} - content.keys()
+        missing = _missing(content, "name", "seed", "contents", "net", model=steering_net.GENERAL, target=TARGET)
         if missing:
             raise InputError(f"{path} lacks {', '.join(sorted(missing))}: an older version of this project wrote it")
         with explained(where=str(path)):
@@ -130,6 +151,14 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         target=Target(**content["target"]),
         net=net,
     )
+
+
+def _missing(content: Mapping[str, Any], *keys: str, **within: Sequence[str]) -> list[str]:
+    """Return which of `keys`, and of the keys `within` a mapping of that name, `content` lacks."""
+    whole = [key for key in [*keys, *within] if key not in content]
+    return whole + [
+        f"{name}.{key}" for name, inner in within.items() for key in inner if key not in content.get(name, inner)
+    ]
 
 
 def over_drives(
@@ -154,7 +183,7 @@ def over_drives(
     net.eval()
     with torch.inference_mode():
         read = prefetch(windows.batches(timelines, [[span] for span in own], window, opened))
-        predicted = [forward(net, batch).double().cpu().numpy() * target.std_rad for batch in read]
+        predicted = [batch["base_rad"] + target.std_rad * forward(net, batch).double().cpu().numpy() for batch in read]
     steering_rad = [np.full(len(timeline.frame), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(own, predicted, strict=True))):
         for span, values in part:

@@ -98,7 +98,7 @@ def _write(folder: Path, run: "Fit", state: Path, about: Mapping[str, Any], more
     """Write a finished run's files; `state` is what its last epoch left."""
     from pipeline.train import fit
 
-    best = fit.best_epoch(run.curve)
+    best = fit.kept_epoch(run.curve, run.settings.keep)
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(state, folder / "last.pt")
     checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "epoch": best, "net": run.best})

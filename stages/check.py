@@ -14,6 +14,7 @@ from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
 from pipeline.sections.models import Model
+from pipeline.sections.motion import Motion
 from pipeline.sections.perception import Perception
 from pipeline.sections.pictures import Pictures
 from pipeline.sections.town import Town
@@ -28,7 +29,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
     Nothing is fetched, and no file of weights is opened. Returns `params`.
     """
-    for section in (Town, Ingest, Labels, Perception, Clouds, Pictures, Train, Evaluate):
+    for section in (Town, Ingest, Labels, Perception, Motion, Clouds, Pictures, Train, Evaluate):
         load(section, params)
     with explained(str(params)):
         check_encoder(load(Encoder, params))

@@ -1,6 +1,6 @@
 """Make one graph variant, all that a network sees: data/graphs/<variant>/<drive>.h5."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +17,7 @@ from pipeline.sections.graphs import Variant
 
 def main(
     name: Annotated[str, typer.Argument(metavar="VARIANT", help="an entry of graphs: in the params file")],
-    data: Annotated[Path, typer.Option(help="below it lies the variant's source")] = Path("data"),
+    data: Annotated[Path, typer.Option(help="below it lie the variant's source and motion")] = Path("data"),
     out: Annotated[Path, typer.Option(help="below it, VARIANT is written")] = Path("data/graphs"),
     params: Path = Path("params.yaml"),
     workers: int | None = None,
@@ -29,14 +29,17 @@ def main(
     settings = load_entry(Variant, "graphs", name, params)
     source, stage = data / settings.source, settings.source.split("/")[0]
     splits = store.read_index(source, stage=stage)
+    kinds = {index.parent.name: index.parent for index in sorted((data / "motion").glob("*/index.json"))}
+    for folder in kinds.values():
+        store.read_index(folder, stage="motion")
     summaries = run_over_drives(
-        partial(_images if settings.kind == "image" else _points, source=source, settings=settings),
+        partial(_images if settings.kind == "image" else _points, source=source, motion=kinds, settings=settings),
         list(splits),
         module="stages.graphs",
         out=out / name,
         resume=out.parent / ".resume" / f"{out.name}-{name}",
-        inputs=lambda drive: [source / f"{drive}.h5"],
-        settings=settings.model_dump(),
+        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (source, *kinds.values())],
+        settings={**settings.model_dump(), "motion": list(kinds)},
         workers=workers,
         describe=lambda summary: ", ".join(f"{number} {what}" for what, number in summary.items()),
     )
@@ -50,7 +53,7 @@ def main(
     return out / name
 
 
-def _points(drive: str, path: Path, source: Path, settings: Variant) -> Summary:
+def _points(drive: str, path: Path, source: Path, motion: Mapping[str, Path], settings: Variant) -> Summary:
     assert settings.points  # as every variant of points has
     neighbours: graph_file.Neighbours
     if settings.kind == "graph":
@@ -63,7 +66,9 @@ def _points(drive: str, path: Path, source: Path, settings: Variant) -> Summary:
         store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": settings.model_dump()}) as file,
     ):
         frames = _frames(clouds, settings, settings.points)
-        return graph_file.write_points(file, clouds.frame, clouds.time_s, frames, neighbours)
+        counts = graph_file.write_points(file, clouds.frame, clouds.time_s, frames, neighbours)
+        _put_motion(file, motion, clouds.frame)
+    return counts
 
 
 def _frames(clouds: store.DriveReader, settings: Variant, points: int) -> Iterator[graph_file.Points]:
@@ -74,7 +79,7 @@ def _frames(clouds: store.DriveReader, settings: Variant, points: int) -> Iterat
         yield *cloud.chosen_points(whole, settings.crop_m, points, rng), rng
 
 
-def _images(drive: str, path: Path, source: Path, settings: Variant) -> Summary:
+def _images(drive: str, path: Path, source: Path, motion: Mapping[str, Path], settings: Variant) -> Summary:
     with (
         store.DriveReader(source / f"{drive}.h5", stage="ingest") as raw,
         store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": settings.model_dump()}) as file,
@@ -82,7 +87,15 @@ def _images(drive: str, path: Path, source: Path, settings: Variant) -> Summary:
         rows = np.flatnonzero(raw["has_image"])
         height, width = raw.shape("image")[1:3]
         images = (raw.row("image", int(row)) for row in rows)
-        return graph_file.write_images(file, raw.frame[rows], raw.time_s[rows], images, (height, width))
+        counts = graph_file.write_images(file, raw.frame[rows], raw.time_s[rows], images, (height, width))
+        _put_motion(file, motion, raw.frame[rows])
+    return counts
+
+
+def _put_motion(file: store.DriveWriter, motion: Mapping[str, Path], frame: np.ndarray) -> None:
+    for kind, folder in motion.items():
+        with store.DriveReader(folder / f"{file.attrs['drive']}.h5", stage="motion") as measured:
+            graph_file.put_motion(file, kind, frame, measured)
 
 
 if __name__ == "__main__":

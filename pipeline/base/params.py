@@ -35,7 +35,8 @@ class Section(BaseModel):
 S = TypeVar("S", bound=Section)
 
 SECTIONS = (
-    "town", "ingest", "labels", "encoder", "perception", "clouds", "pictures", "graphs", "models", "train", "evaluate",
+    "town", "ingest", "labels", "encoder", "perception", "motion", "clouds", "pictures", "graphs", "models", "train",
+    "evaluate",
 )  # fmt: skip
 
 

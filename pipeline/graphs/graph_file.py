@@ -9,13 +9,14 @@ from typing import Protocol
 
 import numpy as np
 
-from pipeline.base.store import DriveWriter, pointers
+from pipeline.base.store import DriveReader, DriveWriter, pointers
 from pipeline.graphs import graph, neighbourhoods
 
 Points = tuple[np.ndarray, np.ndarray, np.random.Generator]
 """A frame's xyz float32 [P,3] in metres and cls uint8 [P], and the generator of all that is drawn for it."""
 Counts = dict[str, int]
 """What the log says that a file holds."""
+MOTION = {"yaw_rate_radps": "rad/s, left positive", "speed_mps": "m/s, forward positive", "valid": ""}
 
 
 class Neighbours(Protocol):
@@ -60,6 +61,18 @@ def write_images(
     for image in images:
         file.append("image", image[None])
     return {"frames": len(frame)}
+
+
+def put_motion(file: DriveWriter, kind: str, frame: np.ndarray, motion: DriveReader) -> None:
+    """Write the motion since the frame before of frame numbers [F]: 0 and not valid where the motion file has none."""
+    number = motion.frame
+    row = np.searchsorted(number, frame)
+    known = np.isin(frame, number)
+    for name, unit in MOTION.items():
+        values = motion[name]
+        picked = np.zeros(len(frame), values.dtype)
+        picked[known] = values[row[known]]
+        file.put(f"{kind}_{name}", picked, unit)
 
 
 class KnnGraph:

@@ -27,6 +27,7 @@ from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
 from pipeline.sections.models import Model
+from pipeline.sections.motion import Motion
 from pipeline.sections.perception import Perception
 from pipeline.sections.pictures import Pictures
 from pipeline.sections.town import Town
@@ -47,6 +48,7 @@ class Params(Section):
     labels: Labels
     encoder: Encoder
     perception: Perception
+    motion: Motion
     clouds: Clouds
     pictures: Pictures
     graphs: Annotated[dict[Name, Variant], Field(min_length=1)]

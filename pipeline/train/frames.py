@@ -18,15 +18,14 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 
 Arrays = dict[str, np.ndarray]
-KINDS = ("visual", "lidar")  # of motion
 
 
 class Motion(NamedTuple):
-    """What the car did since the frame before, [G] each, by images or by scans; 0 where it is not valid."""
+    """What the car did since the frame before, left and forward +; all 0 where it is not valid."""
 
-    yaw_rate_radps: np.ndarray  # float32, left +
-    speed_mps: np.ndarray  # float32, forward +
-    valid: np.ndarray  # uint8
+    yaw_rate_radps: np.ndarray  # float32 [G]
+    speed_mps: np.ndarray  # float32 [G]
+    valid: np.ndarray  # uint8 [G]
 
 
 class Graphs:
@@ -50,13 +49,16 @@ class Graphs:
 
     @cached_property
     def motions(self) -> tuple[str, ...]:
-        """The kinds of motion that the file carries."""
-        return tuple(kind for kind in KINDS if f"{kind}_valid" in self._file)
+        """The kinds of measured motion that the file carries: visual, lidar."""
+        return tuple(kind for kind in ("visual", "lidar") if f"{kind}_valid" in self._file)
 
     def motion(self, kind: str) -> Motion:
-        """Return the motion of one kind. Raises InputError if the file carries none of it."""
+        """Return the motion of this kind, of all frames. Raises InputError if the file carries none."""
         if kind not in self.motions:
-            raise InputError(f"{self.path} carries motion: {', '.join(self.motions) or 'none'}, and not {kind}")
+            raise InputError(
+                f"{self.path} carries no motion: {kind} (it has {', '.join(self.motions) or 'none'}): "
+                f"put {kind} into motion.kinds of the params file and run dvc repro"
+            )
         return Motion(*(self._file[f"{kind}_{name}"] for name in Motion._fields))
 
     @cached_property

@@ -88,3 +88,21 @@ def test_a_drive_without_frames_has_empty_datasets(tmp_path: Path) -> None:
             assert not any(graph_file.write_points(writer, none, none, [], neighbours).values())
         with DriveReader(tmp_path / f"{name}.h5", stage="graphs") as file:
             assert (file.shape("xyz"), file["ptr"].tolist()) == ((0, 3), [0])
+
+
+def test_motion_goes_by_frame_number_and_is_0_where_there_is_none(tmp_path: Path) -> None:
+    with DriveWriter(tmp_path / "motion.h5", stage="motion", drive="drive", params={}) as writer:
+        writer.put("frame", np.array([3, 5, 9, 11], np.int32))
+        writer.put("yaw_rate_radps", np.array([0.3, 0.5, 0.9, 1.1], np.float32))
+        writer.put("speed_mps", np.array([3, 5, 9, 11], np.float32))
+        writer.put("valid", np.array([1, 1, 0, 1], np.uint8))
+    with (
+        DriveReader(tmp_path / "motion.h5", stage="motion") as motion,
+        DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as writer,
+    ):
+        graph_file.put_motion(writer, "lidar", FRAME, motion)
+    with DriveReader(tmp_path / "a.h5", stage="graphs") as file:
+        assert file["lidar_speed_mps"].tolist() == [0, 5, 9]
+        assert file["lidar_yaw_rate_radps"] == pytest.approx([0, 0.5, 0.9])
+        assert (file["lidar_valid"].tolist(), file["lidar_valid"].dtype) == ([0, 1, 0], np.uint8)
+        assert "visual_valid" not in file

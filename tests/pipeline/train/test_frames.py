@@ -89,3 +89,20 @@ def test_one_run_is_one_read(tmp_path: Path) -> None:
         path = made(tmp_path, write)
         pieces, whole = read(path, [(0, 4), (4, 5), (5, 9)]), read(path, [(0, 9)])
         assert all((pieces[name] == whole[name]).all() for name in whole)
+
+
+def test_motion_is_that_of_the_file_and_a_kind_that_it_lacks_is_one_line(tmp_path: Path) -> None:
+    motion = frames.Motion(np.array([0.1, 0.2], np.float32), np.array([4, 5], np.float32), np.array([0, 1], np.uint8))
+    with store.DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as file:
+        file.put("frame", np.arange(2, dtype=np.int32))
+        file.put("time_s", np.arange(2) / 10)
+        for name, values in motion._asdict().items():
+            file.put(f"visual_{name}", values)
+    with frames.open_graphs(tmp_path / "a.h5") as graphs:
+        assert graphs.motions == ("visual",)
+        for stored, written in zip(graphs.motion("visual"), motion, strict=True):
+            np.testing.assert_array_equal(stored, written)
+        with pytest.raises(InputError, match=r"no motion: lidar \(it has visual\): put lidar into motion\.kinds"):
+            graphs.motion("lidar")
+    with frames.open_graphs(made(tmp_path, artefacts.write_graphs)) as graphs:
+        assert graphs.motions == ()

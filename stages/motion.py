@@ -1,0 +1,90 @@
+"""Measure what the car did since the frame before, without oxts: data/motion/<kind>/<drive>.h5."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base import console, progress, store
+from pipeline.base.params import load
+from pipeline.base.pool import Summary, run_over_drives
+from pipeline.camera.images import to_metres
+from pipeline.motion import motion_file, visual
+from pipeline.motion.step import Step
+from pipeline.sections.motion import Motion
+
+
+def main(
+    ingest: Path = Path("data/ingest"),
+    perception: Path = Path("data/perception"),
+    out: Path = Path("data/motion"),
+    params: Path = Path("params.yaml"),
+    workers: int | None = None,
+) -> Path:
+    """Measure each drive's motion in the ways that the params name: a folder for each, with its index.
+
+    Returns the folder that holds them.
+    """
+    settings = load(Motion, params)
+    splits = store.read_index(perception, stage="perception")
+    names = [f"{kind}/{drive}" for kind in settings.kinds for drive in splits]
+    summaries = run_over_drives(
+        partial(_measure, ingest=ingest, perception=perception),
+        names,
+        module="stages.motion",
+        out=out,
+        inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
+        settings={},
+        workers=workers,
+        describe=lambda summary: "{frames} frames, {valid} measured".format_map(summary),
+    )
+    for kind in settings.kinds:
+        store.write_index(out / kind, splits)
+        without = [drive for drive in splits if not summaries[f"{kind}/{drive}"]["valid"]]
+        if without:
+            print(f"{kind}: no motion of {', '.join(without)}")
+    return out
+
+
+def _measure(name: str, path: Path, *, ingest: Path, perception: Path) -> Summary:
+    """Write one drive's motion of one kind, named as visual/2011_09_26_drive_0001."""
+    kind, drive = name.split("/")
+    with (
+        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+        store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
+        store.DriveWriter(path, stage="motion", drive=drive, params={"motion": {"kind": kind}}) as file,
+    ):
+        frame, time_s, steps = KINDS[kind](raw, perceived)
+        return {"frames": len(frame), "valid": motion_file.write(file, kind, frame, time_s, _counted(steps))}
+
+
+def _counted(steps: Iterator[Step | None]) -> Iterator[Step | None]:
+    for step in steps:
+        progress.advance(1)
+        yield step
+
+
+Frames = tuple[np.ndarray, np.ndarray, Iterator[Step | None]]
+"""KITTI frame numbers [F], times [F], and each one's motion since the one before."""
+
+
+def _visual(raw: store.DriveReader, perceived: store.DriveReader) -> Frames:
+    rows = {int(number): row for row, number in enumerate(raw.frame)}
+    views = (
+        visual.View(
+            int(number),
+            raw.row("image", rows[int(number)]),
+            to_metres(perceived.row("depth_m", row)).astype(np.float32),
+            perceived.row("cls", row),
+        )
+        for row, number in enumerate(perceived.frame)
+    )
+    # A drive without images has no camera.
+    return perceived.frame, perceived.time_s, visual.steps(views, raw["K"] if len(perceived.frame) else np.eye(3))
+
+
+KINDS: dict[str, Callable[[store.DriveReader, store.DriveReader], Frames]] = {"visual": _visual}
+
+if __name__ == "__main__":
+    console.run(main)

@@ -80,7 +80,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
 
 def _write(folder: Path, fitting: fit.Fit, state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
     """Write a finished run's files; `state` is what its last epoch left."""
-    best = fit.best_epoch(fitting.curve)
+    best = fit.kept_epoch(fitting.curve, fitting.settings.keep)
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(state, folder / "last.pt")
     checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "epoch": best, "net": fitting.best})

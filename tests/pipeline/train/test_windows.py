@@ -198,7 +198,7 @@ def test_motion_stands_in_the_batch_and_is_what_the_answer_adds_to(folder: Path)
 
 
 def test_motion_that_the_file_does_not_carry_is_named(folder: Path) -> None:
-    with pytest.raises(InputError, match=r"drive_0001\.h5 carries motion: none, and not lidar"):
+    with pytest.raises(InputError, match=r"drive_0001\.h5 carries no motion: lidar"):
         windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "lidar")
 
 

@@ -107,7 +107,7 @@ class Trained:
                 f"{frames.described(graphs.contents)}: give it graphs of input: {self.line['input']} as it was trained "
                 f"on, or train it again: dvc repro --force train@{self.name}"
             )
-        with explained(where=f"model {self.name}, motion: {self.line['motion']}"):
+        with explained(where=f"model {self.name}"):
             timeline = windows.Timeline.of(graphs, self.line["motion"], self.target.car)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows_of(numbers)
         (steering_rad,) = over_drives(
@@ -137,9 +137,8 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         raise InputError(f"{folder} is not a trained model, best.pt is missing: {hint}")
     with explained(hint=f"Train it again: dvc repro --force train@{name}"):
         content = checkpoint.read(path, KIND)
-        missing = _missing(
-            content, "name", "seed", "fold", "contents", "net", model=steering_net.GENERAL, target=TARGET
-        )
+        whole = ("name", "seed", "fold", "contents", "net")
+        missing = _missing(content, *whole, model=steering_net.GENERAL, target=TARGET)
         if missing:
             raise InputError(f"{path} lacks {', '.join(sorted(missing))}: an older version of this project wrote it")
         with explained(where=str(path)):

@@ -113,7 +113,10 @@ def test_with_motion_the_answer_adds_to_the_measured_angle(tmp_path: Path, drive
     driven = 0.1 * np.sin(NUMBERS / 5)
     model = predict.load(write_model(tmp_path / "net", motion="visual", horizon=3), "cpu")
     assert model.horizon == 3
-    with frames.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"net, motion: visual: .*motion: none"):
+    with (
+        frames.open_graphs(drive) as graphs,
+        pytest.raises(InputError, match=r"net: .*carries no motion: visual \(it has none\)"),
+    ):
         model.predict(graphs)
     artefacts.add_motion(drive, "visual", driven)
     with torch.no_grad():
@@ -168,7 +171,7 @@ def test_a_file_that_does_not_rebuild_a_network_is_refused(tmp_path: Path, chang
     content = checkpoint.read(path, predict.KIND)
     for key, value in change.items():
         content[key] = content[key] | value if isinstance(value, dict) else value
-    checkpoint.write(path, {key: value for key, value in content.items() if value is not None})
+    checkpoint.write(path, {key: value for key, value in content.items() if change.get(key, True) is not None})
     with pytest.raises(InputError, match=rf"best\.pt.*{fault}.* dvc repro --force train@net$"):
         predict.load(path.parent)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from pipeline import label
@@ -12,6 +13,7 @@ from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.graphs import graph_file
 
 WHEELBASE_M = 2.7
+LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0, "standstill": "invalid"}}
 
 
 def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +31,7 @@ def write_labels(
 ) -> None:
     """Write a labels file for frames [F] at 10 Hz."""
     speed_mps = np.full(len(frame), 8.0)
-    with store.DriveWriter(path, stage="labels", drive=drive, params={}) as file:
+    with store.DriveWriter(path, stage="labels", drive=drive, params=LABELS) as file:
         label.write(
             file,
             frame,
@@ -78,6 +80,16 @@ def write_images(
     images = (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8)
     with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
         graph_file.write_images(file, frame, frame * 0.1, images, (32, 48))
+
+
+def add_motion(path: Path, kind: str, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
+    """Add to a graphs file the motion of a car that steers `steering_rad` [G] at 8 m/s; 0 where it is not `valid`."""
+    valid = np.ones(len(steering_rad), np.uint8) if valid is None else valid.astype(np.uint8)
+    speed_mps = np.where(valid, 8.0, 0.0)
+    with h5py.File(path, "a") as file:
+        file[f"{kind}_yaw_rate_radps"] = (speed_mps * np.tan(steering_rad) / WHEELBASE_M).astype(np.float32)
+        file[f"{kind}_speed_mps"] = speed_mps.astype(np.float32)
+        file[f"{kind}_valid"] = valid
 
 
 def write_dataset(

@@ -1,8 +1,8 @@
 """Section ``models``: the networks, one entry each."""
 
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from pipeline.base.params import Count, Positive, Section
 
@@ -24,3 +24,19 @@ class Model(Section):
     learning_rate: Annotated[Positive | None, Field(description="instead of train.learning_rate")] = None
     alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
     features: Annotated[Count, Field(description="numbers per frame from the spatial network to the temporal")] = 32
+    horizon: Annotated[int, Field(ge=0, description="frames after the last one seen whose steering is predicted")] = 0
+    motion: Annotated[
+        Literal["none", "visual", "lidar"],
+        Field(description="what the car did since the frame before, by images or scans, beside what a frame shows"),
+    ] = "none"
+    fit_to: Annotated[
+        Literal["train", "others", "both"],
+        Field(description="training drives | for each test drive, a network fitted to the other test drives | to both"),
+    ] = "train"
+    roads: Annotated[Count | None, Field(description="the first so many training drives; null: all")] = None
+
+    @model_validator(mode="after")
+    def _roads_of_train(self) -> Self:
+        if self.roads is not None and self.fit_to == "others":
+            raise ValueError("roads counts training drives, which fit_to: others leaves out: leave out one of the two")
+        return self

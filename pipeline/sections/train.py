@@ -4,7 +4,23 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.base.params import Count, Positive, Section, Seed
+from pipeline.base.params import Count, Fraction, Positive, Section, Seed
+
+
+class Noise(Section):
+    """What perception gets wrong, in training only; each 0 is off. Drawn once for each run of consecutive frames."""
+
+    depth_scale: Annotated[
+        float,
+        Field(ge=0, le=1, description="share by which depth, and speed measured by it, is too large or too small"),
+    ] = 0.0
+    depth_waves: Annotated[
+        float, Field(ge=0, le=0.5, description="share by which it is too large or small in waves over the view")
+    ] = 0.0
+    confused: Annotated[Fraction, Field(description="of each class, that part of it is taken for a similar one")] = 0.0
+    missing: Annotated[Fraction, Field(description="of each class, that it is not seen")] = 0.0
+    dropped: Annotated[float, Field(ge=0, lt=1, description="share of a frame's points, at most")] = 0.0
+    hidden_deg: Annotated[float, Field(ge=0, le=90, description="width of a sector without points, at most")] = 0.0
 
 
 class Train(Section):
@@ -19,7 +35,9 @@ class Train(Section):
     batch_runs: Count
     mirror: bool
     rescale: Annotated[float, Field(ge=1, le=2)]
+    noise: Noise
     average: Annotated[float, Field(ge=0, lt=1)]
+    keep: Literal["last", "smoothed", "best"]
     precision: Literal["auto", "bfloat16", "float32", "float64"]
 
     @field_validator("seeds")

@@ -8,6 +8,8 @@ import numpy as np
 from pipeline.sections.train import Train
 from pipeline.train.windows import Batch
 
+ANGLES = ("steering_rad", "base_rad")  # of each window
+
 
 @dataclass(frozen=True)
 class Change:
@@ -34,27 +36,40 @@ class Change:
 def mirror(batch: Batch, chosen: np.ndarray) -> Batch:
     """Reflect the spans' windows and points, or images, left-right: x → −x, steering → −steering; every edge stays.
 
-    `chosen` bool [B]: which of the batch's frames to reflect; all frames of a span together.
+    What the car did is reflected likewise. `chosen` bool [B]: which of the batch's frames to reflect; all frames of a
+    span together.
     """
-    steering_rad = batch["steering_rad"].copy()
-    steering_rad[chosen[batch["windows"][:, -1]]] *= -1
+    sign = np.where(chosen, -1, 1).astype(np.int8)
+    changed = {name: batch[name] * sign[batch["windows"][:, -1]] for name in ANGLES}
+    if "motion" in batch:
+        changed["motion"] = batch["motion"].copy()
+        changed["motion"][:, :2] *= sign[:, None]  # angle and yaw rate
     if "image" in batch:  # KITTI's optical axis meets the image within 2 % of its middle
-        image = batch["image"].copy()
-        image[chosen] = image[chosen, :, ::-1]
-        return batch | {"image": image, "steering_rad": steering_rad}
-    xyz = batch["xyz"].copy()
-    xyz[np.repeat(chosen, np.diff(batch["ptr"])), 0] *= -1
-    return batch | {"xyz": xyz, "steering_rad": steering_rad}
+        changed["image"] = batch["image"].copy()
+        changed["image"][chosen] = batch["image"][chosen, :, ::-1]
+    else:
+        changed["xyz"] = batch["xyz"].copy()
+        changed["xyz"][:, 0] *= np.repeat(sign, np.diff(batch["ptr"]))
+    return batch | changed
 
 
 def rescale(batch: Batch, factor: np.ndarray) -> Batch:
     """Make the world of each frame `factor` [B] times as large, and its bends as much wider; every edge stays.
 
-    The bicycle model's tan Θ is wheelbase times curvature, and curvature is 1 / length. All frames of a span together.
+    The car goes as much faster, and turns as fast as it did: the bicycle model's tan Θ is wheelbase times curvature,
+    and curvature is 1 / length. All frames of a span together.
     Images stay as they are, and so does their steering: a larger world gives the same image.
     """
     if "image" in batch:
         return batch
-    xyz = batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]
-    steering_rad = np.arctan(np.tan(batch["steering_rad"]) / factor[batch["windows"][:, -1]])
-    return batch | {"xyz": xyz, "steering_rad": steering_rad}
+    changed = {name: as_much_wider(batch[name], factor[batch["windows"][:, -1]]) for name in ANGLES}
+    if "motion" in batch:
+        measured_rad, yaw_rate_radps, speed_mps, valid = batch["motion"].T
+        columns = [as_much_wider(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
+        changed["motion"] = np.stack(columns, axis=1)
+    return batch | changed | {"xyz": batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]}
+
+
+def as_much_wider(steering_rad: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Return the steering angle in bends whose radius is `factor` times as large."""
+    return np.arctan(np.tan(steering_rad) / factor)

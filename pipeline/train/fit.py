@@ -2,6 +2,7 @@
 
 import csv
 import math
+import multiprocessing
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -23,11 +24,12 @@ from pipeline.fitting.precision import autocast
 from pipeline.fitting.prefetch import prefetch
 from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.sections.train import Train
-from pipeline.train import predict, score, windows
+from pipeline.train import noise, predict, score, windows
 from pipeline.train.augment import Change
 from pipeline.train.distributed import World
 
 WARM_UP = 0.05  # share of the steps in which the learning rate rises
+SMOOTHED = 3  # epochs
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Fit:
     """One training run: a network, the moving average of its weights, an optimiser, and the epochs so far.
 
     The average is what is validated and kept: single steps at a high learning rate jump about, their mean does not.
+    `best` is that of the epoch which `settings.keep` chooses.
     """
 
     def __init__(
@@ -97,7 +100,8 @@ class Fit:
             count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
             self._say(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}")
         started, before = time.perf_counter(), len(self.curve)
-        while len(self.curve) < epochs and not out_of_patience(self.curve, self.settings.patience):
+        keep = self.settings.keep
+        while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
             epoch = len(self.curve) + 1
             loss, rate = self._train(train, target, epoch)
             if not math.isfinite(loss):
@@ -105,13 +109,13 @@ class Fit:
                     f"{title}: the loss of epoch {epoch} is {loss}: lower train.learning_rate or clip_norm"
                 )
             self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
-            better = best_epoch(self.curve) == epoch
+            better = kept_epoch(self.curve, keep) == epoch
             if better:
                 self.best = copy_of(self.average.module)
             if self.world.leads:
                 checkpoint.write(kept, {**about, **self._state(), "kind": predict.KIND, "epoch": epoch})
             eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
-            nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (best)' if better else ''}" if val else ""
+            nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (kept)' if better else ''}" if val else ""
             self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go")
 
     def _say(self, line: str) -> None:
@@ -130,21 +134,28 @@ class Fit:
         self.learner.train()
         total, rate = torch.zeros(2, dtype=torch.float64, device=self.device), 0.0  # sums of weight · error², weight
         steps = zip(groups, shares, own, prefetch(windows.examples(drives, own, self.window)), strict=True)
-        hidden = not (self.world.leads and sys.stderr.isatty())
+        alone = multiprocessing.parent_process() is None  # several bars on one terminal draw over each other
+        hidden = not (alone and self.world.leads and sys.stderr.isatty())
         bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=hidden)
         for step, (group, share, runs, batch) in enumerate(bar):
             rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(groups)) / settings.epochs, WARM_UP)
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
             change = Change.draw(len(group), settings, rng)  # of all processes' runs
-            batch = change.of(share or [0]).apply(batch, [span.stop - span.start for span in runs])
+            frames = [span.stop - span.start for span in runs]
+            batch = change.of(share or [0]).apply(batch, frames)
+            # From 1: zeros at the end of a seed are as if they were not there.
+            first = 1 + step * settings.batch_runs
+            rngs = [np.random.default_rng([self.seed, epoch, first + run]) for run in share or [0]]
+            batch = noise.disturbed(batch, frames, rngs, settings.noise)
             with autocast(self.device, settings.precision):
                 predicted = self.forward(self.learner, batch)
             steering = torch.from_numpy(batch["steering_rad"]).to(predicted)
             weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(self.alpha * steering.abs())
             weight = weight if share else torch.zeros_like(weight)
             mass = self.world.sum(weight.sum())
-            error = weighted_error(predicted, steering / target.std_rad, weight)
+            left_open = steering - torch.from_numpy(batch["base_rad"]).to(predicted)
+            error = weighted_error(predicted, left_open / target.std_rad, weight)
             self.optimiser.zero_grad(set_to_none=True)
             # The learner averages over the processes; their errors add up.
             (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
@@ -182,15 +193,26 @@ class Fit:
         self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
 
 
-def best_epoch(curve: Sequence[Epoch]) -> int:
-    """Return the number of the epoch with the least validation error; the last one if nothing was validated."""
-    judged = [row for row in curve if not math.isnan(row.val_nmse)]
-    return min(judged, key=lambda row: row.val_nmse).epoch if judged else len(curve)
+def kept_epoch(curve: Sequence[Epoch], keep: str) -> int:
+    """Return the number of the epoch whose average a rule of `train.keep` takes; the last if nothing was validated.
+
+    One epoch's validation error is noise as much as merit: `smoothed` takes it as a mean with that of the two epochs
+    before, and `last` does not ask it.
+    """
+    if keep == "last":
+        return len(curve)
+    over = SMOOTHED if keep == "smoothed" else 1
+    error = {
+        row.epoch: math.fsum(each.val_nmse for each in curve[max(0, end - over) : end]) / min(over, end)
+        for end, row in enumerate(curve, start=1)
+    }
+    judged = [epoch for epoch in error if not math.isnan(error[epoch])]
+    return min(judged, key=error.__getitem__, default=len(curve))
 
 
-def out_of_patience(curve: Sequence[Epoch], patience: int) -> bool:
-    """Whether the last `patience` epochs brought no better validation error."""
-    return len(curve) - best_epoch(curve) >= patience
+def out_of_patience(curve: Sequence[Epoch], keep: str, patience: int) -> bool:
+    """Whether `patience` epochs have come after the one that is kept."""
+    return len(curve) - kept_epoch(curve, keep) >= patience
 
 
 def copy_of(net: nn.Module) -> dict[str, Tensor]:

@@ -9,7 +9,7 @@ with frames.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as grap
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.base.errors import InputError, explained
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
-from pipeline.train import frames, seeds, windows
+from pipeline.train import frames, runs, windows
 from pipeline.train.distributed import World
 
 if TYPE_CHECKING:
@@ -31,23 +31,36 @@ KIND = "steering net"  # of checkpoint
 WINDOWS = 96  # per batch when nothing is learned: what bounds the memory
 
 Forward = Callable[[Any, windows.Batch], "Tensor"]
-"""A network and a batch of arrays → predictions [W] in units of the labels' deviation, on the network's device."""
+"""A network and a batch of arrays → its answers [W] in units of the target's deviation, on the network's device."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """Mean and standard deviation of the training labels, rad.
+    """What the network learns of the training drives' steering, and what its answer means.
 
-    The network learns Θ / std, where 0 stays straight ahead; the mean is for the predictor that knows nothing else.
+    Θ = base + std · answer: base is the measured angle of the last frame seen, 0 without motion, and std the deviation
+    of Θ - base. So an answer of 0 stays straight ahead, or on the course measured. The mean of Θ is for the predictor
+    that knows nothing else.
     """
 
     mean_rad: float
     std_rad: float
+    wheelbase_m: float
+    min_speed_mps: float
 
     @classmethod
     def of(cls, drives: Sequence[windows.Drive]) -> "Target":
         steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
-        return cls(float(steering.mean()), max(float(steering.std()), 1e-6))  # a road without a bend has no spread
+        left_open = np.concatenate([(drive.steering_rad - drive.base_rad)[drive.valid] for drive in drives])
+        spread = max(float(left_open.std()), 1e-6)  # a road without a bend has none
+        return cls(float(steering.mean()), spread, **vars(drives[0].car))
+
+    @property
+    def car(self) -> windows.Car:
+        return windows.Car(self.wheelbase_m, self.min_speed_mps)
+
+
+TARGET = tuple(field.name for field in fields(Target))
 
 
 @dataclass(frozen=True)
@@ -56,6 +69,7 @@ class Trained:
 
     name: str
     seed: int
+    fold: str | None  # the test drive that it was not fitted to, if it was fitted to the others
     line: dict[str, Any]  # as resolved when it was trained: input, spatial, temporal, window, …
     contents: dict[str, Any]  # of the graph files it was trained on, see frames.Graphs
     target: Target
@@ -66,17 +80,24 @@ class Trained:
         """Frames that a prediction sees."""
         return int(self.line["window"])
 
-    def predict(self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Return the steering in rad, left +, at frames of an open graph file: float64, one per frame.
+    @property
+    def horizon(self) -> int:
+        """How many frames after the last one seen the predicted angle is driven."""
+        return int(self.line["horizon"])
 
-        NaN where no whole window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded
-        once, however many windows hold it, at most WINDOWS windows at a time.
+    def predict(self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """Return the steering in rad, left +, for frames of an open graph file: float64, one per frame.
+
+        What is returned for frame t is the angle at frame t + :attr:`horizon`, by what is seen until t. NaN where no
+        whole window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded once, however
+        many windows hold it, at most WINDOWS windows at a time.
 
         Args:
             graphs: of :func:`frames.open_graphs`.
             numbers: KITTI frame numbers, in any order; None: all frames of the file.
         Raises:
-            InputError: the file holds another kind of frames than the network was trained on, or no such frame.
+            InputError: the file holds another kind of frames than the network was trained on, lacks the motion that it
+                takes, or has no such frame.
         """
         from models.steering.core import steering_net
 
@@ -86,7 +107,8 @@ class Trained:
                 f"{frames.described(graphs.contents)}: give it graphs of input: {self.line['input']} as it was trained "
                 f"on, or train it again: dvc repro --force train@{self.name}"
             )
-        timeline = windows.Timeline.of(graphs)
+        with explained(where=f"model {self.name}"):
+            timeline = windows.Timeline.of(graphs, self.line["motion"], self.target.car)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows_of(numbers)
         (steering_rad,) = over_drives(
             self.net, steering_net.predict, [timeline], self.window, self.target, rows=[rows], opened={0: graphs}
@@ -95,7 +117,7 @@ class Trained:
 
 
 def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
-    """Load the best epoch of a trained model: data/train/<model>, or data/train/<model>/seed-<n> of a further seed.
+    """Load the best epoch of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.
 
     Args:
         folder: its best.pt holds all that is needed; neither params.yaml nor graphs are read.
@@ -108,14 +130,15 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
     from models.steering.core import steering_net
 
     folder = Path(folder)
-    path, name = folder / "best.pt", seeds.model_name(folder)
+    path, name = folder / "best.pt", runs.model_name(folder)
     if not path.is_file():
         models = sorted(best.parent.name for best in folder.glob("*/best.pt"))
         hint = f"name one of those in it: {', '.join(models)}" if models else f"train it: dvc repro train@{name}"
         raise InputError(f"{folder} is not a trained model, best.pt is missing: {hint}")
     with explained(hint=f"Train it again: dvc repro --force train@{name}"):
         content = checkpoint.read(path, KIND)
-        missing = {"name", "seed", "model", "contents", "target", "net"} - content.keys()
+        whole = ("name", "seed", "fold", "contents", "net")
+        missing = _missing(content, *whole, model=steering_net.GENERAL, target=TARGET)
         if missing:
             raise InputError(f"{path} lacks {', '.join(sorted(missing))}: an older version of this project wrote it")
         with explained(where=str(path)):
@@ -125,11 +148,20 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
     return Trained(
         name=content["name"],
         seed=content["seed"],
+        fold=content["fold"],
         line=content["model"],
         contents=content["contents"],
         target=Target(**content["target"]),
         net=net,
     )
+
+
+def _missing(content: Mapping[str, Any], *keys: str, **within: Sequence[str]) -> list[str]:
+    """Return which of `keys`, and of the keys `within` a mapping of that name, `content` lacks."""
+    whole = [key for key in [*keys, *within] if key not in content]
+    return whole + [
+        f"{name}.{key}" for name, inner in within.items() for key in inner if key not in content.get(name, inner)
+    ]
 
 
 def over_drives(
@@ -154,7 +186,7 @@ def over_drives(
     net.eval()
     with torch.inference_mode():
         read = prefetch(windows.batches(timelines, [[span] for span in own], window, opened))
-        predicted = [forward(net, batch).double().cpu().numpy() * target.std_rad for batch in read]
+        predicted = [batch["base_rad"] + target.std_rad * forward(net, batch).double().cpu().numpy() for batch in read]
     steering_rad = [np.full(len(timeline.frame), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(own, predicted, strict=True))):
         for span, values in part:

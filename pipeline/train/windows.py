@@ -1,7 +1,8 @@
 """From graph files and labels to batches: runs of consecutive frames whose windows share their frames.
 
-A window is `window` consecutive frames and predicts the steering at its last one. A span is a run of consecutive
-frames that is read and encoded once; all its windows are unfolded from the embeddings.
+A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last one, by number: of
+that frame the labels alone must say something. A span is a run of consecutive frames that is read and encoded once; all
+its windows are unfolded from the embeddings.
 Frames are consecutive by KITTI frame number, never by position: a missing frame ends a run.
 """
 
@@ -10,18 +11,40 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from pipeline import label
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.train import frames
 
 Batch = dict[str, np.ndarray]
 """The input of a network, as arrays. B frames, W windows of T frames: the frames as in pipeline/train/frames.py;
-windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the frame before).
-With targets: steering_rad float32 [W] and valid bool [W] at each window's last frame."""
+windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the frame before), base_rad float32
+[W] (the angle to which the network's answer is added, of the window's last frame).
+With motion: motion float32 [B,4], columns MOTION.
+With targets: steering_rad float32 [W] and valid bool [W], of the frame `horizon` after each window's last one."""
+MOTION = ("measured_rad", "yaw_rate_radps", "speed_mps", "valid")
+"""What a network with motion is told of a frame: the measured steering angle, which is `base_rad` as well; the motion
+since the frame before; whether that is measured. The first two change sign in the mirror, the others do not."""
+
+
+@dataclass(frozen=True)
+class Car:
+    """What makes a steering angle of a car's motion: of section labels, as the labels are made of it."""
+
+    wheelbase_m: float
+    min_speed_mps: float
+
+    @classmethod
+    def of(cls, labels: store.DriveReader) -> "Car":
+        section = labels.params["labels"]
+        return cls(section["wheelbase_m"], section["min_speed_mps"])
+
+    def measured_angle(self, motion: frames.Motion) -> np.ndarray:
+        """Return the steering angle of measured motion, float64 [G] in rad, held where nothing is measured."""
+        return label.measured_angle(*motion, self.wheelbase_m, self.min_speed_mps)
 
 
 @dataclass(frozen=True)
@@ -33,15 +56,27 @@ class Timeline:
     time_s: np.ndarray  # float64 [G]
     dt_s: np.ndarray  # float32 [G], time since the frame before; nominal at the start of a run
     runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
+    base_rad: np.ndarray  # float64 [G], the measured steering angle; 0 without motion
+    motion: np.ndarray | None  # float32 [G,4], columns MOTION; None without
 
     @classmethod
-    def of(cls, graphs: frames.Graphs) -> "Timeline":
+    def of(cls, graphs: frames.Graphs, motion: str = "none", car: Car | None = None) -> "Timeline":
+        """Read the times of an open graph file, and the motion that a model's line asks for, of this `car`.
+
+        Raises InputError if the file does not carry it.
+        """
         from models.steering.core.recurrent import NOMINAL_STEP_S
 
         runs = consecutive(graphs.frame)
         dt_s = np.diff(graphs.time_s, prepend=np.nan)
         dt_s[[start for start, _ in runs]] = NOMINAL_STEP_S
-        return cls(graphs.path, graphs.frame, graphs.time_s, dt_s.astype(np.float32), runs)
+        base_rad, columns = np.zeros(len(graphs.frame)), None
+        if motion != "none":
+            assert car is not None, "an angle needs a wheelbase"
+            measured = graphs.motion(motion)
+            base_rad = car.measured_angle(measured)
+            columns = np.stack([base_rad, *measured], axis=1).astype(np.float32)
+        return cls(graphs.path, graphs.frame, graphs.time_s, dt_s.astype(np.float32), runs, base_rad, columns)
 
     def rows_of(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the rows of frame `numbers`. Raises InputError naming the first that the file does not hold."""
@@ -55,14 +90,18 @@ class Timeline:
 
 @dataclass(frozen=True)
 class Drive(Timeline):
-    """A drive's frames with their labels, [G] each."""
+    """A drive's frames with what is to be predicted there, of the frame `horizon` after each, [G] each."""
 
     name: str
     labels: Path
-    steering_rad: np.ndarray  # float64
-    speed_mps: np.ndarray  # float64
-    curvature_1pm: np.ndarray  # float64
-    valid: np.ndarray  # bool
+    horizon: int
+    car: Car
+    steering_rad: np.ndarray  # float64, NaN where that frame has no label
+    curvature_1pm: np.ndarray  # float64, likewise
+    valid: np.ndarray  # bool; False where that frame has no label
+    speed_mps: np.ndarray  # float64, at the frame itself
+    held_rad: np.ndarray  # float64, the last valid label, before the target frame, that the frame itself may know; or 0
+    measured_rad: dict[str, np.ndarray]  # kind of motion that the file carries → float64, the measured angle
 
 
 @dataclass(frozen=True)
@@ -74,16 +113,20 @@ class Span:
     stop: int
 
 
-def read_drives(graphs: Path, labels: Path, names: Sequence[str], window: int) -> list[Drive]:
+def read_drives(
+    graphs: Path, labels: Path, names: Sequence[str], window: int, horizon: int = 0, motion: str = "none"
+) -> list[Drive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
-    Raises InputError if a label is missing, or if no window of `window` frames ends at a valid label.
+    `window`, `horizon` and `motion` as in a model's line. Raises InputError if a label or the motion is missing, or if
+    no window of `window` frames has a valid target.
     """
-    drives = [_read_drive(graphs / f"{name}.h5", labels / f"{name}.h5", name) for name in names]
+    drives = [_read_drive(graphs / f"{name}.h5", labels / f"{name}.h5", name, horizon, motion) for name in names]
     if names and not any(_has_target(drive, window) for drive in drives):
         runs = [stop - start for drive in drives for start, stop in drive.runs]
+        where = f"{horizon} frames after its end" if horizon else "at its end"
         raise InputError(
-            f"{graphs}: no window of {window} consecutive frames with a valid label at its end in {', '.join(names)} "
+            f"{graphs}: no window of {window} consecutive frames with a valid label {where} in {', '.join(names)} "
             f"(longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
         )
     if names and not any(drive.steering_rad[drive.valid].any() for drive in drives):
@@ -93,16 +136,35 @@ def read_drives(graphs: Path, labels: Path, names: Sequence[str], window: int) -
     return drives
 
 
-def _read_drive(graphs: Path, labels: Path, name: str) -> Drive:
+def _read_drive(graphs: Path, labels: Path, name: str, horizon: int, motion: str) -> Drive:
     with frames.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
         row_of = {int(number): row for row, number in enumerate(truth.frame)}
         missing = [int(number) for number in file.frame if int(number) not in row_of]
         if missing:
             raise InputError(f"{labels} has no label for frame {missing[0]} of {graphs}: rebuild both with dvc repro")
-        rows = np.array([row_of[int(number)] for number in file.frame], np.int64)
-        columns: dict[str, Any] = {key: truth[key][rows] for key in ("steering_rad", "speed_mps", "curvature_1pm")}
-        columns["valid"] = truth["valid"][rows].astype(bool)
-        return Drive(**vars(Timeline.of(file)), name=name, labels=labels, **columns)
+        here = np.array([row_of[int(number)] for number in file.frame], np.int64)
+        ahead = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
+        steering_rad, valid, car = truth["steering_rad"], truth["valid"].astype(bool), Car.of(truth)
+        return Drive(
+            **vars(Timeline.of(file, motion, car)),
+            name=name,
+            labels=labels,
+            horizon=horizon,
+            car=car,
+            steering_rad=np.where(ahead >= 0, steering_rad[ahead], np.nan),
+            curvature_1pm=np.where(ahead >= 0, truth["curvature_1pm"][ahead], np.nan),
+            valid=(ahead >= 0) & valid[ahead],
+            speed_mps=truth["speed_mps"][here],
+            held_rad=_held(steering_rad[here], valid[here], known=horizon > 0),
+            measured_rad={kind: car.measured_angle(file.motion(kind)) for kind in file.motions},
+        )
+
+
+def _held(steering_rad: np.ndarray, valid: np.ndarray, known: bool) -> np.ndarray:
+    """Return for each frame [F] of a drive the last valid label before it, or its own if that is `known`; else 0."""
+    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
+    last = last if known else np.concatenate([[-1], last])[: len(valid)]
+    return np.where(last >= 0, steering_rad[last], 0.0)
 
 
 def consecutive(frame: np.ndarray) -> tuple[tuple[int, int], ...]:
@@ -185,15 +247,24 @@ def examples(drives: Sequence[Drive], groups: Sequence[Sequence[Span]], window: 
             ends = [(drives[span.drive], slice(span.start + window - 1, span.stop)) for span in group]
             steering_rad = np.concatenate([drive.steering_rad[rows] for drive, rows in ends])
             valid = np.concatenate([drive.valid[rows] for drive, rows in ends])
-            yield batch | {"steering_rad": steering_rad.astype(np.float32), "valid": valid}
+            # What has no label weighs nothing, but nothing times NaN is NaN.
+            yield batch | {"steering_rad": np.nan_to_num(steering_rad).astype(np.float32), "valid": valid}
 
 
 def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) -> Batch:
-    windows, dt_s, before = [], [], 0  # frames of the batch before the span
+    windows, dt_s, base_rad, motion, before = [], [], [], [], 0  # frames of the batch before the span
     for span in group:
-        count = span.stop - span.start
-        rows = np.arange(count - window + 1)[:, None] + np.arange(window)  # [W,T]
-        windows.append(rows + before)
-        dt_s.append(timelines[span.drive].dt_s[span.start : span.stop][rows])
-        before += count
-    return {"windows": np.concatenate(windows), "dt_s": np.concatenate(dt_s)}
+        timeline, rows = timelines[span.drive], slice(span.start, span.stop)
+        of_windows = np.arange(span.stop - span.start - window + 1)[:, None] + np.arange(window)  # [W,T]
+        windows.append(of_windows + before)
+        dt_s.append(timeline.dt_s[rows][of_windows])
+        base_rad.append(timeline.base_rad[rows][window - 1 :])
+        if timeline.motion is not None:
+            motion.append(timeline.motion[rows])
+        before += span.stop - span.start
+    batch = {
+        "windows": np.concatenate(windows),
+        "dt_s": np.concatenate(dt_s),
+        "base_rad": np.concatenate(base_rad).astype(np.float32),
+    }
+    return batch | ({"motion": np.concatenate(motion)} if motion else {})

@@ -116,7 +116,7 @@ def test_checkpoints_say_what_they_are(folder: Path) -> None:
     best = torch.load(made / "best.pt", weights_only=True)
     assert best["model"]["temporal"] == "ncp"
     assert best["splits"] == SPLITS
-    assert set(best["target"]) == {"mean_rad", "std_rad"}
+    assert set(best["target"]) == {"mean_rad", "std_rad", "wheelbase_m", "min_speed_mps"}
     config = json.loads((made / "config.json").read_text())
     assert config["best_epoch"] == best["epoch"] <= config["epochs"] == 3
     curve = (made / "curve.csv").read_text().splitlines()

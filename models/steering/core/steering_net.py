@@ -26,13 +26,17 @@ from torch import Tensor, nn
 
 from models.steering.core.batch import Batch, Kind, of_arrays
 from models.steering.core.knobs import meant, plain, written
+from models.steering.core.motion import COLUMNS, odd_and_even
 from models.steering.core.network_file import Network, Part, load
 from models.steering.core.recurrent import RecurrentCell
 
 Line = Mapping[str, Any]  # a model's line of params.yaml
 
 # The keys of a line that are no network's; pipeline/sections/models.py has their types.
-GENERAL = ("input", "spatial", "temporal", "window", "equivariant", "learning_rate", "alpha", "features")
+GENERAL = (
+    "input", "spatial", "temporal", "window", "equivariant", "learning_rate", "alpha", "features", "horizon", "motion",
+    "fit_to", "roads",
+)  # fmt: skip
 KINDS: dict[Kind, str] = {
     "graph": "kNN graphs",
     "pointnet2": "points with neighbourhood: pointnet2",
@@ -47,21 +51,28 @@ class SteeringNet(nn.Module):
     what the spatial network sees minus what it sees in the mirror, and the recurrent one counts its answer to them
     against that to their negative. What is the same on both sides, most of a street, is gone before the recurrent
     network hears it. The paper has no such symmetry.
+
+    With `motion` the recurrent network hears besides what the car did since the frame before, and says what the angle
+    measured from that leaves open: nothing at first, for all is scaled by a `gain` that starts at 0, so that training
+    starts from the measured angle. The paper has no such input.
     """
 
-    def __init__(self, spatial: nn.Module, temporal: RecurrentCell, equivariant: bool = False) -> None:
+    def __init__(
+        self, spatial: nn.Module, temporal: RecurrentCell, equivariant: bool = False, motion: bool = False
+    ) -> None:
         super().__init__()
         self.spatial = spatial
         self.temporal = temporal
         self.equivariant = equivariant
+        self.gain = nn.Parameter(torch.zeros(())) if motion else None
 
     def encode(self, batch: Batch) -> Tensor:
         """Return what the spatial network sees in each frame, [B,F]; minus the same in the mirror, if equivariant."""
         features: Tensor = self.spatial(batch)
         return features - self.spatial(batch.mirrored()) if self.equivariant else features
 
-    def forward(self, batch: Batch, windows: Tensor, dt_s: Tensor) -> Tensor:
-        """Predict the (scaled) steering at each window's last frame.
+    def forward(self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
+        """Predict the (scaled) steering at each window's last frame, or what the measured angle leaves open of it.
 
         Windows may overlap: each frame is encoded once, however many windows hold it.
 
@@ -69,19 +80,27 @@ class SteeringNet(nn.Module):
             batch: B frames.
             windows: int64 [W,T], which frames of the batch a window holds, oldest first.
             dt_s: [W,T] seconds since the frame before.
+            motion: [B,4], see motion.py; of a network with motion.
         Returns:
             [W]
         """
         features = self.encode(batch)  # [B,F]
         with torch.autocast(features.device.type, enabled=False):  # a tiny part of the work, and an ODE
             dtype = next(self.temporal.parameters()).dtype
-            features, dt_s = features.to(dtype), dt_s.to(dtype)
-            out = self._last(features, windows, dt_s)
-            return (out - self._last(-features, windows, dt_s)) / 2 if self.equivariant else out
+            odd, even, dt_s = features.to(dtype), features.new_empty(len(features), 0, dtype=dtype), dt_s.to(dtype)
+            if self.gain is not None:
+                if motion is None:
+                    raise ValueError("a network with motion needs that of each frame")
+                of_car, even = odd_and_even(motion.to(dtype))
+                odd = torch.cat([odd, of_car], dim=1)
+            out = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
+            if self.equivariant:
+                out = (out - self._last(torch.cat([-odd, even], dim=1), windows, dt_s)) / 2
+            return out if self.gain is None else self.gain * out
 
-    def _last(self, features: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
-        """Features [B,F] → what the recurrent network says at each window's end, [W]."""
-        sensed = self.temporal.sense(features)  # [B,S]
+    def _last(self, heard: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
+        """What is heard of each frame [B,D] → what the recurrent network says at each window's end, [W]."""
+        sensed = self.temporal.sense(heard)  # [B,S]
         out, _ = self.temporal(sensed[windows], dt_s)  # [W,T,1]
         return out[:, -1, 0]
 
@@ -90,7 +109,8 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
     """Build the network of a model's line of params.yaml, with new weights from torch's random state.
 
     Args:
-        line: `input`, `spatial`, `temporal`, `window`, `features`, `equivariant`, and knobs of the two networks.
+        line: `input`, `spatial`, `temporal`, `window`, `features`, `equivariant`, `motion` if it is not none, and knobs
+            of the two networks.
         kind: what the frames of the line's input are.
         levels: PointNet++'s samplings in the input, if it is of that kind.
         image_size: (H,W) pixels of the input's images, if it is of that kind.
@@ -115,9 +135,11 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
         "image": {"image_size": image_size},
     }
     given = {"features": line["features"], "window": line["window"], **of_kind[kind]}
+    motion = line.get("motion", "none") != "none"
+    heard_of_each = [given, given | {"features": line["features"] + motion * COLUMNS}]
     # Random numbers are drawn in this order: a seed's weights depend on it.
-    each, over = (network.build(given, own) for network, own in zip(networks, settings, strict=True))
-    return SteeringNet(each, over, line["equivariant"])
+    each, over = (network.build(*of) for network, *of in zip(networks, heard_of_each, settings, strict=True))
+    return SteeringNet(each, over, line["equivariant"], motion)
 
 
 def knobs(line: Line) -> list[str]:
@@ -165,10 +187,11 @@ def parameter_count(model: nn.Module) -> int:
 
 
 def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
-    """Return the network's output [W] for arrays: those of a batch of frames, `windows` [W,T] and `dt_s` [W,T]."""
+    """Return the network's output [W] for arrays: a batch of frames', `windows` [W,T], `dt_s` [W,T], `motion` [B,4]."""
     device = next(net.parameters()).device
     windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
-    output: Tensor = net(of_arrays(arrays).to(device), windows, dt_s)
+    motion = None if net.gain is None else torch.from_numpy(arrays["motion"]).to(device)
+    output: Tensor = net(of_arrays(arrays).to(device), windows, dt_s, motion)
     return output
 
 

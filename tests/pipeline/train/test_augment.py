@@ -18,8 +18,8 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _batch(folder: Path, *spans: windows.Span) -> windows.Batch:
-    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8)
+def _batch(folder: Path, *spans: windows.Span, motion: str = "none") -> windows.Batch:
+    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion=motion)
     (batch,) = windows.examples(drives, [spans], 8)
     return batch
 
@@ -43,6 +43,27 @@ def test_a_world_twice_as_large_bends_half_as_much(folder: Path) -> None:
     assert (scaled["xyz"][:points] == 2 * batch["xyz"][:points]).all()
     assert (scaled["xyz"][points:] == batch["xyz"][points:]).all()
     assert np.tan(scaled["steering_rad"]) == pytest.approx(np.tan(batch["steering_rad"]) / [2, 2, 2, 1, 1], rel=1e-6)
+
+
+def test_the_motion_is_that_of_the_changed_world(tmp_path: Path) -> None:
+    for write in (artefacts.write_graphs, artefacts.write_images):
+        root = tmp_path / write.__name__
+        artefacts.write_dataset(root, DRIVES, frames=12, write=write)
+        for name in DRIVES:
+            artefacts.add_motion(root / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.4, 12))
+        batch = _batch(root, windows.Span(0, 0, 10), windows.Span(1, 1, 10), motion="visual")
+        mirrored = augment.mirror(batch, np.repeat([True, False], [10, 9]))
+        signs = np.repeat([[-1, -1, 1, 1], [1, 1, 1, 1]], [10, 9], axis=0)
+        assert (mirrored["motion"] == batch["motion"] * signs).all()
+        scaled = augment.rescale(batch, np.repeat(np.array([2.0, 1.0], np.float32), [10, 9]))
+        before, after = (each["motion"][:10].T.astype(np.float64) for each in (batch, scaled))
+        factor = 1 if "image" in batch else 2
+        assert np.tan(after[0]) == pytest.approx(np.tan(before[0]) / factor, rel=1e-5)
+        assert np.tan(after[0]) == pytest.approx(artefacts.WHEELBASE_M * after[1] / after[2], rel=1e-5, abs=1e-6)
+        assert (after[2] == factor * before[2]).all()
+        assert (after[3] == before[3]).all()
+        for changed in (mirrored, scaled):
+            assert (changed["base_rad"] == changed["motion"][changed["windows"][:, -1], 0]).all()
 
 
 def test_images_are_mirrored_left_right_and_know_no_scale(tmp_path: Path) -> None:

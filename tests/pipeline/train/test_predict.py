@@ -24,8 +24,8 @@ def write_model(folder: Path, contents: dict[str, Any] = CONTENTS, **line: objec
     resolved = Model.model_validate(
         {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 8} | line
     ).model_dump()
-    best = {"name": "net", "seed": 0, "model": resolved, "contents": contents, "kind": predict.KIND}
-    best["target"] = {"mean_rad": 0.01, "std_rad": 0.12}
+    best = {"name": "net", "seed": 0, "fold": None, "model": resolved, "contents": contents, "kind": predict.KIND}
+    best["target"] = {"mean_rad": 0.01, "std_rad": 0.12, "wheelbase_m": 2.7, "min_speed_mps": 1.0}
     best["net"] = steering_net.build(resolved, **contents).state_dict()
     checkpoint.write(folder / "best.pt", best)
     return folder
@@ -109,6 +109,38 @@ def test_another_kind_of_frames_is_refused(
         model.predict(graphs)
 
 
+def test_with_motion_the_answer_adds_to_the_measured_angle(tmp_path: Path, drive: Path) -> None:
+    driven = 0.1 * np.sin(NUMBERS / 5)
+    model = predict.load(write_model(tmp_path / "net", motion="visual", horizon=3), "cpu")
+    assert model.horizon == 3
+    with (
+        frames.open_graphs(drive) as graphs,
+        pytest.raises(InputError, match=r"net: .*carries no motion: visual \(it has none\)"),
+    ):
+        model.predict(graphs)
+    artefacts.add_motion(drive, "visual", driven)
+    with torch.no_grad():
+        for weights in model.net.parameters():
+            weights.zero_()
+    with frames.open_graphs(drive) as graphs:
+        steering_rad = model.predict(graphs)
+        answer = predict.over_drives(model.net, lambda *_: torch.ones(1), [windows.Timeline.of(graphs)], WINDOW,
+                                     model.target, rows=[np.array([5])], opened={0: graphs})  # fmt: skip
+    seen = np.isfinite(steering_rad)
+    assert seen.sum() == (12 - 3) + (11 - 3)
+    assert steering_rad[seen] == pytest.approx(driven[seen], abs=1e-6)
+    assert answer[0][5] == pytest.approx(0.12)
+
+
+def test_an_older_checkpoint_is_told_by_what_it_lacks(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "net") / "best.pt"
+    content = checkpoint.read(path, predict.KIND)
+    del content["target"]["wheelbase_m"], content["model"]["horizon"]
+    checkpoint.write(path, content)
+    with pytest.raises(InputError, match=r"lacks model\.horizon, target\.wheelbase_m: an older .* --force train@net$"):
+        predict.load(path.parent)
+
+
 def test_a_folder_is_named_by_path_or_text(tmp_path: Path) -> None:
     folder = write_model(tmp_path / "net")
     for name in (folder, str(folder)):
@@ -139,7 +171,7 @@ def test_a_file_that_does_not_rebuild_a_network_is_refused(tmp_path: Path, chang
     content = checkpoint.read(path, predict.KIND)
     for key, value in change.items():
         content[key] = content[key] | value if isinstance(value, dict) else value
-    checkpoint.write(path, {key: value for key, value in content.items() if value is not None})
+    checkpoint.write(path, {key: value for key, value in content.items() if change.get(key, True) is not None})
     with pytest.raises(InputError, match=rf"best\.pt.*{fault}.* dvc repro --force train@net$"):
         predict.load(path.parent)
 
@@ -153,3 +185,19 @@ def test_target_of_a_straight_road_has_a_spread_to_divide_by(tmp_path: Path) -> 
     bends.steering_rad[:] = 0.05
     assert predict.Target.of([bends]).mean_rad == pytest.approx(0.05)
     assert predict.Target.of([bends]).std_rad > 0
+
+
+def test_the_target_spreads_as_what_motion_leaves_open(tmp_path: Path) -> None:
+    name = "2026_01_01_drive_0001"
+    artefacts.write_dataset(tmp_path, {name: "train"}, frames=40, points=12)
+    graphs, labels = tmp_path / "graphs/semantic", tmp_path / "labels"
+    (plain,) = windows.read_drives(graphs, labels, [name], WINDOW, 5)
+    artefacts.add_motion(graphs / f"{name}.h5", "lidar", np.full(40, 0.05))
+    (moved,) = windows.read_drives(graphs, labels, [name], WINDOW, 5, "lidar")
+    moved.valid[:10] = False
+    target = predict.Target.of([moved])
+    assert target.mean_rad == pytest.approx(plain.steering_rad[10:35].mean())
+    assert target.std_rad == pytest.approx(plain.steering_rad[10:35].std())  # a constant leaves all the spread
+    assert (target.wheelbase_m, target.min_speed_mps) == (2.7, 1.0)
+    moved.base_rad[:] = np.nan_to_num(moved.steering_rad) - 0.02
+    assert predict.Target.of([moved]).std_rad == pytest.approx(1e-6)

@@ -61,7 +61,8 @@ def test_random_spans_without_a_target_are_left_out(folder: Path) -> None:
 
 def test_rows_of_frames_are_by_number(folder: Path) -> None:
     drive = _read(folder)[0]
-    later = windows.Timeline(drive.graphs, np.array([3, 4, 9]), drive.time_s[:3], drive.dt_s[:3], ((0, 2), (2, 3)))
+    frame, three = np.array([3, 4, 9]), slice(3)
+    later = replace(drive, frame=frame, time_s=drive.time_s[three], dt_s=drive.dt_s[three], runs=((0, 2), (2, 3)))
     assert later.rows_of([9, 3, 9]).tolist() == [2, 0, 2]
     assert later.rows_of([]).tolist() == []
     with pytest.raises(InputError, match=r"drive_0001\.h5 has no frame 5\b.*3 to 9"):
@@ -137,6 +138,68 @@ def test_labels_are_matched_by_frame_number(folder: Path) -> None:
     artefacts.write_labels(folder / f"labels/{drive}.h5", drive, np.arange(20) / 100, np.arange(20))
     with pytest.raises(InputError, match="no label for frame 20"):
         _read(folder)
+
+
+def test_the_target_is_the_label_so_many_frames_ahead(folder: Path) -> None:
+    name = next(iter(DRIVES))
+    steering, valid = np.arange(25) / 100, np.arange(25) != 20
+    frame = np.setdiff1d(np.arange(26), [10])  # of frame 10 there is no label, nor a graph
+    artefacts.write_labels(folder / f"labels/{name}.h5", name, steering, frame, valid)
+    rng = np.random.default_rng(0)
+    artefacts.write_graphs(folder / f"graphs/semantic/{name}.h5", name, np.zeros(22), frame[:22], 12, rng)
+    (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [name], 4, horizon=5)
+    assert drive.frame.tolist() == frame[:22].tolist()
+    ahead = {int(number): row for row, number in enumerate(frame)}
+    for row, number in enumerate(drive.frame + 5):
+        known = int(number) in ahead
+        assert drive.valid[row] == (known and bool(valid[ahead[int(number)]]))
+        assert drive.steering_rad[row] == pytest.approx(steering[ahead[int(number)]] if known else np.nan, nan_ok=True)
+        assert np.isnan(drive.curvature_1pm[row]) != known
+    (batch,) = windows.examples([drive], [[windows.Span(0, 0, 10)]], 4)  # windows end at frames 3 to 9
+    assert batch["steering_rad"] == pytest.approx([0.08, 0.09, 0.0, 0.10, 0.11, 0.12, 0.13])  # no NaN, but not valid
+    assert batch["valid"].tolist() == [True, True, False, True, True, True, True]
+
+
+def test_persistence_knows_the_last_valid_label_and_its_own_only_ahead_of_time(folder: Path) -> None:
+    name = next(iter(DRIVES))
+    artefacts.write_labels(folder / f"labels/{name}.h5", name, np.arange(30) / 10, np.arange(30), np.arange(30) != 1)
+    for horizon, expected in ((0, [0.0, 0.0, 0.0, 0.2, 0.3]), (2, [0.0, 0.0, 0.2, 0.3, 0.4])):
+        (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [name], 4, horizon)
+        assert drive.held_rad[:5] == pytest.approx(expected)
+
+
+def test_frames_too_near_the_end_have_no_target(folder: Path) -> None:
+    assert len(windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 15)) == 2
+    with pytest.raises(InputError, match=r"no window of 8 .* with a valid label 16 frames after its end"):
+        windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 16)
+
+
+def test_motion_stands_in_the_batch_and_is_what_the_answer_adds_to(folder: Path) -> None:
+    for name in DRIVES:
+        with store.DriveReader(folder / f"labels/{name}.h5", stage="labels") as truth:
+            moved = np.arange(23) != 5
+            artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", truth["steering_rad"], moved)
+    without = _read(folder)
+    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "visual")
+    held = np.where(moved, drives[0].steering_rad, drives[0].steering_rad[4])
+    assert drives[0].base_rad == pytest.approx(held, abs=1e-6)
+    assert drives[0].measured_rad["visual"] is not None
+    assert without[0].measured_rad["visual"] == pytest.approx(drives[0].base_rad)
+    group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
+    (batch,), (plain,) = windows.examples(drives, [group], 8), windows.examples(without, [group], 8)
+    assert batch["motion"].shape == (11 + 9, len(windows.MOTION))
+    assert batch["motion"].dtype == batch["base_rad"].dtype == np.float32
+    assert (batch["base_rad"] == batch["motion"][batch["windows"][:, -1], 0]).all()
+    assert batch["base_rad"] == pytest.approx(np.r_[drives[1].base_rad[10:14], drives[0].base_rad[7:9]])
+    assert batch["motion"][11 + 5].tolist() == [pytest.approx(held[4], abs=1e-6), 0, 0, 0]
+    assert batch["motion"][11 + 6, 2:].tolist() == [8, 1]
+    assert "motion" not in plain
+    assert not plain["base_rad"].any()
+
+
+def test_motion_that_the_file_does_not_carry_is_named(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"drive_0001\.h5 carries no motion: lidar"):
+        windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "lidar")
 
 
 def test_batches_read_ahead_in_a_thread_are_the_same(folder: Path) -> None:

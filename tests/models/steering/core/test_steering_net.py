@@ -16,6 +16,9 @@ WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
 KIND = {name: Network("spatial", name).module.INPUT for name in names("spatial")}
 RECURRENT = [*((name, {}) for name in names("temporal")), *(("ncp", {"cell": name}) for name in names("cell"))]
 IMAGE = torch.randint(0, 256, (6, 32, 40, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * torch.tensor(
+    [0.2, 0.5, 20, 1]
+)
 CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (32, 40)}}
 
 
@@ -95,6 +98,49 @@ def test_a_mirrored_world_steers_an_equivariant_network_the_other_way(
     assert here.abs().min() > 1e-6
     assert (plain(batch, WINDOWS, dt_s) + plain(batch.mirrored(), WINDOWS, dt_s)).abs().max() > 1e-6
     assert parameter_count(plain) == parameter_count(equivariant)
+
+
+@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
+@pytest.mark.parametrize("spatial", KIND)
+def test_so_it_does_when_the_motion_is_mirrored_too(make_batch, make_sets, make_line, spatial, temporal, knobs):
+    torch.manual_seed(0)
+    counts = [20, 9, 30, 12, 1, 25]
+    batch = {"graph": make_batch(counts), "pointnet2": make_sets(counts), "image": ImageBatch(IMAGE)}[KIND[spatial]]
+    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
+    net = net_of(make_line(spatial, temporal, motion="visual", equivariant=True, **knobs)).double()
+    torch.nn.init.ones_(net.gain)
+    motion = MOTION.clone().requires_grad_()
+    here = net(batch, WINDOWS, dt_s, motion)
+    there = net(batch.mirrored(), WINDOWS, dt_s, motion * torch.tensor([-1, -1, 1, 1]))
+    torch.testing.assert_close(there, -here, **TOLERANCE)
+    assert here.abs().min() > 1e-6
+    (heard,) = torch.autograd.grad(here.square().sum(), motion)
+    assert (heard.abs() > 0).all()  # of every frame, all that it did
+
+
+@pytest.mark.parametrize("temporal", names("temporal"))
+def test_training_starts_from_the_measured_angle(make_batch, make_line, temporal):
+    torch.manual_seed(0)
+    net = net_of(make_line("gnn", temporal, motion="lidar")).double()
+    batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
+    left_open = net(batch, WINDOWS, dt_s, MOTION)
+    assert (left_open == 0).all()
+    (left_open - 1).square().sum().backward()
+    assert net.gain.grad.abs() > 0
+    torch.nn.init.constant_(net.gain, 0.1)
+    gradients = torch.autograd.grad(net(batch, WINDOWS, dt_s, MOTION).square().sum(), list(net.parameters()))
+    assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+    with pytest.raises(ValueError, match="motion"):
+        net(batch, WINDOWS, dt_s)
+
+
+def test_without_motion_a_seed_gives_the_numbers_that_it_always_gave(make_batch, make_line):
+    batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
+    always = {"ncp": 0.61231783739338, "lstm": 0.26132779169831866}  # of the code that knew no motion
+    for temporal, knobs in (("ncp", {}), ("ncp", {"motion": "none"}), ("lstm", {})):
+        torch.manual_seed(3)
+        net = net_of(make_line("gnn", temporal, **knobs)).double()
+        assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(always[temporal], rel=1e-9)
 
 
 @pytest.mark.parametrize("spatial", KIND)

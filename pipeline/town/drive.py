@@ -8,15 +8,17 @@ import numpy as np
 
 from pipeline.base.atomic import replacing
 from pipeline.kitti.raw import RawDrive
+from pipeline.town.character import QUARTERS, draw_character
 from pipeline.town.journey import draw_journey, record
 from pipeline.town.layout import DriveFolder
 from pipeline.town.light import draw_ground_colours, draw_light
+from pipeline.town.manoeuvres import DECK
 from pipeline.town.plan import draw_plan
 from pipeline.town.recording import read_recording
 from pipeline.town.replay import replay
 from pipeline.town.rig import make_rig
-from pipeline.town.sensors import Camera, Scanner, imu_pose
-from pipeline.town.street import build_street, draw_character
+from pipeline.town.sensors import Camera, Scanner
+from pipeline.town.street import build_street
 from pipeline.town.traffic import draw_traffic, shown
 from pipeline.town.world import World
 
@@ -49,24 +51,30 @@ def write_drive(
     """
     rng = np.random.default_rng(_seed(seed, drive))
     recording = read_recording(recorded, frames) if recorded else None
-    journey = replay(drive, recording, rng) if recording else draw_journey(rng, frames)
+    # Consecutive drives of a date, and a date's and the next's, begin with other manoeuvres in other quarters, so that
+    # few drives show all.
+    day, number = int(drive[8:10]), int(drive[-4:])
+    character = draw_character(rng, QUARTERS[(number - 2 * day) % len(QUARTERS)])
+    if recording:
+        journey = replay(drive, recording, rng, character.lane_m)
+    else:
+        journey = draw_journey(rng, frames, character, DECK[(number - day) % len(DECK)])
     route, motion = journey.route, journey.motion
-    character = draw_character(rng)
-    plan = draw_plan(route, rng, character.pavement_m, character.bays)
+    plan = draw_plan(route, rng, character)
     world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
     light = draw_light(rng)
     traffic = draw_traffic(route, motion, rng)
     near = [shown(vehicle, journey) for vehicle in traffic]
     recording = recording or record(journey, drive[:10], rng)
 
-    rig = make_rig(size)
+    rig = make_rig(size, drive[:10])
     camera, scanner = Camera(rig), Scanner(rig, scan_rays)
     with replacing(path) as unfinished:
         folder = DriveFolder(unfinished)
         folder.put_recording(recording)
         for i, frame in enumerate(recording.packets):
             world.set_traffic([vehicle.at(i) for vehicle, near_at in zip(traffic, near, strict=True) if near_at[i]])
-            pose = imu_pose(journey.xy[i], journey.heading_rad[i])
+            pose = journey.pose(i)
             noise = np.random.default_rng([_seed(seed, drive), frame])
             folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise))
     steering = np.arctan(WHEELBASE_M * route.curvature(motion.s_m))

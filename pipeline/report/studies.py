@@ -1,6 +1,6 @@
 """What one setting is worth: a figure and a table for each study of presets/studies.yaml, and the paper's claims.
 
-A model of a study is called STUDY-VALUE; ``default`` has every study's default and is a point of each.
+A model of a study is called STUDY-VALUE; sa-gnn-ncp has the default of every study and is a point of each.
 """
 
 import csv
@@ -18,10 +18,10 @@ from pipeline.base.params import load
 from pipeline.report.judge.interval import difference_interval
 from pipeline.report.tables.markdown import table
 from pipeline.sections.evaluate import Evaluate
-from pipeline.train import seeds
+from pipeline.train import runs
 
 Result = dict[str, Any]  # a model's metrics.json
-DEFAULT = "default"
+DEFAULT = "sa-gnn-ncp"
 COLUMNS = ("model", "test nmse", "95 % interval", "validation nmse", "MAE deg", "edges a frame", "parameters")
 
 
@@ -186,7 +186,7 @@ def _predictions(evaluate: Path, ours: Result, other: Result) -> tuple[np.ndarra
     tables = [
         [
             _read(folder / "predictions.csv")
-            for folder in seeds.folders(evaluate / each["model"], each["seeds"]).values()
+            for folder in runs.folders(evaluate / each["model"], each["seeds"]).values()
         ]
         for each in (ours, other)
     ]

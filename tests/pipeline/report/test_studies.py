@@ -35,7 +35,7 @@ def write_model(evaluate: Path, name: str, nmse: float, seeds: tuple[int, ...] =
 def evaluate(tmp_path: Path) -> Path:
     folder = tmp_path / "evaluate"
     for name, nmse in {
-        "default": 0.2,
+        "sa-gnn-ncp": 0.2,
         "points-125": 0.6,
         "points-8000": 0.15,
         "keep-100": 0.2,
@@ -53,7 +53,7 @@ def test_a_figure_and_a_table_of_each_study_that_has_models(evaluate: Path, tmp_
         rows = [(row["study"], row["value"], row["model"]) for row in csv.DictReader(file)]
     assert rows[:3] == [
         ("points", "125", "points-125"),
-        ("points", "1000", "default"),
+        ("points", "1000", "sa-gnn-ncp"),
         ("points", "8000", "points-8000"),
     ]
     text = out.with_suffix(".md").read_text()
@@ -72,7 +72,7 @@ def test_claims_are_judged_by_the_interval_of_the_difference(evaluate: Path, tmp
 
 
 def test_without_the_default_there_is_no_study(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no model 'default': run make studies"):
+    with pytest.raises(InputError, match="no model 'sa-gnn-ncp': run make studies"):
         studies.main(tmp_path / "nothing", tmp_path / "out")
 
 

@@ -49,16 +49,14 @@ def write_drive(
     The folder appears under its name only when complete. Calibration files belong to the date's folder, see
     :func:`pipeline.town.rig.write_calibration`.
     """
-    rng = np.random.default_rng(_seed(seed, drive))
+    rng = random_of(drive, seed)
     recording = read_recording(recorded, frames) if recorded else None
-    # Consecutive drives of a date, and a date's and the next's, begin with other manoeuvres in other quarters, so that
-    # few drives show all.
-    day, number = int(drive[8:10]), int(drive[-4:])
-    character = draw_character(rng, QUARTERS[(number - 2 * day) % len(QUARTERS)])
+    quarter, first = theme(drive)
+    character = draw_character(rng, quarter)
     if recording:
         journey = replay(drive, recording, rng, character.lane_m)
     else:
-        journey = draw_journey(rng, frames, character, DECK[(number - day) % len(DECK)])
+        journey = draw_journey(rng, frames, character, first)
     route, motion = journey.route, journey.motion
     plan = draw_plan(route, rng, character)
     world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
@@ -75,7 +73,7 @@ def write_drive(
         for i, frame in enumerate(recording.packets):
             world.set_traffic([vehicle.at(i) for vehicle, near_at in zip(traffic, near, strict=True) if near_at[i]])
             pose = journey.pose(i)
-            noise = np.random.default_rng([_seed(seed, drive), frame])
+            noise = random_of(drive, seed, frame)
             folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise))
     steering = np.arctan(WHEELBASE_M * route.curvature(motion.s_m))
     return {
@@ -85,5 +83,16 @@ def write_drive(
     }
 
 
-def _seed(seed: int, drive: str) -> int:
-    return int.from_bytes(hashlib.sha256(f"{seed}/{drive}".encode()).digest()[:8], "big")
+def theme(drive: str) -> tuple[str, str]:
+    """Return the quarter that a drive crosses and the manoeuvre that it begins with.
+
+    They differ from number to number and from date to date, so that a few short drives show all.
+    """
+    day, number = int(drive[8:10]), int(drive[-4:])
+    return QUARTERS[(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
+
+
+def random_of(drive: str, seed: int, *frame: int) -> np.random.Generator:
+    """Return what a drive of the town with `seed` is drawn from, or one of its frames."""
+    digest = hashlib.sha256(f"{seed}/{drive}".encode()).digest()
+    return np.random.default_rng([int.from_bytes(digest[:8], "big"), *frame])

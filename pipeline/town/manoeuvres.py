@@ -67,7 +67,7 @@ def _manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece
     if kind == "right":
         return bend(-np.deg2rad(rng.uniform(75, 100)), rng.uniform(5.0, 7.0), rng.uniform(4, 6))
     if kind == "left":  # across the other lane
-        return bend(np.deg2rad(rng.uniform(75, 100)), lane_m + rng.uniform(3.0, 6.0), rng.uniform(5, 8))
+        return bend(np.deg2rad(rng.uniform(75, 100)), 0.6 * lane_m + rng.uniform(4.7, 8.0), rng.uniform(5, 8))
     if kind == "corner":
         return bend(side * np.deg2rad(rng.uniform(75, 100)), rng.uniform(9, 14), rng.uniform(7, 10))
     if kind == "bend":

@@ -13,7 +13,7 @@ from pipeline.base.lock import held
 from pipeline.base.params import SPLITS, load
 from pipeline.report.judge import predictions, split, steering_plot
 from pipeline.sections.evaluate import Evaluate
-from pipeline.train import frames, predict, seeds, windows
+from pipeline.train import frames, predict, runs, windows
 
 
 def main(
@@ -26,7 +26,8 @@ def main(
 ) -> Path:
     """Write metrics.json, predictions.csv and a plot of the test drives; predictions of further seeds in folders.
 
-    Invalid frames have no say in any figure. Figures are means over the seeds. Returns the model's folder.
+    Invalid frames have no say in any figure. Figures are means over the seeds. A network that is fitted to some of the
+    test drives judges the one that it has not seen. Returns the model's folder.
     """
     with held(out / name, out.parent / ".resume" / f"{out.name}-{name}"):
         return _evaluate(name, train, graphs, labels, out, load(Evaluate, params))
@@ -34,66 +35,59 @@ def main(
 
 def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, settings: Evaluate) -> Path:
     config = store.read_json(train / name / "config.json", stage=f"train@{name}")
-    line = config["model"]
+    line, seeds = config["model"], config["seeds"]
     variant = graphs / line["input"]
-    splits = store.read_index(variant, stage="graphs")
-    drives = {
-        of: windows.read_drives(variant, labels, store.of_split(splits, of), line["window"]) for of in SPLITS
-    }  # fmt: skip
-    predicted = {
-        seed: _predict(_load(folder, name, seed, config), drives)
-        for seed, folder in seeds.folders(train / name, config["seeds"]).items()
-    }
+    folds = runs.folds(store.read_index(variant, stage="graphs"), line)
+    models = {run: _load(run, name, config) for run in runs.runs(train / name, seeds, folds)}
+
+    cases: dict[str, list[split.Case]] = {of: [] for of in SPLITS}
+    for fold in folds:
+        of_fold = [model for run, model in models.items() if run.fold == fold]
+        for of, judged in cases.items():
+            drives = windows.read_drives(
+                variant, labels, getattr(fold, of), line["window"], line["horizon"], line["motion"]
+            )
+            judged += [split.Case(drive, _predict(of_fold, drive), of_fold[0].target.mean_rad) for drive in drives]
 
     result: dict[str, Any] = {
         "model": name,
         "line": line,
-        "seeds": config["seeds"],
-        "drives": {of: store.of_split(splits, of) for of in SPLITS},
+        "seeds": seeds,
+        "drives": {of: list(dict.fromkeys(case.drive.name for case in judged)) for of, judged in cases.items()},
         "parameters": config["parameters"],
         "encode_ms_per_frame": config["encode_ms_per_frame"],
-        **split.sizes(drives["test"]),
+        **split.sizes([case.drive for case in cases["test"]]),
+        **{of: split.figures(judged, settings) if judged else None for of, judged in cases.items()},
     }
-    for of in SPLITS:
-        by_seed = [of_seed[of] for of_seed in predicted.values()]
-        mean_rad = config["target"]["mean_rad"]
-        result[of] = split.figures(drives[of], by_seed, settings, mean_rad) if drives[of] else None
     store.write_json(out / name / "metrics.json", result)
-    for seed, folder in seeds.folders(out / name, config["seeds"]).items():
-        predictions.write(folder / "predictions.csv", drives["test"], predicted[seed]["test"])
-    _draw_and_say(out / name / "steering.png", result, drives["test"], predicted[config["seeds"][0]]["test"])
+    for number, folder in enumerate(runs.folders(out / name, seeds).values()):
+        predictions.write(folder / "predictions.csv", [(case.drive, case.predicted[number]) for case in cases["test"]])
+    _draw_and_say(out / name / "steering.png", result, cases["test"])
     return out / name
 
 
-def _load(folder: Path, name: str, seed: int, config: Mapping[str, Any]) -> predict.Trained:
-    model = predict.load(folder)
-    if (model.name, model.line, model.seed) != (name, config["model"], seed):
+def _load(run: runs.Run, name: str, config: Mapping[str, Any]) -> predict.Trained:
+    model = predict.load(run.folder)
+    if (model.name, model.line, model.seed, model.fold) != (name, config["model"], run.seed, run.fold.name):
         raise InputError(
-            f"{folder / 'best.pt'} is of model {model.name}, seed {model.seed}, and not what config.json beside it "
+            f"{run.folder / 'best.pt'} is of model {model.name}, seed {model.seed}, and not what config.json "
             f"says. Train it again: dvc repro --force train@{name}"
         )
     return model
 
 
-def _predict(model: predict.Trained, drives: Mapping[str, list[windows.Drive]]) -> dict[str, list[np.ndarray]]:
-    """Return for each split what the model predicts, [G] rad for each drive."""
-    predicted: dict[str, list[np.ndarray]] = {of: [] for of in drives}
-    for of, of_split in drives.items():
-        for drive in of_split:
-            with frames.open_graphs(drive.graphs) as graphs:
-                predicted[of].append(model.predict(graphs))
-    return predicted
+def _predict(models: list[predict.Trained], drive: windows.Drive) -> np.ndarray:
+    """Return what each of the models predicts, [S,G] rad."""
+    with frames.open_graphs(drive.graphs) as graphs:
+        return np.stack([model.predict(graphs) for model in models])
 
 
-def _draw_and_say(
-    path: Path, result: Mapping[str, Any], drives: list[windows.Drive], predicted_rad: list[np.ndarray]
-) -> None:
+def _draw_and_say(path: Path, result: Mapping[str, Any], judged: list[split.Case]) -> None:
     """Draw the test drives with one seed's predictions, and print the test's figures."""
     name, test, count = result["model"], result["test"], len(result["seeds"])
     steering_plot.draw(
         path,
-        drives,
-        predicted_rad,
+        [(case.drive, case.predicted[0]) for case in judged],
         f"{name}: nmse {test['nmse']:.3f}" + (f" (mean of {count} seeds, one shown)" if count > 1 else ""),
     )
     spread = "" if test["nmse_std"] is None else f" ± {test['nmse_std']:.3f} over {count} seeds"

@@ -4,25 +4,22 @@ On several GPUs: torchrun --nproc-per-node 2 -m stages.train MODEL; all processe
 """
 
 import shutil
-from collections.abc import Mapping
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
-from pipeline.base import console, provenance, store
+from pipeline.base import console, store
 from pipeline.base.errors import InputError, explained
 from pipeline.base.lock import held
 from pipeline.base.params import SPLITS, load, load_entry
-from pipeline.base.resume import resume_key
-from pipeline.fitting import checkpoint
+from pipeline.base.pool import run_side_by_side
+from pipeline.base.resume import file_hash
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
-from pipeline.train import distributed, frames, predict, seeds, windows
-
-if TYPE_CHECKING:
-    from pipeline.train.fit import Fit
+from pipeline.train import distributed, runs, windows
 
 
 def main(
@@ -34,76 +31,45 @@ def main(
 ) -> Path:
     """Fit the model to the training drives, stop when the validation error no longer falls, keep the best epoch.
 
-    Returns the model's folder.
+    A network for each seed, and for each test drive with fit_to: others or both. On a CPU, several are fitted side by
+    side, with a thread each. Returns the model's folder.
     """
-    import torch
-
     from models.steering.core import steering_net
-    from pipeline.train import fit
+    from pipeline.train.training import Job, fit_run
 
     model, settings = load_entry(Model, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": model.learning_rate or settings.learning_rate})
-    with explained(where=f"{params}: models.{name}"):
-        line = steering_net.resolved(model.model_dump())
-    variant = graphs / model.input
+    variant, where = graphs / model.input, f"{params}: models.{name}"
     splits = store.read_index(variant, stage="graphs")
-    # The test drives are read too, only to find out now, not after training, that this model has no frame in them.
-    train, val, _ = (
-        windows.read_drives(variant, labels, store.of_split(splits, split), model.window) for split in SPLITS
-    )
-    modules = ["stages.train", *steering_net.modules(line)]
-    contents = frames.contents(train[0].graphs)
-    files = [file for drive in train + val for file in (drive.graphs, drive.labels)]
+    with explained(where=where):
+        line = steering_net.resolved(model.model_dump())
+        folds = runs.folds(splits, line)
+    for fold in folds:  # the test drives too, to find out now, not after training, that this model has no frame in them
+        for split in SPLITS:
+            windows.read_drives(variant, labels, getattr(fold, split), model.window, model.horizon, model.motion)
+    todo = runs.runs(out / name, settings.seeds, folds)
     kept = out.parent / ".resume" / f"{out.name}-{name}"
+    learned = {drive for fold in folds for drive in fold.train + fold.val}
+    files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in learned}
+    job = Job(name, where, line, settings, variant, labels, splits, files, kept)
     with distributed.joined() as (world, device), held(out / name, kept) if world.leads else nullcontext():
         if world.size > settings.batch_runs:
             raise InputError(
                 f"{params}: train.batch_runs = {settings.batch_runs}: the runs of a step cannot be spread over "
                 f"{world.size} processes: raise it, or start fewer"
             )
-        if not val and world.leads:
+        if not folds[0].val and world.leads:
             print(f"{name}: no validation drives, so no early stopping: the last epoch counts as the best", flush=True)
-        for seed, folder in seeds.folders(out / name, settings.seeds).items():
-            torch.manual_seed(seed)
-            with explained(where=f"{params}: models.{name}"):
-                net = steering_net.build(line, **contents)
-            net.to(device, torch.float64 if settings.precision == "float64" else None)
-            run = fit.Fit(net, steering_net.predict, model.window, model.alpha, settings, seed, world)
-            determined_by = {"model": line, "train": settings.model_dump(exclude={"seeds"}), "seed": seed}
-            about = {
-                "name": name,
-                "splits": splits,
-                "contents": contents,
-                "target": vars(predict.Target.of(train)),
-                "revision": provenance.revision(),
-                **determined_by,
-            }
-            state = kept / f"{resume_key(modules, determined_by | {'splits': splits}, files)}.pt"
-            run.run(train, val, state, about, f"{name} seed {seed}")
-            if world.leads:
-                more = {
-                    "seeds": settings.seeds,
-                    "effective_frames": fit.effective_frames(train, model.alpha),
-                    "parameters": steering_net.parameter_count(net),
-                    # Measured here, so that stage evaluate has no clock in its files.
-                    "encode_ms_per_frame": predict.ms_per_frame(net, steering_net.encode, val or train, model.window),
-                }
-                _write(folder, run, state, about, more)
+        if len(todo) > 1 and world.size == 1 and device.type == "cpu":
+            run_side_by_side(partial(fit_run, job=job), todo)
+        else:
+            for run in todo:
+                fit_run(run, job, world, device)
     if world.leads:
+        if folds[0].name:  # a model's config.json is that of its first network
+            shutil.copyfile(todo[0].folder / "config.json", out / name / "config.json")
         shutil.rmtree(kept)
     return out / name
-
-
-def _write(folder: Path, run: "Fit", state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
-    """Write a finished run's files; `state` is what its last epoch left."""
-    from pipeline.train import fit
-
-    best = fit.kept_epoch(run.curve, run.settings.keep)
-    folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(state, folder / "last.pt")
-    checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "epoch": best, "net": run.best})
-    fit.write_curve(folder / "curve.csv", run.curve)
-    store.write_json(folder / "config.json", {**about, "best_epoch": best, "epochs": len(run.curve), **more})
 
 
 if __name__ == "__main__":

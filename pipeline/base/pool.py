@@ -12,12 +12,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -30,12 +31,13 @@ from pipeline.base.resume import resume_key
 from pipeline.base.store import indexed, write_json
 
 REFRESH_S = 0.5  # of the bar, while workers count
+J = TypeVar("J")
 Summary = dict[str, Any]
 Work = Callable[[str, Path], Summary]
 """``work(drive, path)`` writes the drive's file or folder to `path` in one step and returns what the log says."""
 _BROKEN = (
     "a worker process died (out of memory?) at or near {drive}: use fewer workers (STEER_WORKERS=1) "
-    "or run the command again; finished drives are kept"
+    "or run the command again; what is finished is kept"
 )
 
 
@@ -142,14 +144,8 @@ def _run(
         for drive, path in paths.items():
             finish(drive, *_timed(work, drive, path))
         return
-    # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
-    context = multiprocessing.get_context("spawn")
-    done_frames = context.Value("q", 0)
-    threads = max(1, default_workers() // workers)
     failures: list[Exception] = []
-    with _Environment(OMP_NUM_THREADS=str(threads)), ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_start_worker, initargs=(threads, done_frames)
-    ) as pool:  # fmt: skip
+    with _processes(workers, threads=max(1, default_workers() // workers)) as (pool, done_frames):
         jobs = {pool.submit(_timed, work, drive, path): drive for drive, path in paths.items()}
         pending = set(jobs)
         try:
@@ -171,6 +167,39 @@ def _run(
                 job.cancel()
     if failures:
         raise failures[0]
+
+
+def run_side_by_side(work: Callable[[J], object], jobs: Sequence[J], workers: int | None = None) -> None:
+    """Call ``work(job)`` for each of `jobs` in processes of one thread each: their number never changes a result.
+
+    Args:
+        work: a picklable function, which keeps its own results.
+        workers: processes; None means :func:`pipeline.base.console.default_workers`.
+
+    Raises the first error of a worker after what runs is done; the jobs that wait are left out.
+    """
+    with _processes(min(workers or default_workers(), len(jobs)), threads=1) as (pool, _):
+        waiting = [pool.submit(work, job) for job in jobs]
+        try:
+            for job in as_completed(waiting):
+                job.result()
+        except BrokenProcessPool as error:
+            raise InputError(_BROKEN.format(drive=jobs[waiting.index(job)])) from error
+        finally:
+            for job in waiting:
+                job.cancel()
+
+
+@contextmanager
+def _processes(workers: int, threads: int) -> "Iterator[tuple[ProcessPoolExecutor, Synchronized[int]]]":
+    """Yield worker processes whose libraries use so many threads, and the counter of the frames that they have done."""
+    # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
+    context = multiprocessing.get_context("spawn")
+    done_frames = context.Value("q", 0)
+    with _Environment(OMP_NUM_THREADS=str(threads)), ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_start_worker, initargs=(threads, done_frames)
+    ) as pool:  # fmt: skip
+        yield pool, done_frames
 
 
 def _timed(work: Work, drive: str, path: Path) -> tuple[Summary, float]:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import multiprocessing
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -133,7 +134,8 @@ class Fit:
         self.learner.train()
         total, rate = torch.zeros(2, dtype=torch.float64, device=self.device), 0.0  # sums of weight · error², weight
         steps = zip(groups, shares, own, prefetch(windows.examples(drives, own, self.window)), strict=True)
-        hidden = not (self.world.leads and sys.stderr.isatty())
+        alone = multiprocessing.parent_process() is None  # several bars on one terminal draw over each other
+        hidden = not (alone and self.world.leads and sys.stderr.isatty())
         bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=hidden)
         for step, (group, share, runs, batch) in enumerate(bar):
             rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(groups)) / settings.epochs, WARM_UP)

@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.base.errors import InputError, explained
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
-from pipeline.train import frames, seeds, windows
+from pipeline.train import frames, runs, windows
 from pipeline.train.distributed import World
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ class Trained:
 
     name: str
     seed: int
+    fold: str | None  # the test drive that it was not fitted to, if it was fitted to the others
     line: dict[str, Any]  # as resolved when it was trained: input, spatial, temporal, window, …
     contents: dict[str, Any]  # of the graph files it was trained on, see frames.Graphs
     target: Target
@@ -106,7 +107,7 @@ class Trained:
                 f"{frames.described(graphs.contents)}: give it graphs of input: {self.line['input']} as it was trained "
                 f"on, or train it again: dvc repro --force train@{self.name}"
             )
-        with explained(where=f"model {self.name}, motion: {self.line['motion']}"):
+        with explained(where=f"model {self.name}"):
             timeline = windows.Timeline.of(graphs, self.line["motion"], self.target.car)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows_of(numbers)
         (steering_rad,) = over_drives(
@@ -116,7 +117,7 @@ class Trained:
 
 
 def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
-    """Load the best epoch of a trained model: data/train/<model>, or data/train/<model>/seed-<n> of a further seed.
+    """Load the best epoch of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.
 
     Args:
         folder: its best.pt holds all that is needed; neither params.yaml nor graphs are read.
@@ -129,14 +130,15 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
     from models.steering.core import steering_net
 
     folder = Path(folder)
-    path, name = folder / "best.pt", seeds.model_name(folder)
+    path, name = folder / "best.pt", runs.model_name(folder)
     if not path.is_file():
         models = sorted(best.parent.name for best in folder.glob("*/best.pt"))
         hint = f"name one of those in it: {', '.join(models)}" if models else f"train it: dvc repro train@{name}"
         raise InputError(f"{folder} is not a trained model, best.pt is missing: {hint}")
     with explained(hint=f"Train it again: dvc repro --force train@{name}"):
         content = checkpoint.read(path, KIND)
-        missing = _missing(content, "name", "seed", "contents", "net", model=steering_net.GENERAL, target=TARGET)
+        whole = ("name", "seed", "fold", "contents", "net")
+        missing = _missing(content, *whole, model=steering_net.GENERAL, target=TARGET)
         if missing:
             raise InputError(f"{path} lacks {', '.join(sorted(missing))}: an older version of this project wrote it")
         with explained(where=str(path)):
@@ -146,6 +148,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
     return Trained(
         name=content["name"],
         seed=content["seed"],
+        fold=content["fold"],
         line=content["model"],
         contents=content["contents"],
         target=Target(**content["target"]),

@@ -1,5 +1,6 @@
 """The trivial predictors that every model stands beside."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -7,22 +8,23 @@ import numpy as np
 from pipeline.report.judge.errors import scores
 
 
-def baselines(steering_rad: np.ndarray, previous_rad: np.ndarray, train_mean_rad: float) -> dict[str, dict[str, Any]]:
-    """Return the scores of three predictors that see nothing of the road.
+def baselines(
+    steering_rad: np.ndarray,
+    train_mean_rad: np.ndarray | float,
+    held_rad: np.ndarray,
+    measured_rad: Mapping[str, np.ndarray],
+) -> dict[str, dict[str, Any]]:
+    """Return the scores of predictors that learn nothing of the road, for target angles [N].
 
-    zero: always straight. train_mean: the mean of the training labels. persistence: the true angle of the last valid
-    frame before, `previous_rad` [N] (NaN where there is none: zero is predicted); it knows what no model is told.
+    zero: always straight. train_mean: the mean of the training targets. persistence: the last true angle that may be
+    known, `held_rad` [N]; it knows what no model is told. odometry: the angle that is measured at the last frame seen,
+    of `measured_rad`, kind of motion → [N]: of its first kind, and a further one as odometry_<kind>.
     """
-    constant = np.full_like(steering_rad, train_mean_rad)
-    return {
-        "zero": scores(steering_rad, np.zeros_like(steering_rad)),
-        "train_mean": scores(steering_rad, constant),
-        "persistence": scores(steering_rad, np.nan_to_num(previous_rad)),
+    by_name = {
+        "zero": np.zeros_like(steering_rad),
+        "train_mean": np.full_like(steering_rad, train_mean_rad),
+        "persistence": held_rad,
     }
-
-
-def last_valid(steering_rad: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Return for each frame [F] of a drive the label of the last valid frame before it, NaN where there is none."""
-    rows = np.where(valid, np.arange(len(valid)), -1)
-    before = np.concatenate([[-1], np.maximum.accumulate(rows)[:-1]]) if len(rows) else rows
-    return np.where(before >= 0, steering_rad[before], np.nan)
+    for number, (kind, angle) in enumerate(measured_rad.items()):
+        by_name[f"odometry_{kind}" if number else "odometry"] = angle
+    return {name: scores(steering_rad, predicted) for name, predicted in by_name.items()}

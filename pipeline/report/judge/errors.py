@@ -12,8 +12,11 @@ from pipeline.train import score
 def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> dict[str, Any]:
     """Return mse_rad2, rmse_deg, mae_deg and nmse of predictions [N], or of S seeds' predictions [S,N] on average.
 
-    nmse = MSE / MSE of always predicting zero: 1 is useless, 0 perfect, None where every label is 0.
+    nmse = MSE / MSE of always predicting zero: 1 is useless, 0 perfect, None where every label is 0. Of no frames at
+    all, each is None.
     """
+    if not len(steering_rad):
+        return {"frames": 0, **dict.fromkeys(("mse_rad2", "rmse_deg", "mae_deg", "nmse"))}
     mse, nmse = score.mse(steering_rad, predicted_rad), score.nmse(steering_rad, predicted_rad)
     return {
         "frames": len(steering_rad),

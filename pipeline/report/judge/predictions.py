@@ -1,4 +1,7 @@
-"""predictions.csv: each frame with what was driven and what was predicted."""
+"""predictions.csv: each frame with what was predicted by what is seen until then, and what was driven.
+
+Both angles are those `horizon` frames after it, and so is `valid`; number, time and speed are the frame's own.
+"""
 
 import csv
 from collections.abc import Sequence
@@ -12,15 +15,18 @@ from pipeline.train.windows import Drive
 COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid")
 
 
-def write(path: Path, drives: Sequence[Drive], predicted_rad: Sequence[np.ndarray]) -> None:
-    """Write one row per frame of `drives`; of predictions [G] rad of each drive, NaN stays empty."""
+def write(path: Path, predictions: Sequence[tuple[Drive, np.ndarray]]) -> None:
+    """Write one row per frame of drives with what is predicted for them, [G] rad; an angle that is NaN stays empty."""
     with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
-        for drive, predicted in zip(drives, predicted_rad, strict=True):
+        for drive, predicted in predictions:
             for row in range(len(drive.frame)):
-                angle = "" if np.isnan(predicted[row]) else f"{predicted[row]:.6f}"
                 rows.writerow([
                     drive.name, drive.frame[row], f"{drive.time_s[row]:.6f}", f"{drive.speed_mps[row]:.4f}",
-                    f"{drive.steering_rad[row]:.9f}", angle, int(drive.valid[row]),
+                    _angle(drive.steering_rad[row], 9), _angle(predicted[row], 6), int(drive.valid[row]),
                 ])  # fmt: skip
+
+
+def _angle(rad: float, digits: int) -> str:
+    return "" if np.isnan(rad) else f"{rad:.{digits}f}"

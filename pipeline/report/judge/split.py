@@ -1,47 +1,79 @@
 """The figures of one split, as they stand in metrics.json."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.base import store
-from pipeline.report.judge.baselines import baselines, last_valid
+from pipeline.report.judge import decisions
+from pipeline.report.judge.baselines import baselines
 from pipeline.report.judge.errors import by_curvature, scores
 from pipeline.report.judge.interval import nmse_interval, nmse_std
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train.windows import Drive
 
 
-def figures(
-    drives: Sequence[Drive],
-    predicted_rad: Sequence[Sequence[np.ndarray]],
-    settings: Evaluate,
-    train_mean_rad: float,
-) -> dict[str, Any]:
-    """Return errors, interval, baselines and bins of predictions by seed and drive, [G] rad each.
+@dataclass(frozen=True)
+class Case:
+    """A drive to judge by: what a model's S seeds predict for its G frames, and what they know of training."""
 
-    Frames that are invalid or too early for a whole window do not count.
+    drive: Drive
+    predicted: np.ndarray  # [S,G] rad, NaN where no window ends
+    train_mean_rad: float
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Which frames [G] count: those with a valid target and a whole window."""
+        return self.drive.valid & ~np.isnan(self.predicted[0])
+
+
+def figures(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
+    """Return errors, interval, baselines and bins of what was predicted for drives, and errors of parts of them.
+
+    `by_drive`: of each drive alone. `without_decisions`: of all but the frames that :func:`decisions.near` names.
     """
-    judged = [drive.valid & ~np.isnan(angles) for drive, angles in zip(drives, predicted_rad[0], strict=True)]
-
-    def column(of_drive: Sequence[np.ndarray]) -> np.ndarray:
-        return np.concatenate([values[rows] for values, rows in zip(of_drive, judged, strict=True)])
-
-    steering = column([drive.steering_rad for drive in drives])
-    predicted = np.stack([column(of_seed) for of_seed in predicted_rad])  # [S,N]
-    before = column([last_valid(drive.steering_rad, drive.valid) for drive in drives])
-    number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])
-    curvature = column([drive.curvature_1pm for drive in drives])
+    columns = _Columns(cases)
+    steering, predicted = columns.steering, columns.predicted
     interval = nmse_interval(
-        steering, predicted, number, settings.bootstrap_block_frames, settings.bootstrap_samples, settings.seed
+        steering, predicted, columns.number, settings.bootstrap_block_frames, settings.bootstrap_samples, settings.seed
     )
-    return scores(steering, predicted) | {
+    names = [case.drive.name for case in cases]
+    return columns.scores() | {
         "nmse_std": nmse_std(steering, predicted),
         "nmse_ci95": list(interval),
-        "baselines": baselines(steering, before, train_mean_rad),
-        "by_curvature": by_curvature(steering, predicted, curvature, settings.curvature_bins_1pm),
+        "by_curvature": by_curvature(steering, predicted, columns.curvature, settings.curvature_bins_1pm),
+        "by_drive": {name: columns.scores(np.array(names)[columns.number] == name) for name in dict.fromkeys(names)},
+        "without_decisions": columns.scores(~columns.near),
     }
+
+
+class _Columns:
+    """The frames that count of all cases, N together."""
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        def column(of_cases: Sequence[np.ndarray]) -> np.ndarray:
+            return np.concatenate([values[case.judged] for values, case in zip(of_cases, cases, strict=True)])
+
+        drives = [case.drive for case in cases]
+        self.steering = column([drive.steering_rad for drive in drives])
+        by_seed = zip(*(case.predicted for case in cases), strict=True)
+        self.predicted = np.stack([column(of_seed) for of_seed in by_seed])  # [S,N]
+        self.curvature = column([drive.curvature_1pm for drive in drives])
+        self.near = column([decisions.near(drive) for drive in drives])
+        self.number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])
+        self._mean = column([np.full(len(case.drive.frame), case.train_mean_rad) for case in cases])
+        self._held = column([drive.held_rad for drive in drives])
+        kinds = [kind for kind in drives[0].measured_rad if all(kind in drive.measured_rad for drive in drives)]
+        self._measured = {kind: column([drive.measured_rad[kind] for drive in drives]) for kind in kinds}
+
+    def scores(self, rows: np.ndarray | slice = slice(None)) -> dict[str, Any]:
+        """Return the scores of some of the frames, and of the baselines there."""
+        steering, measured = self.steering[rows], {kind: angle[rows] for kind, angle in self._measured.items()}
+        return scores(steering, self.predicted[:, rows]) | {
+            "baselines": baselines(steering, self._mean[rows], self._held[rows], measured)
+        }
 
 
 def sizes(drives: Sequence[Drive]) -> dict[str, float | None]:

@@ -24,7 +24,7 @@ def write_model(folder: Path, contents: dict[str, Any] = CONTENTS, **line: objec
     resolved = Model.model_validate(
         {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 8} | line
     ).model_dump()
-    best = {"name": "net", "seed": 0, "model": resolved, "contents": contents, "kind": predict.KIND}
+    best = {"name": "net", "seed": 0, "fold": None, "model": resolved, "contents": contents, "kind": predict.KIND}
     best["target"] = {"mean_rad": 0.01, "std_rad": 0.12, "wheelbase_m": 2.7, "min_speed_mps": 1.0}
     best["net"] = steering_net.build(resolved, **contents).state_dict()
     checkpoint.write(folder / "best.pt", best)
@@ -113,7 +113,10 @@ def test_with_motion_the_answer_adds_to_the_measured_angle(tmp_path: Path, drive
     driven = 0.1 * np.sin(NUMBERS / 5)
     model = predict.load(write_model(tmp_path / "net", motion="visual", horizon=3), "cpu")
     assert model.horizon == 3
-    with frames.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"net, motion: visual: .*motion: none"):
+    with (
+        frames.open_graphs(drive) as graphs,
+        pytest.raises(InputError, match=r"net: .*carries no motion: visual \(it has none\)"),
+    ):
         model.predict(graphs)
     artefacts.add_motion(drive, "visual", driven)
     with torch.no_grad():
@@ -168,7 +171,7 @@ def test_a_file_that_does_not_rebuild_a_network_is_refused(tmp_path: Path, chang
     content = checkpoint.read(path, predict.KIND)
     for key, value in change.items():
         content[key] = content[key] | value if isinstance(value, dict) else value
-    checkpoint.write(path, {key: value for key, value in content.items() if value is not None})
+    checkpoint.write(path, {key: value for key, value in content.items() if change.get(key, True) is not None})
     with pytest.raises(InputError, match=rf"best\.pt.*{fault}.* dvc repro --force train@net$"):
         predict.load(path.parent)
 

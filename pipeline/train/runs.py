@@ -1,0 +1,80 @@
+"""Which networks a model's line asks for: what each is fitted to and judged by, and which folder holds it.
+
+A run is one network: a seed, and a fold. There is one fold with `fit_to: train`; with `others` or `both` there is one
+for each test drive, whose network is fitted to the other test drives, and judges that one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.base import store
+from pipeline.base.errors import InputError
+
+_SEED, _FOLD = "seed-", "fold-"
+
+
+@dataclass(frozen=True)
+class Fold:
+    """The drives of one network, by split: fitted to, validated by, judged by."""
+
+    name: str | None  # the test drive that is left out of what is fitted to; None: no test drive is fitted to
+    train: tuple[str, ...]
+    val: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One network to train."""
+
+    seed: int
+    fold: Fold
+    folder: Path
+
+    def __str__(self) -> str:
+        """What the log says of it, behind the model's name."""
+        return f"seed {self.seed}" + (f" without {self.fold.name}" if self.fold.name else "")
+
+
+def folds(splits: Mapping[str, str], line: Mapping[str, Any]) -> list[Fold]:
+    """Return the folds that a model's line asks for, of drive → split.
+
+    Raises InputError, which starts with the line's key, if there are fewer training drives than `roads`, or if nothing
+    is left to fit to.
+    """
+    train, val, test = (tuple(store.of_split(splits, split)) for split in ("train", "val", "test"))
+    fit_to, roads = line.get("fit_to", "train"), line.get("roads")  # an older config.json lacks them
+    if roads is not None and roads > len(train):
+        raise InputError(f"roads = {roads}: there are {len(train)} training drives")
+    train = train[:roads]
+    if fit_to == "train":
+        return [Fold(None, train, val, test)]
+    left = train if fit_to == "both" else ()
+    made = [Fold(drive, left + tuple(other for other in test if other != drive), val, (drive,)) for drive in test]
+    if not made or not all(fold.train for fold in made):
+        raise InputError(f"fit_to = {fit_to!r}: {', '.join(test) or 'none'} is the only test drive: name more of them")
+    return made
+
+
+def runs(model: Path, seeds: Sequence[int], folds: Sequence[Fold]) -> list[Run]:
+    """Return all runs of a model, which has folder `model`: the folds of the first seed, then those of the next."""
+    return [
+        Run(seed, fold, folder / f"{_FOLD}{fold.name}" if fold.name else folder)
+        for seed, folder in folders(model, seeds).items()
+        for fold in folds
+    ]
+
+
+def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
+    """Return the folder of each seed: the first one's files are the model's own, further ones get a folder in it."""
+    return {seed: model / f"{_SEED}{seed}" if position else model for position, seed in enumerate(seeds)}
+
+
+def model_name(folder: Path) -> str:
+    """Return the name of the model that a run's folder belongs to."""
+    own = folder.resolve()
+    while own.name.startswith((_SEED, _FOLD)):
+        own = own.parent
+    return own.name

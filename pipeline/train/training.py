@@ -1,0 +1,88 @@
+"""One training run, from its drives to its folder: best.pt, last.pt, config.json, curve.csv."""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from models.steering.core import steering_net
+from pipeline.base import provenance, store
+from pipeline.base.errors import explained
+from pipeline.base.resume import resume_key
+from pipeline.fitting import checkpoint
+from pipeline.sections.train import Train
+from pipeline.train import fit, frames, predict, windows
+from pipeline.train.distributed import World
+from pipeline.train.runs import Run
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all runs of a model share."""
+
+    name: str
+    where: str  # its line stands, for messages
+    line: dict[str, Any]  # as resolved
+    settings: Train
+    variant: Path  # folder of graphs
+    labels: Path
+    splits: dict[str, str]  # drive → split
+    files: dict[str, list[str]]  # drive that is learned from → hashes of its files
+    kept: Path  # where runs keep what they have, for the next time
+
+
+def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu") -> None:
+    """Fit one network, going on from what a killed process kept of it, and write its folder.
+
+    Raises InputError: the network is not made for these graphs, or its loss is no longer finite.
+    """
+    line, settings, fold = job.line, job.settings, run.fold
+    train, val = (
+        windows.read_drives(job.variant, job.labels, drives, line["window"], line["horizon"], line["motion"])
+        for drives in (fold.train, fold.val)
+    )
+    contents = frames.contents(train[0].graphs)
+    torch.manual_seed(run.seed)
+    with explained(where=job.where):
+        net = steering_net.build(line, **contents)
+    net.to(device, torch.float64 if settings.precision == "float64" else None)
+    fitting = fit.Fit(net, steering_net.predict, line["window"], line["alpha"], settings, run.seed, world)
+    determined_by = {
+        "model": line,
+        "train": settings.model_dump(exclude={"seeds"}),
+        "seed": run.seed,
+        "splits": job.splits,
+        "fold": fold.name,
+    }
+    files = [digest for drive in fold.train + fold.val for digest in job.files[drive]]
+    state = job.kept / f"{resume_key(['stages.train', *steering_net.modules(line)], determined_by, files)}.pt"
+    about = {
+        "name": job.name,
+        "contents": contents,
+        "target": vars(predict.Target.of(train)),
+        "revision": provenance.revision(),
+        **determined_by,
+    }
+    fitting.run(train, val, state, about, f"{job.name} {run}")
+    if world.leads:
+        more = {
+            "seeds": settings.seeds,
+            "effective_frames": fit.effective_frames(train, line["alpha"]),
+            "parameters": steering_net.parameter_count(net),
+            # Measured here, so that stage evaluate has no clock in its files.
+            "encode_ms_per_frame": predict.ms_per_frame(net, steering_net.encode, val or train, line["window"]),
+        }
+        _write(run.folder, fitting, state, about, more)
+
+
+def _write(folder: Path, fitting: fit.Fit, state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
+    """Write a finished run's files; `state` is what its last epoch left."""
+    best = fit.kept_epoch(fitting.curve, fitting.settings.keep)
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(state, folder / "last.pt")
+    checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "epoch": best, "net": fitting.best})
+    fit.write_curve(folder / "curve.csv", fitting.curve)
+    store.write_json(folder / "config.json", {**about, "best_epoch": best, "epochs": len(fitting.curve), **more})

@@ -90,7 +90,7 @@ def _fit(model: Any, settings: Encoder, weights: list[Source], ingest: Path, dri
     hashes = [source.sha256 for source in (*weights, *taught_by)]
     files = [ingest / f"{drive}.h5" for drive in drives]
     key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
-    with Examples(ingest, drives, settings.frames) as examples:
+    with Examples(ingest, drives, settings.frames, teacher) as examples:
         lessons = teach.choose(model, settings.weights, examples.known, teacher=bool(teacher), frozen=settings.frozen)
         print(f"encoder: {', '.join(f'{head} by {lesson}' for head, lesson in lessons.items())}", flush=True)
         curve = fit.fit(
@@ -101,7 +101,6 @@ def _fit(model: Any, settings: Encoder, weights: list[Source], ingest: Path, dri
             learning_rate=settings.learning_rate,
             seed=settings.seed,
             kept=kept / f"{key}.pt",
-            teacher=teacher,
         )
         return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
 

@@ -14,7 +14,7 @@ from pipeline.base.pool import run_over_drives
 from pipeline.camera.geometry import scale_K
 from pipeline.kitti import oxts
 from pipeline.kitti.ingest_file import PIXELS, put_camera, put_motion, put_pixels, put_scans
-from pipeline.kitti.raw import find_drives, read_scan
+from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from pipeline.kitti.tolerant import TolerantReader
 from pipeline.sections.ingest import Ingest
 
@@ -36,17 +36,20 @@ def main(
     Returns the folder that it wrote.
     """
     settings = load(Ingest, params)
-    splits = settings.drives.splits()
-    root = town if settings.source == "town" else raw
-    if not root.is_dir():
-        raise InputError(MISSING[settings.source].format(root=root))
-    drives = find_drives(root, list(splits))
+    splits, sources = settings.drives.splits(), settings.sources()
+    roots = {"town": town, "kitti": raw}
+    drives: dict[str, RawDrive] = {}
+    for source, root in roots.items():
+        names = [drive for drive in splits if sources[drive] == source]
+        if names and not root.is_dir():
+            raise InputError(MISSING[source].format(root=root))
+        drives |= find_drives(root, names) if names else {}
     attributes = {
-        drive: {"split": splits[drive], "source": settings.source, "fingerprint": files.fingerprint(settings.cameras)}
+        drive: {"split": splits[drive], "source": sources[drive], "fingerprint": files.fingerprint(settings.cameras)}
         for drive, files in drives.items()
     }
     summaries = run_over_drives(
-        partial(ingest, root=root, attributes=attributes, settings=settings),
+        partial(ingest, roots=roots, attributes=attributes, settings=settings),
         list(splits),
         module="stages.ingest",
         out=out,
@@ -65,10 +68,10 @@ def main(
 
 
 def ingest(
-    drive: str, path: Path, root: Path, attributes: Mapping[str, Mapping[str, str]], settings: Ingest
+    drive: str, path: Path, roots: Mapping[str, Path], attributes: Mapping[str, Mapping[str, str]], settings: Ingest
 ) -> dict[str, Any]:
     """Write one drive's file. Its frames are those that have an oxts packet: without one there is no label."""
-    raw = find_drives(root, [drive])[drive]
+    raw = find_drives(roots[attributes[drive]["source"]], [drive])[drive]
     reader = TolerantReader(tolerant=settings.on_damaged == "skip")
     rows = dict(reader.each("oxts", oxts.read_row, raw.oxts, list(raw.oxts)))
     if not rows:

@@ -26,16 +26,17 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Render the drives that section ingest names; with ingest.source kitti, nothing.
+    """Render those drives of section ingest that come from the sample; with ingest.source kitti, none.
 
     Returns the folder that it wrote. Raises InputError where it would replace a drive that it has not rendered.
     """
     settings, ingest = load(Town, params), load(Ingest, params)
-    if ingest.source == "kitti":
+    sources = ingest.sources()
+    splits = {drive: split for drive, split in ingest.drives.splits().items() if sources[drive] == "town"}
+    if not splits:
         out.mkdir(parents=True, exist_ok=True)
-        print("nothing to render: ingest.source is kitti")
+        print(f"nothing to render: ingest.source is {ingest.source}, and no drive of ingest.drives is the sample's")
         return out
-    splits = ingest.drives.splits()
     folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in splits}
     for folder in folders.values():
         if folder.is_dir() and not (folder / "truth").is_dir():

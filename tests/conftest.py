@@ -18,6 +18,12 @@ def real_kitti() -> Path:
 
 
 @pytest.fixture(scope="session")
+def real_half() -> Path:
+    """Real KITTI drives that turn, at half size, in KITTI's layout; the test is skipped where they are absent."""
+    return _shared("kitti_half")
+
+
+@pytest.fixture(scope="session")
 def real_weights() -> Path:
     """Published weights of backbones, a folder for each; the test is skipped where they are absent."""
     return _shared("weights")

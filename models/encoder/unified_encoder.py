@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from models.encoder.backbones import Parts
 from models.encoder.backbones.dinov2 import dinov2
 from models.encoder.backbones.espnetv2 import espnetv2
+from models.encoder.backbones.rtmonodepth_s import rtmonodepth_s
 from models.encoder.backbones.small import small
 from models.encoder.backbones.swin import swin
 
@@ -20,6 +21,7 @@ BACKBONES: dict[str, Callable[[], Parts]] = {
     "dinov2-vitb14": partial(dinov2, "vitb14"),
     "dinov2-vitl14": partial(dinov2, "vitl14"),
     "swin-t": swin,
+    "rtmonodepth-s": rtmonodepth_s,  # depth for non-commercial use only: Monodepth2's terms
 }
 
 

@@ -1,6 +1,6 @@
 """The training frames of the unified encoder, kept in memory where they are few, and their augmentation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +14,8 @@ from pipeline.base.store import DriveReader
 from pipeline.encoder.truth import image_size, read_truth, teaching_rows, visible
 
 CACHE_BYTES = 1 << 30  # frames up to here stay in memory after the first epoch
+Teacher = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""An image uint8 [H,W,3] and its intrinsics [3,3] → trainIds uint8 [H,W] to learn from, 255 where unknown."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +41,16 @@ class Examples:
     Frames are read when asked for, so that any number of them can be fitted on; small sets stay in memory.
     """
 
-    def __init__(self, ingest: Path, drives: Sequence[str], frames: int) -> None:
+    def __init__(self, ingest: Path, drives: Sequence[str], frames: int, teacher: Teacher | None = None) -> None:
         """Choose `frames` frames, evenly spread over `drives`, from the files of stage ingest.
 
-        Raises InputError if no frame has an image together with depth, classes or a LiDAR scan.
+        A `teacher` names the classes of frames without class truth. It sees them as they are, before any augmentation.
+        Raises InputError if no frame has an image together with depth, classes or a LiDAR scan, or a teacher.
         """
+        self._teacher = teacher
         self._stack = ExitStack()
         self._files = [self._stack.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
-        rows_of = [teaching_rows(file) for file in self._files]
+        rows_of = [teaching_rows(file, taught=teacher is not None) for file in self._files]
         rows = [(number, int(row)) for number, own in enumerate(rows_of) for row in own]
         if not rows:
             self._stack.close()
@@ -77,7 +81,10 @@ class Examples:
         file = self._files[number]
         truth = read_truth(file, row)
         depth_m = visible(truth.depth_m, file["K"]) if truth.depth_source == "lidar" else truth.depth_m
-        example = Example(file.row("image", row), file["K"], depth_m, truth.cls)
+        image, K, cls = file.row("image", row), file["K"], truth.cls
+        if self._teacher and not truth.has_cls:
+            cls = self._teacher(image, K)
+        example = Example(image, K, depth_m, cls)
         if self._cached:
             self._cache[i] = example
         return example

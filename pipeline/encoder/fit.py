@@ -3,7 +3,7 @@
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,9 +23,6 @@ KIND = "unified encoder in fitting"
 WARM_UP = 0.15  # share of the steps in which the learning rate rises
 WEIGHT_DECAY = 1e-4
 MAX_RELATIVE_ERROR = 6.0
-
-Teacher = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""Images [B,3,H,W], K [B,3,3] and true classes int64 [B,H,W] → classes to learn from, int64 [B,H,W]."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +44,12 @@ def fit(
     learning_rate: float,
     seed: int,
     kept: Path,
-    teacher: Teacher | None = None,
 ) -> list[EpochLoss]:
     """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits) in place; return its losses.
 
-    A part (backbone, head) whose parameters require no gradients stays as it is, batch statistics included. A `teacher`
-    names the classes of frames without class truth. After each epoch the state goes to `kept`; if that file exists,
-    fitting goes on from it, to the same result. Raises InputError if the loss is no longer finite.
+    A part (backbone, head) whose parameters require no gradients stays as it is, batch statistics included. After each
+    epoch the state goes to `kept`; if that file exists, fitting goes on from it, to the same result. Raises InputError
+    if the loss is no longer finite.
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -79,11 +75,8 @@ def fit(
         for step, (image, K, depth, cls) in enumerate(_batches(examples, batch, np.random.default_rng([seed, epoch]))):
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate * warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
-            image, K, cls = image.to(device), K.to(device), cls.to(device)
-            depth_m, logits = model(image, K)
-            if teacher is not None:
-                cls = teacher(image, K, cls)
-            losses = depth_and_class_loss(depth_m, logits, depth.to(device), cls)
+            depth_m, logits = model(image.to(device), K.to(device))
+            losses = depth_and_class_loss(depth_m, logits, depth.to(device), cls.to(device))
             optimiser.zero_grad(set_to_none=True)
             losses.sum().backward()  # type: ignore[no-untyped-call]
             optimiser.step()

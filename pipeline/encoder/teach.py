@@ -2,15 +2,15 @@
 
 from collections.abc import Set
 
+import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from models.encoder.ground_depth import GroundDepth
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError, explained
-from pipeline.camera import classes
-from pipeline.encoder.fit import Teacher
-from pipeline.encoder.perceive import likeliest
+from pipeline.encoder.examples import Teacher
+from pipeline.encoder.perceive import perceive
 from pipeline.encoder.weights import Setting, Source, fill, unnamed
 
 TRUTHS = {"depth_head": {"depth": "dense depth", "lidar": "LiDAR"}, "class_head": {"cls": "class truth"}}
@@ -91,14 +91,10 @@ def load_teacher(backbone: str, weights: Setting, key: str) -> tuple[Teacher, li
 
 
 def class_teacher(model: nn.Module) -> Teacher:
-    """Return a teacher that gives a frame without any class truth the classes that `model` sees in it."""
+    """Return a teacher that gives a frame the classes that `model` sees in it."""
 
-    def teach(image: Tensor, K: Tensor, cls: Tensor) -> Tensor:
-        untold = (cls == classes.VOID).flatten(1).all(dim=1)  # [B]
-        if untold.any():
-            with torch.no_grad():
-                cls = cls.clone()
-                cls[untold] = likeliest(model(image[untold], K[untold])[1])
+    def teach(image: np.ndarray, K: np.ndarray) -> np.ndarray:
+        cls: np.ndarray = perceive(model, image[None], K)[1][0]
         return cls
 
     return teach

@@ -63,7 +63,7 @@ def image_size(drive: DriveReader) -> tuple[int, int]:
     return height, width
 
 
-def teaching_rows(drive: DriveReader) -> np.ndarray:
-    """Return the rows of the frames that have an image and something to learn from it, int64 [n]."""
-    known = np.any([drive[f"has_{what}"] for what in ("depth", "cls", "lidar")], axis=0)
+def teaching_rows(drive: DriveReader, *, taught: bool) -> np.ndarray:
+    """Return the rows of the frames that have an image and something to learn from it, int64 [n]; all if `taught`."""
+    known = np.any([drive[f"has_{what}"] for what in ("depth", "cls", "lidar")], axis=0) | taught
     return np.flatnonzero(drive["has_image"].astype(bool) & known)

@@ -18,6 +18,7 @@ from pipeline.base.resume import file_hash
 from pipeline.fitting import checkpoint
 
 SHA256 = re.compile(r"[0-9a-fA-F]{64}")
+SETTING = re.compile(r"(.*?)(?:#as=(.*?)(?=#|&|$))?(?:[#&]sha256=(.*))?", re.DOTALL)
 CACHE = Path("weights")
 TIMEOUT_S = 30
 Setting = str | Mapping[str, str] | None
@@ -46,11 +47,13 @@ def locate(file: str, key: str) -> Path:
 
     Raises InputError if the file is missing and nothing would be fetched.
     """
-    name, _, wanted = file.partition("#sha256=")
+    name, place, wanted = split(file)
     if wanted and not SHA256.fullmatch(wanted):
         raise InputError(f"{key} = {file}: a SHA-256 has 64 hexadecimal digits. sha256sum prints it")
     is_url = name.startswith(("https://", "http://", "file://"))
-    path = CACHE / name.rsplit("/", 1)[-1] if is_url else Path(name)
+    if place and (not is_url or Path(place).is_absolute() or ".." in Path(place).parts):
+        raise InputError(f"{key} = {file}: #as= is where in {CACHE}/ the file of a URL lies, such as net/encoder.pth")
+    path = CACHE / (place or name.rsplit("/", 1)[-1]) if is_url else Path(name)
     if path.is_dir() or path == CACHE:
         raise InputError(f"{key}: {name} is a folder. Name a file")
     if not path.exists() and not is_url:
@@ -63,16 +66,26 @@ def locate(file: str, key: str) -> Path:
     return path
 
 
-def find(file: str, key: str) -> tuple[Path, str]:
-    """Return path and SHA-256 of a file of a setting: ``PATH`` or ``URL``, with ``#sha256=HEX`` or without.
+def split(file: str) -> tuple[str, str, str]:
+    """Return path or URL, place in the folder ``weights``, and SHA-256 of a file of a setting; "" for what is not said.
 
-    A URL is looked for in the folder ``weights`` under its last part, and fetched to there if a hash says what it must
-    be. `key` is the setting's name in params.yaml.
+    ``PATH``, ``PATH#sha256=HEX``, ``URL``, ``URL#sha256=HEX`` or, where the last part of the URL says too little,
+    ``URL#as=PLACE&sha256=HEX``.
+    """
+    name, place, wanted = SETTING.fullmatch(file).groups(default="")  # type: ignore[union-attr]  # it matches any text
+    return name, place, wanted
+
+
+def find(file: str, key: str) -> tuple[Path, str]:
+    """Return path and SHA-256 of a file of a setting, as :func:`split` takes it apart.
+
+    A URL is looked for in the folder ``weights`` under its place there, else under its last part, and fetched to there
+    if a hash says what it must be. `key` is the setting's name in params.yaml.
 
     Raises InputError if the file is missing and cannot be fetched, or is another one than the hash says.
     """
     path = locate(file, key)
-    name, _, wanted = file.partition("#sha256=")
+    name, _, wanted = split(file)
     wanted = wanted.lower()
     if not path.exists():
         _fetch(name, path, wanted, key)
@@ -107,14 +120,17 @@ def _fetch(url: str, path: Path, wanted: str, key: str) -> None:
 
 
 def read_published(path: Path) -> dict[str, Any]:
-    """Return the tensors by name of a plain state dict, alone in its file or beside settings of its training.
+    """Return the tensors by name of a plain state dict, alone in its file or beside facts of its training.
 
     Raises InputError if the file is cut short, or holds code, or no tensors.
     """
     from pipeline.encoder.perceive import is_state
 
     content = checkpoint.load(path)
-    candidates = [content, *(content.get(name) for name in WRAPPERS)] if isinstance(content, dict) else []
+    candidates: list[Any] = []
+    if isinstance(content, dict):
+        bare = {name: value for name, value in content.items() if not isinstance(value, int | float)}  # Monodepth2's
+        candidates = [bare, *(content.get(name) for name in WRAPPERS)]
     for state in candidates:
         if is_state(state) and state:
             return dict(state)

@@ -7,6 +7,8 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.base.params import SPLITS, Drive, ImageSize, Section
 
+SAMPLE = "2026_"
+"""How the names of the embedded sample's drives begin; KITTI's begin with 2011_."""
 _RANGE = re.compile(r"(\d{4}_\d{2}_\d{2}_drive_)(\d{4})\.\.(\d{4})")
 
 
@@ -53,9 +55,15 @@ def _in_range(name: str) -> list[str]:
 
 class Ingest(Section):
     key = "ingest"
-    source: Literal["town", "kitti"]
+    source: Literal["town", "kitti", "both"]
     image_size: ImageSize
     cameras: list[Annotated[int, Field(ge=0, le=3)]] = Field(min_length=1)
     lidar: bool
     on_damaged: Literal["fail", "skip"]
     drives: Drives
+
+    def sources(self) -> dict[str, Literal["town", "kitti"]]:
+        """Return drive → where it comes from; of `both`, the sample's drives are told by their names."""
+        if self.source != "both":
+            return dict.fromkeys(self.drives.splits(), self.source)
+        return {drive: "town" if drive.startswith(SAMPLE) else "kitti" for drive in self.drives.splits()}

@@ -284,6 +284,23 @@ def test_town_is_read_from_its_own_folder(tmp_path: Path) -> None:
     assert list(read_index(tmp_path / "out", stage="ingest")) == [DRIVE, OTHER]
 
 
+def test_of_both_each_drive_comes_from_its_own_folder(tmp_path: Path) -> None:
+    sample = "2026_01_01_drive_0001"
+    write_drive(tmp_path / "raw", DRIVE)
+    write_drive(tmp_path / "town", sample, frames=range(2), truth=True)
+    params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[sample], source="both")
+    folders = {"town": tmp_path / "town", "raw": tmp_path / "raw", "out": tmp_path / "out"}
+    ingest.main(**folders, params=params, workers=1)
+    assert read_index(tmp_path / "out", stage="ingest") == {DRIVE: "train", sample: "test"}
+    for drive, source, frames in ((DRIVE, "kitti", 4), (sample, "town", 2)):
+        with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
+            assert (file.attrs["source"], len(file.frame)) == (source, frames)
+            assert ("cls" in file) == (source == "town")
+    shutil.rmtree(tmp_path / "raw")
+    with pytest.raises(InputError, match=r"raw is missing\. Link it"):
+        ingest.main(**folders, params=params, workers=1)
+
+
 @pytest.mark.real
 def test_real_drives(real_kitti: Path, tmp_path: Path) -> None:
     """Drive 0001 is partly extracted: 108 packets, one image and one scan. 0042 is grey and has no LiDAR."""

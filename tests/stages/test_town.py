@@ -88,6 +88,16 @@ def test_with_kitti_there_is_nothing_to_render(tmp_path: Path, capsys: pytest.Ca
     assert "ingest.source is kitti" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_of_both_only_the_sample_is_rendered(tmp_path: Path) -> None:
+    params = write_params(tmp_path / "params.yaml", source="both")
+    content = yaml.safe_load(params.read_text(encoding="utf-8"))
+    content["ingest"]["drives"]["val"] = ["2011_09_26_drive_0005"]
+    params.write_text(yaml.safe_dump(content), encoding="utf-8")
+    out = town.main(out=tmp_path / "town", params=params, workers=1)
+    assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
+
+
 @pytest.mark.parametrize("settings", [{"image_size": [0, 5]}, {"scan_rays": [0, 5]}, {"frames": {"train": 1}}])
 def test_bad_settings_are_named(tmp_path: Path, settings: dict[str, object]) -> None:
     params = write_params(tmp_path / "params.yaml", **settings)

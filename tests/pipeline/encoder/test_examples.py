@@ -51,6 +51,30 @@ def test_frames_are_spread_over_drives_by_their_length(tmp_path: Path) -> None:
         assert unlabelled == [False] * 2 + [True] * 4
 
 
+def test_a_teacher_sees_each_frame_without_class_truth_as_it_is_and_once(tmp_path: Path) -> None:
+    names = [DRIVE, "2026_01_01_drive_0002"]
+    street.write_drive(tmp_path, names[0], 2)
+    street.write_drive(tmp_path, names[1], 3, dense=False)
+    seen = []
+
+    def teacher(image: np.ndarray, K: np.ndarray) -> np.ndarray:
+        seen.append(image)
+        np.testing.assert_array_equal(K, street.K)
+        return np.full(street.SIZE, classes.CAR, np.uint8)
+
+    with Examples(tmp_path, names, 9, teacher) as examples:
+        assert examples.frames_per_drive == {names[0]: 2, names[1]: 3}
+        for _ in range(2):
+            told = [examples[i].cls for i in range(5)]
+        assert len(seen) == 3
+        for frame in range(3):
+            np.testing.assert_array_equal(seen[frame], street.scene(frame)[0])
+            assert (told[2 + frame] == classes.CAR).all()
+        np.testing.assert_array_equal(told[1], street.scene(1)[2])
+    with Examples(tmp_path, names, 9) as examples:
+        assert examples.frames_per_drive == {names[0]: 2, names[1]: 0}
+
+
 def _example() -> Example:
     image, depth, cls = street.scene(3)
     return Example(image, street.K, depth.astype(np.float32), cls)

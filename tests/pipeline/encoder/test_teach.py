@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -69,19 +70,15 @@ def test_gradients_flow_where_something_teaches(capsys: pytest.CaptureFixture[st
         choose(model, BACKBONE | DEPTH | CLASSES, {"depth"}, teacher=False, frozen=True)
 
 
-def test_a_teacher_names_the_classes_of_frames_without_any(tmp_path: Path) -> None:
+def test_a_teacher_is_an_encoder_with_classes(tmp_path: Path) -> None:
     torch.manual_seed(0)
     perceive.save(tmp_path, "small", UnifiedEncoder("small").state_dict())
     teach, (source,) = load_teacher("small", str(tmp_path / "encoder.pt"), "encoder.teacher")
     assert source.part == "all"
-    image = torch.randint(0, 256, (2, 3, 32, 64), dtype=torch.uint8)
-    K = torch.tensor([[40.0, 0, 31], [0, 40, 12], [0, 0, 1]], dtype=torch.float64).expand(2, 3, 3)
-    cls = torch.full((2, 32, 64), classes.VOID)
-    cls[0, 0, 0] = classes.CAR
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    taught = teach(image.to(device), K.to(device), cls.to(device)).cpu()
-    assert torch.equal(taught[0], cls[0])
-    assert taught[1].max() < classes.COUNT
+    image = np.random.default_rng(0).integers(0, 256, (32, 64, 3), np.uint8)
+    taught = teach(image, np.array([[40.0, 0, 31], [0, 40, 12], [0, 0, 1]]))
+    assert (taught.dtype, taught.shape) == (np.uint8, (32, 64))
+    assert taught.max() < classes.COUNT
     with pytest.raises(InputError, match=r"encoder\.teacher\.weights names no class_head"):
         load_teacher("small", BACKBONE, "encoder.teacher")
     with pytest.raises(InputError, match=r"encoder\.teacher\.backbone: .*'smal'"):

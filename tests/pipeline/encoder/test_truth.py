@@ -42,7 +42,8 @@ def test_rows_without_image_or_without_truth_teach_nothing(tmp_path: Path) -> No
     street.write_drive(tmp_path, "2026_01_01_drive_0002", 3, images=False)
     for name in (DRIVE, "2026_01_01_drive_0002"):
         with store.DriveReader(tmp_path / f"{name}.h5", stage="ingest") as file:
-            assert len(teaching_rows(file)) == 0
+            assert len(teaching_rows(file, taught=False)) == 0
+            assert len(teaching_rows(file, taught=True)) == file["has_image"].sum()
 
 
 def test_points_behind_a_near_edge_are_dropped_and_ground_stays() -> None:

@@ -47,6 +47,13 @@ def test_another_file_at_the_address_leaves_nothing(published: Path, tmp_path: P
     assert list((tmp_path / "weights").iterdir()) == []
 
 
+def test_an_address_with_a_general_name_has_a_place_of_its_own(published: Path, tmp_path: Path) -> None:
+    place = tmp_path / "weights/net-s/encoder.pth"
+    assert find(f"{published.as_uri()}#as=net-s/encoder.pth&sha256={SHA256}", KEY) == (place, SHA256)
+    published.unlink()
+    assert find(f"{published.as_uri()}#as=net-s/encoder.pth", KEY) == (place, SHA256)
+
+
 def test_what_cannot_be_had_is_one_line_with_address_and_place(published: Path, tmp_path: Path) -> None:
     place = tmp_path / "weights/net.pth"
     faults = {
@@ -57,6 +64,9 @@ def test_what_cannot_be_had_is_one_line_with_address_and_place(published: Path, 
         f"{published}#sha256=abc": "64 hexadecimal digits",
         str(tmp_path): "is a folder",
         f"http://127.0.0.1:9/#sha256={SHA256}": "is a folder",
+        f"http://127.0.0.1:9/net.pth#as=../net.pth&sha256={SHA256}": "#as= is where in",
+        f"http://127.0.0.1:9/net.pth#as=/net.pth&sha256={SHA256}": "#as= is where in",
+        f"{published}#as=net.pth": "#as= is where in",
         f"http://127.0.0.1:port/net.pth#sha256={SHA256}": r"cannot be fetched \(nonnumeric port",
         f"http://[::1/net.pth#sha256={SHA256}": r"cannot be fetched \(Invalid IPv6 URL",
         f"http://127.0.0.1:9/a b.pth#sha256={SHA256}": r"cannot be fetched \(URL can't contain control characters",
@@ -142,6 +152,13 @@ def test_published_tensors_are_found_alone_or_beside_settings(tmp_path: Path, wr
     state = {"conv.weight": torch.arange(3.0)}
     torch.save({wrapper: state, "meta": {"epoch": 3}} if wrapper else state, tmp_path / "file.pth")
     assert torch.equal(read_published(tmp_path / "file.pth")["conv.weight"], state["conv.weight"])
+
+
+def test_published_tensors_are_found_between_numbers(tmp_path: Path) -> None:
+    """Monodepth2's encoders hold the size of their training images, and whether it was with stereo."""
+    state = {"conv.weight": torch.arange(3.0)}
+    torch.save(state | {"height": 192, "use_stereo": True}, tmp_path / "file.pth")
+    assert read_published(tmp_path / "file.pth").keys() == state.keys()
 
 
 def test_numbers_as_numpy_1_wrote_them_do_not_hinder(tmp_path: Path) -> None:

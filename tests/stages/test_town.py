@@ -1,5 +1,6 @@
 """Stage town on drives of a few frames."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,12 @@ from pipeline.sections.town import Town
 from pipeline.town.character import QUARTERS, draw_character
 from pipeline.town.drive import WHEELBASE_M, random_of, theme
 from pipeline.town.journey import draw_journey
+from pipeline.town.light import draw_ground_colours
 from pipeline.town.manoeuvres import DECK
+from pipeline.town.plan import draw_plan
+from pipeline.town.route import IMU_LEFT_M, unit
+from pipeline.town.street import build_street
+from pipeline.town.world import World
 from stages import town
 from tests.recorded_drive import drive_along, write_recorded
 
@@ -52,6 +58,27 @@ def test_the_samples_drives_turn_as_much_as_streets_do_and_both_ways() -> None:
     assert every.min() < -0.45
     assert every.max() > 0.3
     assert 0.05 < np.mean([abs(angle[0]) > 0.02 for angle in angles["train"]]) < 0.7  # some begin in a bend
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["2026_01_01_drive_0001", "2026_01_06_drive_0003", "2026_01_08_drive_0002"])
+def test_the_ego_touches_nothing(drive: str) -> None:
+    """In a tight right turn and in narrow streets: its outline is on road, and rays from frame to frame end in air."""
+    rng, (quarter, first) = random_of(drive, seed=0), theme(drive)
+    character = draw_character(rng, quarter)
+    journey = draw_journey(rng, 60, character, first)
+    plan = draw_plan(journey.route, rng, character)
+    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
+    ahead, left = unit(journey.heading_rad), unit(journey.heading_rad + np.pi / 2)
+    for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):  # of the rear axle's middle
+        places = journey.xy + forward * ahead + (aside - IMU_LEFT_M) * left
+        assert (plan.to_road_m[plan.cells(places)] == 0).all()
+        steps = np.diff(places, axis=0)
+        length = np.linalg.norm(steps, axis=1)
+        for height in (0.4, 1.5):
+            starts = np.column_stack([places[:-1], np.full(len(steps), height)])
+            rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(np.float32)
+            assert (world.cast(rays).distance_m > length).all()
 
 
 @pytest.mark.slow

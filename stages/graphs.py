@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -9,9 +10,10 @@ import numpy as np
 import typer
 
 from pipeline.base import console, store
+from pipeline.base.errors import InputError
 from pipeline.base.params import load_entry
 from pipeline.base.pool import Summary, run_over_drives
-from pipeline.graphs import cloud, graph_file
+from pipeline.graphs import accumulate, cloud, graph_file
 from pipeline.sections.graphs import Variant
 
 
@@ -32,6 +34,11 @@ def main(
     kinds = {index.parent.name: index.parent for index in sorted((data / "motion").glob("*/index.json"))}
     for folder in kinds.values():
         store.read_index(folder, stage="motion")
+    if settings.accumulate and settings.accumulate.motion not in kinds:
+        raise InputError(
+            f"{params}: graphs.{name}.accumulate.motion = {settings.accumulate.motion!r}, but {data / 'motion'} holds "
+            f"{', '.join(kinds) or 'none'}: add it to motion.kinds and run dvc repro, or take another"
+        )
     summaries = run_over_drives(
         partial(_images if settings.kind == "image" else _points, source=source, motion=kinds, settings=settings),
         list(splits),
@@ -65,18 +72,29 @@ def _points(drive: str, path: Path, source: Path, motion: Mapping[str, Path], se
         store.DriveReader(source / f"{drive}.h5", stage="clouds") as clouds,
         store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": settings.model_dump()}) as file,
     ):
-        frames = _frames(clouds, settings, settings.points)
+        wholes = _clouds(clouds)
+        if settings.accumulate:
+            with store.DriveReader(motion[settings.accumulate.motion] / f"{drive}.h5", stage="motion") as measured:
+                T_before = accumulate.steps(measured)
+            wholes = accumulate.accumulated(clouds.frame.tolist(), wholes, T_before, settings.accumulate.frames)
+        frames = _frames(clouds, wholes, settings, settings.points)
         counts = graph_file.write_points(file, clouds.frame, clouds.time_s, frames, neighbours)
         _put_motion(file, motion, clouds.frame)
     return counts
 
 
-def _frames(clouds: store.DriveReader, settings: Variant, points: int) -> Iterator[graph_file.Points]:
-    ptr = clouds["ptr"]
-    for row, number in enumerate(clouds.frame):
+def _clouds(file: store.DriveReader) -> Iterator[cloud.Cloud]:
+    for start, stop in pairwise(file["ptr"]):
+        yield file.rows("xyz", start, stop), file.rows("cls", start, stop)
+
+
+def _frames(
+    clouds: store.DriveReader, wholes: Iterator[cloud.Cloud], settings: Variant, points: int
+) -> Iterator[graph_file.Points]:
+    for number, whole in zip(clouds.frame, wholes, strict=True):
         rng = cloud.frame_rng(settings.seed, clouds.drive, int(number))
-        whole = clouds.rows("xyz", ptr[row], ptr[row + 1]), clouds.rows("cls", ptr[row], ptr[row + 1])
-        yield *cloud.chosen_points(whole, settings.crop_m, points, rng), rng
+        chosen = cloud.chosen_points(whole, settings.crop_m, points, rng)
+        yield *(cloud.ordered(chosen) if settings.accumulate else chosen), rng
 
 
 def _images(drive: str, path: Path, source: Path, motion: Mapping[str, Path], settings: Variant) -> Summary:

@@ -59,7 +59,12 @@ def stored(cloud: Cloud, max_points: int, rng: np.random.Generator) -> Cloud:
     """Return a cloud as it is stored: at most `max_points`, drawn by `rng`, on the grid, in Morton order."""
     xyz, cls = cloud
     chosen = sample(len(xyz), max_points, rng)
-    xyz, cls = quantise(xyz[chosen]), cls[chosen]
+    return ordered((xyz[chosen], cls[chosen]))
+
+
+def ordered(cloud: Cloud) -> Cloud:
+    """Return a cloud on the grid, in Morton order."""
+    xyz, cls = quantise(cloud[0]), cloud[1]
     order = morton_order(xyz)
     return xyz[order], cls[order]
 

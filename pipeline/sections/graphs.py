@@ -8,12 +8,19 @@ from pipeline.base.params import Count, Fraction, Positive, Section, Seed
 
 Kind = Literal["graph", "pointnet2", "image"]
 
-_OF_POINTS = {"source", "neighbourhood", "points", "crop_m", "seed"}
+_OF_POINTS = {"source", "neighbourhood", "points", "crop_m", "accumulate", "seed"}
 _KEYS: dict[Kind, tuple[str, set[str], set[str]]] = {  # what it is, the keys that it needs, and those that it knows
     "graph": ("a kNN graph", {"points", "k"}, {*_OF_POINTS, "k", "keep_inter_class"}),
     "pointnet2": ("neighbourhood: pointnet2", {"points"}, {*_OF_POINTS, "centres", "radius_m", "neighbours"}),
     "image": ("images (source: ingest)", set(), {"source"}),
 }
+
+
+class Accumulate(Section):
+    """How a frame's cloud is made of several frames': a graph that spans time."""
+
+    motion: Annotated[Literal["visual", "lidar"], Field(description="which brings them together; of motion.kinds")]
+    frames: Annotated[int, Field(ge=2, le=64, description="at most so many, the frame itself among them")]
 
 
 class Variant(Section):
@@ -28,6 +35,7 @@ class Variant(Section):
         tuple[float, float, float, float] | None,
         Field(description="[left, near, right, far] in metres of the camera's x and z; points outside are left out"),
     ] = None
+    accumulate: Accumulate | None = None
     # Of each level of PointNet++, the reference's sizes (SSG). Its radii, 0.2 and 0.4, are for objects in a unit
     # sphere; a street reaches some 40 m.
     centres: list[Count] = Field(default=[512, 128], min_length=1)

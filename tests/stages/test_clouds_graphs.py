@@ -1,6 +1,7 @@
 """Stages clouds and graphs, one after the other: what the one writes is what the other reads."""
 
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -229,3 +230,68 @@ def test_unknown_variants_and_foreign_files_are_one_line(data: Path, tmp_path: P
     (tmp_path / f"clouds/pseudo/{BLIND}.h5").unlink()
     with pytest.raises(InputError, match=rf"lacks {BLIND}.* dvc pull clouds"):
         _graphs(tmp_path, tmp_path / "graphs", "depth", data / "params.yaml")
+
+
+def test_an_accumulated_cloud_is_that_of_several_frames(data: Path, tmp_path: Path) -> None:
+    for name in ("clouds", "ingest", "perception"):
+        (tmp_path / name).symlink_to(data / name)
+    write_motion(tmp_path / "motion" / "visual", valid=[0, 1, 1, 0])
+    lines = {
+        name: {"source": "clouds/pseudo", "points": 300, "k": 4, "crop_m": [-20, -3, 20, 30], "accumulate": settings}
+        for name, settings in {
+            "one": None, "three": {"motion": "visual", "frames": 3}, "lidar": {"motion": "lidar", "frames": 3}
+        }.items()
+    }  # fmt: skip
+    params = _params(tmp_path / "params.yaml", graphs=lines)
+    one, three = (_graphs(tmp_path, tmp_path / "graphs", name, params) for name in ("one", "three"))
+    with (
+        store.DriveReader(one / f"{FULL}.h5", stage="graphs") as single,
+        store.DriveReader(three / f"{FULL}.h5", stage="graphs") as file,
+    ):
+        xyz, ptr = file["xyz"], file["ptr"]
+        assert (np.diff(ptr) == 300).all()
+        assert (file["visual_valid"] == [0, 1, 1, 0]).all()
+        of_frames = [xyz[a:b] for a, b in pairwise(ptr)]
+        for points in of_frames:
+            assert (cloud.morton_order(points) == np.arange(300)).all()
+            assert (points[:, 2] >= -3).all()
+            assert (points[:, 2] <= 30).all()
+        own = single["xyz"][: single["ptr"][1]]
+        assert (of_frames[0] == own).all()  # the first frame has nothing before it
+        nearest = [points[:, 2].min() for points in of_frames]
+        assert nearest[2] < nearest[0] - 1.5  # two metres since the first frame
+        assert nearest[3] > nearest[2] + 1  # motion that was not measured
+    with pytest.raises(InputError, match=r"graphs\.lidar\.accumulate\.motion = 'lidar', but .*motion holds visual: "):
+        graphs.main("lidar", tmp_path, tmp_path / "graphs", params, workers=1)
+
+
+def write_motion(folder: Path, valid: list[int]) -> None:
+    """Write the motion of a car that goes straight, a metre a frame."""
+    T_before = np.tile(np.eye(4, dtype=np.float32), (len(valid), 1, 1))
+    T_before[:, 2, 3] = valid
+    for drive in SPLITS:
+        with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
+            file.put("frame", np.arange(len(valid), dtype=np.int32))
+            file.put("time_s", np.arange(len(valid)) / 10)
+            file.put("valid", np.array(valid, np.uint8))
+            file.put("yaw_rate_radps", np.zeros(len(valid), np.float32))
+            file.put("speed_mps", np.array(valid, np.float32) * 10)
+            file.put("T_before", T_before)
+    store.write_index(folder, SPLITS)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ({"source": "ingest", "accumulate": {"motion": "visual", "frames": 3}}, "accumulate means nothing to images"),
+        ({"accumulate": {"motion": "visual", "frames": 1}}, r"accumulate\.frames = 1: .*greater than or equal to 2"),
+        ({"accumulate": {"motion": "oxts", "frames": 3}}, r"accumulate\.motion = 'oxts': .*visual.*lidar"),
+        ({"accumulate": {"frames": 3}}, r"accumulate\.motion is missing"),
+        ({"accumulate": {"motion": "visual", "frame": 3}}, r"unknown key graphs\.v\.accumulate\.frame: .*frames"),
+    ],
+)
+def test_what_accumulate_cannot_be_is_refused(tmp_path: Path, line: dict[str, object], message: str) -> None:
+    points = {"points": 300, "k": 4} if "source" not in line else {}
+    params = _params(tmp_path / "params.yaml", graphs={"v": {"source": "clouds/pseudo"} | points | line})
+    with pytest.raises(InputError, match=message):
+        graphs.main("v", tmp_path, tmp_path / "graphs", params, workers=1)

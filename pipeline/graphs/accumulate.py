@@ -1,0 +1,51 @@
+"""Clouds that span time: those of a window's frames, brought into its last frame's coordinates by measured motion."""
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+
+from pipeline.base.store import DriveReader
+from pipeline.camera.geometry import transform
+from pipeline.graphs.cloud import Cloud
+
+
+def steps(motion: DriveReader) -> dict[int, np.ndarray]:
+    """Return frame number → T_before_now float64 [4,4] of the frames of a motion file whose motion was measured.
+
+    Motion by images may have corrected the depth that it knows lengths from. Clouds have not: so lengths are divided by
+    that correction here, and a street that stands still lies still, whatever depth's scale.
+    """
+    measured = motion["valid"].astype(bool)
+    T_before = motion["T_before"][measured].astype(np.float64)
+    if "scale" in motion:
+        T_before[:, :3, 3] /= motion["scale"][measured, None]
+    return {int(number): T for number, T in zip(motion.frame[measured], T_before, strict=True)}
+
+
+def accumulated(
+    frame: Iterable[int], clouds: Iterable[Cloud], T_before: Mapping[int, np.ndarray], frames: int
+) -> Iterator[Cloud]:
+    """Yield of each frame its cloud and those of up to `frames` - 1 frames before, as it would see them now.
+
+    As far back as the frames follow each other by number and motion was measured. What moves by itself leaves a trace;
+    what the car has passed lies behind the camera. At most `frames` clouds are held.
+
+    Args:
+        frame: KITTI frame numbers, ascending.
+        clouds: of each its xyz [P,3] and cls [P].
+        T_before: number of a frame → T_before_now, see :func:`steps`.
+    """
+    held: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
+    last = None
+    for number, cloud in zip(frame, clouds, strict=True):
+        if last is None or number != last + 1 or number not in T_before:
+            held = []
+        else:
+            T_now_before = np.linalg.inv(T_before[number])
+            held = [(T_now_before @ T_before_then, then) for T_before_then, then in held[1 - frames :]]
+        held.append((np.eye(4), cloud))
+        last = number
+        yield (
+            np.concatenate([transform(T_now_then, xyz) for T_now_then, (xyz, _) in held]).astype(np.float32),
+            np.concatenate([cls for _, (_, cls) in held]),
+        )

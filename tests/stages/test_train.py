@@ -1,5 +1,6 @@
 import csv
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -161,6 +162,124 @@ def test_figures_are_means_over_seeds(folder: Path) -> None:
     assert alone[0]["nmse_std"] is None
 
 
+def write_two_test_drives(folder: Path) -> list[str]:
+    """Make two of the training drives test drives; return the test drives."""
+    tested = ["2026_01_01_drive_0002", "2026_01_01_drive_0003"]
+    splits = {**SPLITS, **dict.fromkeys(tested, "test")}
+    del splits["2026_01_03_drive_0001"]
+    store.write_index(folder / "graphs/semantic", splits)
+    return tested
+
+
+def made_by(folder: Path) -> dict[str, bytes]:
+    """Return relative path → contents of what training and judging wrote, without the time that they took."""
+    files = [path for stage in ("train", "evaluate") for path in (folder / stage).rglob("*") if path.is_file()]
+    contents = {str(path.relative_to(folder)): path.read_bytes() for path in files}
+    return {name: re.sub(rb'"encode_ms_per_frame": [\d.]+', b"", content) for name, content in contents.items()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fit_to", ["others", "both"])
+def test_a_test_drive_is_judged_by_the_network_that_has_not_seen_it(folder: Path, fit_to: str) -> None:
+    tested = write_two_test_drives(folder)
+    write_params(folder, {"fit_to": fit_to}, epochs=1, seeds=[0, 7])
+    made, judged = run_train(folder), run_evaluate(folder)
+    networks = sorted(str(path.parent.relative_to(made)) for path in made.rglob("best.pt"))
+    assert networks == sorted(f"{seed}fold-{drive}" for seed in ("", "seed-7/") for drive in tested)
+    own = ["2026_01_01_drive_0001"] if fit_to == "both" else []
+    result = json.loads((judged / "metrics.json").read_text())
+    assert result["drives"] == {"train": own + tested[::-1], "val": ["2026_01_02_drive_0001"], "test": tested}
+    assert sorted(result["test"]["by_drive"]) == tested
+    assert result["test"]["frames"] == 2 * (60 - 3)
+    for seed in ("", "seed-7/"):
+        with (judged / f"{seed}predictions.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        for drive in tested:
+            model = predict.load(made / f"{seed}fold-{drive}")
+            assert model.fold == drive
+            with frames.open_graphs(folder / f"graphs/semantic/{drive}.h5") as graphs:
+                angles = model.predict(graphs)
+            written = [row["predicted_rad"] for row in rows if row["drive"] == drive]
+            assert written == ["" if np.isnan(angle) else f"{angle:.6f}" for angle in angles]
+    with pytest.raises(InputError, match=r"net is not a trained model.*: fold-2026_01_01_drive_0002, fold-2026"):
+        predict.load(made)
+    out = folder / "report"
+    report.main(folder / "evaluate", out, folder / "params.yaml", folder / "scores", folder / "train")
+    assert len(list((out / "learning").iterdir())) == 4
+    assert f"| {fit_to} |" in (out / "table.md").read_text()
+
+
+@pytest.mark.slow
+def test_any_number_of_workers_writes_the_same_bytes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_two_test_drives(folder)
+    write_params(folder, {"fit_to": "others"}, epochs=2)
+    made = []
+    for workers in ("1", "2"):
+        monkeypatch.setenv("STEER_WORKERS", workers)
+        run_train(folder)
+        run_evaluate(folder)
+        made.append(made_by(folder))
+        shutil.rmtree(folder / "train")
+    assert made[0] == made[1]
+    assert not (folder / ".resume/train-net").exists()
+
+
+@pytest.mark.slow
+def test_runs_side_by_side_go_on_after_a_kill(folder: Path, tmp_path: Path) -> None:
+    write_params(folder, seeds=[0, 7], epochs=40)
+    arguments = [f"--{key}={folder / key}" for key in ("graphs", "labels")] + [f"--params={folder / 'params.yaml'}"]
+    command = [sys.executable, "-m", "stages.train", "net", *arguments, f"--out={folder / 'train'}"]
+    environment = {**os.environ, "STEER_WORKERS": "2"}
+    with subprocess.Popen(command, cwd=PARAMS.parent, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        said = [next(line for line in process.stdout if "epoch 2/40" in line)]
+        process.kill()
+        said += process.stdout  # until the workers have ended, too
+    write_params(folder, seeds=[0, 7], epochs=40)
+    kept = {path.name for path in (folder / ".resume/train-net").glob("*.pt")}
+    assert kept
+    assert not (folder / "train").exists()
+    done = subprocess.run(command, cwd=PARAMS.parent, env=environment, capture_output=True, text=True, check=True)
+    assert "of 40 epochs kept from the run before" in done.stdout
+    assert all(re.match(r"net seed [07]: ", line) for line in done.stdout.splitlines())
+    assert (folder / "train/net/seed-7/best.pt").is_file()
+
+
+@pytest.mark.slow
+def test_with_motion_and_a_horizon_the_measured_angle_is_where_learning_starts(folder: Path) -> None:
+    for drive in SPLITS:
+        with store.DriveReader(folder / f"labels/{drive}.h5", stage="labels") as truth:
+            artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", "visual", truth["steering_rad"])
+    write_params(folder, {"motion": "visual", "horizon": 5}, epochs=12, average=0.0)
+    made, judged = run_train(folder), run_evaluate(folder)
+    result = json.loads((judged / "metrics.json").read_text())
+    test = result["test"]
+    assert test["frames"] == 60 - 3 - 5
+    assert result["line"]["horizon"] == 5
+    assert test["baselines"]["odometry"]["nmse"] == pytest.approx(test["baselines"]["persistence"]["nmse"], rel=1e-3)
+    assert test["nmse"] < 0.8 * test["baselines"]["odometry"]["nmse"]
+    (drive,) = windows.read_drives(
+        folder / "graphs/semantic", folder / "labels", ["2026_01_03_drive_0001"], 4, 5, "visual"
+    )
+    target = torch.load(made / "best.pt", weights_only=True)["target"]
+    assert target["std_rad"] != pytest.approx(drive.steering_rad[drive.valid].std(), rel=0.05)
+    rows = [line.split(",") for line in (judged / "predictions.csv").read_text().splitlines()[1:]]
+    assert [row[6] for row in rows] == ["1"] * 55 + ["0"] * 5
+    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+    table = (folder / "report/table.md").read_text()
+    assert "| *odometry* |" in table
+    assert "5 frames ahead" in table
+
+
+@pytest.mark.slow
+def test_roads_are_the_first_training_drives(folder: Path) -> None:
+    write_params(folder, {"roads": 2}, epochs=1)
+    run_train(folder)
+    assert torch.load(folder / "train/net/best.pt", weights_only=True)["model"]["roads"] == 2
+    result = json.loads((run_evaluate(folder) / "metrics.json").read_text())
+    assert result["drives"]["train"] == ["2026_01_01_drive_0001", "2026_01_01_drive_0002"]
+
+
 @pytest.mark.slow
 def test_two_processes_train_as_one(folder: Path) -> None:
     """torchrun's processes share each step's runs: in float64 the losses are those of one process, to rounding."""
@@ -287,6 +406,11 @@ def test_a_killed_run_is_not_resumed_on_another_split(folder: Path, monkeypatch:
         ({"temporal": "gru"}, r"models\.net.*temporal.*gru.*(ncp.*lstm|lstm.*ncp)"),
         ({"temporal": "lstm", "cell": "eq4"}, r"models\.net.*cell.*eq4.*lstm.*leave it out"),
         ({"window": 61}, "no window of 61 consecutive frames"),
+        ({"horizon": 60}, "with a valid label 60 frames after its end"),
+        ({"motion": "lidar"}, r"semantic/.*\.h5 carries no motion: lidar"),
+        ({"roads": 4}, r"models\.net: roads = 4: there are 3 training drives"),
+        ({"fit_to": "others"}, r"models\.net: fit_to = 'others': 2026_01_03_drive_0001 is the only test drive"),
+        ({"fit_to": "others", "roads": 2}, r"models\.net: roads counts training drives"),
     ],
 )
 def test_impossible_models_are_refused_before_anything_is_written(
@@ -356,6 +480,7 @@ def test_predictions_csv_covers_every_frame(folder: Path) -> None:
     assert result["test"]["mse_rad2"] == pytest.approx(float((error**2).mean()), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_in_python_a_model_predicts_the_numbers_of_predictions_csv(folder: Path) -> None:
     write_params(folder, seeds=[0, 7], epochs=1)
     made, judged = run_train(folder), run_evaluate(folder)

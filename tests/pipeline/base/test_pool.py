@@ -19,7 +19,7 @@ import pytest
 
 from pipeline.base import progress
 from pipeline.base.errors import InputError
-from pipeline.base.pool import run_over_drives
+from pipeline.base.pool import run_over_drives, run_side_by_side
 from pipeline.base.store import DriveWriter, write_index
 from tests.kitti_drive import contents
 
@@ -140,6 +140,33 @@ def test_what_determines_a_file_is_in_its_key(tmp_path: Path) -> None:
     source.write_text("2")
     run(tmp_path, **first)
     assert calls(tmp_path) == DRIVES
+
+
+def note(job: str, folder: Path, trouble: dict[str, str]) -> None:
+    """Leave a file that tells how many threads there are, or run into the trouble that `job` has."""
+    match trouble.get(job):
+        case "die":
+            os._exit(9)
+        case "fail":
+            raise InputError(f"{job} is damaged")
+    (folder / job).write_text(os.environ["OMP_NUM_THREADS"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 3])
+def test_side_by_side_each_has_one_thread_however_many_there_are(tmp_path: Path, workers: int) -> None:
+    run_side_by_side(partial(note, folder=tmp_path, trouble={}), DRIVES, workers)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(DRIVES, "1")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("trouble", "message"), [("fail", "^b is damaged$"), ("die", r"worker process died .* near [a-d]: ")]
+)
+def test_side_by_side_the_first_error_is_told(tmp_path: Path, trouble: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        run_side_by_side(partial(note, folder=tmp_path, trouble={"b": trouble}), DRIVES, 1)
+    assert not (tmp_path / "b").exists()
 
 
 def test_missing_input(tmp_path: Path) -> None:

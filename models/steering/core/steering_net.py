@@ -53,8 +53,7 @@ class SteeringNet(nn.Module):
     network hears it. The paper has no such symmetry.
 
     With `motion` the recurrent network hears besides what the car did since the frame before, and says what the angle
-    measured from that leaves open: nothing at first, for all is scaled by a `gain` that starts at 0, so that training
-    starts from the measured angle. The paper has no such input.
+    measured from that leaves open, in units of its deviation. The paper has no such input.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class SteeringNet(nn.Module):
         self.spatial = spatial
         self.temporal = temporal
         self.equivariant = equivariant
-        self.gain = nn.Parameter(torch.zeros(())) if motion else None
+        self.motion = motion
 
     def encode(self, batch: Batch) -> Tensor:
         """Return what the spatial network sees in each frame, [B,F]; minus the same in the mirror, if equivariant."""
@@ -88,15 +87,13 @@ class SteeringNet(nn.Module):
         with torch.autocast(features.device.type, enabled=False):  # a tiny part of the work, and an ODE
             dtype = next(self.temporal.parameters()).dtype
             odd, even, dt_s = features.to(dtype), features.new_empty(len(features), 0, dtype=dtype), dt_s.to(dtype)
-            if self.gain is not None:
+            if self.motion:
                 if motion is None:
                     raise ValueError("a network with motion needs that of each frame")
                 of_car, even = odd_and_even(motion.to(dtype))
                 odd = torch.cat([odd, of_car], dim=1)
             out = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
-            if self.equivariant:
-                out = (out - self._last(torch.cat([-odd, even], dim=1), windows, dt_s)) / 2
-            return out if self.gain is None else self.gain * out
+            return (out - self._last(torch.cat([-odd, even], dim=1), windows, dt_s)) / 2 if self.equivariant else out
 
     def _last(self, heard: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
         """What is heard of each frame [B,D] → what the recurrent network says at each window's end, [W]."""
@@ -190,7 +187,7 @@ def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
     """Return the network's output [W] for arrays: a batch of frames', `windows` [W,T], `dt_s` [W,T], `motion` [B,4]."""
     device = next(net.parameters()).device
     windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
-    motion = None if net.gain is None else torch.from_numpy(arrays["motion"]).to(device)
+    motion = torch.from_numpy(arrays["motion"]).to(device) if net.motion else None
     output: Tensor = net(of_arrays(arrays).to(device), windows, dt_s, motion)
     return output
 

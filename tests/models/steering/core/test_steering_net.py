@@ -108,7 +108,6 @@ def test_so_it_does_when_the_motion_is_mirrored_too(make_batch, make_sets, make_
     batch = {"graph": make_batch(counts), "pointnet2": make_sets(counts), "image": ImageBatch(IMAGE)}[KIND[spatial]]
     dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
     net = net_of(make_line(spatial, temporal, motion="visual", equivariant=True, **knobs)).double()
-    torch.nn.init.ones_(net.gain)
     motion = MOTION.clone().requires_grad_()
     here = net(batch, WINDOWS, dt_s, motion)
     there = net(batch.mirrored(), WINDOWS, dt_s, motion * torch.tensor([-1, -1, 1, 1]))
@@ -118,17 +117,14 @@ def test_so_it_does_when_the_motion_is_mirrored_too(make_batch, make_sets, make_
     assert (heard.abs() > 0).all()  # of every frame, all that it did
 
 
-@pytest.mark.parametrize("temporal", names("temporal"))
-def test_training_starts_from_the_measured_angle(make_batch, make_line, temporal):
+@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
+def test_all_of_a_network_with_motion_learns(make_batch, make_line, temporal, knobs):
     torch.manual_seed(0)
-    net = net_of(make_line("gnn", temporal, motion="lidar")).double()
+    net = net_of(make_line("gnn", temporal, motion="lidar", **knobs)).double()
     batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
     left_open = net(batch, WINDOWS, dt_s, MOTION)
-    assert (left_open == 0).all()
-    (left_open - 1).square().sum().backward()
-    assert net.gain.grad.abs() > 0
-    torch.nn.init.constant_(net.gain, 0.1)
-    gradients = torch.autograd.grad(net(batch, WINDOWS, dt_s, MOTION).square().sum(), list(net.parameters()))
+    assert left_open.abs().max() < 3  # deviations of what the measured angle leaves open
+    gradients = torch.autograd.grad(left_open.square().sum(), list(net.parameters()))
     assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
     with pytest.raises(ValueError, match="motion"):
         net(batch, WINDOWS, dt_s)

@@ -1,5 +1,6 @@
 # make demo · make PRESET · make params PRESET=… · make test · make lint: each sets up what it needs (Debian, Python 3.11
-# or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make replay.
+# or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make
+# replay · make studies.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -28,6 +29,7 @@ $(PRESETS): setup
 	@cd "runs/$@" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
 	@for kind in md csv; do cp "runs/$@/data/report/table.$$kind" "data/report/$@.$$kind"; done
 	@cat "data/report/$@.md"
+	@[ "$@" != studies ] || python -m pipeline.report.studies --evaluate "runs/$@/data/evaluate" --params "runs/$@/params.yaml"
 
 PRESET ?=
 params: setup          ## a preset's changes written into params.yaml: make params PRESET=kitti, or a file of your own

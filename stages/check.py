@@ -19,6 +19,7 @@ from pipeline.sections.perception import Perception
 from pipeline.sections.pictures import Pictures
 from pipeline.sections.town import Town
 from pipeline.sections.train import Train
+from pipeline.train import runs
 
 # What DVC watches for every model; beside it, of networks, only the two files that a model's line names.
 WATCHED = {Path("models/steering/core"), Path("pipeline/camera/classes.py")}
@@ -37,8 +38,8 @@ def main(params: Path = Path("params.yaml")) -> Path:
     for name in names("models", params):
         settings = load_entry(Model, "models", name, params)
         try:
-            check_model(settings, variants, load(Ingest, params).image_size)
-        except ValueError as error:
+            check_model(settings, variants, load(Ingest, params), load(Motion, params))
+        except (InputError, ValueError) as error:
             raise InputError(f"{params}: models.{name}.{error}") from error
     return params
 
@@ -64,16 +65,19 @@ def check_encoder(encoder: Encoder) -> None:
             weights.locate(file, key)
 
 
-def check_model(settings: Model, variants: dict[str, Variant], image_size: tuple[int, int]) -> None:
-    """Build a model's network. Raises ValueError, whose text starts with the key that is wrong."""
+def check_model(settings: Model, variants: dict[str, Variant], ingest: Ingest, motion: Motion) -> None:
+    """Build a model's network. Raises InputError or ValueError, whose text starts with the key that is wrong."""
     from models.steering.core import steering_net
 
     if settings.input not in variants:
         raise ValueError(
             f"input = {settings.input!r} is not a variant in graphs: {closest(settings.input, [*variants])}"
         )
+    if settings.motion not in ("none", *motion.kinds):
+        raise ValueError(f"motion = {settings.motion!r} is not measured: motion.kinds has {', '.join(motion.kinds)}")
     variant, line = variants[settings.input], settings.model_dump()
-    steering_net.build(line, variant.kind, len(variant.levels), image_size)
+    runs.folds(ingest.drives.splits(), line)
+    steering_net.build(line, variant.kind, len(variant.levels), ingest.image_size)
     for module in steering_net.modules(line):
         *_, part, name = module.split(".")
         own = Path(*module.split(".")).with_suffix(".py")

@@ -30,12 +30,12 @@ def main(
     splits = store.read_index(perception, stage="perception")
     names = [f"{kind}/{drive}" for kind in settings.kinds for drive in splits]
     summaries = run_over_drives(
-        partial(_measure, ingest=ingest, perception=perception),
+        partial(_measure, ingest=ingest, perception=perception, settings=settings),
         names,
         module="stages.motion",
         out=out,
         inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
-        settings={},
+        settings={"road_scale": settings.road_scale},
         workers=workers,
         describe=lambda summary: "{frames} frames, {valid} measured".format_map(summary),
     )
@@ -47,15 +47,15 @@ def main(
     return out
 
 
-def _measure(name: str, path: Path, *, ingest: Path, perception: Path) -> Summary:
+def _measure(name: str, path: Path, *, ingest: Path, perception: Path, settings: Motion) -> Summary:
     """Write one drive's motion of one kind, named as visual/2011_09_26_drive_0001."""
     kind, drive = name.split("/")
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
-        store.DriveWriter(path, stage="motion", drive=drive, params={"motion": {"kind": kind}}) as file,
+        store.DriveWriter(path, stage="motion", drive=drive, params={"motion": settings.model_dump()}) as file,
     ):
-        frame, time_s, steps = KINDS[kind](raw, perceived)
+        frame, time_s, steps = KINDS[kind](raw, perceived, settings)
         return {"frames": len(frame), "valid": motion_file.write(file, kind, frame, time_s, _counted(steps))}
 
 
@@ -69,7 +69,7 @@ Frames = tuple[np.ndarray, np.ndarray, Iterator[Step | None]]
 """KITTI frame numbers [F], times [F], and each one's motion since the one before."""
 
 
-def _visual(raw: store.DriveReader, perceived: store.DriveReader) -> Frames:
+def _visual(raw: store.DriveReader, perceived: store.DriveReader, settings: Motion) -> Frames:
     rows = {int(number): row for row, number in enumerate(raw.frame)}
     views = (
         visual.View(
@@ -80,11 +80,12 @@ def _visual(raw: store.DriveReader, perceived: store.DriveReader) -> Frames:
         )
         for row, number in enumerate(perceived.frame)
     )
-    # A drive without images has no camera.
-    return perceived.frame, perceived.time_s, visual.steps(views, raw["K"] if len(perceived.frame) else np.eye(3))
+    K = raw["K"] if len(perceived.frame) else np.eye(3)  # a drive without images has no camera
+    camera_height_m = perceived.params["perception"]["camera_height_m"] if settings.road_scale else None
+    return perceived.frame, perceived.time_s, visual.steps(views, K, camera_height_m)
 
 
-KINDS: dict[str, Callable[[store.DriveReader, store.DriveReader], Frames]] = {"visual": _visual}
+KINDS: dict[str, Callable[[store.DriveReader, store.DriveReader, Motion], Frames]] = {"visual": _visual}
 
 if __name__ == "__main__":
     console.run(main)

@@ -7,7 +7,7 @@ from pipeline.base import console, store
 from pipeline.base.atomic import replacing
 from pipeline.base.lock import held
 from pipeline.base.params import names
-from pipeline.report.tables import curves, metrics, perception_table, steering_table
+from pipeline.report.tables import comparison, curves, metrics, perception_table, steering_rows, steering_table
 
 
 def main(
@@ -24,7 +24,7 @@ def main(
     """
     models = names("models", params)
     here = [model for model in models if (evaluate / model / "metrics.json").is_file()]
-    results = steering_table.in_order(
+    results = comparison.in_order(
         [store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}") for model in here]
     )
     # A machine that only trains may have no scores of the encoder.
@@ -38,7 +38,7 @@ def main(
         with replacing(out / "table.md") as tmp:
             tmp.write_text(text, encoding="utf-8")
         with replacing(out / "table.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-            rows = steering_table.rows(results)
+            rows = steering_rows.rows(results)
             table = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
             table.writeheader()
             table.writerows(rows)

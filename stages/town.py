@@ -55,9 +55,8 @@ def main(
         effort=frames.__getitem__,
         describe=describe,
     )
-    rig = make_rig(settings.image_size)
     for date in sorted({folder.parent for folder in folders.values()}):
-        write_calibration(rig, date)
+        write_calibration(make_rig(settings.image_size, date.name), date)
     write_rgb(out / "contact_sheet.png", contact_sheet(read_views(list(folders.values()), count=7)))
     return out
 

@@ -27,7 +27,12 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample with fewer and smaller drives, driven through the whole chain once."""
     folder = scratch.copy(tmp_path_factory.mktemp("sample"))
     params = yaml.safe_load((folder / "params.yaml").read_text())
-    params["town"] |= {"image_size": [96, 320], "frames": {"train": 70, "val": 50, "test": 150}}
+    params["town"] |= {"image_size": [96, 320], "frames": {"train": 60, "val": 50, "test": 100}}
+    params["ingest"]["drives"] = {
+        "train": ["2026_01_01_drive_0001..0009", "2026_01_04_drive_0001..0005"],
+        "val": ["2026_01_02_drive_0001..0002"],
+        "test": ["2026_01_03_drive_0001..0002"],
+    }
     params["encoder"] |= {"epochs": 5, "frames": 400}
     params["graphs"] = {name: params["graphs"][name] | {"points": 400} for name in ("semantic", "lidar")}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))

@@ -1,8 +1,8 @@
 """The camera's motion from points of the frame before and where this frame shows them (perspective n points).
 
-RANSAC finds who moves with the street. The refinement knows what is uncertain: a pixel by PIXEL_SIGMA in any direction,
-and a point's depth by DEPTH_SIGMA of itself, which shifts its pixel along its epipolar line. So rotation and direction
-of travel come from where pixels lie across these lines, whatever depth says, and only the way's length from depth.
+RANSAC finds who moves with the street. The refinement knows what is uncertain: a pixel, by PIXEL_SIGMA in any direction,
+and a point's depth, which shifts its pixel along an epipolar line. So rotation and direction of travel come from where
+pixels lie across these lines, whatever depth says, and only the way's length comes from depth.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,6 @@ MIN_SHARE = 0.3  # of inliers
 RANSAC_PX = 2.0  # error of who agrees
 TRIALS = 100
 PIXEL_SIGMA = 0.3
-DEPTH_SIGMA = 0.3
 CAUCHY = 2.0  # sigmas at which a residual's weight is a half
 ITERATIONS = 6
 GATE = 3.0  # sigmas, of an inlier
@@ -29,10 +28,14 @@ class Pose(NamedTuple):
     residual_px: float
 
 
-def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> Pose | None:
-    """Return the motion that brings points [N,3], m, in the camera frame before to pixels [N,2] of intrinsics K [3,3].
+def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> Pose | None:
+    """Return the motion that explains where points are seen; None if there are too few, or too few agree.
 
-    None if there are too few points, or too few agree.
+    Args:
+        xyz: points [N,3] in m, in the camera frame before.
+        uv: where they are seen now, pixels [N,2].
+        K: intrinsics [3,3].
+        depth_sigma: of each point's depth, as a share of it [N].
     """
     import cv2
 
@@ -44,14 +47,14 @@ def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> Pose | None:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
     for _ in range(ITERATIONS):
-        error, weight, slopes = _linearised(T, xyz, uv, K)
+        error, weight, slopes = _linearised(T, xyz, uv, K, depth_sigma)
         robust = weight / (1 + _squared(error, weight) / CAUCHY**2)[:, None, None]
         normal = np.einsum("nia,nij,njb->ab", slopes, robust, slopes, optimize=True)
         gradient = np.einsum("nia,nij,nj->a", slopes, robust, error, optimize=True)
         change = -np.linalg.solve(normal, gradient)
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
-    error, weight, _ = _linearised(T, xyz, uv, K)
+    error, weight, _ = _linearised(T, xyz, uv, K, depth_sigma)
     inliers = _squared(error, weight) < GATE**2
     if inliers.sum() < max(MIN_POINTS, MIN_SHARE * len(xyz)):
         return None
@@ -64,7 +67,7 @@ def _squared(error: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _linearised(
-    T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray
+    T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return errors [N,2] px, their inverse covariances [N,2,2] and derivatives [N,2,6] by rotation and translation."""
     turned = xyz @ T[:3, :3].T
@@ -77,7 +80,7 @@ def _linearised(
     by_point = np.stack([fx / z, zero, -fx * x / z**2, zero, fy / z, -fy * y / z**2], axis=-1).reshape(-1, 2, 3)
     a, b, c = turned.T
     by_turn = np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=-1).reshape(-1, 3, 3)
-    along = DEPTH_SIGMA * np.einsum("nij,nj->ni", by_point, turned)  # px per sigma of depth
+    along = depth_sigma[:, None] * np.einsum("nij,nj->ni", by_point, turned)  # px per sigma of depth
     # The inverse of PIXEL_SIGMA² I + along alongᵀ, by Sherman and Morrison.
     shrink = along[:, :, None] * along[:, None, :] / (PIXEL_SIGMA**2 + (along**2).sum(axis=1))[:, None, None]
     weight = (np.eye(2) - shrink) / PIXEL_SIGMA**2

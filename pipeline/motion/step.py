@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 WINDOW = 10  # steps before and after, whose mean is a step's time
+SIDEWAYS_M, SIDEWAYS = 0.1, 0.5  # of a step, and of its length ahead: a camera ahead of the axle swings out
+FARTHEST_M = 10.0
 SAME = 1.5  # they count if they took at most so many times more or less
 
 
@@ -19,6 +21,12 @@ class Step(NamedTuple):
     inliers: int
     residual: float  # px of visual, m of lidar
     scale: float = 1.0  # what depth was multiplied by
+
+
+def plausible(T_before: np.ndarray) -> bool:
+    """Say whether a car can have moved so [4,4]: where the camera looks, not sideways, and without a jump."""
+    right, down, ahead = T_before[:3, 3]
+    return bool(np.hypot(right, down) < SIDEWAYS_M + SIDEWAYS * abs(ahead) and abs(ahead) < FARTHEST_M)
 
 
 def rates(T_before: np.ndarray, dt_s: float) -> tuple[float, float]:

@@ -2,41 +2,56 @@
 
 import numpy as np
 
-CELL = 24  # side of the squares, px, that give …
-PER_CELL = 2  # … so many corners each, the best
-QUALITY = 1e-4  # least eigenvalue of the gradients' products over a corner's 3 x 3 px, of intensities 0 to 1
+PER_CELL = 2  # corners
 WINDOW, LEVELS = (15, 15), 3  # px, halvings
 UNTIL = (3, 15, 0.02)  # 15 iterations, or one that moves it by less than 0.02 px
 BACK_PX = 0.5  # tracked to the next image and back, a corner ends at most so far from where it began
 
 
-def corners(grey: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return the corners, float32 [N,2] as (u, v), of an image uint8 [H,W] where `wanted` bool [H,W] is true."""
-    import cv2
+class Corners:
+    """The corners of an image uint8 [H,W]."""
 
-    strength = cv2.cornerMinEigenVal(grey, blockSize=3)
-    peak = (strength == cv2.dilate(strength, np.ones((5, 5), np.uint8))) & wanted & (strength > QUALITY)
-    v, u = np.nonzero(peak)
-    order = np.argsort(-strength[v, u], kind="stable")
-    u, v = u[order], v[order]
-    cell = v // CELL * (grey.shape[1] // CELL + 1) + u // CELL
-    by_cell = np.argsort(cell, kind="stable")  # within a cell, still the strongest first
-    _, first, counts = np.unique(cell[by_cell], return_index=True, return_counts=True)
-    rank = np.arange(len(cell)) - np.repeat(first, counts)
-    best = by_cell[rank < PER_CELL]
-    return np.stack([u[best], v[best]], axis=-1).astype(np.float32)
+    def __init__(self, grey: np.ndarray) -> None:
+        import cv2
+
+        # The least eigenvalue of the gradients' products over 3 x 3 px, of intensities 0 to 1.
+        quality = cv2.cornerMinEigenVal(grey, blockSize=3)
+        self._quality = np.where(quality == cv2.dilate(quality, np.ones((5, 5), np.uint8)), quality, 0)
+
+    def best(self, wanted: np.ndarray, cell: int, quality: float) -> np.ndarray:
+        """Return the PER_CELL best of each square of `cell` px, float32 [N,2] as (u, v), where `wanted` [H,W] is true.
+
+        `quality` is the least that one may have.
+        """
+        v, u = np.nonzero(wanted & (self._quality > quality))
+        best_first = np.argsort(-self._quality[v, u], kind="stable")
+        v, u = v[best_first], u[best_first]
+        of_cell = v // cell * (wanted.shape[1] // cell + 1) + u // cell
+        by_cell = np.argsort(of_cell, kind="stable")  # within a cell, still the best first
+        _, first, counts = np.unique(of_cell[by_cell], return_index=True, return_counts=True)
+        rank = np.arange(len(v)) - np.repeat(first, counts)
+        chosen = by_cell[rank < PER_CELL]
+        return np.stack([u[chosen], v[chosen]], axis=-1).astype(np.float32)
 
 
-def follow(before: np.ndarray, now: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Track corners [N,2] of image `before` to image `now`, both uint8 [H,W].
+def follow(before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Track corners of image `before` to image `now`, both uint8 [H,W], by pyramidal Lucas-Kanade, there and back.
 
-    Pyramidal Lucas-Kanade, there and back. Returns where they are in `now`, float32 [N,2], and whether to believe it.
+    Args:
+        uv: corners, float32 [N,2].
+        uv_guess: where they may be in `now`, float32 [N,2].
+
+    Returns: where they are in `now`, float32 [N,2], and whether to believe it, bool [N].
     """
     import cv2
 
     if not len(uv):
         return uv, np.zeros(0, bool)
-    there, found, _ = cv2.calcOpticalFlowPyrLK(before, now, uv[:, None], uv[:, None], None, None, WINDOW, LEVELS, UNTIL)
-    back, found_back, _ = cv2.calcOpticalFlowPyrLK(now, before, there, there, None, None, WINDOW, LEVELS, UNTIL)
-    error = np.linalg.norm(back[:, 0] - uv, axis=-1)
-    return there[:, 0], (found[:, 0] > 0) & (found_back[:, 0] > 0) & (error < BACK_PX)
+    how = WINDOW, LEVELS, UNTIL, cv2.OPTFLOW_USE_INITIAL_FLOW
+    there, there_ok, _ = cv2.calcOpticalFlowPyrLK(before, now, uv, uv_guess.copy(), None, None, *how)
+    back_guess = there - (uv_guess - uv)
+    back, back_ok, _ = cv2.calcOpticalFlowPyrLK(now, before, there, back_guess, None, None, *how)
+    height, width = now.shape
+    inside = (there >= 0).all(axis=1) & (there[:, 0] < width) & (there[:, 1] < height)
+    returned = np.linalg.norm(back - uv, axis=1) < BACK_PX
+    return there, (there_ok[:, 0] > 0) & (back_ok[:, 0] > 0) & returned & inside

@@ -1,18 +1,31 @@
 """Section ``ingest``: which drives, and what is read of them."""
 
-from typing import Annotated, Literal, Self
+import re
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from pipeline.base.params import SPLITS, Drive, ImageSize, Section
 
+_RANGE = re.compile(r"(\d{4}_\d{2}_\d{2}_drive_)(\d{4})\.\.(\d{4})")
+
 
 class Drives(Section):
-    """Which drives each split holds. `val` may be empty: then there is no early stopping."""
+    """Which drives each split holds. `val` may be empty: then there is no early stopping.
+
+    2026_01_01_drive_0001..0009 names all drives of a date from number 1 to number 9.
+    """
 
     train: list[Drive] = Field(min_length=1)
     val: list[Drive] = []
     test: list[Drive] = Field(min_length=1)
+
+    @field_validator(*SPLITS, mode="before")
+    @classmethod
+    def _all_named(cls, names: Any) -> Any:
+        if not isinstance(names, list):
+            return names
+        return [drive for name in names for drive in (_in_range(name) if isinstance(name, str) else [name])]
 
     @model_validator(mode="after")
     def _disjoint(self) -> Self:
@@ -25,6 +38,17 @@ class Drives(Section):
     def splits(self) -> dict[str, str]:
         """Return drive → split, in the order train, val, test."""
         return {drive: split for split in SPLITS for drive in getattr(self, split)}
+
+
+def _in_range(name: str) -> list[str]:
+    """Return the drives that a range names; of another word, the word."""
+    match = _RANGE.fullmatch(name)
+    if not match:
+        return [name]
+    date, first, last = match[1], int(match[2]), int(match[3])
+    if last < first:
+        raise ValueError(f"{name} names no drive: {last:04d} comes before {first:04d}")
+    return [f"{date}{number:04d}" for number in range(first, last + 1)]
 
 
 class Ingest(Section):

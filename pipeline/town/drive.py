@@ -8,15 +8,17 @@ import numpy as np
 
 from pipeline.base.atomic import replacing
 from pipeline.kitti.raw import RawDrive
+from pipeline.town.character import QUARTERS, draw_character
 from pipeline.town.journey import draw_journey, record
 from pipeline.town.layout import DriveFolder
 from pipeline.town.light import draw_ground_colours, draw_light
+from pipeline.town.manoeuvres import DECK
 from pipeline.town.plan import draw_plan
 from pipeline.town.recording import read_recording
 from pipeline.town.replay import replay
 from pipeline.town.rig import make_rig
-from pipeline.town.sensors import Camera, Scanner, imu_pose
-from pipeline.town.street import build_street, draw_character
+from pipeline.town.sensors import Camera, Scanner
+from pipeline.town.street import build_street
 from pipeline.town.traffic import draw_traffic, shown
 from pipeline.town.world import World
 
@@ -47,27 +49,31 @@ def write_drive(
     The folder appears under its name only when complete. Calibration files belong to the date's folder, see
     :func:`pipeline.town.rig.write_calibration`.
     """
-    rng = np.random.default_rng(_seed(seed, drive))
+    rng = random_of(drive, seed)
     recording = read_recording(recorded, frames) if recorded else None
-    journey = replay(drive, recording, rng) if recording else draw_journey(rng, frames)
+    quarter, first = theme(drive)
+    character = draw_character(rng, quarter)
+    if recording:
+        journey = replay(drive, recording, rng, character.lane_m)
+    else:
+        journey = draw_journey(rng, frames, character, first)
     route, motion = journey.route, journey.motion
-    character = draw_character(rng)
-    plan = draw_plan(route, rng, character.pavement_m, character.bays)
+    plan = draw_plan(route, rng, character)
     world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
     light = draw_light(rng)
     traffic = draw_traffic(route, motion, rng)
     near = [shown(vehicle, journey) for vehicle in traffic]
     recording = recording or record(journey, drive[:10], rng)
 
-    rig = make_rig(size)
+    rig = make_rig(size, drive[:10])
     camera, scanner = Camera(rig), Scanner(rig, scan_rays)
     with replacing(path) as unfinished:
         folder = DriveFolder(unfinished)
         folder.put_recording(recording)
         for i, frame in enumerate(recording.packets):
             world.set_traffic([vehicle.at(i) for vehicle, near_at in zip(traffic, near, strict=True) if near_at[i]])
-            pose = imu_pose(journey.xy[i], journey.heading_rad[i])
-            noise = np.random.default_rng([_seed(seed, drive), frame])
+            pose = journey.pose(i)
+            noise = random_of(drive, seed, frame)
             folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise))
     steering = np.arctan(WHEELBASE_M * route.curvature(motion.s_m))
     return {
@@ -77,5 +83,16 @@ def write_drive(
     }
 
 
-def _seed(seed: int, drive: str) -> int:
-    return int.from_bytes(hashlib.sha256(f"{seed}/{drive}".encode()).digest()[:8], "big")
+def theme(drive: str) -> tuple[str, str]:
+    """Return the quarter that a drive crosses and the manoeuvre that it begins with.
+
+    They differ from number to number and from date to date, so that a few short drives show all.
+    """
+    day, number = int(drive[8:10]), int(drive[-4:])
+    return QUARTERS[(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
+
+
+def random_of(drive: str, seed: int, *frame: int) -> np.random.Generator:
+    """Return what a drive of the town with `seed` is drawn from, or one of its frames."""
+    digest = hashlib.sha256(f"{seed}/{drive}".encode()).digest()
+    return np.random.default_rng([int.from_bytes(digest[:8], "big"), *frame])

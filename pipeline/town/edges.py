@@ -39,12 +39,11 @@ def horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
 def barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
     """Red and white boards across the roads that are closed, just beyond the junction."""
     parts = []
-    half = route.lane_m + 0.25
     for arm in route.arms:
         if not arm.closed:
             continue
-        middle = arm.xy + (half + rng.uniform(*BARRIER_M)) * unit(arm.heading_rad)
-        boards = np.arange(-half + 0.35, half, 0.7)
+        middle = arm.xy + (route.lane_m + 0.25 + rng.uniform(*BARRIER_M)) * unit(arm.heading_rad)
+        boards = np.arange(-arm.half_m + 0.35, arm.half_m, 0.7)
         for i, across in enumerate(boards):
             colour = (0.75, 0.08, 0.06) if i % 2 else (0.9, 0.9, 0.88)
             xy = middle + across * unit(arm.heading_rad + np.pi / 2)

@@ -9,8 +9,7 @@ from pipeline.town.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT
 from pipeline.town.world import Hits, dot
 
 _TILE = 256  # side of the pattern tiles; a power of two, see _look_up
-_GAMMA_STEPS = 4095
-_GAMMA = np.rint(255 * (np.arange(_GAMMA_STEPS + 1) / _GAMMA_STEPS) ** (1 / 2.2)).astype(np.uint8)
+_STEPS = 4095
 
 _BLUE, _GREY = np.array([0.22, 0.42, 0.80]), np.array([0.60, 0.64, 0.70])
 
@@ -25,6 +24,7 @@ class Light:
     sky: tuple[np.ndarray, np.ndarray]  # colour at the horizon, at the zenith
     haze_m: float
     exposure: float
+    curve: np.ndarray  # uint8 [_STEPS + 1]: what the camera makes of brightness
     slope: np.ndarray  # [2] change of brightness over the image's width and height
     tiles: np.ndarray  # [2, TILE, TILE] patterns in -1..1: fine, coarse
     clouds: float
@@ -41,7 +41,8 @@ def draw_light(rng: np.random.Generator) -> Light:
         ambient=(0.30 + 0.45 * overcast) * np.array([0.92, 1.0, 1.1]),
         sky=(np.array([0.75, 0.82, 0.88]), (1 - overcast) * _BLUE + overcast * _GREY),
         haze_m=rng.uniform(500, 2000),
-        exposure=rng.uniform(0.75, 1.25),
+        exposure=rng.uniform(0.65, 1.35),
+        curve=np.rint(255 * np.linspace(0, 1, _STEPS + 1) ** (1 / rng.uniform(1.8, 2.5))).astype(np.uint8),
         slope=rng.uniform(-0.25, 0.25, 2),
         tiles=np.stack([rng.uniform(-1, 1, (_TILE, _TILE)), _smooth(rng)]).astype(np.float32),
         clouds=rng.uniform(0.05, 0.3),
@@ -80,9 +81,9 @@ def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tup
 
     height, width = size
     across = light.slope[0] * np.linspace(-1, 1, width) + light.slope[1] * np.linspace(-1, 1, height)[:, None]
-    colour *= (_GAMMA_STEPS * light.exposure * (1 + across)).astype(np.float32).reshape(-1, 1)
-    np.clip(colour, 0, _GAMMA_STEPS, out=colour)
-    picture: np.ndarray = _GAMMA[colour.astype(np.int16)]
+    colour *= (_STEPS * light.exposure * (1 + across)).astype(np.float32).reshape(-1, 1)
+    np.clip(colour, 0, _STEPS, out=colour)
+    picture: np.ndarray = light.curve[colour.astype(np.int16)]
     return picture.reshape(height, width, 3)
 
 

@@ -52,7 +52,7 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
         along = np.arange(6, arm.length_m + 6, 0.5)[:, None] * unit(arm.heading_rad)
         for side in (1, -1):
             outward = arm.heading_rad + side * np.pi / 2
-            xy = arm.xy + along + (route.lane_m + 0.25) * unit(outward)
+            xy = arm.xy + along + arm.half_m * unit(outward)
             sides.append(Frontage(xy, np.full(len(xy), outward)))
         across = np.arange(-12, 12, 0.5)[:, None] * unit(arm.heading_rad + np.pi / 2)  # closes the arm's far end
         xy = arm.xy + arm.length_m * unit(arm.heading_rad) + across

@@ -1,18 +1,16 @@
-"""How the ego moves along its path: speed, and the oxts rows that an inertial system would record."""
+"""How the ego moves along its path: where it is at which time, and how fast."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.kitti.oxts import make_rows
 from pipeline.town.route import STEP_M, Route
 
 PERIOD_S = 0.1036  # KITTI's synchronised stream
 JITTER_S = 0.001
-GRAVITY_MPS2 = 9.81
-EARTH_RADIUS_M = 6378137.0
 IMU_HEIGHT_M = 0.93
-ACCELERATE_MPS2, BRAKE_MPS2, LATERAL_MPS2 = 1.8, 2.2, 3.2
+ACCELERATE_MPS2, BRAKE_MPS2 = 1.8, 2.2
+LATERAL_MPS2 = (1.5, 3.2)  # of one driver and another
 
 
 @dataclass(frozen=True)
@@ -31,10 +29,10 @@ def frame_times(rng: np.random.Generator, frames: int) -> np.ndarray:
     return times - times[0]
 
 
-def speed_profile(route: Route, cruise_mps: float, stops_m: tuple[float, ...] = ()) -> np.ndarray:
-    """Return the speed at each of the route's samples [N]: comfortable in bends, zero at `stops_m`."""
+def speed_profile(route: Route, cruise_mps: float, lateral_mps2: float, stops_m: tuple[float, ...] = ()) -> np.ndarray:
+    """Return the speed at each of the route's samples [N]: in bends no more than `lateral_mps2`, zero at `stops_m`."""
     curvature = np.maximum(np.abs(route.curvature_1pm), 1e-6)
-    speed = np.minimum(cruise_mps, np.sqrt(LATERAL_MPS2 / curvature))
+    speed = np.minimum(cruise_mps, np.sqrt(lateral_mps2 / curvature))
     speed[[round((stop - route.s_m[0]) / STEP_M) for stop in stops_m]] = 0.0
     for i in range(1, len(speed)):
         speed[i] = min(speed[i], np.sqrt(speed[i - 1] ** 2 + 2 * ACCELERATE_MPS2 * STEP_M))
@@ -46,7 +44,7 @@ def speed_profile(route: Route, cruise_mps: float, stops_m: tuple[float, ...] = 
 def draw_stops(rng: np.random.Generator, route: Route, before_m: float) -> tuple[float, ...]:
     """Return where the ego halts for a moment: in some drives, ahead of a junction that lies before `before_m`."""
     places = [junction - 13.0 for junction in route.junctions_m if 15 < junction - 13 < before_m]
-    return (places[int(rng.integers(len(places)))],) if places and rng.random() < 0.4 else ()
+    return (places[int(rng.integers(len(places)))],) if places and rng.random() < 0.2 else ()
 
 
 def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Motion:
@@ -67,27 +65,3 @@ def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: floa
     acceleration = np.diff(v)[i] / duration[i]
     t = times_s - knots[i]
     return Motion(times_s, s[i] + v[i] * t + acceleration * t**2 / 2, v[i] + acceleration * t, acceleration)
-
-
-def oxts_rows(route: Route, motion: Motion, latitude_deg: float, longitude_deg: float) -> np.ndarray:
-    """Return the rows of KITTI's oxts files, [F,30], for a level road.
-
-    Latitude and longitude by the local tangent plane at the first row's latitude, which agrees with KITTI's Mercator
-    formula to millimetres over a drive.
-    """
-    xy, heading = route.at(motion.s_m)
-    xy = xy - xy[0]
-    v, a = motion.speed_mps, motion.acceleration_mps2
-    yaw_rate = v * route.curvature(motion.s_m)
-    sideways = v * yaw_rate
-    return make_rows(
-        len(v),
-        lat=latitude_deg + np.rad2deg(xy[:, 1] / EARTH_RADIUS_M),
-        lon=longitude_deg + np.rad2deg(xy[:, 0] / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
-        alt=110.0 + IMU_HEIGHT_M,
-        yaw=np.arctan2(np.sin(heading), np.cos(heading)),
-        vn=v * np.sin(heading), ve=v * np.cos(heading), vf=v,
-        # Along the body's axes, then forward, left, up: the same on a level road.
-        ax=a, ay=sideways, az=GRAVITY_MPS2, af=a, al=sideways, au=GRAVITY_MPS2, wz=yaw_rate, wu=yaw_rate,
-        pos_accuracy=0.05, vel_accuracy=0.02, navstat=4, numsats=9, posmode=4, velmode=4, orimode=4,
-    )  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from pipeline.town.character import Character
 from pipeline.town.meetings import Meetings, find_meetings
 from pipeline.town.route import STEP_M, Route, unit
 
@@ -16,7 +17,7 @@ MARGIN_M = 45.0
 KERB_M = 0.12
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
 CORNER_M = 4.0  # kerb radius at junctions
-BAY_M = 2.1  # width of a parking bay
+BAY_M = 2.1  # room for a parked car
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Plan:
     kind: np.ndarray
     to_road_m: np.ndarray
     origin: np.ndarray
-    bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> width of the parking bay at each of the route's samples
+    bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> room for parked cars at each of the route's samples
+    parking: np.ndarray  # bool, whether cars may park at each of the route's samples
 
     def cells(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns [...] of the nearest cells to points [..., 2], clipped to the raster's border."""
@@ -41,8 +43,8 @@ class Plan:
         return [outline * CELL_M + self.origin for outline in thinned if len(outline) > 2]
 
 
-def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_chance: float) -> Plan:
-    """Paint the route's road, its arms, pavements of `pavement_m`, parking bays and markings."""
+def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> Plan:
+    """Paint the route's road, its arms, pavements, room for parked cars and markings."""
     ends = [arm.xy + arm.length_m * unit(arm.heading_rad) for arm in route.arms]
     points = np.concatenate([route.xy, np.reshape(ends, (-1, 2))])
     origin = points.min(axis=0) - MARGIN_M
@@ -52,22 +54,40 @@ def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_cha
     s = route.s_m[every]
 
     meetings = find_meetings(route)
-    bays = {side: _bay_width(route, meetings, rng, bay_chance) for side in (1, -1)}
+    parking = _may_park(route, meetings, character.kerbside)
+    bays = {side: _bay_width(route, meetings, parking, rng, character) for side in (1, -1)}
     left = route.at(s, route.left_m + bays[1][every])[0]
     right = route.at(s, route.right_m - bays[-1][every])[0]
     _paint_band(road, left, right, origin, 1)
-    half = route.lane_m + 0.25
     for arm in route.arms:
         along = arm.xy + np.array([[0.0], [arm.length_m]]) * unit(arm.heading_rad)
-        side = half * unit(arm.heading_rad + np.pi / 2)
+        side = arm.half_m * unit(arm.heading_rad + np.pi / 2)
         _paint_band(road, along + side, along - side, origin, 1)
     road = _close(road, CORNER_M)
 
     to_road = (cv2.distanceTransform(1 - road, cv2.DIST_L2, 5) * CELL_M).astype(np.float32)
-    kind = np.where(to_road < pavement_m, PAVEMENT, GRASS).astype(np.uint8)
+    kind = np.where(to_road < character.pavement_m, PAVEMENT, GRASS).astype(np.uint8)
     kind[to_road < 0.25] = KERBSTONE
     kind[road > 0] = ASPHALT
     paint = np.zeros_like(kind)
+    if not character.kerbside:
+        _paint_markings(paint, route, meetings, bays, origin, rng)
+    painted = (paint > 0) & (road > 0)
+    kind[painted] = paint[painted]
+    return Plan(kind, to_road, origin, bays, parking)
+
+
+def _paint_markings(
+    paint: np.ndarray,
+    route: Route,
+    meetings: Meetings,
+    bays: dict[int, np.ndarray],
+    origin: np.ndarray,
+    rng: np.random.Generator,
+) -> None:
+    """Bays, the line between the lanes, and in some drives lines along the edges."""
+    every = slice(None, None, round(0.5 / STEP_M))
+    s = route.s_m[every]
     for sign, edge in ((1, route.left_m), (-1, route.right_m)):
         _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][every])[0], origin, BAY)
     clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
@@ -78,27 +98,32 @@ def draw_plan(route: Route, rng: np.random.Generator, pavement_m: float, bay_cha
         for i in np.flatnonzero(clear[:-1]):
             _paint_line(paint, route.at(s[i : i + 2], route.right_m + 0.15)[0], origin)
             _paint_line(paint, route.at(s[i : i + 2], route.left_m - 0.15)[0], origin)
-    painted = (paint > 0) & (road > 0)
-    kind[painted] = paint[painted]
-    return Plan(kind, to_road, origin, bays)
 
 
-def _bay_width(route: Route, meetings: Meetings, rng: np.random.Generator, chance: float) -> np.ndarray:
-    """Parking bays come in stretches, and never in sharp bends or at junctions."""
+def _may_park(route: Route, meetings: Meetings, kerbside: bool) -> np.ndarray:
+    """Return bool [N]: never in sharp bends or at junctions; at kerbs closer to them than in bays."""
+    bent_1pm, near_m = (0.085, 9.0) if kerbside else (0.055, 13.0)
+    blocked = (np.abs(route.curvature_1pm) > bent_1pm) | (meetings.other_m < 14)
+    for junction in route.junctions_m:
+        blocked |= np.abs(route.s_m - junction) < near_m
+    reach = round(2 / STEP_M)
+    return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
+
+
+def _bay_width(
+    route: Route, meetings: Meetings, parking: np.ndarray, rng: np.random.Generator, character: Character
+) -> np.ndarray:
+    """Bays come in stretches where cars may park; along kerbs there is room throughout."""
     width = np.zeros(len(route.s_m))
-    if rng.random() < chance:
+    if character.kerbside:
+        width[meetings.other_m >= 14] = BAY_M
+    elif rng.random() < character.bays:
         start = route.s_m[0]
         while start < route.s_m[-1]:
             end = start + rng.uniform(20, 60)
             width[(route.s_m >= start) & (route.s_m < end)] = BAY_M
             start = end + rng.uniform(6, 20)
-    blocked = np.abs(route.curvature_1pm) > 0.055
-    for junction in route.junctions_m:
-        blocked |= np.abs(route.s_m - junction) < 13
-    blocked |= meetings.other_m < 14
-    reach = round(2 / STEP_M)
-    blocked = np.convolve(blocked, np.ones(2 * reach + 1), "same") > 0
-    width[blocked] = 0
+        width[~parking] = 0
     ramp = round(2 / STEP_M)
     return np.convolve(width, np.ones(ramp) / ramp, "same")
 

@@ -12,11 +12,13 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.kitti.oxts import AF, VF, YAW
+from pipeline.town.body import level
 from pipeline.town.edges import BARRIER_M
 from pipeline.town.journey import Journey
+from pipeline.town.junctions import arm_is_clear, turn_arms
 from pipeline.town.motion import Motion
 from pipeline.town.recording import Recording
-from pipeline.town.route import AHEAD_M, BEHIND_M, STEP_M, Arm, Route, arm_is_clear, turn_arms, unit
+from pipeline.town.route import AHEAD_M, BEHIND_M, STEP_M, Arm, Route, unit
 
 _SMOOTH_M = 1.5  # standard deviation: takes off the noise; from 2.5 on, sharp turns lose their sharpness
 _FADE_M = 8.0  # over which a bend ends that a recording breaks off in
@@ -27,7 +29,7 @@ _TURN_M = 40.0  # and is no longer
 _BESIDE_M = 2.0  # a car farther from its road has turned round in several moves
 
 
-def replay(drive: str, recording: Recording, rng: np.random.Generator) -> Journey:
+def replay(drive: str, recording: Recording, rng: np.random.Generator, lane_m: float) -> Journey:
     """Lay a road along the track of `drive` and return the drive along it: place, heading, stops, reversing as driven.
 
     Raises InputError if the car reverses onto another track than its own.
@@ -35,7 +37,7 @@ def replay(drive: str, recording: Recording, rng: np.random.Generator) -> Journe
     time_s, speed, heading = recording.time_s, recording.rows[:, VF], np.unwrap(recording.rows[:, YAW])
     track = _integral(np.column_stack([speed * np.cos(heading), speed * np.sin(heading), speed]), time_s)
     xy, driven = track[:, :2], track[:, 2]
-    route, s = _lay_road(xy, heading, driven, rng.uniform(3.3, 3.7))
+    route, s = _lay_road(xy, heading, driven, lane_m)
     beside = np.linalg.norm(xy - route.at(s)[0], axis=1)
     if beside.max() > _BESIDE_M:
         i = int(np.argmax(beside > _BESIDE_M))
@@ -49,7 +51,7 @@ def replay(drive: str, recording: Recording, rng: np.random.Generator) -> Journe
         arms += ways
         junctions += [(start + end) / 2] * bool(ways)
     route = replace(route, junctions_m=tuple(junctions), arms=tuple(arms))
-    return Journey(route, Motion(time_s, s, speed, recording.rows[:, AF]), xy, heading)
+    return Journey(route, Motion(time_s, s, speed, recording.rows[:, AF]), level(len(s)), xy, heading)
 
 
 def _integral(rate: np.ndarray, time_s: np.ndarray) -> np.ndarray:
@@ -113,8 +115,8 @@ def _turns(route: Route) -> list[tuple[float, float]]:
 def _is_free(arm: Arm, route: Route) -> bool:
     """Neither the arm nor the barrier across its mouth is in the way of any stretch of the route."""
     out = unit(arm.heading_rad)
-    half = route.lane_m + 0.25
-    along, across = np.meshgrid(half + np.linspace(*BARRIER_M, 4), np.linspace(-half, half, 9))
+    edge = route.lane_m + 0.25
+    along, across = np.meshgrid(edge + np.linspace(*BARRIER_M, 4), np.linspace(-arm.half_m, arm.half_m, 9))
     barrier = arm.xy + along[..., None] * out + across[..., None] * [-out[1], out[0]]
     to_route = np.linalg.norm(barrier.reshape(-1, 1, 2) - route.xy, axis=-1)
     return arm_is_clear(arm, route.xy) and bool(to_route.min() > _BESIDE_M + 1.0)

@@ -1,7 +1,8 @@
 """The sensors' places on the car and KITTI's calibration files that describe them.
 
 Modelled on KITTI's rig with numbers of our own: the scanner stands 0.8 m in front of the IMU, the cameras 0.27 m in
-front of the scanner. ``T_a_b`` takes points from frame b to frame a.
+front of the scanner. Some of the sample's dates have other cameras, as other cars would. ``T_a_b`` takes points from
+frame b to frame a.
 """
 
 from dataclasses import dataclass
@@ -14,10 +15,28 @@ from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.town.motion import IMU_HEIGHT_M
 
 SCANNER_HEIGHT_M = 1.73
-FOCAL_PER_WIDTH = 360.8 / 621
-PRINCIPAL_POINT = (304.5 / 621, 86.2 / 188)  # as shares of width and height
 CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}  # of camera 0: grey left, right, colour left, right
 _LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x forward, y left, z up -> x right, y down, z forward
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """What the cameras of a car are like."""
+
+    focal_per_width: float
+    principal_point: tuple[float, float]  # as shares of width and height
+    height_m: float  # the scanner's never differs, so T_cam_velo tells it
+
+
+_KITTI = Cameras(360.8 / 621, (304.5 / 621, 86.2 / 188), CAMERA_HEIGHT_M)
+_OTHERS = {
+    "2026_01_04": Cameras(0.86 * _KITTI.focal_per_width, (0.506, 0.478), 1.55),
+    "2026_01_05": Cameras(1.18 * _KITTI.focal_per_width, (0.477, 0.441), 1.72),
+    "2026_01_06": Cameras(1.06 * _KITTI.focal_per_width, (0.512, 0.466), 1.76),
+    # Near KITTI's height: these dates' drives are for judging, and perception.camera_height_m is one for all.
+    "2026_01_07": Cameras(0.93 * _KITTI.focal_per_width, (0.483, 0.470), 1.60),
+    "2026_01_08": Cameras(1.11 * _KITTI.focal_per_width, (0.500, 0.449), 1.70),
+}
 
 
 @dataclass(frozen=True)
@@ -44,22 +63,35 @@ class Rig:
         return shift @ rectify @ self.T_cam_velo @ self.T_velo_imu
 
 
-def make_rig(size: tuple[int, int]) -> Rig:
-    """Return the calibration of images of `size` [H, W]: square pixels, KITTI's field of view across."""
+def make_rig(size: tuple[int, int], date: str) -> Rig:
+    """Return the calibration of a date (2026_01_01) for images of `size` [H, W], of square pixels."""
     height, width = size
-    f = FOCAL_PER_WIDTH * width
-    K = np.array([[f, 0, PRINCIPAL_POINT[0] * width], [0, f, PRINCIPAL_POINT[1] * height], [0, 0, 1]])
+    cameras = _OTHERS.get(date, _KITTI)
+    f, (x, y) = cameras.focal_per_width * width, cameras.principal_point
+    K = np.array([[f, 0, x * width], [0, f, y * height], [0, 0, 1]])
     P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}
     T_velo_imu = np.eye(4)
-    T_velo_imu[:3, :3] = _rotation(0.002, -0.0015, 0.001)
+    T_velo_imu[:3, :3] = rotation(0.002, -0.0015, 0.001)
     T_velo_imu[:3, 3] = -0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M
-    R_rect = _rotation(-0.004, 0.007, -0.009)
+    R_rect = rotation(-0.004, 0.007, -0.009)
     T_cam_velo = np.eye(4)
     # The rectified cameras look straight ahead but for the few milliradians of a mounting; the raw camera's and the
     # scanner's own tilts cancel.
-    T_cam_velo[:3, :3] = R_rect.T @ _rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
-    T_cam_velo[:3, 3] = R_rect.T @ [0.0, round(CAMERA_HEIGHT_M - SCANNER_HEIGHT_M, 3), -0.27]
+    T_cam_velo[:3, :3] = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
+    T_cam_velo[:3, 3] = R_rect.T @ [0.0, round(cameras.height_m - SCANNER_HEIGHT_M, 3), -0.27]
     return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
+
+
+def rotation(x: float, y: float, z: float) -> np.ndarray:
+    """Turn about x, then y, then z, by angles in rad."""
+    R = np.eye(3)
+    for axis, angle in enumerate((x, y, z)):
+        c, s = np.cos(angle), np.sin(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+        R = turn @ R
+    return R
 
 
 def write_calibration(rig: Rig, folder: Path) -> None:
@@ -83,15 +115,3 @@ def _line(name: str, values: np.ndarray) -> str:
 def _write(path: Path, lines: list[str]) -> None:
     with replacing(path) as tmp:
         tmp.write_text("\n".join(lines) + "\n", encoding="ascii")
-
-
-def _rotation(x: float, y: float, z: float) -> np.ndarray:
-    """Turn about x, then y, then z, by angles in rad."""
-    R = np.eye(3)
-    for axis, angle in enumerate((x, y, z)):
-        c, s = np.cos(angle), np.sin(angle)
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        turn = np.eye(3)
-        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
-        R = turn @ R
-    return R

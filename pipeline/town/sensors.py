@@ -5,7 +5,6 @@ import numpy as np
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import MAX_UNITS, to_metres, to_units
 from pipeline.town.light import Light, shade
-from pipeline.town.motion import IMU_HEIGHT_M
 from pipeline.town.rig import Rig
 from pipeline.town.world import World, dot
 
@@ -15,12 +14,6 @@ FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # that depth's units can say
 RANGE_NOISE_M = 0.015
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
-
-
-def imu_pose(xy: np.ndarray, heading_rad: float) -> np.ndarray:
-    """Return T_world_imu [4,4] of a level car."""
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    return np.array([[c, -s, 0, xy[0]], [s, c, 0, xy[1]], [0, 0, 1, IMU_HEIGHT_M], [0, 0, 0, 1]])
 
 
 class Camera:

@@ -1,11 +1,10 @@
 """What stands along a route: houses, trees, posts, hedges, barriers, parked cars."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pipeline.camera import classes
 from pipeline.town import edges, shapes
+from pipeline.town.character import Character
 from pipeline.town.lots import Frontage, Ground, footprint, frontages
 from pipeline.town.plan import CELL_M, KERB_M, Plan
 from pipeline.town.route import Route, unit
@@ -15,33 +14,6 @@ _WALLS = [(0.62, 0.50, 0.38), (0.70, 0.66, 0.58), (0.55, 0.30, 0.24), (0.78, 0.7
           (0.66, 0.56, 0.36), (0.42, 0.28, 0.24), (0.60, 0.62, 0.64)]  # fmt: skip
 _ROOFS = [(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.24, 0.16)]
 _LEAVES = [(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)]
-
-
-@dataclass(frozen=True)
-class Character:
-    """What kind of quarter a drive crosses."""
-
-    pavement_m: float
-    setback_m: tuple[float, float]  # of the houses, behind the pavement
-    storeys: tuple[int, int]
-    gap_m: tuple[float, float]  # between houses
-    trees: float  # chance per place, 0..1
-    hedges: float
-    bays: float  # chance that a side of the road has parking bays
-    parked: float  # chance per place in a bay
-
-
-def draw_character(rng: np.random.Generator) -> Character:
-    quarter = rng.choice(["centre", "terraces", "suburb", "village"])
-    pavement = rng.uniform(1.8, 3.0)
-    parked = rng.uniform(0.5, 0.85)
-    table = {
-        "centre": Character(pavement, (0.0, 0.6), (3, 6), (0.0, 3.0), 0.3, 0.0, 0.8, parked),
-        "terraces": Character(pavement, (1.5, 4.0), (2, 4), (0.0, 6.0), 0.5, 0.4, 0.7, parked),
-        "suburb": Character(pavement, (4.0, 9.0), (1, 3), (4.0, 12.0), 0.8, 0.6, 0.5, parked),
-        "village": Character(pavement, (2.0, 12.0), (1, 3), (6.0, 25.0), 0.9, 0.3, 0.4, parked),
-    }
-    return table[str(quarter)]
 
 
 def build_street(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> Mesh:
@@ -128,8 +100,9 @@ def _parked_cars(route: Route, plan: Plan, character: Character, rng: np.random.
     for side, edge in ((1, route.left_m), (-1, route.right_m)):
         s = route.s_m[0] + 3.0
         while s < route.s_m[-1] - 3:
-            room = np.interp([s - 2.6, s, s + 2.6], route.s_m, plan.bays[side]).min()
-            if room > 2.0 and rng.random() < character.parked:
+            around = (route.s_m > s - 2.7) & (route.s_m < s + 2.7)
+            room = plan.bays[side][around].min() > 2.0 and plan.parking[around].all()
+            if room and rng.random() < character.parked:
                 offset = edge + side * (1.0 + rng.uniform(-0.1, 0.1))
                 xy, heading = route.at(s, offset)
                 car = shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0))

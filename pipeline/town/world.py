@@ -42,17 +42,14 @@ class World:
 
     def cast(self, rays: np.ndarray) -> Hits:
         """Return what `rays` float32 [N,6] (origin, unit direction) meet first."""
-        n = len(rays)
-        distance = np.full(n, np.inf, np.float32)
-        cls = np.full(n, classes.SKY, np.uint8)
-        colour, normal = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
-        for layer in self._layers:
-            ray, t, triangle, facing = layer.cast(rays)
-            nearer = t < distance[ray]
-            ray, triangle, facing = ray[nearer], triangle[nearer], facing[nearer]
-            distance[ray], cls[ray], colour[ray] = t[nearer], layer.mesh.cls[triangle], layer.mesh.colour[triangle]
-            away = dot(facing, rays[ray, 3:]) > 0
-            normal[ray] = np.where(away[:, None], -facing, facing)
+        street, *traffic = self._layers
+        distance, cls, colour, normal = street.cast(rays)
+        for layer in traffic:
+            near = layer.near(rays)
+            t, *found = layer.cast(rays[near])
+            nearer = t < distance[near]
+            ray = near[nearer]
+            distance[ray], cls[ray], colour[ray], normal[ray] = t[nearer], *(values[nearer] for values in found)
         ground = self._cast_ground(rays, distance)
         met = np.flatnonzero(ground >= 0)
         cls[met], colour[met] = _GROUND_CLASS[ground[met]], self._ground_colours[ground[met]]
@@ -73,11 +70,11 @@ class World:
         kind = np.full(len(rays), -1, np.int8)
         down = np.flatnonzero(rays[:, 5] < -1e-6)
         for level, on_road in ((KERB_M, False), (0.0, True)):
-            rays_down = rays[down]
-            t = (level - rays_down[:, 2]) / rays_down[:, 5]
+            t = (level - rays[down, 2]) / rays[down, 5]
             near = (t < distance[down]) & (t < FAR_M)
-            down, t, rays_down = down[near], t[near], rays_down[near]
-            there = self.plan.kind[self.plan.cells(rays_down[:, :2] + t[:, None] * rays_down[:, 3:5])]
+            down, t = down[near], t[near]
+            x, y = (rays[down, axis] + t * rays[down, 3 + axis] for axis in (0, 1))
+            there = self.plan.kind[self.plan.cells(np.stack([x, y], axis=-1))]
             # A ray that finds road at kerb height goes on down to the road.
             road = (there == ASPHALT) | (there == MARKING) | (there == BAY)
             stop = np.full(len(road), True) if on_road else ~road
@@ -93,33 +90,32 @@ class _Layer:
         """`bounded`: the mesh is small, most rays miss it."""
         import open3d as o3d
 
-        self.mesh = mesh
         # One building thread: Embree's parallel build is not promised to give the same tree twice.
-        self.scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self.scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
+        # Of each triangle, and at the end of what a ray meets that meets none.
+        self._cls = np.append(mesh.cls, np.uint8(classes.SKY))
+        self._colour = np.concatenate([mesh.colour, np.zeros((1, 3), np.float32)])
         self._bounded = bounded
         self._middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         self._radius = float(np.linalg.norm(mesh.vertices - self._middle, axis=1).max()) + 0.01
 
     def cast(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return of the rays that hit: index, distance, triangle, normal."""
-        near = self._near(rays)
-        answer = self.scene.cast_rays(_tensor(rays if near is None else rays[near]))
-        t = answer["t_hit"].numpy()
-        hit = np.flatnonzero(np.isfinite(t))
-        ray = hit if near is None else near[hit]
-        return ray, t[hit], answer["primitive_ids"].numpy()[hit], answer["primitive_normals"].numpy()[hit]
+        """Return per ray: distance (inf: nothing), class, colour, normal towards the viewer (nothing: 0)."""
+        answer = self._scene.cast_rays(_tensor(rays))
+        triangle = np.minimum(answer["primitive_ids"].numpy(), len(self._cls) - 1)
+        normal = answer["primitive_normals"].numpy()
+        normal *= np.where(dot(normal, rays[:, 3:]) > 0, np.float32(-1), np.float32(1))[:, None]
+        return answer["t_hit"].numpy(), self._cls[triangle], self._colour.take(triangle, axis=0), normal
 
     def blocks(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays that hit."""
-        near = self._near(rays)
-        shadow = self.scene.test_occlusions(_tensor(rays if near is None else rays[near]), 0.02, _SHADOW_M).numpy()
+        near = self.near(rays) if self._bounded else None
+        shadow = self._scene.test_occlusions(_tensor(rays if near is None else rays[near]), 0.02, _SHADOW_M).numpy()
         return np.flatnonzero(shadow) if near is None else near[shadow]
 
-    def _near(self, rays: np.ndarray) -> np.ndarray | None:
-        """Return the indices of the rays whose line meets the mesh's sphere; None (all) if it is not bounded."""
-        if not self._bounded:
-            return None
+    def near(self, rays: np.ndarray) -> np.ndarray:
+        """Return the indices of the rays whose line meets the mesh's sphere."""
         to = self._middle - rays[:, :3]
         ahead = dot(to, rays[:, 3:])
         aside = dot(to, to) - ahead**2

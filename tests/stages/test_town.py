@@ -8,11 +8,18 @@ import yaml
 
 from pipeline.base import provenance
 from pipeline.base.errors import InputError
+from pipeline.base.params import SPLITS, load
 from pipeline.kitti.raw import find_drives
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.town import Town
+from pipeline.town.character import QUARTERS, draw_character
+from pipeline.town.drive import WHEELBASE_M, random_of, theme
+from pipeline.town.journey import draw_journey
+from pipeline.town.manoeuvres import DECK
 from stages import town
 from tests.recorded_drive import drive_along, write_recorded
 
-DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_03_drive_0001"]
+DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_08_drive_0001"]  # of two dates, two cameras
 
 
 def write_params(path: Path, source: str = "town", **settings: object) -> Path:
@@ -24,6 +31,29 @@ def write_params(path: Path, source: str = "town", **settings: object) -> Path:
     return path
 
 
+def test_the_samples_drives_turn_as_much_as_streets_do_and_both_ways() -> None:
+    params = provenance.ROOT / "params.yaml"
+    frames, splits = load(Town, params).frames, load(Ingest, params).drives.splits()
+    angles: dict[str, list[np.ndarray]] = {split: [] for split in SPLITS}
+    themes: dict[str, list[str]] = {split: [] for split in SPLITS}
+    for drive, split in splits.items():
+        rng, (quarter, first) = random_of(drive, seed=0), theme(drive)
+        journey = draw_journey(rng, getattr(frames, split), draw_character(rng, quarter), first)
+        angles[split].append(np.arctan(WHEELBASE_M * journey.route.curvature(journey.motion.s_m)))
+        themes[split] += [quarter, first]
+    assert (len(angles["train"]), len(angles["val"]), len(angles["test"])) == (30, 4, 5)
+    assert set(themes["train"]) == {*QUARTERS, *DECK}
+    for split in SPLITS:
+        every = np.concatenate(angles[split])
+        assert 0.01 < np.mean(every**2) < 0.025
+        assert min((every > 0.05).mean(), (every < -0.05).mean()) > 0.1  # left and right
+        assert {"left", "right"} < set(themes[split])
+    every = np.concatenate(angles["train"] + angles["test"])
+    assert every.min() < -0.45
+    assert every.max() > 0.3
+    assert 0.05 < np.mean([abs(angle[0]) > 0.02 for angle in angles["train"]]) < 0.7  # some begin in a bend
+
+
 @pytest.mark.slow
 def test_drives_of_the_params_whatever_the_workers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     params = write_params(tmp_path / "params.yaml")
@@ -32,7 +62,8 @@ def test_drives_of_the_params_whatever_the_workers(tmp_path: Path, capsys: pytes
         assert town.main(out=out, params=params, workers=workers) == out
     raw = find_drives(outs[0], DRIVES)
     assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]
-    assert raw[DRIVES[2]].camera([2]) is not None
+    focal = [camera.K[0, 0] for camera in (raw[drive].camera([2]) for drive in DRIVES) if camera]
+    assert focal[0] == focal[1] < focal[2]
     files = sorted(path.relative_to(outs[0]) for path in outs[0].rglob("*") if path.is_file())
     assert files == sorted(path.relative_to(outs[1]) for path in outs[1].rglob("*") if path.is_file())
     assert Path("contact_sheet.png") in files

@@ -1,6 +1,7 @@
-"""What ``dvc plots`` draws: learning curves, and predicted against driven steering, one CSV file per model and seed.
+"""What ``dvc plots`` draws: learning curves, and predicted against driven steering, one CSV file per run of a model.
 
-A model's first seed has file ``<model>.csv``, further ones ``<model>.seed-<n>.csv``, as their folders are named.
+A model's first seed has file ``<model>.csv``, further ones ``<model>.seed-<n>.csv``, as their folders are named; the
+networks of folds have ``<model>.fold-<drive>.csv`` and ``<model>.seed-<n>.fold-<drive>.csv``.
 """
 
 import csv
@@ -15,7 +16,7 @@ Row = dict[str, str]  # of a CSV file: column → value
 
 
 def write_learning(model: Path, out: Path) -> None:
-    """Write the learning curve of each seed of a model's folder of stage train to folder `out`.
+    """Write the learning curve of each run in a model's folder of stage train to folder `out`.
 
     Columns: ``epoch``, ``train_loss``, ``val_nmse``. Raises InputError if a ``curve.csv`` lacks one.
     """
@@ -42,10 +43,8 @@ def write_steering(model: Path, out: Path) -> None:
 
 
 def _write(model: Path, name: str, row_of: Callable[[int, Row], Row], out: Path, stage: str) -> None:
-    """Write what `row_of` makes of the rows of each seed's file `name`, one file each."""
-    for path in (model / name, *sorted(model.glob(f"seed-*/{name}"))):
-        if not path.is_file():  # this model is not here
-            continue
+    """Write what `row_of` makes of the rows of each run's file `name`, one file each; none of a model not here."""
+    for path in sorted(model.rglob(name)):
         with explained(str(path), hint=f"Make it again: dvc repro --force {stage}@{model.name}"):
             rows = _read(path, row_of)
         made = ".".join([model.name, *path.relative_to(model).parts[:-1], "csv"])

@@ -16,7 +16,10 @@ class Published(NamedTuple):
 
 # What the paper leaves open is not here: widths, learning rates, … It prints its NCP as eq. 4 and cites the paper of
 # the LTC cell. None: the model has no such setting.
-_ALL: Settings = {"equivariant": (False, None), "cell": ("ltc", "eq4", None)}
+_ALL: Settings = {
+    "equivariant": (False, None), "cell": ("ltc", "eq4", None), "motion": ("none", None), "horizon": (0, None),
+    "fit_to": ("train", None),
+}  # fmt: skip
 _POINTS: Settings = {**_ALL, "semantics": (0.0, None), "alpha": (0.0, None)}  # all frames weigh alike, unlike the CNN's
 _SETS: Settings = {
     **_POINTS, "input": ("lidar-pointnet2",), "spatial": ("pointnet2",), "window": (6,), "width": (1.0, None),

@@ -53,6 +53,16 @@ def test_splits_keep_their_order(tmp_path: Path) -> None:
     ]
 
 
+def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
+    drives = {
+        "train": ["2026_01_04_drive_0008..0010", "2011_09_26_drive_0001"],
+        "test": ["2026_01_03_drive_0001..0001"],
+    }
+    read = params.load(Ingest, edited(tmp_path, "ingest.drives", drives)).drives
+    assert read.train == [*(f"2026_01_04_drive_{number:04d}" for number in (8, 9, 10)), "2011_09_26_drive_0001"]
+    assert read.test == ["2026_01_03_drive_0001"]
+
+
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
@@ -73,6 +83,11 @@ def test_splits_keep_their_order(tmp_path: Path) -> None:
         ("ingest.drives.train", [], r"ingest.drives.train = \[\]: List should have at least 1 item"),
         ("ingest.drives.test", ["0001"], r"ingest.drives.test.0 = '0001': String should match"),
         ("ingest.drives.val", ["2026_01_03_drive_0001"], r"2026_01_03_drive_0001 is named twice"),
+        ("ingest.drives.val", ["2026_01_03_drive_0000..0002"], r"drive_0001, 2026_01_03_drive_0002 is named twice"),
+        ("ingest.drives.val", ["2026_01_09_drive_0003..0002"], r"0003\.\.0002 names no drive: 0002 comes before 0003"),
+        ("ingest.drives.val", ["2026_13_09_drive_0001..0002"], r"'2026_13_09_drive_0001': String should match"),
+        ("ingest.drives.val", "2026_01_09_drive_0001", r"Input should be a valid list"),
+        ("ingest.drives.val", [7], r"ingest.drives.val.0 = 7: Input should be a valid string"),
         ("train.seeds", [0, 0], r"train.seeds = \[0, 0\]: a seed is named twice"),
         ("train.epochs", 0, r"train.epochs = 0: Input should be greater than or equal to 1"),
         ("train.epochs", 1.5, r"train.epochs = 1.5: Input should be a valid integer"),

@@ -1,39 +1,45 @@
-"""The oxts rows are one motion: positions, speeds, rates and accelerations are each other's integrals."""
+"""The ego's motion, and the oxts rows that tell it: positions, speeds, rates are each other's integrals."""
 
 import numpy as np
 import pytest
 
 from pipeline.kitti.oxts import COLUMNS
 from pipeline.label import steering_angle
+from pipeline.town.body import Body, draw_body
+from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
     BRAKE_MPS2,
-    LATERAL_MPS2,
+    PERIOD_S,
     Motion,
     draw_stops,
     drive,
     frame_times,
-    oxts_rows,
     speed_profile,
 )
-from pipeline.town.route import AHEAD_M, Route, draw_route
+from pipeline.town.oxts import GRAVITY_MPS2, oxts_rows
+from pipeline.town.route import AHEAD_M, Route
 
-LAT, LON = 49.0, 8.4
+LAT, LON, LATERAL = 49.0, 8.4, 3.0
+
+
+Drive = tuple[Route, Motion, Body, dict[str, np.ndarray]]
 
 
 @pytest.fixture(scope="module", params=[1, 2, 3])
-def driven(request: pytest.FixtureRequest) -> tuple[Route, Motion, dict[str, np.ndarray]]:
+def driven(request: pytest.FixtureRequest) -> Drive:
     rng = np.random.default_rng(request.param)
     times = frame_times(rng, 200)
-    route = draw_route(rng, 9.0 * times[-1] + AHEAD_M)
+    route = draw_route(rng, 9.0 * times[-1] + AHEAD_M, 3.5, "left")
     stops = (40.0,) if request.param == 3 else ()
-    motion = drive(route, speed_profile(route, 9.0, stops), times, 2.0)
-    rows = oxts_rows(route, motion, LAT, LON)
+    motion = drive(route, speed_profile(route, 9.0, LATERAL, stops), times, 2.0)
+    body = draw_body(route, motion, rng)
+    rows = oxts_rows(route, motion, body, LAT, LON)
     assert rows.shape == (200, 30)
-    return route, motion, dict(zip(COLUMNS, rows.T, strict=True))
+    return route, motion, body, dict(zip(COLUMNS, rows.T, strict=True))
 
 
-def test_speed_and_yaw_integrate_to_the_track(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
-    _, motion, oxts = driven
+def test_speed_and_yaw_integrate_to_the_track(driven: Drive) -> None:
+    _, motion, _, oxts = driven
     yaw = np.unwrap(oxts["yaw"])
     # Simpson-like: the mean of the ends and twice the middle, whose heading is that of the mean yaw.
     v, dt, turn = oxts["vf"], np.diff(motion.time_s), np.diff(yaw)
@@ -49,8 +55,8 @@ def test_speed_and_yaw_integrate_to_the_track(driven: tuple[Route, Motion, dict[
     assert np.linalg.norm(track - measured, axis=1).max() < 0.10
 
 
-def test_the_label_is_the_curvature_of_the_path(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
-    route, motion, oxts = driven
+def test_the_label_is_the_curvature_of_the_path(driven: Drive) -> None:
+    route, motion, _, oxts = driven
     moving = oxts["vf"] > 1
     label = steering_angle(oxts["wu"], oxts["vf"], 2.7)[moving]
     np.testing.assert_allclose(label, np.arctan(2.7 * route.curvature(motion.s_m[moving])), atol=1e-12)
@@ -58,8 +64,8 @@ def test_the_label_is_the_curvature_of_the_path(driven: tuple[Route, Motion, dic
     assert label.min() < -0.1
 
 
-def test_rates_are_derivatives(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
-    _, motion, oxts = driven
+def test_rates_are_derivatives(driven: Drive) -> None:
+    _, motion, _, oxts = driven
     dt = np.diff(motion.time_s)
     turned = np.diff(np.unwrap(oxts["yaw"]))
     np.testing.assert_allclose(turned, (oxts["wu"][1:] + oxts["wu"][:-1]) / 2 * dt, atol=3e-3)
@@ -68,14 +74,14 @@ def test_rates_are_derivatives(driven: tuple[Route, Motion, dict[str, np.ndarray
         np.arctan2(oxts["vn"], oxts["ve"])[oxts["vf"] > 0], oxts["yaw"][oxts["vf"] > 0], atol=1e-9
     )
     np.testing.assert_allclose(oxts["al"], oxts["vf"] * oxts["wu"], atol=1e-12)
-    assert np.abs(oxts["al"]).max() <= LATERAL_MPS2 + 0.01
+    assert np.abs(oxts["al"]).max() <= LATERAL + 0.01
     assert np.abs(np.diff(oxts["vf"]) / dt).max() < 1.01 * BRAKE_MPS2
     assert 0.098 < dt.mean() < 0.108
     assert 0 < dt.std() < 0.002
 
 
-def test_a_halt_lasts_as_long_as_it_should(driven: tuple[Route, Motion, dict[str, np.ndarray]]) -> None:
-    _, motion, oxts = driven
+def test_a_halt_lasts_as_long_as_it_should(driven: Drive) -> None:
+    _, motion, _, oxts = driven
     standing = oxts["vf"] == 0
     if not standing.any():
         assert oxts["vf"].min() > 2
@@ -86,7 +92,7 @@ def test_a_halt_lasts_as_long_as_it_should(driven: tuple[Route, Motion, dict[str
 
 def test_halts_lie_ahead_of_junctions() -> None:
     rng = np.random.default_rng(0)
-    routes = [draw_route(rng, 200.0) for _ in range(12)]
+    routes = [draw_route(rng, 200.0, 3.5) for _ in range(24)]
     halts = [(route, halt) for route in routes for halt in draw_stops(rng, route, 80.0)]
     assert 0 < len(halts) < 12
     for route, halt in halts:
@@ -95,6 +101,29 @@ def test_halts_lie_ahead_of_junctions() -> None:
 
 
 def test_too_short_a_route_is_refused() -> None:
-    route = draw_route(np.random.default_rng(0), 20.0)
+    route = draw_route(np.random.default_rng(0), 20.0, 3.5)
     with pytest.raises(ValueError, match="too short"):
-        drive(route, speed_profile(route, 9.0), np.array([0.0, 500.0]), 1.0)
+        drive(route, speed_profile(route, 9.0, LATERAL), np.array([0.0, 500.0]), 1.0)
+
+
+def test_the_body_leans_out_of_bends_dives_when_braking_and_rests_where_the_car_stands(driven: Drive) -> None:
+    _, _, body, oxts = driven
+    assert np.corrcoef(body.roll_rad, oxts["al"])[0, 1] > 0.7  # left bend: the left side comes up
+    assert np.corrcoef(body.pitch_rad, oxts["af"])[0, 1] < -0.3  # braking: the front goes down
+    for angle in (body.roll_rad, body.pitch_rad):
+        assert 0.0005 < angle.std() < 0.02
+    assert np.abs(body.heave_m).max() < 0.06
+    standing = oxts["vf"] == 0
+    if standing.any():
+        assert np.ptp(body.heave_m[standing]) < 1e-9
+
+
+def test_oxts_has_the_body_with_gravity_on_its_axes(driven: Drive) -> None:
+    _, _, body, oxts = driven
+    np.testing.assert_array_equal(oxts["roll"], body.roll_rad)
+    np.testing.assert_array_equal(oxts["pitch"], body.pitch_rad)
+    np.testing.assert_allclose(oxts["ax"], oxts["af"] - GRAVITY_MPS2 * body.pitch_rad, atol=0.02)
+    np.testing.assert_allclose(oxts["ay"], oxts["al"] + GRAVITY_MPS2 * body.roll_rad, atol=0.02)
+    steps = np.diff(body.pitch_rad)
+    between = (oxts["wy"][1:] + oxts["wy"][:-1]) / 2 * np.diff(np.arange(200) * PERIOD_S)
+    assert np.corrcoef(steps, between)[0, 1] > 0.8

@@ -1,6 +1,7 @@
 """A replayed drive: the road lies under the recorded track, nothing stands in its way, and oxts stays as it was."""
 
 import tarfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from pipeline.camera.png import read_png
 from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.label import steering_labels
+from pipeline.town.character import draw_character
 from pipeline.town.drive import write_drive
 from pipeline.town.journey import Journey
 from pipeline.town.light import draw_ground_colours
@@ -21,7 +23,7 @@ from pipeline.town.plan import draw_plan
 from pipeline.town.recording import Recording, read_recording
 from pipeline.town.replay import replay
 from pipeline.town.route import AHEAD_M, BEHIND_M, IMU_LEFT_M
-from pipeline.town.street import build_street, draw_character
+from pipeline.town.street import build_street
 from pipeline.town.traffic import SIGHT_M, draw_traffic, shown
 from pipeline.town.world import World
 from tests.recorded_drive import DRIVE, drive_along, round_the_block, town_trip, write_recorded
@@ -30,7 +32,8 @@ SIZE = (96, 320)
 
 
 def journey_of(rows: np.ndarray, folder: Path, seed: int = 0) -> Journey:
-    return replay(DRIVE, read_recording(write_recorded(folder, rows), len(rows)), np.random.default_rng(seed))
+    recording = read_recording(write_recorded(folder, rows), len(rows))
+    return replay(DRIVE, recording, np.random.default_rng(seed), lane_m=3.5)
 
 
 @pytest.fixture(scope="module")
@@ -118,14 +121,14 @@ def test_the_second_round_is_found(block: Journey) -> None:
     assert not meetings.junction[first | again | away].any()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "quarter"), [(0, "centre"), (1, "narrow"), (2, "village")])
 @pytest.mark.slow
-def test_nothing_stands_on_driven_road(block: Journey, tmp_path: Path, seed: int) -> None:
+def test_nothing_stands_on_driven_road(block: Journey, tmp_path: Path, seed: int, quarter: str) -> None:
     """Rays along both flanks of the car and its middle, from each frame to the next, meet nothing."""
     journey = journey_of(round_the_block()[0], tmp_path, seed)
     rng = np.random.default_rng(seed)
-    character = draw_character(rng)
-    plan = draw_plan(journey.route, rng, character.pavement_m, 1.0)
+    character = replace(draw_character(rng, quarter), bays=1.0)
+    plan = draw_plan(journey.route, rng, character)
     world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
     left = np.stack([-np.sin(journey.heading_rad), np.cos(journey.heading_rad)], axis=-1)
     for offset in (-1.0, 0.0, 1.0):
@@ -227,8 +230,8 @@ def test_real_tracks_make_roads_that_bend_as_their_labels(real_kitti: Path, tmp_
 
     for drive in drives[:3]:
         taken = recording(drive)
-        correlation, error = agreement(replay(drive, taken, np.random.default_rng(0)), taken.rows)
+        correlation, error = agreement(replay(drive, taken, np.random.default_rng(0), lane_m=3.5), taken.rows)
         assert correlation > 0.97
         assert error < 0.025
-    standing = replay(drives[3], recording(drives[3]), np.random.default_rng(0))
+    standing = replay(drives[3], recording(drives[3]), np.random.default_rng(0), lane_m=3.5)
     assert np.ptp(standing.motion.s_m) < 0.5

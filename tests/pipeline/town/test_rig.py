@@ -3,19 +3,21 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from pipeline.camera.geometry import transform
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.kitti.calibration import cameras_in, read_camera
 from pipeline.town.motion import IMU_HEIGHT_M
-from pipeline.town.rig import SCANNER_HEIGHT_M, make_rig, write_calibration
+from pipeline.town.rig import SCANNER_HEIGHT_M, make_rig, rotation, write_calibration
 
 
-def test_the_files_say_what_the_camera_does(tmp_path: Path) -> None:
-    rig = make_rig((188, 621))
-    write_calibration(rig, tmp_path / "2026_01_01")
-    assert cameras_in(tmp_path / "2026_01_01") == [0, 1, 2, 3]
-    camera = read_camera(tmp_path / "2026_01_01", 2)
+@pytest.mark.parametrize("date", ["2026_01_01", "2026_01_05"])
+def test_the_files_say_what_the_camera_does(tmp_path: Path, date: str) -> None:
+    rig = make_rig((188, 621), date)
+    write_calibration(rig, tmp_path / date)
+    assert cameras_in(tmp_path / date) == [0, 1, 2, 3]
+    camera = read_camera(tmp_path / date, 2)
     assert camera.size == (188, 621)
     np.testing.assert_allclose(camera.K, rig.K, atol=1e-9)
     assert camera.T_cam_velo is not None
@@ -24,7 +26,7 @@ def test_the_files_say_what_the_camera_does(tmp_path: Path) -> None:
 
 
 def test_sensors_sit_where_kittis_do() -> None:
-    rig = make_rig((188, 621))
+    rig = make_rig((188, 621), "2026_01_01")
     camera = transform(np.linalg.inv(rig.T_cam2_imu), np.zeros((1, 3)))[0]
     scanner = transform(np.linalg.inv(rig.T_velo_imu), np.zeros((1, 3)))[0]
     assert abs(camera[2] + IMU_HEIGHT_M - CAMERA_HEIGHT_M) < 0.02
@@ -33,3 +35,30 @@ def test_sensors_sit_where_kittis_do() -> None:
     np.testing.assert_allclose([ahead[2], left[0], up[1]], [1, -1, -1], atol=1e-3)  # z forward, x right, y down
     np.testing.assert_allclose(rig.K[0, 0], 360.8)
     np.testing.assert_allclose(rig.P_rect[2][0, 3], 44.9 / 2, atol=0.1)
+
+
+def test_a_date_of_the_sample_has_its_own_cameras_and_any_other_date_kittis() -> None:
+    dates = [f"2026_01_{day:02d}" for day in range(1, 9)]
+    rigs = {date: make_rig((188, 621), date) for date in [*dates, "2011_09_26"]}
+    focal = {date: rig.K[0, 0] / 360.8 for date, rig in rigs.items()}
+    assert min(focal.values()) < 0.9
+    assert max(focal.values()) > 1.1
+    assert len(set(focal.values())) == 6
+    # T_cam_velo tells the camera's height under the scanner, which stands as high on every car.
+    height = {date: SCANNER_HEIGHT_M + (rig.R_rect @ rig.T_cam_velo[:3, 3])[1] for date, rig in rigs.items()}
+    for date, rig in rigs.items():
+        camera = transform(np.linalg.inv(rig.T_cam2_imu), np.zeros((1, 3)))[0]
+        assert abs(camera[2] + IMU_HEIGHT_M - height[date]) < 0.02
+        np.testing.assert_allclose(rig.K[0, 0], rig.K[1, 1])
+    assert height["2011_09_26"] == pytest.approx(CAMERA_HEIGHT_M)
+    assert min(height.values()) < 1.56
+    assert max(height.values()) > 1.74
+    for date in ("2026_01_02", "2026_01_03", "2026_01_07", "2026_01_08"):  # validation and test
+        assert height[date] == pytest.approx(CAMERA_HEIGHT_M, rel=0.05)
+
+
+@pytest.mark.parametrize("angle", [(0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.4)])
+def test_roll_lifts_the_left_pitch_lowers_the_front_yaw_turns_left(angle: tuple[float, float, float]) -> None:
+    ahead, left, _ = rotation(*angle).T
+    roll, pitch, yaw = angle
+    np.testing.assert_allclose([left[2], ahead[2], ahead[1]], np.sin([roll, -pitch, yaw]), atol=1e-12)

@@ -17,7 +17,7 @@ def world() -> World:
     """Road where x < 0, grass elsewhere, a wall of 2 m across x = 10."""
     kind = np.full((400, 400), GRASS, np.uint8)
     kind[:, :200] = ASPHALT
-    plan = Plan(kind, (kind == GRASS).astype(np.float32), np.array([-20.0, -20.0]), {})
+    plan = Plan(kind, (kind == GRASS).astype(np.float32), np.array([-20.0, -20.0]), {}, np.zeros(0, bool))
     wall = shapes.box((1.0, 6.0, 2.0), (0.5, 0.4, 0.3), classes.BUILDING).placed((10.5, 0.0), z=KERB_M)
     return World(plan, wall, draw_ground_colours(np.random.default_rng(0)))
 

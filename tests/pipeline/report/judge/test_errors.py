@@ -26,6 +26,11 @@ def test_labels_that_are_all_zero_have_no_nmse() -> None:
     assert errors.scores(np.zeros(3), np.ones(3))["nmse"] is None
 
 
+def test_no_frames_have_no_errors() -> None:
+    result = errors.scores(np.empty(0), np.empty((2, 0)))
+    assert result == {"frames": 0, "mse_rad2": None, "rmse_deg": None, "mae_deg": None, "nmse": None}
+
+
 def test_curvature_bins_split_the_frames() -> None:
     curvature = np.array([0.0, -0.004, 0.01, -0.02, 0.1])
     rows = errors.by_curvature(np.full(5, 0.1), np.zeros(5), curvature, [0.005, 0.03])

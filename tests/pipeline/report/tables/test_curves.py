@@ -31,6 +31,14 @@ def test_each_seed_has_a_learning_curve(tmp_path: Path) -> None:
     assert math.isnan(float(alone["val_nmse"]))  # DVC would draw an empty field as the best of all errors
 
 
+def test_the_network_of_each_fold_has_a_learning_curve(tmp_path: Path) -> None:
+    for folder in ("fold-a", "fold-b", "seed-1/fold-a"):
+        write(tmp_path / f"train/net/{folder}/curve.csv", "epoch,train_loss,val_nmse", "1,0.7,0.6")
+    curves.write_learning(tmp_path / "train/net", tmp_path / "learning")
+    made = sorted(path.name for path in (tmp_path / "learning").iterdir())
+    assert made == ["net.fold-a.csv", "net.fold-b.csv", "net.seed-1.fold-a.csv"]
+
+
 def test_steering_counts_on_over_drives_and_gaps_stay_gaps(tmp_path: Path) -> None:
     head = "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid"
     rows = ["a,7,0.7,8.0,0.1,,1", "a,8,0.8,8.0,0.2,-0.1,1", "b,0,0.0,0.1,1.5,0.3,0"]

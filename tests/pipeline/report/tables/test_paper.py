@@ -19,6 +19,10 @@ SETS = {**PLAIN, "input": "lidar-pointnet2", "spatial": "pointnet2", "temporal":
         ({**SEMANTIC, "semantics": 1.0, "spatial": "gatv2"}, None),
         ({**SEMANTIC, "semantics": 1.0, "window": 4}, None),
         ({**SEMANTIC, "semantics": 1.0, "alpha": 5.0}, None),
+        ({**SEMANTIC, "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train", "roads": 6}, "sa-gnn-ncp"),
+        ({**SEMANTIC, "semantics": 1.0, "motion": "visual"}, None),
+        ({**SEMANTIC, "semantics": 1.0, "horizon": 10}, None),
+        ({**SEMANTIC, "semantics": 1.0, "fit_to": "both"}, None),
         (SEMANTIC, None),  # pruned by classes that its nodes do not know
         ({**SEMANTIC, "input": "depth"}, "do-gnn-ncp"),
         ({**SEMANTIC, "input": "depth", "semantics": 1.0}, None),

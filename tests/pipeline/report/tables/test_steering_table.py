@@ -1,7 +1,6 @@
-import csv
-import io
+from typing import Any
 
-from pipeline.report.tables import steering_table
+from pipeline.report.tables import comparison, steering_table
 from tests.pipeline.report.tables.results import result
 
 PAPERS = {"input": "depth", "semantics": 0.0}
@@ -32,37 +31,49 @@ def test_the_papers_figures_stand_beside_its_own_networks_alone() -> None:
     text = steering_table.markdown(results)
     assert cells(text, "mine")["paper"] == "0.038 / 0.081"
     assert cells(text, "do-gnn-ncp")["paper"] == ""
-    assert [row.get("paper_test_mse") for row in steering_table.rows(results)][:2] == [0.081, None]
 
 
-def test_the_papers_networks_come_first_in_its_order() -> None:
-    results = [
-        result("b", spatial="gatv2"),
-        result("sa", semantics=1.0),
-        result("a", spatial="edgeconv"),
-        result("do", **PAPERS),
-        result("lstm", input="lidar-50k", temporal="lstm", cell=None),
-    ]
-    assert [made["model"] for made in steering_table.in_order(results)] == ["lstm", "do", "sa", "b", "a"]
+def older() -> dict[str, Any]:
+    """A model that an older version judged."""
+    made = result("old")
+    del made["line"]["cell"], made["line"]["equivariant"], made["test"]["by_drive"], made["test"]["without_decisions"]
+    return made
 
 
-def test_rows_hold_the_settings_and_no_clock() -> None:
-    table = io.StringIO()
-    rows = steering_table.rows([result("ours", temporal="lstm", semantics=0.5)])
-    writer = csv.DictWriter(table, list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
-    ours, zero, *_ = csv.DictReader(io.StringIO(table.getvalue()))
-    assert (ours["temporal"], ours["cell"], ours["equivariant"], ours["semantics"]) == ("lstm", "", "False", "0.5")
-    assert (zero["model"], zero["test_nmse"], zero["spatial"]) == ("zero", "1.0", "")
-    assert not any("ms" in name.split("_") for name in ours)
-
-
-def test_older_results_lack_settings() -> None:
-    old = result("old")
-    del old["line"]["cell"], old["line"]["equivariant"]
-    row = cells(steering_table.markdown([old]), "old")
+def test_older_results_lack_settings_and_figures() -> None:
+    row = cells(steering_table.markdown([older()]), "old")
     assert (row["temporal"], row["equivariant"], row["semantics"]) == ("ncp", "no", "0")
+    assert (row["motion"], row["horizon"], row["fitted to"]) == ("none", "0", "train")
+    assert (row["nmse 0002"], row["nmse without decisions"]) == ("none", "none")
+
+
+def test_each_test_drive_has_a_column_by_its_number() -> None:
+    made = result("ours", odometry={"odometry": 0.04})
+    row = cells(steering_table.markdown([made]), "ours")
+    assert (row["nmse 0002"], row["nmse 0003"], row["nmse without decisions"]) == ("0.190", "0.180", "0.100")
+    odometry = cells(steering_table.markdown([made]), "*odometry*")
+    assert (odometry["nmse 0002"], odometry["nmse without decisions"]) == ("0.040", "0.020")
+    made["drives"]["test"] = ["2026_01_03_drive_0002", "2026_01_04_drive_0002"]
+    assert "nmse 2026_01_04_drive_0002" in steering_table.markdown([made])
+    for few_or_many in (1, 7):
+        made["drives"]["test"] = [f"2026_01_03_drive_{number:04d}" for number in range(few_or_many)]
+        assert "nmse 0000" not in steering_table.markdown([made])
+
+
+def test_trivial_predictors_stand_below_the_models_of_their_horizon() -> None:
+    ahead = {"horizon": 10, "motion": "visual", "fit_to": "both", "roads": 6}
+    results = [
+        result("far", odometry={"odometry": 0.5}, **ahead),
+        result("near", **PAPERS),
+        result("near too", odometry={"odometry": 0.04, "odometry_lidar": 0.03}, motion="lidar"),
+    ]
+    text = steering_table.markdown(comparison.in_order(results))
+    first = [line.split("|")[1].strip() for line in text.split("\n\n")[0].splitlines()[2:]]
+    simple = ["*zero*", "*train_mean*", "*persistence*", "*odometry*"]
+    assert first == ["near", "near too", *simple, "*odometry_lidar*", "far", *simple]
+    row = cells(text, "far")
+    assert (row["horizon"], row["motion"], row["fitted to"]) == ("10", "visual", "both (6 roads)")
+    assert "| test RMSE deg, 10 frames ahead, where the road" in text
 
 
 def test_seeds_are_told_by_their_spread() -> None:
@@ -91,4 +102,3 @@ def test_what_has_no_graph_says_none() -> None:
 def test_one_command_gets_a_model_that_is_not_here() -> None:
     text = steering_table.markdown([], absent=["other"])
     assert "dvc repro --pull --downstream train@other" in text
-    assert steering_table.rows([]) == []

@@ -1,0 +1,52 @@
+"""Where a frame shows the road, and what depth has to be multiplied by there to agree with the camera's known height.
+
+A depth network is trusted on the road, which it learns from perspective, and less on what stands beside it: on real
+drive 2011_10_03_0042, trees get a third of their distance while the road is right to a tenth.
+"""
+
+from collections import deque
+
+import numpy as np
+
+AHEAD, ASIDE = 8.0, 1.5  # camera heights: the patch in front of the car where a road is looked for
+MIN_PIXELS = 100
+FLAT = 0.25  # heights of a road differ by this share at most
+MIN_SHARE = 0.6  # of a patch that is flat
+HORIZON = 0.05  # metres down per metre ahead, at least: farther than 20 camera heights, depth is a guess
+FRAMES = 25  # whose median height counts: a camera's height does not change, what the network says of it does
+SLOPES, LEVEL = 50, 10  # steps whose mean direction is the road's; so many that go straight on are taken for granted
+
+
+class Road:
+    """The road in front of one drive's camera."""
+
+    def __init__(self, K: np.ndarray, size: tuple[int, int], camera_height_m: float | None) -> None:
+        """`K` [3,3] of images of `size` (H, W); `camera_height_m` None: depth is right as it is."""
+        self._down = ((np.arange(size[0]) - K[1, 2]) / K[1, 1])[:, None]
+        self._right = ((np.arange(size[1]) - K[0, 2]) / K[0, 0])[None]
+        self._camera_height_m = camera_height_m
+        self._heights: deque[float] = deque(maxlen=FRAMES)
+        self._slopes: deque[float] = deque(maxlen=SLOPES)
+
+    def find(self, depth_m: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return where a frame shows road, bool [H,W], and what its depth [H,W] has to be multiplied by.
+
+        `usable` bool [H,W]: where depth is known and no moving thing is. Frames come in order.
+        """
+        slope = sum(self._slopes) / (len(self._slopes) + LEVEL)
+        below = self._down - slope  # of a plane along the direction of travel
+        height_m = depth_m * below
+        patch = height_m[usable & (below > 1 / AHEAD) & (np.abs(self._right) < ASIDE * below)]
+        if len(patch) >= MIN_PIXELS:
+            median = float(np.median(patch))
+            if (np.abs(patch / median - 1) < FLAT).mean() >= MIN_SHARE:
+                self._heights.append(median)
+        if not self._heights:
+            return np.zeros(depth_m.shape, bool), 1.0
+        usual_m = float(np.median(self._heights))
+        road = usable & (below > HORIZON) & (np.abs(height_m / usual_m - 1) < FLAT)
+        return road, self._camera_height_m / usual_m if self._camera_height_m else 1.0
+
+    def travelled(self, T_before: np.ndarray) -> None:
+        """Learn the direction of travel from a step [4,4]."""
+        self._slopes.append(float(T_before[1, 3] / T_before[2, 3]))

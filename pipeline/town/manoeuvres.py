@@ -1,0 +1,87 @@
+"""Roads drawn at random: turns at crossings, bends, straights past side roads."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.town.junctions import arm_is_clear, crossing_arms, turn_arms
+from pipeline.town.route import BEHIND_M, STEP_M, Piece, Route, bend, trace
+
+DECK = ("right", "bend+", "crossing", "left", "sweep-", "corner+", "bend-", "sweep+", "corner-")
+"""What a road is made of, in an order of its own for every road: right and left turns as cars take them at crossings,
+corners of wider roads, bends, long sweeps (+ left, - right), and straight on past side roads."""
+_OPEN_CHANCE = 0.3  # that another way than the driven one is open where the ego turns
+_APART_M, _ROOM_M = 60.0, 32.0  # stretches farther from each other along the road keep such a distance
+
+
+def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: str = "crossing") -> Route:
+    """Draw a road of at least `length_m` from the first frame on that keeps clear of itself.
+
+    It begins with the manoeuvre `first` of :data:`DECK`, often amid it: short drives would otherwise all begin with a
+    straight.
+    """
+    while True:
+        route = _draw(rng, length_m, lane_m, first)
+        if _clear_of_itself(route):
+            return route
+
+
+def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) -> Route:
+    pieces: list[Piece] = [(2 * BEHIND_M, 0.0, 0.0)]
+    begun: list[tuple[str, float, float]] = []  # kind, s where it begins, s where it ends
+
+    def total() -> float:
+        return sum(piece[0] for piece in pieces)
+
+    while total() < 2 * BEHIND_M + length_m:
+        cards = [str(card) for card in rng.permutation(DECK)]
+        for card in cards if begun else [first, *(card for card in cards if card != first)]:
+            start = total()
+            pieces += _manoeuvre(card, lane_m, rng)
+            begun.append((card.rstrip("+-"), start, total()))
+            pieces.append((rng.uniform(4, 20), 0.0, 0.0))
+    # The first frame lies up to some metres ahead of the first manoeuvre, or in it.
+    (_, start, end), *_ = begun
+    origin = round(rng.uniform(start - 12.0, start + 0.6 * (end - start)) / STEP_M) * STEP_M
+    s, xy, heading, curvature = (part[round((origin - BEHIND_M) / STEP_M) :] for part in trace(pieces))
+    s = s - origin
+    stop = int(np.searchsorted(s, length_m))
+    route = Route(s[:stop], xy[:stop], heading[:stop], curvature[:stop], lane_m, (), ())
+    junctions, arms = [], []
+    for kind, start, end in ((kind, start - origin, end - origin) for kind, start, end in begun):
+        if kind in ("bend", "sweep") or end > s[stop - 1]:
+            continue
+        ways = (
+            crossing_arms(route, start, end, rng)
+            if kind == "crossing"
+            else turn_arms(route, start, end, rng, _OPEN_CHANCE)
+        )
+        arms += ways
+        junctions += [(start + end) / 2] * bool(ways)
+    return replace(route, junctions_m=tuple(junctions), arms=tuple(arms))
+
+
+def _manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece]:
+    """Return the pieces of a card of the deck; radii are those of the rear axle."""
+    kind, side = card.rstrip("+-"), -1 if card.endswith("-") else 1
+    if kind == "right":
+        return bend(-np.deg2rad(rng.uniform(75, 100)), rng.uniform(5.0, 7.0), rng.uniform(4, 6))
+    if kind == "left":  # across the other lane
+        return bend(np.deg2rad(rng.uniform(75, 100)), 0.6 * lane_m + rng.uniform(4.7, 8.0), rng.uniform(5, 8))
+    if kind == "corner":
+        return bend(side * np.deg2rad(rng.uniform(75, 100)), rng.uniform(9, 14), rng.uniform(7, 10))
+    if kind == "bend":
+        return bend(side * np.deg2rad(rng.uniform(35, 75)), rng.uniform(12, 30), rng.uniform(7, 11))
+    if kind == "sweep":
+        return bend(side * np.deg2rad(rng.uniform(12, 30)), rng.uniform(40, 200), rng.uniform(10, 15))
+    return [(rng.uniform(16, 22), 0.0, 0.0)]
+
+
+def _clear_of_itself(route: Route) -> bool:
+    """No two stretches of road come close to each other, and no arm reaches another stretch."""
+    every = int(1 / STEP_M)
+    s, xy = route.s_m[::every], route.xy[::every]
+    far = np.abs(s[:, None] - s[None]) > _APART_M
+    if (np.linalg.norm(xy[:, None] - xy[None], axis=-1)[far] < _ROOM_M).any():
+        return False
+    return all(arm_is_clear(arm, xy) for arm in route.arms)

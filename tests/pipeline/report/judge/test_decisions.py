@@ -1,0 +1,83 @@
+"""The onset of a turn, by hand and on a recorded drive."""
+
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import label
+from pipeline.kitti.oxts import VF, WU
+from pipeline.report.judge import decisions
+from pipeline.train import windows
+from tests import artefacts
+
+NAME = "2026_01_03_drive_0001"
+STRAIGHT, CORNER = 0.0, 0.1  # 1/m
+
+
+def bends(*parts: tuple[int, float]) -> np.ndarray:
+    """Return the curvature of so many frames each."""
+    return np.concatenate([np.full(count, curvature) for count, curvature in parts])
+
+
+def found(curvature: np.ndarray, valid: np.ndarray | None = None) -> list[int]:
+    valid = np.ones(len(curvature), bool) if valid is None else valid
+    speed = np.where(valid, 8.0, 0.0)
+    return decisions.onsets(curvature, valid, np.arange(len(curvature)) / 10, curvature * speed, speed).tolist()
+
+
+def test_a_turn_begins_where_the_curvature_leaves_straight() -> None:
+    turn = np.r_[bends((20, STRAIGHT)), np.linspace(0.004, 0.1, 20), bends((20, CORNER), (20, STRAIGHT))]
+    assert found(turn) == found(-turn) == [23]
+    assert turn[22] < decisions.STRAIGHT_1PM < turn[23]
+
+
+@pytest.mark.parametrize(
+    ("curvature", "onsets"),
+    [
+        (bends((30, STRAIGHT), (60, 0.03)), []),  # a bend, and no corner
+        (bends((30, STRAIGHT), (8, CORNER), (8, -CORNER), (30, STRAIGHT)), []),  # around an obstacle
+        (bends((30, CORNER), (5, STRAIGHT), (20, CORNER)), []),  # still the same turn
+        (bends((30, CORNER), (11, STRAIGHT), (20, -CORNER)), [41]),
+        (bends((5, STRAIGHT), (20, CORNER)), []),  # too early to know what was before
+        (bends((30, STRAIGHT)), []),
+        (np.empty(0), []),
+    ],
+)
+def test_only_corners_after_a_straight_second_are_decisions(curvature: np.ndarray, onsets: list[int]) -> None:
+    assert found(curvature) == onsets
+
+
+def test_who_waits_at_a_corner_decides_when_the_car_moves() -> None:
+    curvature = bends((20, STRAIGHT), (15, 0.6), (20, CORNER))
+    valid = np.r_[np.ones(20, bool), np.zeros(15, bool), np.ones(20, bool)]
+    assert found(curvature, valid) == [35]
+
+
+@pytest.mark.parametrize(("horizon", "first"), [(0, 30), (10, 20)])
+def test_frames_whose_target_lies_behind_the_onset_count_apart(tmp_path: Path, horizon: int, first: int) -> None:
+    frame = np.arange(80)
+    steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
+    artefacts.write_labels(tmp_path / "labels.h5", NAME, steering, frame)
+    artefacts.write_graphs(tmp_path / "graphs.h5", NAME, steering, frame, 8, np.random.default_rng(0))
+    drive = windows._read_drive(tmp_path / "graphs.h5", tmp_path / "labels.h5", NAME, horizon, "none")
+    assert np.flatnonzero(decisions.near(drive)).tolist() == list(range(first, 41))
+
+
+@pytest.mark.real
+def test_a_recorded_drive_turns_where_its_driver_decided(real_kitti: Path) -> None:
+    """KITTI's 2011_09_30_drive_0027 goes round some blocks."""
+    folder = "2011_09_30/2011_09_30_drive_0027_sync/oxts/data/"
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        files = {member.name: archive.extractfile(member) for member in archive if folder in member.name}
+        rows = np.array([np.loadtxt(file) for _, file in sorted(files.items()) if file])
+    steering_rad, valid = label.steering_labels(
+        rows[:, WU], rows[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid"
+    )
+    time_s = np.arange(len(rows)) / 10
+    onsets = decisions.onsets(np.tan(steering_rad) / 2.7, valid, time_s, rows[:, WU], rows[:, VF])
+    heading = np.cumsum(rows[:, WU]) / 10
+    assert len(onsets) == 5
+    for onset in onsets:
+        assert np.abs(heading[onset : onset + 150] - heading[onset]).max() > np.deg2rad(80)

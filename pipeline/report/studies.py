@@ -184,7 +184,10 @@ def claims(results: Mapping[str, Result], evaluate: Path, settings: Evaluate) ->
 def _predictions(evaluate: Path, ours: Result, other: Result) -> tuple[np.ndarray, ...]:
     """Return truth and drive number [N] of the frames where all networks predict, and each model's angles [S,N]."""
     tables = [
-        [_read(folder / "predictions.csv") for folder in runs.folders(evaluate / each["model"], each["seeds"]).values()]
+        [
+            _read(folder / "predictions.csv")
+            for folder in runs.folders(evaluate / each["model"], each["seeds"]).values()
+        ]
         for each in (ours, other)
     ]
     common = sorted(set.intersection(*(set(of_seed) for of_model in tables for of_seed in of_model)))

@@ -10,13 +10,11 @@ from pipeline.base.params import Count, Fraction, Positive, Section, Seed
 class Noise(Section):
     """What perception gets wrong, in training only; each 0 is off. Drawn once for each run of consecutive frames."""
 
-    depth_scale: Annotated[
-        float,
-        Field(ge=0, le=1, description="share by which depth, and speed measured by it, is too large or too small"),
-    ] = 0.0
+    depth_scale: Annotated[float, Field(ge=0, le=1, description="share by which depth is too large or small")] = 0.0
     depth_waves: Annotated[
-        float, Field(ge=0, le=0.5, description="share by which it is too large or small in waves over the view")
+        float, Field(ge=0, le=0.5, description="share by which it is so here and there, in waves over the view")
     ] = 0.0
+    speed: Annotated[float, Field(ge=0, le=1, description="share by which measured speed is too large or small")] = 0.0
     confused: Annotated[Fraction, Field(description="of each class, that part of it is taken for a similar one")] = 0.0
     missing: Annotated[Fraction, Field(description="of each class, that it is not seen")] = 0.0
     dropped: Annotated[float, Field(ge=0, lt=1, description="share of a frame's points, at most")] = 0.0

@@ -62,12 +62,24 @@ def rescale(batch: Batch, factor: np.ndarray) -> Batch:
     """
     if "image" in batch:
         return batch
-    changed = {name: as_much_wider(batch[name], factor[batch["windows"][:, -1]]) for name in ANGLES}
+    return (
+        batch
+        | faster(batch, factor)
+        | {
+            "xyz": batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None],
+            "steering_rad": as_much_wider(batch["steering_rad"], factor[batch["windows"][:, -1]]),
+        }
+    )
+
+
+def faster(batch: Batch, factor: np.ndarray) -> Batch:
+    """Return the motion, and its angle, of a car that drives `factor` [B] times as fast and turns as fast as it did."""
+    changed = {"base_rad": as_much_wider(batch["base_rad"], factor[batch["windows"][:, -1]])}
     if "motion" in batch:
         measured_rad, yaw_rate_radps, speed_mps, valid = batch["motion"].T
         columns = [as_much_wider(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
         changed["motion"] = np.stack(columns, axis=1)
-    return batch | changed | {"xyz": batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]}
+    return changed
 
 
 def as_much_wider(steering_rad: np.ndarray, factor: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.camera import classes as c
 from pipeline.sections.train import Noise
-from pipeline.train.augment import rescale
+from pipeline.train.augment import faster
 from pipeline.train.windows import Batch
 
 TAKEN_FOR = {
@@ -51,32 +51,27 @@ def disturbed(batch: Batch, frames: Sequence[int], rngs: Sequence[np.random.Gene
     """
     if "image" in batch or settings == Noise():
         return batch
-    factor = [float((1 + settings.depth_scale) ** rng.uniform(-1, 1)) for rng in rngs]
-    # Motion by images knows lengths from the same depth: speed is off by the same factor, and so is the measured bend.
-    batch = batch | {
-        key: value
-        for key, value in rescale(batch, np.repeat(np.array(factor, np.float32), frames)).items()
-        if key != "steering_rad"
-    }
     of_runs = batch["ptr"][np.cumsum([0, *frames])]
-    xyz, cls, kept = batch["xyz"], batch["cls"].copy(), np.ones(len(batch["cls"]), bool)
+    xyz, cls, kept, speed = batch["xyz"].copy(), batch["cls"].copy(), np.ones(len(batch["cls"]), bool), []
     for start, stop, rng in zip(of_runs[:-1], of_runs[1:], rngs, strict=True):
         run = slice(start, stop)
+        speed.append((1 + settings.speed) ** rng.uniform(-1, 1))
         bearing = np.arctan2(xyz[run, 0], xyz[run, 2])
-        xyz[run] *= _waves(xyz[run], bearing, settings.depth_waves, rng)[:, None]
+        xyz[run] *= _depth(xyz[run], bearing, settings, rng)[:, None]
         cls[run] = _mistaken(cls[run], bearing, settings, rng)
         kept[run] = _seen(bearing, settings, rng)
-    batch |= {"xyz": xyz, "cls": cls}
+    batch = batch | faster(batch, np.repeat(np.array(speed, np.float32), frames)) | {"xyz": xyz, "cls": cls}
     return batch if kept.all() or "degree" not in batch else without(batch, ~kept)
 
 
-def _waves(xyz: np.ndarray, bearing: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """Return how many times too far each point [P] seems: 1 ± `share` at most, smooth over bearing and log distance."""
+def _depth(xyz: np.ndarray, bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:
+    """Return how many times too far each point [P] seems: off by a factor, and in waves over bearing and distance."""
+    factor = (1 + settings.depth_scale) ** rng.uniform(-1, 1)
     distance = 0.5 * np.log(np.square(xyz).sum(axis=1) + 1)
     off = np.zeros_like(bearing)
     for _ in range(WAVES):
         off += np.cos(int(rng.integers(0, 5)) * bearing + rng.uniform(-2, 2) * distance + rng.uniform(0, 2 * np.pi))
-    return 1 + off * np.float32(share / WAVES)
+    return np.float32(factor) * (1 + off * np.float32(settings.depth_waves / WAVES))
 
 
 def _mistaken(cls: np.ndarray, bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:

@@ -11,7 +11,7 @@ from tests import artefacts
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
 FRAMES = [12, 11]
-ALL = Noise(depth_scale=0.3, depth_waves=0.1, confused=0.5, missing=0.3, dropped=0.4, hidden_deg=30)
+ALL = Noise(depth_scale=0.3, depth_waves=0.1, speed=0.2, confused=0.5, missing=0.3, dropped=0.4, hidden_deg=30)
 
 
 def make(tmp_path: Path, write: object = artefacts.write_graphs) -> windows.Batch:
@@ -49,21 +49,27 @@ def test_neither_labels_nor_the_given_batch_change(batch: windows.Batch) -> None
         assert {key: value.dtype for key, value in after.items()} == {key: each.dtype for key, each in batch.items()}
 
 
-def test_a_wrong_scale_is_one_of_the_whole_run_and_of_its_speed(batch: windows.Batch) -> None:
+def test_a_wrong_scale_is_one_of_a_whole_run(batch: windows.Batch) -> None:
     after = disturbed(batch, Noise(depth_scale=0.3))
     factors = []
-    for frames in (slice(0, 12), slice(12, 23)):
-        points = slice(batch["ptr"][frames.start], batch["ptr"][frames.stop])
-        factor = after["motion"][frames, 2] / batch["motion"][frames, 2]
-        assert factor == pytest.approx(factor[0])
-        assert after["xyz"][points] == pytest.approx(batch["xyz"][points] * factor[0], rel=1e-5)
-        assert np.tan(after["motion"][frames, 0]) == pytest.approx(
-            np.tan(batch["motion"][frames, 0]) / factor, rel=1e-4
-        )
-        factors.append(float(factor[0]))
+    for start, stop in ((0, 12), (12, 23)):
+        points = slice(batch["ptr"][start], batch["ptr"][stop])
+        factor = after["xyz"][points.start, 2] / batch["xyz"][points.start, 2]
+        assert after["xyz"][points] == pytest.approx(batch["xyz"][points] * factor, rel=1e-5)
+        factors.append(float(factor))
     assert 1 / 1.3 <= min(factors) < max(factors) <= 1.3
+    assert after["motion"] == pytest.approx(batch["motion"], rel=1e-6)
+
+
+def test_so_is_a_wrong_speed_and_the_measured_angle_is_wrong_with_it(batch: windows.Batch) -> None:
+    after = disturbed(batch, Noise(speed=0.3))
+    factor = after["motion"][:, 2] / batch["motion"][:, 2]
+    assert 1 / 1.3 <= factor.min() < factor.max() <= 1.3
+    assert factor == pytest.approx(np.repeat(factor[[0, 12]], FRAMES))
+    assert np.tan(after["motion"][:, 0]) == pytest.approx(np.tan(batch["motion"][:, 0]) / factor, rel=1e-4)
     assert (after["motion"][:, [1, 3]] == batch["motion"][:, [1, 3]]).all()
     assert (after["base_rad"] == after["motion"][after["windows"][:, -1], 0]).all()
+    assert (after["xyz"] == batch["xyz"]).all()
 
 
 def test_waves_move_points_along_their_rays_neighbours_alike(batch: windows.Batch) -> None:

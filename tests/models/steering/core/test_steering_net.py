@@ -117,10 +117,10 @@ def test_so_it_does_when_the_motion_is_mirrored_too(make_batch, make_sets, make_
     assert (heard.abs() > 0).all()  # of every frame, all that it did
 
 
-@pytest.mark.parametrize("equivariant", [False, True])
-def test_a_network_with_motion_hears_it_and_all_of_it_learns(make_batch, make_line, equivariant):
+@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
+def test_all_of_a_network_with_motion_learns(make_batch, make_line, temporal, knobs):
     torch.manual_seed(0)
-    net = net_of(make_line(motion="lidar", equivariant=equivariant)).double()
+    net = net_of(make_line("gnn", temporal, motion="lidar", **knobs)).double()
     batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
     left_open = net(batch, WINDOWS, dt_s, MOTION)
     assert left_open.abs().max() < 3  # deviations of what the measured angle leaves open

@@ -13,7 +13,7 @@ from pipeline.sections.models import Model
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
-KIND = {name: Network("spatial", name).module.INPUT for name in names("spatial")}
+KIND = {name: Network("spatial", name).module.INPUT for name in names("spatial") if name != "blind"}  # it sees nothing
 RECURRENT = [*((name, {}) for name in names("temporal")), *(("ncp", {"cell": name}) for name in names("cell"))]
 IMAGE = torch.randint(0, 256, (6, 32, 40, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
 MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * torch.tensor(

@@ -1,7 +1,7 @@
 """Depth and classes of real drives by one small network, each drive judged by an encoder that was fitted to the others.
 
 The encoder of ``presets/real.yaml`` stands beside ESPNetv2, whose depth head is fitted to the other drives' scans, and
-flat ground under ESPNetv2's classes. Its classes are compared with ESPNetv2's, which taught them. The stages do the work.
+flat ground under ESPNetv2's classes. Its classes are compared with ESPNetv2's, which taught them.
 """
 
 import contextlib

@@ -91,7 +91,7 @@ def _fit(model: Any, settings: Encoder, weights: list[Source], ingest: Path, dri
     files = [ingest / f"{drive}.h5" for drive in drives]
     key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
     with Examples(ingest, drives, settings.frames, teacher) as examples:
-        lessons = teach.choose(model, settings.weights, examples.known, teacher=bool(teacher), frozen=settings.frozen)
+        lessons = teach.choose(model, settings.weights, examples.known, teacher=examples.taught, frozen=settings.frozen)
         print(f"encoder: {', '.join(f'{head} by {lesson}' for head, lesson in lessons.items())}", flush=True)
         curve = fit.fit(
             model.to("cuda" if torch.cuda.is_available() else "cpu"),

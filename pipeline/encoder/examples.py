@@ -14,6 +14,9 @@ from pipeline.base.store import DriveReader
 from pipeline.encoder.truth import image_size, read_truth, teaching_rows, visible
 
 CACHE_BYTES = 1 << 30  # frames up to here stay in memory after the first epoch
+LUMA = np.array([0.299, 0.587, 0.114])  # of ITU-R BT.601
+COLOUR_CAMERAS = (2, 3)  # KITTI's
+GREY = 0.15  # share of the augmented images that lose their colour: a drive's camera may be grey
 Teacher = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """An image uint8 [H,W,3] and its intrinsics [3,3] → trainIds uint8 [H,W] to learn from, 255 where unknown."""
 
@@ -44,13 +47,17 @@ class Examples:
     def __init__(self, ingest: Path, drives: Sequence[str], frames: int, teacher: Teacher | None = None) -> None:
         """Choose `frames` frames, evenly spread over `drives`, from the files of stage ingest.
 
-        A `teacher` names the classes of frames without class truth. It sees them as they are, before any augmentation.
-        Raises InputError if no frame has an image together with depth, classes or a LiDAR scan, or a teacher.
+        A `teacher` names the classes of frames without class truth, of drives with a colour camera: in grey images
+        those that learned on colour take trees for people. It sees frames as they are, before any augmentation. Raises
+        InputError if no frame has an image together with depth, classes, a LiDAR scan or a teacher.
         """
-        self._teacher = teacher
         self._stack = ExitStack()
         self._files = [self._stack.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
-        rows_of = [teaching_rows(file, taught=teacher is not None) for file in self._files]
+        self._teachers = [teacher if file.attrs.get("camera", 2) in COLOUR_CAMERAS else None for file in self._files]
+        self.taught = any(self._teachers)
+        rows_of = [
+            teaching_rows(file, taught=own is not None) for file, own in zip(self._files, self._teachers, strict=True)
+        ]
         rows = [(number, int(row)) for number, own in enumerate(rows_of) for row in own]
         if not rows:
             self._stack.close()
@@ -82,8 +89,8 @@ class Examples:
         truth = read_truth(file, row)
         depth_m = visible(truth.depth_m, file["K"]) if truth.depth_source == "lidar" else truth.depth_m
         image, K, cls = file.row("image", row), file["K"], truth.cls
-        if self._teacher and not truth.has_cls:
-            cls = self._teacher(image, K)
+        if (teacher := self._teachers[number]) and not truth.has_cls:
+            cls = teacher(image, K)
         example = Example(image, K, depth_m, cls)
         if self._cached:
             self._cache[i] = example
@@ -111,10 +118,13 @@ def mirrored(example: Example) -> Example:
 
 
 def relit(example: Example, rng: np.random.Generator) -> Example:
-    """Return the example under another light: a random gain, contrast and gamma, and a gain for each colour."""
+    """Return the example under another light: a random gain, contrast and gamma, a gain for each colour; some grey."""
     gain = rng.uniform(0.75, 1.3) * rng.uniform(0.9, 1.1, 3)
     contrast, gamma = rng.uniform(0.75, 1.3), rng.uniform(0.8, 1.25)
     level = (np.arange(256) / 255) ** gamma
     table = np.clip(255 * (gain[:, None] * (0.45 + contrast * (level - 0.45))), 0, 255).astype(np.uint8)  # [3,256]
     image = np.stack([table[channel][example.image[..., channel]] for channel in range(3)], axis=-1)
+    if rng.random() < GREY:
+        grey = (image @ LUMA).astype(np.uint8)
+        image = np.repeat(grey[..., None], 3, axis=-1)
     return replace(example, image=image)

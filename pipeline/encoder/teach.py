@@ -16,7 +16,7 @@ from pipeline.encoder.weights import Setting, Source, fill, unnamed
 TRUTHS = {"depth_head": {"depth": "dense depth", "lidar": "LiDAR"}, "class_head": {"cls": "class truth"}}
 TEACHER, FILE, FLAT_GROUND = "the teacher's classes", "its file", "flat ground"
 FITTED_TO = {truth for truths in TRUTHS.values() for truth in truths.values()} | {TEACHER}
-_REMEDY = {"depth_head": "a drive with LiDAR", "class_head": "an encoder.teacher"}
+_REMEDY = {"depth_head": "a drive with LiDAR", "class_head": "an encoder.teacher and a drive in colour"}
 
 
 def choose(model: nn.Module, weights: Setting, known: Set[str], *, teacher: bool, frozen: bool) -> dict[str, str]:

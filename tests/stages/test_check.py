@@ -35,7 +35,7 @@ def test_the_projects_own_files_are_right(name: str | None, tmp_path: Path, monk
     params.write_text(preset.text(name) if name else (ROOT / "params.yaml").read_text())
     encoder = yaml.safe_load(params.read_text())["encoder"]
     for file in weights.files(encoder["weights"], "encoder.weights").values():
-        if "#sha256=" not in file:
+        if "sha256=" not in file:
             (tmp_path / "weights" / file.rsplit("/", 1)[-1]).touch()
     assert check.main(params) == params
 

@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -73,6 +74,23 @@ def test_a_teacher_sees_each_frame_without_class_truth_as_it_is_and_once(tmp_pat
         np.testing.assert_array_equal(told[1], street.scene(1)[2])
     with Examples(tmp_path, names, 9) as examples:
         assert examples.frames_per_drive == {names[0]: 2, names[1]: 0}
+
+
+def test_grey_images_are_not_taught(tmp_path: Path) -> None:
+    street.write_drive(tmp_path, DRIVE, 3, dense=False)
+    with h5py.File(tmp_path / f"{DRIVE}.h5", "r+") as file:
+        file.attrs["camera"] = 0
+    with pytest.raises(InputError, match="nothing to learn from"):
+        Examples(tmp_path, [DRIVE], 9, lambda image, K: image[..., 0])
+    street.write_drive(tmp_path, "2026_01_01_drive_0002", 2, dense=False)
+    with Examples(tmp_path, [DRIVE, "2026_01_01_drive_0002"], 9, lambda image, K: image[..., 0]) as examples:
+        assert examples.taught
+        assert examples.frames_per_drive == {DRIVE: 0, "2026_01_01_drive_0002": 2}
+
+
+def test_some_lights_leave_no_colour() -> None:
+    grey = [relit(_example(), np.random.default_rng(seed)).image.std(axis=-1).max() == 0 for seed in range(60)]
+    assert 0 < sum(grey) < 30
 
 
 def _example() -> Example:

@@ -187,7 +187,7 @@ def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
     """Return the network's output [W] for arrays: a batch of frames', `windows` [W,T], `dt_s` [W,T], `motion` [B,4]."""
     device = next(net.parameters()).device
     windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
-    motion = torch.from_numpy(arrays["motion"]).to(device) if net.motion else None
+    motion = torch.from_numpy(arrays["motion"]).to(device) if "motion" in arrays else None
     output: Tensor = net(of_arrays(arrays).to(device), windows, dt_s, motion)
     return output
 

@@ -25,16 +25,14 @@ def main(
     out: Path = Path("data/encoder"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write encoder.pt, config.json and curve.csv. Only the drives of split train are opened.
-
-    Returns the folder that it wrote.
-    """
+    """Write encoder.pt, config.json, curve.csv; return the folder. Opens training drives, or all if a teacher may."""
     settings = load(Encoder, params)
     kept = out.parent / ".resume" / out.name
     if settings.backbone == precomputed.BACKBONE:
         with held(out, kept):
             return _take_precomputed(settings, out)
-    drives = store.of_split(store.read_index(ingest, stage="ingest"), "train")
+    splits = store.read_index(ingest, stage="ingest")
+    drives = {drive: split for drive, split in splits.items() if split in settings.splits}
 
     import torch
 
@@ -77,8 +75,10 @@ def main(
     return out
 
 
-def _fit(model: Any, settings: Encoder, weights: list[Source], ingest: Path, drives: list[str], kept: Path) -> Fitted:
-    """Fit what something teaches. Returns the curve, and what config.json says of the frames."""
+def _fit(
+    model: Any, settings: Encoder, weights: list[Source], ingest: Path, drives: dict[str, str], kept: Path
+) -> Fitted:
+    """Fit what something teaches; of drives that are not for training, to their images alone. Returns the curve, and what config.json says of the frames."""
     import torch
 
     from pipeline.encoder import fit, teach
@@ -90,7 +90,8 @@ def _fit(model: Any, settings: Encoder, weights: list[Source], ingest: Path, dri
     hashes = [source.sha256 for source in (*weights, *taught_by)]
     files = [ingest / f"{drive}.h5" for drive in drives]
     key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
-    with Examples(ingest, drives, settings.frames, teacher) as examples:
+    untold = [drive for drive, split in drives.items() if split != "train"]
+    with Examples(ingest, list(drives), settings.frames, teacher, untold) as examples:
         lessons = teach.choose(model, settings.weights, examples.known, teacher=examples.taught, frozen=settings.frozen)
         print(f"encoder: {', '.join(f'{head} by {lesson}' for head, lesson in lessons.items())}", flush=True)
         curve = fit.fit(

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.encoder.truth import image_size, read_truth, teaching_rows, visible
+from pipeline.encoder.truth import image_size, no_truth, read_truth, teaching_rows, visible
 
 CACHE_BYTES = 1 << 30  # frames up to here stay in memory after the first epoch
 LUMA = np.array([0.299, 0.587, 0.114])  # of ITU-R BT.601
@@ -44,19 +44,29 @@ class Examples:
     Frames are read when asked for, so that any number of them can be fitted on; small sets stay in memory.
     """
 
-    def __init__(self, ingest: Path, drives: Sequence[str], frames: int, teacher: Teacher | None = None) -> None:
+    def __init__(
+        self,
+        ingest: Path,
+        drives: Sequence[str],
+        frames: int,
+        teacher: Teacher | None = None,
+        untold: Sequence[str] = (),
+    ) -> None:
         """Choose `frames` frames, evenly spread over `drives`, from the files of stage ingest.
 
         A `teacher` names the classes of frames without class truth, of drives with a colour camera: in grey images
-        those that learned on colour take trees for people. It sees frames as they are, before any augmentation. Raises
-        InputError if no frame has an image together with depth, classes, a LiDAR scan or a teacher.
+        those that learned on colour take trees for people. It sees frames as they are, before any augmentation. Of
+        `untold` drives images are read, and nothing else that is known. Raises InputError if no frame has an image
+        together with depth, classes, a LiDAR scan or a teacher.
         """
         self._stack = ExitStack()
         self._files = [self._stack.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
+        self._told = [name not in untold for name in drives]
         self._teachers = [teacher if file.attrs.get("camera", 2) in COLOUR_CAMERAS else None for file in self._files]
         self.taught = any(self._teachers)
         rows_of = [
-            teaching_rows(file, taught=own is not None) for file, own in zip(self._files, self._teachers, strict=True)
+            teaching_rows(file, taught=own is not None, told=told)
+            for file, own, told in zip(self._files, self._teachers, self._told, strict=True)
         ]
         rows = [(number, int(row)) for number, own in enumerate(rows_of) for row in own]
         if not rows:
@@ -70,9 +80,9 @@ class Examples:
         self.frames_per_drive = {
             name: sum(row[0] == number for row in self._rows) for number, name in enumerate(drives)
         }
-        files = list(zip(self._files, rows_of, strict=True))
+        told = [(file, own) for file, own, told in zip(self._files, rows_of, self._told, strict=True) if told]
         self.known = {
-            what for what in ("depth", "lidar", "cls") if any(file[f"has_{what}"][own].any() for file, own in files)
+            what for what in ("depth", "lidar", "cls") if any(file[f"has_{what}"][own].any() for file, own in told)
         }
         self.size = image_size(self._files[0])
         self._cache: dict[int, Example] = {}
@@ -86,7 +96,7 @@ class Examples:
             return self._cache[i]
         number, row = self._rows[i]
         file = self._files[number]
-        truth = read_truth(file, row)
+        truth = read_truth(file, row) if self._told[number] else no_truth(file)
         depth_m = visible(truth.depth_m, file["K"]) if truth.depth_source == "lidar" else truth.depth_m
         image, K, cls = file.row("image", row), file["K"], truth.cls
         if (teacher := self._teachers[number]) and not truth.has_cls:

@@ -43,6 +43,12 @@ def read_truth(drive: DriveReader, row: int) -> Truth:
     return Truth(depth, source, cls, has_cls)
 
 
+def no_truth(drive: DriveReader) -> Truth:
+    """Return that nothing is known of a frame."""
+    size = image_size(drive)
+    return Truth(np.zeros(size, np.float32), None, np.full(size, classes.VOID, np.uint8), has_cls=False)
+
+
 def visible(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
     """Return sparse depth [H,W] without the points that the camera cannot see.
 
@@ -63,7 +69,10 @@ def image_size(drive: DriveReader) -> tuple[int, int]:
     return height, width
 
 
-def teaching_rows(drive: DriveReader, *, taught: bool) -> np.ndarray:
-    """Return the rows of the frames that have an image and something to learn from it, int64 [n]; all if `taught`."""
-    known = np.any([drive[f"has_{what}"] for what in ("depth", "cls", "lidar")], axis=0) | taught
+def teaching_rows(drive: DriveReader, *, taught: bool, told: bool = True) -> np.ndarray:
+    """Return the rows of the frames that have an image and something to learn from it, int64 [n]; all if `taught`.
+
+    Not `told`, what is known of the drive does not count.
+    """
+    known = told & np.any([drive[f"has_{what}"] for what in ("depth", "cls", "lidar")], axis=0) | taught
     return np.flatnonzero(drive["has_image"].astype(bool) & known)

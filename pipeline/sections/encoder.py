@@ -1,10 +1,10 @@
 """Section ``encoder``: how the unified encoder comes to its weights."""
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from pipeline.base.params import Count, Positive, Section, Seed
+from pipeline.base.params import SPLITS, Count, Positive, Section, Seed
 from pipeline.encoder import precomputed
 
 PARTS = ("backbone", "depth_head", "class_head")
@@ -30,6 +30,10 @@ class Teacher(Section):
     key = "encoder.teacher"
     backbone: str
     weights: Weights
+    drives: Annotated[
+        Literal["train", "all"],
+        Field(description="whose images it teaches on; an image needs no label, so all of ingest's are possible"),
+    ] = "train"
 
     @model_validator(mode="after")
     def _is_fitted(self) -> Self:
@@ -51,6 +55,11 @@ class Encoder(Section):
     batch: Count
     learning_rate: Positive
     seed: Seed
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Whose drives are opened."""
+        return SPLITS if self.teacher and self.teacher.drives == "all" else ("train",)
 
     @model_validator(mode="after")
     def _comes_to_weights(self) -> Self:

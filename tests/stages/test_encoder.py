@@ -197,6 +197,23 @@ def test_a_teacher_gives_classes_to_frames_without(ingest: Path, tmp_path: Path)
     assert 0 < float(rows[-1]["classes"]) < float(rows[0]["classes"])
 
 
+def test_a_teacher_may_see_images_of_all_drives_and_nothing_else_of_them(ingest: Path, tmp_path: Path) -> None:
+    teacher = {"backbone": "espnetv2-s1", "weights": {"backbone": espnet(tmp_path)[0]}, "drives": "all"}
+    digests = set()
+    for name, known in {
+        "blind": {"dense": False},
+        "dense": {"dense": True},
+        "lidar": {"dense": False, "lidar": True},
+    }.items():
+        for drive in (VAL, TEST):
+            street.write_drive(ingest, drive, 4, **known)
+        out = run(ingest, name, teacher=teacher, epochs=1, frames=12)
+        frames = json.loads((out / "config.json").read_text())["frames_per_drive"]
+        assert all(frames[drive] > 0 for drive in (TRAIN, VAL, TEST))
+        digests.add(hashlib.sha256((out / "encoder.pt").read_bytes()).hexdigest())
+    assert len(digests) == 1
+
+
 def test_a_folder_of_precomputed_files_is_noted(ingest: Path, tmp_path: Path) -> None:
     settings = {"backbone": "precomputed", "weights": str(tmp_path / "made"), "epochs": 0}
     with pytest.raises(InputError, match="holds no PNG files"):

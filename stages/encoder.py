@@ -78,7 +78,10 @@ def main(
 def _fit(
     model: Any, settings: Encoder, weights: list[Source], ingest: Path, drives: dict[str, str], kept: Path
 ) -> Fitted:
-    """Fit what something teaches; of drives that are not for training, to their images alone. Returns the curve, and what config.json says of the frames."""
+    """Fit what something teaches; of drives that are not for training, to their images alone.
+
+    Returns the curve, and what config.json says of the frames.
+    """
     import torch
 
     from pipeline.encoder import fit, teach

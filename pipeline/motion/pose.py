@@ -1,8 +1,8 @@
 """The camera's motion from points of the frame before and where this frame shows them (perspective n points).
 
-RANSAC finds who moves with the street. The refinement knows what is uncertain: a pixel, by PIXEL_SIGMA in any direction,
-and a point's depth, which shifts its pixel along an epipolar line. So rotation and direction of travel come from where
-pixels lie across these lines, whatever depth says, and only the way's length comes from depth.
+RANSAC finds who moves with the street. The refinement knows what is uncertain: a pixel, by PIXEL_SIGMA all
+around, and a point's depth, which shifts its pixel along an epipolar line. So rotation and direction of travel come
+from where pixels lie across these lines, whatever depth says, and only the way's length comes from depth.
 """
 
 from typing import NamedTuple

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 NEAREST_M, FARTHEST_M = 3.0, 80.0  # nearer is the car itself
 VOXEL_M = 0.5
 NEIGHBOURS = 10  # of a normal
-PASSES_M = ((1.0, 0.3), (0.5, 0.15))  # how far apart points may lie, and Tukey's k
+FIRST_M = (4.0, 1.0)  # how far apart points may lie, and Tukey's k, where no step before gives a guess
+PASSES_M = ((1.0, 0.3), (0.5, 0.15))
 ITERATIONS = 20
 MIN_POINTS = 300
 MIN_SHARE = 0.5  # of points that find a plane
@@ -38,12 +39,13 @@ def steps(scans: Iterable[Scan], T_cam_velo: np.ndarray) -> Iterator[Step | None
 
     `T_cam_velo` [4,4] takes points from a scan to the camera's frame, in which steps are.
     """
-    number, before, guess = -2, None, np.eye(4)
+    number, before = -2, None
+    guess: np.ndarray | None = None
     for scan in scans:
         now, T_before = _cloud(scan.points), None
         if before is not None and now is not None and scan.number == number + 1:
             T_before, inliers, residual_m = _aligned(now, before, guess)
-        guess = np.eye(4) if T_before is None else T_before
+        guess = T_before
         number, before = scan.number, now
         if T_before is None or np.linalg.norm(T_before[:3, 3]) < STANDING_M:
             yield None
@@ -66,12 +68,12 @@ def _cloud(points: np.ndarray) -> "PointCloud | None":
     return cloud
 
 
-def _aligned(now: "PointCloud", before: "PointCloud", guess: np.ndarray) -> tuple[np.ndarray | None, int, float]:
+def _aligned(now: "PointCloud", before: "PointCloud", guess: np.ndarray | None) -> tuple[np.ndarray | None, int, float]:
     """Return T_before [4,4] of the sensor, None where the scans do not tell; inliers, their RMS distance in m."""
     from open3d.pipelines import registration as icp
 
-    T_before, until = guess, icp.ICPConvergenceCriteria(1e-5, 1e-5, ITERATIONS)
-    for reach_m, k_m in PASSES_M:
+    T_before, until = np.eye(4) if guess is None else guess, icp.ICPConvergenceCriteria(1e-5, 1e-5, ITERATIONS)
+    for reach_m, k_m in PASSES_M if guess is not None else (FIRST_M, *PASSES_M):
         planes = icp.TransformationEstimationPointToPlane(icp.TukeyLoss(k_m))
         result = icp.registration_icp(now, before, reach_m, T_before, planes, until)
         T_before = result.transformation

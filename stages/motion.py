@@ -10,7 +10,7 @@ from pipeline.base import console, progress, store
 from pipeline.base.params import load
 from pipeline.base.pool import Summary, run_over_drives
 from pipeline.camera.images import to_metres
-from pipeline.motion import motion_file, visual
+from pipeline.motion import lidar, motion_file, visual
 from pipeline.motion.step import Step
 from pipeline.sections.motion import Motion
 
@@ -85,7 +85,17 @@ def _visual(raw: store.DriveReader, perceived: store.DriveReader, settings: Moti
     return perceived.frame, perceived.time_s, visual.steps(views, K, camera_height_m)
 
 
-KINDS: dict[str, Callable[[store.DriveReader, store.DriveReader, Motion], Frames]] = {"visual": _visual}
+def _lidar(raw: store.DriveReader, perceived: store.DriveReader, settings: Motion) -> Frames:
+    rows, ptr = np.flatnonzero(raw["has_lidar"]), raw["lidar_ptr"]
+    scans = (lidar.Scan(int(raw.frame[row]), raw.rows("lidar", ptr[row], ptr[row + 1])) for row in rows)
+    T_cam_velo = raw["T_cam_velo"] if len(rows) else np.eye(4)  # a drive without scans may have no calibration
+    return raw.frame[rows], raw.time_s[rows], lidar.steps(scans, T_cam_velo)
+
+
+KINDS: dict[str, Callable[[store.DriveReader, store.DriveReader, Motion], Frames]] = {
+    "visual": _visual,
+    "lidar": _lidar,
+}
 
 if __name__ == "__main__":
     console.run(main)

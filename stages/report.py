@@ -7,7 +7,9 @@ from pipeline.base import console, store
 from pipeline.base.atomic import replacing
 from pipeline.base.lock import held
 from pipeline.base.params import names
-from pipeline.report.tables import comparison, curves, metrics, perception_table, steering_rows, steering_table
+from pipeline.report.tables import (
+    comparison, curves, metrics, motion_table, perception_table, steering_rows, steering_table,
+)  # fmt: skip
 
 
 def main(
@@ -17,7 +19,7 @@ def main(
     scores: Path = Path("data/scores"),
     train: Path = Path("data/train"),
 ) -> Path:
-    """Write each model of the params file on the test drives, the trivial predictors, and what depth is worth.
+    """Write each model of the params file on the test drives, the trivial predictors, what depth and motion are worth.
 
     Beside the table, the same for DVC's own views: flat figures, learning curves, driven and predicted steering.
     Models that are not evaluated here are named. Returns `out`.
@@ -34,6 +36,8 @@ def main(
     text = steering_table.markdown(results, absent=[model for model in models if model not in here])
     if encoder:
         text += "\n" + perception_table.markdown(encoder)
+        if motion := motion_table.markdown(encoder.get("motion", {})):
+            text += "\n" + motion
     with held(out, out.parent / ".resume" / out.name):
         with replacing(out / "table.md") as tmp:
             tmp.write_text(text, encoding="utf-8")

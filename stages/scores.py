@@ -1,6 +1,6 @@
-"""Stage scores: what depth and classes are worth that stage perception wrote, against what the drives know of them."""
+"""Stage scores: what depth, classes and measured motion are worth, against what the drives know of them."""
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -11,6 +11,8 @@ from pipeline.base.params import SPLITS
 from pipeline.base.pool import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.encoder.truth import Truth, read_truth
+from pipeline.kitti.oxts import VF, WU
+from pipeline.perception import motion_scores
 from pipeline.perception.depth_scale import MODES
 from pipeline.perception.scores import Scores, summary_line
 
@@ -20,19 +22,22 @@ def main(
     perception: Path = Path("data/perception"),
     out: Path = Path("data/scores"),
     workers: int | None = None,
+    motion: Path = Path("data/motion"),
 ) -> Path:
     """Write metrics.json with the scores of each split, and <drive>/metrics.json with those of each drive.
 
-    Depth's scale and the camera's height are those that perception wrote with. Returns the folder that it wrote.
+    Depth's scale and the camera's height are those that perception wrote with. Under ``motion`` stand the score cards
+    of each kind of measured motion. Returns the folder that it wrote.
     """
     splits = store.read_index(perception, stage="perception")
+    kinds = {index.parent.name: index.parent for index in sorted(motion.glob("*/index.json"))}
     summaries = run_over_drives(
-        partial(_score_drive, ingest=ingest, perception=perception),
+        partial(_score_drive, ingest=ingest, perception=perception, motion=kinds),
         list(splits),
         module="stages.scores",
         out=out,
-        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, perception)],
-        settings={},
+        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, perception, *kinds.values())],
+        settings={"motion": list(kinds)},
         workers=workers,
         target=lambda drive: out / drive,
         frames=lambda drive: _frames(perception / f"{drive}.h5"),
@@ -42,13 +47,22 @@ def main(
     for drive, summary in summaries.items():
         scores[splits[drive]].add_sums(summary["sums"])
     reports = {split: score.report() for split, score in scores.items()}
-    store.write_json(out / "metrics.json", reports)
+    cards = {
+        kind: {
+            split: motion_scores.card(_motion_errors(drive, ingest, folder) for drive in store.of_split(splits, split))
+            for split in SPLITS
+        }
+        for kind, folder in kinds.items()
+    }
+    store.write_json(out / "metrics.json", {**reports, "motion": cards})
     for split, report in reports.items():
         print(f"scores, {split}: {summary_line(report)}", flush=True)
+        for kind in kinds:
+            print(f"{kind} motion, {split}: {motion_scores.summary_line(cards[kind][split])}", flush=True)
     return out
 
 
-def _score_drive(drive: str, path: Path, *, ingest: Path, perception: Path) -> Summary:
+def _score_drive(drive: str, path: Path, *, ingest: Path, perception: Path, motion: Mapping[str, Path]) -> Summary:
     scores = Scores()
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
@@ -60,8 +74,25 @@ def _score_drive(drive: str, path: Path, *, ingest: Path, perception: Path) -> S
             scores.add_frame(depth, cls, K, truth, MODES[settings["depth_scale"]], settings["camera_height_m"])
             progress.advance(1)
     report = scores.report()
-    store.write_json(path / "metrics.json", report)
-    return {"frames": count, "sums": scores.sums(), "line": summary_line(report)}
+    cards = {kind: motion_scores.card([_motion_errors(drive, ingest, folder)]) for kind, folder in motion.items()}
+    store.write_json(path / "metrics.json", {**report, "motion": cards})
+    lines = [
+        summary_line(report),
+        *(f"{kind} motion: {motion_scores.summary_line(one)}" for kind, one in cards.items()),
+    ]
+    return {"frames": count, "sums": scores.sums(), "line": "; ".join(lines)}
+
+
+def _motion_errors(drive: str, ingest: Path, motion: Path) -> motion_scores.Errors:
+    """Return what a drive's measured motion gets wrong; both files go by frame number."""
+    with (
+        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
+        store.DriveReader(motion / f"{drive}.h5", stage="motion") as measured,
+    ):
+        oxts = source["oxts"][np.searchsorted(source.frame, measured.frame)]
+        return motion_scores.errors(
+            measured["yaw_rate_radps"], measured["speed_mps"], measured["valid"], oxts[:, WU], oxts[:, VF]
+        )
 
 
 def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[tuple[np.ndarray, np.ndarray, Truth]]:

@@ -1,1 +1,1 @@
-"""What depth is worth: its scale, its scores, flat ground beside it."""
+"""What depth is worth: its scale, its scores, flat ground beside it; and what measured motion is."""

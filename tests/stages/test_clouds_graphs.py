@@ -295,3 +295,22 @@ def test_what_accumulate_cannot_be_is_refused(tmp_path: Path, line: dict[str, ob
     params = _params(tmp_path / "params.yaml", graphs={"v": {"source": "clouds/pseudo"} | points | line})
     with pytest.raises(InputError, match=message):
         graphs.main("v", tmp_path, tmp_path / "graphs", params, workers=1)
+
+
+def test_each_kind_of_measured_motion_is_carried_by_points_and_images(tmp_path: Path, data: Path) -> None:
+    for folder in ("clouds", "ingest"):
+        (tmp_path / folder).symlink_to(data / folder)
+    for drive in SPLITS:
+        with store.DriveWriter(tmp_path / f"motion/visual/{drive}.h5", stage="motion", drive=drive, params={}) as file:
+            file.put("frame", np.array([1, 3], np.int32))
+            file.put("yaw_rate_radps", np.array([0.1, 0.3], np.float32))
+            file.put("speed_mps", np.array([1, 3], np.float32))
+            file.put("valid", np.array([0, 1], np.uint8))
+    store.write_index(tmp_path / "motion/visual", SPLITS)
+    params = _params(tmp_path / "params.yaml", graphs={"image": {"source": "ingest"}})
+    for variant in ("depth", "image"):
+        path = _graphs(tmp_path, tmp_path / "graphs", variant, params) / f"{FULL}.h5"
+        with store.DriveReader(path, stage="graphs") as file:
+            assert file["visual_speed_mps"].tolist() == [0, 1, 0, 3]
+            assert file["visual_valid"].tolist() == [0, 0, 0, 1]
+            assert "lidar_valid" not in file

@@ -37,6 +37,15 @@ def test_what_depth_is_worth_stands_below_the_models_where_it_is_known(tmp_path:
     assert "encoder.abs_rel_dense" in json.loads((tmp_path / "report/metrics.json").read_text())
 
 
+def test_what_motion_is_worth_stands_below_that(tmp_path: Path) -> None:
+    scores = {split: Scores().report() for split in ("train", "val", "test")}
+    card = {"frames": 9, "valid": 1.0, "yaw_rmse_degps": 0.2, "yaw_median_degps": 0.1, "speed_ratio": 1.0, "nmse": 0.01}
+    motion = {"visual": {"train": None, "val": None, "test": card}}
+    store.write_json(tmp_path / "scores/metrics.json", {**scores, "motion": motion})
+    assert "| visual | test | 9 | 100.0% |" in run(tmp_path, "lonely")
+    assert json.loads((tmp_path / "report/metrics.json").read_text())["motion.visual.nmse"] == 0.01
+
+
 def test_figures_and_curves_lie_beside_the_table(tmp_path: Path) -> None:
     evaluate(tmp_path, "net")
     text = run(tmp_path, "net", "absent")

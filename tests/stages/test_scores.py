@@ -101,8 +101,8 @@ def test_classes_are_scored_where_they_are_known(folder: Path) -> None:
 def test_each_drive_has_its_own_and_workers_change_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     metrics = run(folder)
     drives = {drive: json.loads((folder / "scores" / drive / "metrics.json").read_text()) for drive in SPLITS}
-    assert drives[DENSE] == metrics["train"]
-    assert set(drives[BLIND].values()) == {None}
+    assert drives[DENSE] == {**metrics["train"], "motion": {}}
+    assert {**drives[BLIND], "motion": None} == {**dict.fromkeys(metrics["val"]), "motion": None}
     assert "no truth" in capsys.readouterr().out
     assert run(folder, "two", workers=2) == metrics
     assert not (folder / ".resume" / "scores").exists()
@@ -141,3 +141,33 @@ def test_the_cameras_height_is_that_of_flat_ground(folder: Path) -> None:
 def test_without_perception_the_command_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="dvc repro perception"):
         run(tmp_path)
+
+
+def test_measured_motion_is_judged_by_oxts_by_frame_number(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The street's oxts say 8 m/s straight on; each drive says 1.1 times as much, and its first frame nothing."""
+    for drive in SPLITS:
+        with (
+            store.DriveReader(folder / "perception" / f"{drive}.h5", stage="perception") as perceived,
+            store.DriveWriter(
+                folder / "motion/visual" / f"{drive}.h5", stage="motion", drive=drive, params={}
+            ) as motion,
+        ):
+            valid = np.arange(len(perceived.frame)) > 0
+            motion.put("frame", perceived.frame)
+            motion.put("yaw_rate_radps", np.float32(0.01) * valid)
+            motion.put("speed_mps", np.float32(8.8) * valid)
+            motion.put("valid", valid.astype(np.uint8))
+    store.write_index(folder / "motion/visual", SPLITS)
+    out = main(folder / "ingest", folder / "perception", folder / "scores", 1, folder / "motion")
+    cards = json.loads((out / "metrics.json").read_text())["motion"]["visual"]
+    assert cards["test"] == {
+        "frames": 5,
+        "valid": 0.8,
+        "yaw_rmse_degps": pytest.approx(np.degrees(0.01)),
+        "yaw_median_degps": pytest.approx(np.degrees(0.01)),
+        "speed_ratio": pytest.approx(1.1),
+        "nmse": None,  # a straight road
+    }
+    assert cards["val"] is None
+    assert json.loads((out / DENSE / "metrics.json").read_text())["motion"]["visual"] == cards["train"]
+    assert "visual motion, test: 80% measured, yaw rate to 0.57 deg/s, speed x 1.100" in capsys.readouterr().out

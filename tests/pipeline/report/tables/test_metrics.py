@@ -33,3 +33,18 @@ def test_the_encoder_has_figures_for_each_split_with_a_truth() -> None:
     figures = metrics.figures([], {split: score.report() for split, score in of_split.items()})
     expected = {"encoder.train_abs_rel_lidar": 0.2, "encoder.abs_rel_dense": 0.1, "encoder.miou": 1.0}
     assert figures == pytest.approx(expected)
+
+
+def test_motion_has_figures_for_each_kind_and_split_that_was_judged() -> None:
+    nothing = {split: Scores().report() for split in ("train", "val", "test")}
+    card = {"frames": 9, "valid": 0.9, "yaw_rmse_degps": 0.3, "yaw_median_degps": 0.1, "speed_ratio": 1.1, "nmse": 0.02}
+    motion = {"visual": {"train": {**card, "nmse": None}, "val": None, "test": card}}
+    assert metrics.figures([], {**nothing, "motion": motion}) == {
+        "motion.visual.nmse": 0.02,
+        "motion.visual.valid": 0.9,
+        "motion.visual.yaw_rmse_degps": 0.3,
+        "motion.visual.speed_ratio": 1.1,
+        "motion.visual.train_valid": 0.9,
+        "motion.visual.train_yaw_rmse_degps": 0.3,
+        "motion.visual.train_speed_ratio": 1.1,
+    }

@@ -1,0 +1,60 @@
+"""A street of planes, scanned from a known path: motion is measured; where scans do not tell, it is not."""
+
+import numpy as np
+import pytest
+
+from pipeline.motion import lidar, step
+from tests import rendered_street as street
+
+# velodyne x forward, y left, z up → camera x right, y down, z forward
+T_CAM_VELO = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+
+
+def world(houses: bool = True) -> np.ndarray:
+    """Return points [P,3] in the street's frame: road, house fronts and their sides between them, in grid and noise."""
+    rng = np.random.default_rng(0)
+    x, z = rng.uniform(-20, 20, 9000), rng.uniform(-10, 50, 9000)
+    points = [np.stack([x, np.full_like(x, 1.65), z], axis=-1)]
+    for corner in range(-10, 50, 10) if houses else ():
+        for side in (-7.0, 7.0):
+            along, up = rng.uniform(corner, corner + 7, 900), rng.uniform(-5, 1.6, 900)
+            points.append(np.stack([np.full_like(up, side), up, along], axis=-1))
+            back = side + np.sign(side) * rng.uniform(0, 5, 500)
+            points.append(np.stack([back, rng.uniform(-5, 1.6, 500), np.full(500, corner + 7.0)], axis=-1))
+    return np.concatenate(points)
+
+
+def scan(number: int, T_world_cam: np.ndarray, points: np.ndarray) -> lidar.Scan:
+    T_velo_world = np.linalg.inv(T_world_cam @ T_CAM_VELO)
+    seen = np.random.default_rng(number).random(len(points)) < 0.7  # never the same points
+    return lidar.Scan(number, (points @ T_velo_world[:3, :3].T + T_velo_world[:3, 3])[seen].astype(np.float32))
+
+
+def measured(poses: list[np.ndarray], points: np.ndarray) -> list[step.Step | None]:
+    return list(lidar.steps([scan(number, pose, points) for number, pose in enumerate(poses)], T_CAM_VELO))
+
+
+@pytest.mark.parametrize(("yaw_rate", "speed"), [(0.4, 6.0), (-0.4, 6.0), (0.0, 12.0)])
+def test_known_motion_is_measured(yaw_rate: float, speed: float) -> None:
+    first, *steps = measured(street.arc(4, yaw_rate, speed), world())
+    assert first is None
+    for one in steps:
+        assert one
+        assert step.rates(one.T_before, 0.1) == pytest.approx((yaw_rate, speed), rel=0.03, abs=0.01)
+        assert one.inliers > 300
+        assert 0 < one.residual < 0.5
+
+
+def test_an_open_plain_does_not_tell_how_far_the_car_went() -> None:
+    assert measured(street.arc(3, 0.0, 6.0), world(houses=False)) == [None] * 3
+
+
+def test_standing_and_too_few_points_are_not_measured() -> None:
+    assert measured([np.eye(4)] * 3, world()) == [None] * 3
+    assert measured(street.arc(3, 0.0, 6.0), world()[::100]) == [None] * 3
+
+
+def test_a_gap_is_not_measured() -> None:
+    scans = [scan(number, pose, world()) for number, pose in zip((1, 2, 4), street.arc(3, 0.0, 6.0), strict=True)]
+    assert [one is not None for one in lidar.steps(scans, T_CAM_VELO)] == [False, True, False]
+    assert list(lidar.steps([], T_CAM_VELO)) == []

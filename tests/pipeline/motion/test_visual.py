@@ -1,0 +1,125 @@
+"""On a rendered street, where motion and depth are known exactly, motion is measured; out of nothing, it is not."""
+
+import numpy as np
+import pytest
+
+from pipeline.camera import classes
+from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.motion import step, visual
+from tests import rendered_street as street
+
+DT_S = 0.1
+
+
+def views(*poses: np.ndarray) -> list[visual.View]:
+    return [visual.View(number, *street.view(pose)) for number, pose in enumerate(poses)]
+
+
+def measured(frames: list[visual.View], camera_height_m: float | None = CAMERA_HEIGHT_M) -> list[step.Step | None]:
+    return list(visual.steps(frames, street.K, camera_height_m))
+
+
+def rates(steps: list[step.Step | None]) -> np.ndarray:
+    """Return yaw rate and speed [F-1,2]; all but the first must be measured."""
+    assert steps[0] is None
+    assert all(steps[1:])
+    return np.array([step.rates(one.T_before, DT_S) for one in steps[1:] if one])
+
+
+def rescaled(frames: list[visual.View], road: float, elsewhere: float) -> list[visual.View]:
+    """Return frames whose depth is wrong by these factors."""
+    return [
+        frame._replace(depth_m=frame.depth_m * np.where(frame.cls == classes.ROAD, road, elsewhere).astype(np.float32))
+        for frame in frames
+    ]
+
+
+@pytest.mark.parametrize(("yaw_rate", "speed"), [(0.4, 6.0), (-0.4, 6.0), (0.0, 12.0), (0.05, 1.0), (0.0, -2.0)])
+def test_known_motion_is_measured(yaw_rate: float, speed: float) -> None:
+    steps = measured(views(*street.arc(4, yaw_rate, speed)))
+    assert rates(steps)[:, 0] == pytest.approx(yaw_rate, abs=0.005)
+    assert rates(steps)[:, 1] == pytest.approx(speed, rel=0.02, abs=0.15)  # aliases of a small image stand still
+    for one in steps[1:]:
+        assert one
+        assert one.inliers > 100
+        assert one.residual < 0.4
+        assert one.scale == pytest.approx(1, abs=0.02)
+
+
+def test_a_step_takes_points_from_this_frame_to_the_one_before() -> None:
+    first, second = street.arc(2, 0.4, 8.0)
+    _, one = measured(views(first, second))
+    assert one
+    np.testing.assert_allclose(one.T_before, np.linalg.inv(first) @ second, atol=0.01)
+
+
+def test_a_wrong_scale_is_corrected_by_the_cameras_height_and_reported() -> None:
+    frames = rescaled(views(*street.arc(4, 0.2, 6.0)), 0.7, 0.7)
+    steps = measured(frames)
+    assert rates(steps)[:, 1] == pytest.approx(6.0, rel=0.03)
+    assert [one.scale for one in steps[1:] if one] == pytest.approx([1 / 0.7] * 3, rel=0.02)
+    trusting = measured(frames, None)
+    assert rates(trusting)[:, 1] == pytest.approx(0.7 * 6.0, rel=0.03)
+    assert {one.scale for one in trusting[1:] if one} == {1.0}
+    assert rates(trusting)[:, 0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_where_the_road_is_seen_wrong_depth_beside_it_says_little() -> None:
+    steps = measured(rescaled(views(*street.arc(4, 0.2, 6.0)), 1.0, 0.5))
+    assert rates(steps)[:, 1] == pytest.approx(6.0, rel=0.08)
+    assert rates(steps)[:, 0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_moving_thing_is_left_out_by_its_class() -> None:
+    """A picture that fills most of the view stands still before the camera, as a bus ahead does."""
+    frames = views(*street.arc(3, 0.0, 6.0))
+    bus = slice(10, 80), slice(60, 260)
+    texture = np.random.default_rng(0).integers(0, 255, (70, 200, 1), dtype=np.uint8)
+    for frame in frames:
+        frame.image[bus], frame.depth_m[bus], frame.cls[bus] = texture, 8.0, classes.BUS
+    assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.05)
+    for frame in frames:
+        frame.cls[bus] = classes.BUILDING
+    assert not any(one and abs(step.rates(one.T_before, DT_S)[1] - 6) < 0.3 for one in measured(frames))
+
+
+def test_standing_is_not_measured() -> None:
+    here = street.pose(0.1, 0.0, 5.0)
+    assert measured(views(here, here, here)) == [None] * 3
+
+
+def test_without_texture_or_light_nothing_is_measured() -> None:
+    frames = views(*street.arc(3, 0.2, 6.0))
+    for grey in (0, 128):
+        assert measured([frame._replace(image=np.full_like(frame.image, grey)) for frame in frames]) == [None] * 3
+
+
+def test_images_that_have_nothing_in_common_say_nothing() -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (3, *street.SIZE, 3), dtype=np.uint8)
+    frames = views(*street.arc(3, 0.2, 6.0))
+    assert measured([frame._replace(image=image) for frame, image in zip(frames, noise, strict=True)]) == [None] * 3
+
+
+def test_without_depth_nothing_is_measured_and_holes_do_no_harm() -> None:
+    frames = views(*street.arc(3, 0.2, 6.0))
+    assert measured([frame._replace(depth_m=np.zeros_like(frame.depth_m)) for frame in frames]) == [None] * 3
+    for frame in frames:
+        frame.depth_m[:, 100:180] = 0
+        frame.depth_m[60:80] = 0
+    assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.06)
+
+
+def test_one_image_and_a_gap_are_not_measured() -> None:
+    frames = views(*street.arc(4, 0.2, 6.0))
+    assert measured(frames[:1]) == [None]
+    assert measured([]) == []
+    after_gap = [frame._replace(number=number) for frame, number in zip(frames, (3, 4, 6, 7), strict=True)]
+    assert [one is not None for one in measured(after_gap)] == [False, True, False, True]
+
+
+def test_the_same_again_is_the_same_to_the_last_bit() -> None:
+    frames = views(*street.arc(3, 0.2, 6.0))
+    for one, other in zip(measured(frames)[1:], measured(frames)[1:], strict=True):
+        assert one
+        assert other
+        np.testing.assert_array_equal(one.T_before, other.T_before)

@@ -1,0 +1,105 @@
+"""Stage motion on drives that turn, stand, have no images or no scans; its files by frame number."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from pipeline.base import store
+from pipeline.camera.images import to_units
+from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
+from pipeline.kitti.oxts import make_rows
+from pipeline.sections.perception import Perception
+from stages import motion
+from tests import rendered_street as street
+from tests.pipeline.motion.test_lidar import T_CAM_VELO, scan, world
+
+TURNS, STANDS, BLIND = SPLITS = {
+    "2026_01_01_drive_0001": "train", "2026_01_02_drive_0001": "val", "2026_01_03_drive_0001": "test"
+}  # fmt: skip
+NUMBERS = np.array([3, 4, 5, 7, 8])  # 6 is missing
+RATES = 0.3, 6.0
+
+
+def write_drive(root: Path, drive: str, poses: list[np.ndarray], *, images: bool = True, scans: bool = True) -> None:
+    views = [street.view(pose) for pose in poses] if images else []
+    frames = len(poses)
+    with store.DriveWriter(root / "ingest" / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+        put_motion(file, NUMBERS, NUMBERS / 10, make_rows(frames, vf=99.0, wu=9.0))  # which the stage is not to read
+        if images or scans:
+            put_camera(file, street.K, T_CAM_VELO if scans else None)
+        put_pixels(file, "image", frames, street.SIZE, enumerate(image for image, *_ in views))
+        clouds = [scan(row, pose, world()).points for row, pose in enumerate(poses) if scans]
+        put_scans(file, frames, ((row, np.pad(points, [(0, 0), (0, 1)])) for row, points in enumerate(clouds)))
+    params = {"perception": Perception(batch=1).model_dump()}
+    with store.DriveWriter(root / "perception" / f"{drive}.h5", stage="perception", drive=drive, params=params) as file:
+        file.put("frame", NUMBERS[: len(views)])
+        file.put("time_s", NUMBERS[: len(views)] / 10)
+        file.put("depth_m", np.array([to_units(depth) for _, depth, _ in views], np.uint16).reshape(-1, *street.SIZE))
+        file.put("cls", np.array([cls for *_, cls in views], np.uint8).reshape(-1, *street.SIZE))
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("motion")
+    poses = street.arc(6, *RATES)
+    write_drive(root, TURNS, [poses[number - 3] for number in NUMBERS])
+    write_drive(root, STANDS, [street.pose(0, 0, 5)] * 5)
+    write_drive(root, BLIND, [np.eye(4)] * 5, images=False, scans=False)
+    store.write_index(root / "perception", SPLITS)
+    run(root, "motion", workers=1)
+    return root
+
+
+def run(root: Path, name: str, workers: int, kinds: tuple[str, ...] = ("visual", "lidar")) -> None:
+    (root / "params.yaml").write_text(yaml.safe_dump({"motion": {"kinds": list(kinds)}}))
+    out = motion.main(root / "ingest", root / "perception", root / name, root / "params.yaml", workers)
+    assert out == root / name
+
+
+def opened(root: Path, kind: str, drive: str) -> store.DriveReader:
+    return store.DriveReader(root / "motion" / kind / f"{drive}.h5", stage="motion")
+
+
+@pytest.mark.parametrize("kind", ["visual", "lidar"])
+def test_motion_is_that_since_the_frame_before_by_number(root: Path, kind: str) -> None:
+    assert store.read_index(root / "motion" / kind, stage="motion") == SPLITS
+    with opened(root, kind, TURNS) as file:
+        assert (file.frame.tolist(), file.frame.dtype) == (NUMBERS.tolist(), np.int32)
+        assert file["valid"].tolist() == [0, 1, 1, 0, 1]
+        known = file["valid"] > 0
+        assert file["yaw_rate_radps"][known] == pytest.approx(RATES[0], abs=0.01)
+        assert file["speed_mps"][known] == pytest.approx(RATES[1], rel=0.03)
+        assert (file["inliers"][known] > 100).all()
+        for name in ("yaw_rate_radps", "speed_mps", "inliers", "residual"):
+            assert (file[name][~known] == 0).all()
+        assert (file["T_before"][~known] == np.eye(4)).all()
+        assert file["T_before"][1][2, 3] == pytest.approx(0.6, rel=0.03)
+        assert ("scale" in file) == (kind == "visual")
+        assert file.params["motion"]["kinds"] == ["visual", "lidar"]
+
+
+@pytest.mark.parametrize("kind", ["visual", "lidar"])
+def test_a_drive_that_stands_or_has_nothing_to_measure_says_so(root: Path, kind: str) -> None:
+    with opened(root, kind, STANDS) as file:
+        assert file["valid"].tolist() == [0] * 5
+        assert not file["speed_mps"].any()
+    with opened(root, kind, BLIND) as file:
+        assert file.shape("frame") == (0,)
+        assert file.shape("T_before") == (0, 4, 4)
+
+
+@pytest.mark.slow
+def test_workers_change_no_byte(root: Path) -> None:
+    run(root, "two", workers=2)
+    for path in (root / "motion").rglob("*.h5"):
+        assert path.read_bytes() == (root / "two" / path.relative_to(root / "motion")).read_bytes()
+
+
+def test_kinds_are_those_of_the_params_and_drives_without_motion_are_named(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(root, "one", workers=1, kinds=("lidar",))
+    assert [path.name for path in (root / "one").iterdir()] == ["lidar"]
+    assert f"lidar: no motion of {STANDS}, {BLIND}" in capsys.readouterr().out

@@ -8,7 +8,13 @@ from pipeline.base.atomic import replacing
 from pipeline.base.lock import held
 from pipeline.base.params import names
 from pipeline.report.tables import (
-    comparison, curves, metrics, motion_table, perception_table, steering_rows, steering_table,
+    comparison,
+    curves,
+    metrics,
+    motion_table,
+    perception_table,
+    steering_rows,
+    steering_table,
 )  # fmt: skip
 
 

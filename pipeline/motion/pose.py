@@ -49,8 +49,8 @@ def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
     for _ in range(ITERATIONS):
         error, weight, slopes = _linearised(T, xyz, uv, K, depth_sigma)
         robust = weight / (1 + _squared(error, weight) / CAUCHY**2)[:, None, None]
-        normal = np.einsum("nia,nij,njb->ab", slopes, robust, slopes, optimize=True)
-        gradient = np.einsum("nia,nij,nj->a", slopes, robust, error, optimize=True)
+        weighted = np.einsum("nia,nij->naj", slopes, robust)
+        normal, gradient = np.einsum("naj,njb->ab", weighted, slopes), np.einsum("naj,nj->a", weighted, error)
         change = -np.linalg.solve(normal, gradient)
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]

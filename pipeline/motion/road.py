@@ -35,7 +35,7 @@ class Road:
         """
         slope = sum(self._slopes) / (len(self._slopes) + LEVEL)
         below = self._down - slope  # of a plane along the direction of travel
-        height_m = depth_m * below
+        height_m = depth_m * below.astype(np.float32)
         patch = height_m[usable & (below > 1 / AHEAD) & (np.abs(self._right) < ASIDE * below)]
         if len(patch) >= MIN_PIXELS:
             median = float(np.median(patch))

@@ -3,8 +3,8 @@
 import numpy as np
 
 PER_CELL = 2  # corners
-WINDOW, LEVELS = (15, 15), 3  # px, halvings
-UNTIL = (3, 15, 0.02)  # 15 iterations, or one that moves it by less than 0.02 px
+WINDOW, LEVELS = (11, 11), 2  # px, halvings; a larger window is slower, and sees more of what lies at another depth
+UNTIL = (3, 8, 0.03)  # 8 iterations, or one that moves it by less than 0.03 px
 BACK_PX = 0.5  # tracked to the next image and back, a corner ends at most so far from where it began
 
 

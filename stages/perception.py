@@ -14,6 +14,7 @@ from pipeline.base.pool import Summary, run_over_drives
 from pipeline.camera.geometry import scan_depth
 from pipeline.encoder import precomputed
 from pipeline.perception.depth_scale import MODES, Frame
+from pipeline.perception.ground_plane import put_on_ground
 from pipeline.sections.perception import Perception
 
 
@@ -77,8 +78,10 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
         # One thread reads, others run the network, this one scales and writes.
         with closing(passes(lambda batch: (batch, *see(batch)), batches)) as results:
             for batch, depth, cls in results:
-                for frame in zip(depth, cls, batch.scans_m, strict=True):
-                    factor = mode.rescale(Frame(*frame, batch.K, settings.camera_height_m), factor)
+                for metres, seen, scan_m in zip(depth, cls, batch.scans_m, strict=True):
+                    factor = mode.rescale(Frame(metres, seen, scan_m, batch.K, settings.camera_height_m), factor)
+                    if settings.reach:
+                        put_on_ground(metres, seen, batch.K, settings.camera_height_m, settings.reach)
                 target.append("depth_m", stored_depth(depth, cls))
                 target.append("cls", cls)
                 progress.advance(len(cls))

@@ -1,6 +1,7 @@
 """Stage scores: what depth, classes and measured motion are worth, against what the drives know of them."""
 
 from collections.abc import Generator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from pipeline.base import console, progress, store
 from pipeline.base.params import SPLITS
 from pipeline.base.pool import Summary, run_over_drives
 from pipeline.camera.images import to_metres
-from pipeline.encoder.truth import Truth, read_truth
+from pipeline.encoder.truth import Truth, read_truth, visible
 from pipeline.kitti.oxts import VF, WU
 from pipeline.perception import motion_scores
 from pipeline.perception.depth_scale import MODES
@@ -99,7 +100,10 @@ def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[
     """Yield depth [H,W] in the unit that is stored, trainIds [H,W] and the truth of each frame that has an image."""
     for row, number in enumerate(perceived.frame):
         depth, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
-        yield depth, cls, read_truth(source, source.row_of(number))
+        truth = read_truth(source, source.row_of(number))
+        if truth.depth_source == "lidar":
+            truth = replace(truth, depth_m=visible(truth.depth_m, source["K"]))
+        yield depth, cls, truth
 
 
 def _frames(path: Path) -> int:

@@ -13,6 +13,7 @@ VOID = 255
     SKY, PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE,
 ) = range(COUNT)  # fmt: skip
 GROUND = (ROAD, SIDEWALK, TERRAIN)
+TRAFFIC = (PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE)  # stands on the ground, and may move
 
 # The colours of the Cityscapes benchmark, RGB.
 COLOURS = np.array(

@@ -12,13 +12,7 @@ from pipeline.motion.road import Road
 from pipeline.motion.step import Step, plausible
 from pipeline.motion.tracks import Corners, follow
 
-MOVING = np.isin(
-    np.arange(256),
-    (
-        classes.PERSON, classes.RIDER, classes.CAR, classes.TRUCK, classes.BUS, classes.TRAIN, classes.MOTORCYCLE,
-        classes.BICYCLE,
-    ),
-)  # fmt: skip
+MOVING = np.isin(np.arange(256), classes.TRAFFIC)
 MIN_WIDTH = 640  # px; smaller images are enlarged: corners are found to a fraction of a pixel, so larger ones say more
 NEAREST_M, FARTHEST_M = 0.5, 80.0
 EDGE = 1.3  # depths around a corner differ by this factor at most: on an edge, it is not known whose depth it has

@@ -1,7 +1,11 @@
-"""Depth of a flat ground from the classes alone, for a level camera of known height: what each encoder must beat."""
+"""Depth of a flat ground from the classes alone, for a level camera of known height.
+
+It is what each encoder must beat, and what tells where a car stands that an encoder sees too far away.
+"""
 
 import numpy as np
 
+from pipeline.camera import classes
 from pipeline.camera.geometry import rays
 
 
@@ -24,3 +28,20 @@ def ground_plane_depth(cls: np.ndarray, K: np.ndarray, camera_height_m: float) -
         camera_height_m,
     )
     return depth_m[0].numpy()
+
+
+def put_on_ground(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float, reach: float) -> None:
+    """Bring traffic, in place, no farther than `reach` times the flat ground at its foot.
+
+    What stands on the ground hides what lies behind its foot. Monocular depth sees through it where it is smooth and
+    bright, as a tanker's flank, and takes it for the sky.
+
+    Args:
+        depth: [H,W] in metres.
+        cls, K, camera_height_m: as in :func:`ground_plane_depth`.
+        reach: above 1 by as much as ground rises and falls.
+    """
+    traffic = np.isin(cls, classes.TRAFFIC)
+    if traffic.any():
+        ground_m = ground_plane_depth(cls, K, camera_height_m)
+        depth[traffic] = np.minimum(depth[traffic], reach * ground_m[traffic])

@@ -18,4 +18,8 @@ class Perception(Section):
         Field(description="where metres come from: the network, the camera's height over the road, LiDAR, nowhere"),
     ] = "metric"
     camera_height_m: Positive = CAMERA_HEIGHT_M
+    reach: Annotated[
+        Annotated[float, Field(ge=1)] | None,
+        Field(description="how many times as far as flat ground at its foot traffic is, at most; null: any"),
+    ] = None
     precision: Literal["auto", "bfloat16", "float32"] = "auto"

@@ -2,7 +2,7 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.geometry import back_project
-from pipeline.perception.ground_plane import ground_plane_depth
+from pipeline.perception.ground_plane import ground_plane_depth, put_on_ground
 from tests import street
 
 
@@ -28,3 +28,19 @@ def test_twice_as_high_is_twice_as_far() -> None:
     cls = street.scene(3)[2]
     near = ground_plane_depth(cls, street.K, 1.0)
     np.testing.assert_allclose(ground_plane_depth(cls, street.K, 2.0)[near < 60], 2 * near[near < 60])
+
+
+def test_traffic_is_no_farther_than_its_foot_and_nothing_else_moves() -> None:
+    _, truth, cls = street.scene(0)
+    cls = cls.copy()
+    column = np.flatnonzero((cls == classes.ROAD).any(axis=0) & (cls == classes.BUILDING).any(axis=0))[0]
+    lorry = np.zeros(cls.shape, bool)
+    lorry[:, column] = cls[:, column] == classes.BUILDING
+    cls[lorry] = classes.TRUCK
+    seen = np.where(lorry, 70.0, truth)
+    put_on_ground(seen, cls, street.K, 1.65, reach=1.1)
+    np.testing.assert_array_equal(seen[~lorry], truth[~lorry])
+    np.testing.assert_allclose(seen[lorry], 1.1 * ground_plane_depth(cls, street.K, 1.65)[lorry])
+    near = np.where(lorry, 2.0, truth)
+    put_on_ground(near, cls, street.K, 1.65, reach=1.1)
+    assert (near[lorry] == 2.0).all()

@@ -50,7 +50,7 @@ def test_a_step_takes_points_from_this_frame_to_the_one_before() -> None:
     first, second = street.arc(2, 0.4, 8.0)
     _, one = measured(views(first, second))
     assert one
-    np.testing.assert_allclose(one.T_before, np.linalg.inv(first) @ second, atol=0.01)
+    np.testing.assert_allclose(one.T_before, np.linalg.inv(first) @ second, atol=0.02)
 
 
 def test_a_wrong_scale_is_corrected_by_the_cameras_height_and_reported() -> None:

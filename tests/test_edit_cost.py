@@ -52,6 +52,7 @@ def edit(project: Path) -> Iterator[object]:
         ("pipeline/report/street_view.py", {"pictures"}),
         ("pipeline/perception/scores.py", {"scores"}),
         ("pipeline/perception/ground_plane.py", {"scores"}),
+        ("pipeline/perception/motion_scores.py", {"scores"}),
         ("stages/scores.py", {"scores"}),
     ],
 )
@@ -92,7 +93,8 @@ def test_a_network_trains_the_models_that_use_it(edit, file: str, models: set[st
         ("pipeline/encoder/fit.py", {"encoder"}),
         ("pipeline/encoder/examples.py", {"encoder"}),
         ("models/encoder/backbones/swin.py", {"encoder", "perception", "scores"}),
-        ("pipeline/label.py", {"labels"}),
+        ("pipeline/label.py", {"labels", "scores"}),  # scores: the angle that measured motion says
+        ("pipeline/motion/pose.py", {"motion"}),
         ("pipeline/graphs/neighbourhoods.py", {"graphs@semantic"}),
         ("pipeline/graphs/cloud.py", {"clouds", "graphs@semantic"}),
         ("pipeline/town/street.py", {"town"}),

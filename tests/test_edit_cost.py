@@ -54,6 +54,7 @@ def edit(project: Path) -> Iterator[object]:
         ("pipeline/report/street_view.py", {"pictures"}),
         ("pipeline/perception/scores.py", {"scores"}),
         ("pipeline/perception/ground_plane.py", {"scores"}),
+        ("pipeline/perception/motion_scores.py", {"scores"}),
         ("stages/scores.py", {"scores"}),
     ],
 )
@@ -94,8 +95,12 @@ def test_a_network_trains_the_models_that_use_it(edit, file: str, models: set[st
         ("pipeline/encoder/fit.py", {"encoder"}),
         ("pipeline/encoder/examples.py", {"encoder"}),
         ("models/encoder/backbones/swin.py", {"encoder", "perception", "scores"}),
-        # The measured angle is what a network with motion adds to.
-        ("pipeline/label.py", {"labels", *(f"{stage}@{model}" for stage in ("train", "evaluate") for model in MODELS)}),
+        # The angle that measured motion says: scores judge it, and a network with motion adds to it.
+        (
+            "pipeline/label.py",
+            {"labels", "scores", *(f"{stage}@{model}" for stage in ("train", "evaluate") for model in MODELS)},
+        ),
+        ("pipeline/motion/pose.py", {"motion"}),
         ("pipeline/graphs/neighbourhoods.py", {"graphs@semantic"}),
         ("pipeline/graphs/cloud.py", {"clouds", "graphs@semantic"}),
         ("pipeline/town/street.py", {"town"}),

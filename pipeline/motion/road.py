@@ -9,9 +9,9 @@ from collections import deque
 import numpy as np
 
 AHEAD, ASIDE = 8.0, 1.5  # camera heights: the patch in front of the car where a road is looked for
-MIN_PIXELS = 100
 FLAT = 0.25  # heights of a road differ by this share at most
-MIN_SHARE = 0.6  # of a patch that is flat
+MIN_SEEN = 0.7  # share of the patch that must be free: in a queue, what is seen between cars says little
+MIN_FLAT = 0.6  # share of it that must be flat
 HORIZON = 0.05  # metres down per metre ahead, at least: farther than 20 camera heights, depth is a guess
 FRAMES = 25  # whose median height counts: a camera's height does not change, what the network says of it does
 SLOPES, LEVEL = 50, 10  # steps whose mean direction is the road's; so many that go straight on are taken for granted
@@ -36,10 +36,11 @@ class Road:
         slope = sum(self._slopes) / (len(self._slopes) + LEVEL)
         below = self._down - slope  # of a plane along the direction of travel
         height_m = depth_m * below.astype(np.float32)
-        patch = height_m[usable & (below > 1 / AHEAD) & (np.abs(self._right) < ASIDE * below)]
-        if len(patch) >= MIN_PIXELS:
+        in_front = (below > 1 / AHEAD) & (np.abs(self._right) < ASIDE * below)
+        patch = height_m[usable & in_front]
+        if len(patch) > MIN_SEEN * in_front.sum():
             median = float(np.median(patch))
-            if (np.abs(patch / median - 1) < FLAT).mean() >= MIN_SHARE:
+            if (np.abs(patch / median - 1) < FLAT).mean() > MIN_FLAT:
                 self._heights.append(median)
         if not self._heights:
             return np.zeros(depth_m.shape, bool), 1.0

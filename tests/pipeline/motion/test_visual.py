@@ -123,3 +123,10 @@ def test_the_same_again_is_the_same_to_the_last_bit() -> None:
         assert one
         assert other
         np.testing.assert_array_equal(one.T_before, other.T_before)
+
+
+def test_in_a_queue_the_scale_is_not_taken_from_what_is_seen_between_cars() -> None:
+    frames = rescaled(views(*street.arc(3, 0.0, 3.0)), 0.7, 1.0)
+    for frame in frames:
+        frame.cls[55:, 130:190] = classes.CAR
+    assert {one.scale for one in measured(frames) if one} <= {1.0}

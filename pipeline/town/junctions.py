@@ -17,10 +17,10 @@ def crossing_arms(route: Route, start: float, end: float, rng: np.random.Generat
     return [Arm((first + last) / 2, float(square + turn), False, length, half) for turn in sides]
 
 
-def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator, open_chance: float = 0.0) -> list[Arm]:
+def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
     """Draw which of the ways that the ego does not take exist where it turns from s `start` to `end`.
 
-    Each is closed but for `open_chance`: where it is open, nobody sees beforehand which way the ego takes.
+    They are closed: where they were open, nobody could see beforehand which way the ego takes.
     """
     first, heading_in = route.at(start, route.centre_m)
     last, heading_out = route.at(end, route.centre_m)
@@ -31,7 +31,7 @@ def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator, 
     middle = first + along * into
     which = rng.integers(4)  # a plain corner | a T, coming from its stem | straight on | both
     headings = [float(heading_out + np.pi)] * (which in (1, 3)) + [float(heading_in)] * (which in (2, 3))
-    return [Arm(middle, heading, bool(rng.random() >= open_chance), length, half) for heading in headings]
+    return [Arm(middle, heading, True, length, half) for heading in headings]
 
 
 def arm_is_clear(arm: Arm, xy: np.ndarray) -> bool:

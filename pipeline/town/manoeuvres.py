@@ -10,7 +10,6 @@ from pipeline.town.route import BEHIND_M, STEP_M, Piece, Route, bend, trace
 DECK = ("right", "bend+", "crossing", "left", "sweep-", "corner+", "bend-", "sweep+", "corner-")
 """What a road is made of, in an order of its own for every road: right and left turns as cars take them at crossings,
 corners of wider roads, bends, long sweeps (+ left, - right), and straight on past side roads."""
-_OPEN_CHANCE = 0.3  # that another way than the driven one is open where the ego turns
 _APART_M, _ROOM_M = 60.0, 32.0  # stretches farther from each other along the road keep such a distance
 
 
@@ -51,11 +50,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
     for kind, start, end in ((kind, start - origin, end - origin) for kind, start, end in begun):
         if kind in ("bend", "sweep") or end > s[stop - 1]:
             continue
-        ways = (
-            crossing_arms(route, start, end, rng)
-            if kind == "crossing"
-            else turn_arms(route, start, end, rng, _OPEN_CHANCE)
-        )
+        ways = crossing_arms(route, start, end, rng) if kind == "crossing" else turn_arms(route, start, end, rng)
         arms += ways
         junctions += [(start + end) / 2] * bool(ways)
     return replace(route, junctions_m=tuple(junctions), arms=tuple(arms))

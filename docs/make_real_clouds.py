@@ -15,15 +15,16 @@ from pipeline.report import street_view
 
 DOCS = Path(__file__).resolve().parent
 ROWS = (  # clouds, drive, what it is, frames
-    ("pseudo", "2011_09_26_drive_0052", "from the image", (8, 24, 40)),
-    ("lidar", "2011_09_26_drive_0052", "LiDAR, coloured by the image's classes", (8, 24, 40)),
+    ("pseudo", "2011_09_26_drive_0005", "from the image", (20, 65, 110)),
+    ("lidar", "2011_09_26_drive_0005", "LiDAR, coloured by the image's classes", (20, 65, 110)),
     ("pseudo", "2011_10_03_drive_0042", "from the image, grey", (8, 25, 42)),
+    ("lidar", "2011_10_03_drive_0042", "LiDAR, coloured by the image's classes", (8, 25, 42)),
 )
 
 
 def main(data: Path = Path("data")) -> None:
     """Draw a row of clouds for each entry of ROWS. No picture of KITTI's, whose licence is non-commercial, is shown."""
-    figure = Figure(figsize=(10, 11.5), layout="constrained")
+    figure = Figure(figsize=(10, 15), layout="constrained")
     seen = []
     for strip, (kind, drive, what, frames) in zip(figure.subfigures(len(ROWS)), ROWS, strict=True):
         strip.suptitle(f"{drive}, {what}", fontsize="medium")

@@ -1,30 +1,21 @@
 """Stage perception: depth and classes of every image, by one forward pass of the unified encoder."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.base import console, progress, store
 from pipeline.base.params import load
 from pipeline.base.pool import Summary, run_over_drives
-from pipeline.camera.geometry import scan_depth
 from pipeline.encoder import precomputed
+from pipeline.perception import batches
+from pipeline.perception.batches import Batch
 from pipeline.perception.depth_scale import MODES, Frame
 from pipeline.perception.ground_plane import put_on_ground
 from pipeline.sections.perception import Perception
-
-
-class Batch(NamedTuple):
-    """Frame numbers [B], images uint8 [B,H,W,3], intrinsics [3,3], and depth [H,W] of each LiDAR scan if asked for."""
-
-    frames: np.ndarray
-    images: np.ndarray
-    K: np.ndarray
-    scans_m: list[np.ndarray | None]
 
 
 def main(
@@ -74,9 +65,9 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
         target.put("time_s", source.time_s[rows], "s")
         target.append("depth_m", np.zeros((0, *size), np.uint16), f"{mode.unit}, 0 = none")
         target.append("cls", np.zeros((0, *size), np.uint8), "Cityscapes trainId")
-        batches = _read(source, rows, settings.batch, scans=mode.needs_scan)
+        images = batches.read(source, rows, settings.batch, scans=mode.needs_scan)
         # One thread reads, others run the network, this one scales and writes.
-        with closing(passes(lambda batch: (batch, *see(batch)), batches)) as results:
+        with closing(passes(lambda batch: (batch, *see(batch)), images)) as results:
             for batch, depth, cls in results:
                 for metres, seen, scan_m in zip(depth, cls, batch.scans_m, strict=True):
                     factor = mode.rescale(Frame(metres, seen, scan_m, batch.K, settings.camera_height_m), factor)
@@ -86,21 +77,6 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
                 target.append("cls", cls)
                 progress.advance(len(cls))
     return {"frames": len(rows)}
-
-
-def _read(source: store.DriveReader, rows: np.ndarray, size: int, *, scans: bool) -> Generator[Batch]:
-    """Yield the frames in `rows`, `size` of them at a time."""
-    for start in range(0, len(rows), size):
-        batch = rows[start : start + size]
-        # Row by row: few frames may have an image, and those between are not to be read.
-        images = np.stack([source.row("image", row) for row in batch])
-        scans_m = [_scan(source, row) if scans and source.row("has_lidar", row) else None for row in batch]
-        yield Batch(source.frame[batch], images, source["K"], scans_m)
-
-
-def _scan(source: store.DriveReader, row: int) -> np.ndarray:
-    scan = source.rows("lidar", *source.rows("lidar_ptr", row, row + 2))
-    return scan_depth(scan, source["T_cam_velo"], source["K"], source.dataset("image").shape[1:3])
 
 
 def _eye(encoder: Path, drive: str, precision: str) -> Callable[[Batch], tuple[np.ndarray, np.ndarray]]:

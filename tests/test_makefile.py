@@ -1,4 +1,4 @@
-"""What ``make PRESET`` prepares; in place of DVC stands a command that writes down how it was called."""
+"""What ``make PRESET`` prepares; in place of DVC, and of what draws, stands a command that notes how it was called."""
 
 import os
 import shutil
@@ -20,10 +20,17 @@ repro) mkdir -p data/report && echo "| of $(basename "$PWD") |" | tee data/repor
 esac
 """
 
+PYTHON = """#!/bin/sh
+case "$2" in
+pipeline.report.*) echo "$@" >> {log} ;;
+*) exec "{python}" "$@" ;;
+esac
+"""
+
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A copy of the project, with an environment whose python is this one and whose dvc only pretends."""
+    """A copy of the project; its python is this one, but draws no report, and its dvc only pretends."""
     folder = tmp_path / "checkout"
     ignore = shutil.ignore_patterns("__pycache__")
     for room in ("pipeline", "models", "stages", "presets"):
@@ -32,11 +39,8 @@ def checkout(tmp_path: Path) -> Path:
         (folder / name).parent.mkdir(exist_ok=True)
         shutil.copyfile(ROOT / name, folder / name)
     (folder / "fake/bin").mkdir(parents=True)
-    for name, text in {
-        "python": f'#!/bin/sh\nexec "{sys.executable}" "$@"\n',
-        "dvc": DVC.format(log=folder / "calls"),
-    }.items():
-        (folder / "fake/bin" / name).write_text(text)
+    for name, text in {"python": PYTHON, "dvc": DVC}.items():
+        (folder / "fake/bin" / name).write_text(text.format(log=folder / "calls", python=sys.executable))
         (folder / "fake/bin" / name).chmod(0o755)
     return folder
 
@@ -72,10 +76,21 @@ def test_presets_run_in_copies_of_the_code_and_leave_ones_own_files_alone(checko
 
 
 @pytest.mark.slow
+def test_studies_are_drawn_from_their_run_and_no_other_preset_is(checkout: Path) -> None:
+    for name in ("table2", "studies"):
+        made = make(checkout, name)
+        assert made.returncode == 0, made.stderr
+    calls = (checkout / "calls").read_text().splitlines()
+    drawn = "-m pipeline.report.studies --evaluate runs/studies/data/evaluate --params runs/studies/params.yaml"
+    assert [call for call in calls if "pipeline.report" in call] == [drawn]
+    assert calls[-2:] == ["repro", drawn]
+
+
+@pytest.mark.slow
 def test_a_preset_is_written_over_params_yaml(checkout: Path) -> None:
     asked = make(checkout, "params")
     assert asked.returncode != 0
-    assert "kitti real replay table2" in asked.stderr
+    assert " ".join(sorted(path.stem for path in preset.PRESETS.glob("*.yaml"))) in asked.stderr
     (checkout / "mine.yaml").write_text("train: {epochs: 3}\n")
     made = make(checkout, "params", "PRESET=mine.yaml")
     assert "mine.yaml" in made.stdout, made.stderr

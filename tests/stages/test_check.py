@@ -8,11 +8,14 @@ import pytest
 import torch
 import yaml
 
+from models.steering.core import steering_net
 from pipeline.base import provenance
 from pipeline.base.errors import InputError
 from pipeline.encoder import weights
+from pipeline.report.tables import paper
 from pipeline.report.tables.paper import PAPER
 from pipeline.sections import preset
+from pipeline.sections.models import Model
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +23,7 @@ FIT = {"epochs": 1, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PRECOMPUTED = {"backbone": "precomputed", **FIT}
 
 
-@pytest.mark.parametrize("name", [None, "kitti", "real", "replay", "table2"])
+@pytest.mark.parametrize("name", [None, *sorted(path.stem for path in preset.PRESETS.glob("*.yaml"))])
 def test_the_projects_own_files_are_right(name: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the weights lie that nothing fetches; none is read, none fetched."""
 
@@ -55,8 +58,26 @@ def test_weights_that_nothing_will_fetch_are_missed_before_ingest(
 
 def test_table2_shares_the_samples_artefacts() -> None:
     own, table2 = yaml.safe_load((ROOT / "params.yaml").read_text()), preset.merged("table2")
-    assert {key for key in own if own[key] != table2[key]} == {"models", "train"}
-    assert {**PAPER, "sa-gnn-ncp-unpruned": None}.keys() == table2["models"].keys()
+    assert {key for key in own if own[key] != table2[key]} == {"graphs", "models", "train"}
+    assert own["graphs"].items() <= table2["graphs"].items()  # one is added
+    assert own["models"].items() <= table2["models"].items()
+
+
+def test_table2_has_the_papers_networks_as_the_paper_has_them() -> None:
+    models = preset.merged("table2")["models"]
+    for name in PAPER:
+        line = steering_net.resolved(load_model(models[name]))
+        assert (
+            paper.name(line | ({"width": 1.0} if "width" in line else {})) == name
+        )  # narrower, as the sample is small
+    others = [steering_net.resolved(load_model(line)) for name, line in models.items() if name not in PAPER]
+    assert others
+    assert not any(map(paper.name, others))
+
+
+def load_model(line: dict[str, Any]) -> dict[str, Any]:
+    """Return a model's line of params.yaml with the defaults of what all models have."""
+    return Model.model_validate(line).model_dump()
 
 
 @pytest.mark.parametrize(

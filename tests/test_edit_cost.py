@@ -95,7 +95,10 @@ def test_a_network_trains_the_models_that_use_it(edit, file: str, models: set[st
         ("models/encoder/backbones/swin.py", {"encoder", "perception", "scores"}),
         ("pipeline/perception/ground_plane.py", {"perception", "scores"}),  # perception.reach needs it, too
         # The measured angle is what motion is scored by, and what a network with motion adds to.
-        ("pipeline/label.py", {"labels", "scores", *(f"{s}@{model}" for s in ("train", "evaluate") for model in MODELS)}),
+        (
+            "pipeline/label.py",
+            {"labels", "scores", *(f"{s}@{model}" for s in ("train", "evaluate") for model in MODELS)},
+        ),
         ("pipeline/graphs/neighbourhoods.py", {"graphs@semantic"}),
         ("pipeline/graphs/cloud.py", {"clouds", "graphs@semantic"}),
         ("pipeline/town/street.py", {"town"}),

@@ -199,7 +199,7 @@ def _check_folds(folder: Path, model: str, sample: list[str], real: dict[str, ra
         judged = result["test"]["by_drive"][drive]
         assert judged["frames"] == len(frames) - (window - 1) - horizon
         assert judged["baselines"]["zero"]["nmse"] == 1.0
-        assert judged["baselines"]["odometry"]["nmse"] < 0.8  # of the angle a second ago, in a bend
+        assert judged["baselines"]["odometry"]["nmse"] < 0.3  # of the angle a second ago: 0.11, 0.17
         assert judged["nmse"] < 1.5  # not trained to speak of, but odometry is where it starts
     table = (folder / "data/report/table.md").read_text()
     header = next(line for line in table.splitlines() if line.startswith("| model |"))

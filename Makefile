@@ -27,9 +27,9 @@ $(PRESETS): setup
 	@cp -R pipeline models stages dvc.yaml .dvcignore "runs/$@/" && cp data/.gitignore "runs/$@/data/"
 	@ln -sfn ../../../data/raw "runs/$@/data/raw" && ln -sfn ../../weights "runs/$@/weights"
 	@cd "runs/$@" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
+	@rm -rf "data/report/$@"; [ ! -e "runs/$@/data/report/settings/studies.md" ] || cp -RL "runs/$@/data/report/settings" "data/report/$@"
 	@for kind in md csv; do cp "runs/$@/data/report/table.$$kind" "data/report/$@.$$kind"; done
 	@cat "data/report/$@.md"
-	@[ "$@" != studies ] || python -m pipeline.report.studies --evaluate "runs/$@/data/evaluate" --params "runs/$@/params.yaml"
 
 PRESET ?=
 params: setup          ## a preset's changes written into params.yaml: make params PRESET=kitti, or a file of your own

@@ -34,11 +34,17 @@ def main(params: Path = Path("params.yaml")) -> Path:
         load(section, params)
     with explained(str(params)):
         check_encoder(load(Encoder, params))
+    ingest, motion = load(Ingest, params), load(Motion, params)
+    if "lidar" in motion.kinds and not ingest.lidar:
+        raise InputError(f"{params}: motion.kinds: lidar is measured from scans, and ingest.lidar: false reads none")
     variants = {name: load_entry(Variant, "graphs", name, params) for name in names("graphs", params)}
+    for name, variant in variants.items():
+        if variant.accumulate and variant.accumulate.motion not in motion.kinds:
+            raise InputError(f"{params}: graphs.{name}.accumulate.{not_measured(variant.accumulate.motion, motion)}")
     for name in names("models", params):
         settings = load_entry(Model, "models", name, params)
         try:
-            check_model(settings, variants, load(Ingest, params), load(Motion, params))
+            check_model(settings, variants, ingest, motion)
         except (InputError, ValueError) as error:
             raise InputError(f"{params}: models.{name}.{error}") from error
     return params
@@ -74,7 +80,9 @@ def check_model(settings: Model, variants: dict[str, Variant], ingest: Ingest, m
             f"input = {settings.input!r} is not a variant in graphs: {closest(settings.input, [*variants])}"
         )
     if settings.motion not in ("none", *motion.kinds):
-        raise ValueError(f"motion = {settings.motion!r} is not measured: motion.kinds has {', '.join(motion.kinds)}")
+        raise ValueError(not_measured(settings.motion, motion))
+    if variants[settings.input].source == "clouds/lidar" and not ingest.lidar:
+        raise ValueError(f"input = {settings.input!r} is made of scans, and ingest.lidar: false reads none")
     variant, line = variants[settings.input], settings.model_dump()
     runs.folds(ingest.drives.splits(), line)
     steering_net.build(line, variant.kind, len(variant.levels), ingest.image_size)
@@ -86,6 +94,10 @@ def check_model(settings: Model, variants: dict[str, Variant], ingest: Ingest, m
                 f"{part} = {name!r}: {own} uses {', '.join(map(str, others))}, which could be edited without training "
                 "this model again: move what it needs from there to models/steering/core"
             )
+
+
+def not_measured(kind: str, motion: Motion) -> str:
+    return f"motion = {kind!r} is not measured: motion.kinds has {', '.join(motion.kinds)}"
 
 
 def unwatched(files: Iterable[Path], own: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from pipeline.kitti import oxts
 from pipeline.kitti.ingest_file import PIXELS, put_camera, put_motion, put_pixels, put_scans
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from pipeline.kitti.tolerant import TolerantReader
-from pipeline.sections.ingest import Ingest
+from pipeline.sections.ingest import SAMPLE, Ingest
 
 MISSING = {
     "town": "{root} is missing. Make it: dvc repro town",
@@ -39,6 +39,12 @@ def main(
     splits, sources = settings.drives.splits(), settings.sources()
     roots = {"town": town, "kitti": raw}
     drives: dict[str, RawDrive] = {}
+    for drive in splits if settings.source == "both" else ():
+        if sources[drive] == "town" and (raw / drive[:10] / f"{drive}_sync").is_dir():
+            raise InputError(
+                f"{drive} lies in {raw}, but with ingest.source: both what is called {SAMPLE}… is the sample's: give "
+                "its folder a date of another year, or read it with source: kitti, without the sample"
+            )
     for source, root in roots.items():
         names = [drive for drive in splits if sources[drive] == source]
         if names and not root.is_dir():

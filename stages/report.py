@@ -1,14 +1,17 @@
-"""Put the evaluated models side by side: data/report/{table.md, table.csv, metrics.json, learning/, steering/}."""
+"""Put models side by side: data/report/{table.md, table.csv, metrics.json, learning/, steering/, settings/}."""
 
-import csv
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from pipeline.base import console, store
 from pipeline.base.atomic import replacing
 from pipeline.base.lock import held
-from pipeline.base.params import names
+from pipeline.base.params import load, names
+from pipeline.report.studies import claims, figure, study, tables
 from pipeline.report.tables import (
     comparison,
+    csv_file,
     curves,
     metrics,
     motion_table,
@@ -16,6 +19,7 @@ from pipeline.report.tables import (
     steering_rows,
     steering_table,
 )  # fmt: skip
+from pipeline.sections.evaluate import Evaluate
 
 
 def main(
@@ -27,8 +31,9 @@ def main(
 ) -> Path:
     """Write each model of the params file on the test drives, the trivial predictors, what depth and motion are worth.
 
-    Beside the table, the same for DVC's own views: flat figures, learning curves, driven and predicted steering.
-    Models that are not evaluated here are named. Returns `out`.
+    Beside the table, the same for DVC's own views: flat figures, learning curves, driven and predicted steering; and
+    what single settings are worth, if there are models of a study. Models that are not evaluated here are named.
+    Returns `out`.
     """
     models = names("models", params)
     here = [model for model in models if (evaluate / model / "metrics.json").is_file()]
@@ -47,19 +52,34 @@ def main(
     with held(out, out.parent / ".resume" / out.name):
         with replacing(out / "table.md") as tmp:
             tmp.write_text(text, encoding="utf-8")
-        with replacing(out / "table.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-            rows = steering_rows.rows(results)
-            table = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
-            table.writeheader()
-            table.writerows(rows)
+        csv_file.write(out / "table.csv", steering_rows.rows(results))
         store.write_json(out / "metrics.json", metrics.figures(results, encoder))
-        for folder in ("learning", "steering"):  # DVC misses an out that is not there, be it empty
+        for folder in ("learning", "steering", "settings"):  # DVC misses an out that is not there, be it empty
             (out / folder).mkdir(exist_ok=True)
         for model in here:
             curves.write_learning(train / model, out / "learning")
             curves.write_steering(evaluate / model, out / "steering")
+        text += write_studies(results, evaluate, out / "settings", load(Evaluate, params))
     print(text)
     return out
+
+
+def write_studies(results: Sequence[dict[str, Any]], evaluate: Path, out: Path, settings: Evaluate) -> str:
+    """Write table.md, table.csv and figures of what single settings are worth; return the tables.
+
+    Nothing, where no model is of a study.
+    """
+    studies = study.points(results)
+    if not studies:
+        return ""
+    for name, points in studies.items():
+        figure.draw(out / f"{name}.png", study.STUDIES[name], points)
+    lines = [line for name, points in studies.items() for line in tables.markdown(name, points)]
+    text = "\n".join([*lines, *claims.markdown(results, evaluate, settings)])
+    with replacing(out / "studies.md") as tmp:
+        tmp.write_text(text, encoding="utf-8")
+    csv_file.write(out / "studies.csv", [row for name, points in studies.items() for row in tables.rows(name, points)])
+    return f"\n{text}"
 
 
 if __name__ == "__main__":

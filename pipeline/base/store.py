@@ -241,10 +241,10 @@ class DriveReader:
         self._file.close()
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write JSON with sorted keys, in one step: nobody ever reads a half-written file."""
+def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
+    """Write JSON in one step: nobody ever reads a half-written file."""
     with replacing(path) as tmp:
-        tmp.write_text(json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+        tmp.write_text(json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path, *, stage: str) -> Any:
@@ -256,12 +256,15 @@ def read_json(path: Path, *, stage: str) -> Any:
 
 
 def write_index(folder: Path, splits: Mapping[str, str]) -> None:
-    """Write ``index.json``: drive name → its split (train, val or test), the drives that `folder` has a file for."""
-    write_json(folder / "index.json", {"schema": SCHEMA, "drives": dict(splits)})
+    """Write ``index.json``: drive name → its split (train, val or test), the drives that `folder` has a file for.
+
+    Their order stays: a model's `roads` are the first ones.
+    """
+    write_json(folder / "index.json", {"drives": dict(splits), "schema": SCHEMA}, sort_keys=False)
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
-    """Return drive name → split of a stage's folder. Raises InputError if a drive that it names has no file."""
+    """Return drive name → split of a stage's folder, in its order. Raises InputError if a drive that it names has no file."""
     index = read_json(folder / "index.json", stage=stage)
     if index.get("schema") != SCHEMA:
         raise InputError(

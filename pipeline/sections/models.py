@@ -31,7 +31,10 @@ class Model(Section):
     ] = "none"
     fit_to: Annotated[
         Literal["train", "others", "both"],
-        Field(description="training drives | for each test drive, a network fitted to the other test drives | to both"),
+        Field(
+            description="training drives | for each test drive, a network fitted to the other test drives alone, which "
+            "nothing validates: the last epoch counts | to both"
+        ),
     ] = "train"
     roads: Annotated[Count | None, Field(description="the first so many training drives; null: all")] = None
 

@@ -1,7 +1,8 @@
 """Which networks a model's line asks for: what each is fitted to and judged by, and which folder holds it.
 
 A run is one network: a seed, and a fold. There is one fold with `fit_to: train`; with `others` or `both` there is one
-for each test drive, whose network is fitted to the other test drives, and judges that one.
+for each test drive, whose network is fitted to the other test drives, and judges that one. With `others` there are no
+validation drives either: they are of training's world, and would choose the epoch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,7 +52,7 @@ def folds(splits: Mapping[str, str], line: Mapping[str, Any]) -> list[Fold]:
     train = train[:roads]
     if fit_to == "train":
         return [Fold(None, train, val, test)]
-    left = train if fit_to == "both" else ()
+    left, val = (train, val) if fit_to == "both" else ((), ())
     made = [Fold(drive, left + tuple(other for other in test if other != drive), val, (drive,)) for drive in test]
     if not made or not all(fold.train for fold in made):
         raise InputError(f"fit_to = {fit_to!r}: {', '.join(test) or 'none'} is the only test drive: name more of them")

@@ -1,5 +1,6 @@
 """The experiment at a small part of its size, on noise in KITTI's layout."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.kitti.raw import find_drives
 from pipeline.sections.preset import find
+from stages import encoder
 from tests.kitti_drive import SIZE, write_drive
 
 FRAMES = 3
@@ -53,9 +55,18 @@ def test_each_drive_has_its_line(
     teacher = {"backbone": "espnetv2", "weights": {"backbone": str(tmp_path / "city.pth")}}
     changes["encoder"] |= {"backbone": "small", "weights": None, "frozen": False, "teacher": teacher}
     (tmp_path / "small.yaml").write_text(yaml.safe_dump(changes))
+    taught, fit = [], encoder.main
+
+    def noted(ingest: Path, out: Path, params: Path) -> Path:
+        taught.append(json.loads((fit(ingest, out, params) / "config.json").read_text())["frames_per_drive"])
+        return out
+
+    monkeypatch.setattr(encoder, "main", noted)
     real_depth.main(*roots, ["0039", "0052"], str(tmp_path / "small.yaml"), frames=4, epochs=1)
     printed = capsys.readouterr()
     assert "class_head by the teacher's classes" in printed.err
+    left_out = [set(real_depth.DRIVES) - frames.keys() for frames in taught]  # of both networks
+    assert left_out == [{"2011_09_26_drive_0039"}] * 2 + [{real_depth.FULL_SIZE}] * 2
     lines = [line.strip("|").split("|") for line in printed.out.splitlines()]
     assert {len(cells) for cells in lines} == {10}
     grey, full = ([cell.strip() for cell in cells] for cells in lines[2:])

@@ -94,6 +94,7 @@ def load_model(line: dict[str, Any]) -> dict[str, Any]:
             "models.sa-gnn-ncp.width = 0.25 means nothing to .*gnn.*ncp.*layers, semantics",
         ),
         ("models.sa-gnn-ncp.motion", "lidar", "models.sa-gnn-ncp.motion = 'lidar' .*motion.kinds has visual"),
+        ("graphs.semantic.accumulate", {"motion": "lidar", "frames": 2}, "semantic.accumulate.motion = 'lidar' is not"),
         ("models.sa-gnn-ncp.motion", "gps", "models.sa-gnn-ncp.motion = 'gps'"),
         ("models.sa-gnn-ncp.horizon", -1, "models.sa-gnn-ncp.horizon = -1"),
         ("models.sa-gnn-ncp.roads", 1000, r"models.sa-gnn-ncp.roads = 1000: there are \d+ training drives"),
@@ -147,6 +148,24 @@ def test_faults_are_found_wherever_they_are(tmp_path: Path, where: str, value: A
         check.main(tmp_path / "params.yaml")
     assert re.search(message, str(caught.value))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("motion", "source", "message"),
+    [
+        (["visual", "lidar"], "clouds/pseudo", "motion.kinds: lidar is measured from scans, and ingest.lidar: false"),
+        (["visual"], "clouds/lidar", "models.sa-gnn-ncp.input = 'semantic' is made of scans, and ingest.lidar: false"),
+    ],
+)
+def test_nothing_is_made_of_scans_that_are_not_read(
+    tmp_path: Path, motion: list[str], source: str, message: str
+) -> None:
+    content = yaml.safe_load((ROOT / "params.yaml").read_text())
+    content["ingest"]["lidar"], content["motion"]["kinds"] = False, motion
+    content["graphs"]["semantic"]["source"] = source
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(InputError, match=message):
+        check.main(tmp_path / "params.yaml")
 
 
 @pytest.mark.parametrize(

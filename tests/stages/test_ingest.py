@@ -296,6 +296,9 @@ def test_of_both_each_drive_comes_from_its_own_folder(tmp_path: Path) -> None:
         with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
             assert (file.attrs["source"], len(file.frame)) == (source, frames)
             assert ("cls" in file) == (source == "town")
+    write_drive(tmp_path / "raw", sample)
+    with pytest.raises(InputError, match=rf"{sample} lies in .*raw, but with ingest.source: both what is called 2026_"):
+        ingest.main(**folders, params=params, workers=1)
     shutil.rmtree(tmp_path / "raw")
     with pytest.raises(InputError, match=r"raw is missing\. Link it"):
         ingest.main(**folders, params=params, workers=1)

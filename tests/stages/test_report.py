@@ -12,7 +12,9 @@ from tests.pipeline.report.tables.results import result
 
 
 def run(folder: Path, *models: str) -> str:
-    (folder / "params.yaml").write_text(f"models: {{{', '.join(f'{model}: {{}}' for model in models)}}}")
+    settings = "evaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, curvature_bins_1pm: [0.1], seed: 0}"
+    content = f"models: {{{', '.join(f'{model}: {{}}' for model in models)}}}\n{settings}\n"
+    (folder / "params.yaml").write_text(content)
     out = report.main(*(folder / name for name in ("evaluate", "report", "params.yaml", "scores", "train")))
     assert out == folder / "report"
     return (out / "table.md").read_text()
@@ -55,6 +57,24 @@ def test_figures_and_curves_lie_beside_the_table(tmp_path: Path) -> None:
     assert (tmp_path / "report/table.csv").read_text().splitlines()[1].startswith("net,semantic,gnn,ncp,ltc,")
     assert [path.name for path in (tmp_path / "report/steering").iterdir()] == ["net.csv"]
     assert list((tmp_path / "report/learning").iterdir()) == []  # trained elsewhere, and still an out
+    assert list((tmp_path / "report/settings").iterdir()) == []  # no study
+
+
+@pytest.mark.slow
+def test_models_of_a_study_have_a_figure_and_a_table(tmp_path: Path) -> None:
+    for model in ("sa-gnn-ncp", "points-125", "lambda-0"):
+        evaluate(tmp_path, model)
+    run(tmp_path, "sa-gnn-ncp", "points-125", "lambda-0")
+    made = sorted(path.name for path in (tmp_path / "report/settings").iterdir())
+    assert made == ["lambda.png", "points.png", "studies.csv", "studies.md"]
+    text = (tmp_path / "report/settings/studies.md").read_text()
+    assert text.startswith("## points\n\n| points a frame |")
+    assert "- semantics: λ = 1 against 0: no difference shown." in text
+    rows = (tmp_path / "report/settings/studies.csv").read_text().splitlines()
+    assert [row.split(",")[:3] for row in rows[1:3]] == [
+        ["points", "125", "points-125"],
+        ["points", "1000", "sa-gnn-ncp"],
+    ]
 
 
 def test_the_same_again_is_the_same_bytes(tmp_path: Path) -> None:

@@ -274,10 +274,11 @@ def test_with_motion_and_a_horizon_the_measured_angle_is_where_learning_starts(f
 @pytest.mark.slow
 def test_roads_are_the_first_training_drives(folder: Path) -> None:
     write_params(folder, {"roads": 2}, epochs=1)
+    store.write_index(folder / "graphs/semantic", dict(reversed(SPLITS.items())))
     run_train(folder)
     assert torch.load(folder / "train/net/best.pt", weights_only=True)["model"]["roads"] == 2
     result = json.loads((run_evaluate(folder) / "metrics.json").read_text())
-    assert result["drives"]["train"] == ["2026_01_01_drive_0001", "2026_01_01_drive_0002"]
+    assert result["drives"]["train"] == ["2026_01_01_drive_0003", "2026_01_01_drive_0002"]
 
 
 @pytest.mark.slow

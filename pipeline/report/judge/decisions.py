@@ -1,9 +1,9 @@
 """Where a driver decides: the onset of a turn, which nobody can know who does not know the way.
 
-The rule looks at what was recorded alone. The onset is the frame at which |curvature| leaves STRAIGHT, after a second
-below it, if the car turns by TURN within the next REACH metres: as it does at a street corner, and neither in a bend of
-the road nor around an obstacle. On KITTI's recorded drives it finds turns by 70° to 100°. Where the label is invalid,
-as while the car waits at a corner, the curvature of the last valid frame holds.
+The rule looks at what was recorded alone. The onset is the frame at which |curvature| leaves STRAIGHT, after a recorded
+second below it, if the car turns by TURN within the next REACH metres: as it does at a street corner, and neither in a
+bend of the road nor around an obstacle. On KITTI's recorded drives it finds turns by 70° to 100°. Where the label is
+invalid, as while the car waits at a corner, the curvature of the last valid frame holds.
 """
 
 import numpy as np
@@ -15,6 +15,7 @@ STRAIGHT_1PM = 0.015  # a radius of 67 m; a car that keeps to its lane moves abo
 TURN_RAD = np.pi / 4
 REACH_M = 25.0
 SECOND_S = 1.0
+KNOWN = 0.75  # share of that second's frames that must be there
 
 
 def onsets(
@@ -29,10 +30,11 @@ def onsets(
     straight = np.where(last >= 0, np.abs(curvature_1pm[last]), np.inf) < STRAIGHT_1PM
     dt = np.diff(time_s, prepend=time_s[:1])
     way_m, heading_rad = np.cumsum(np.abs(speed_mps) * dt), np.cumsum(yaw_rate_radps * dt)
+    step = np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf
     rows = []
     for row in np.flatnonzero(straight[:-1] & ~straight[1:]) + 1:
         before = (time_s >= time_s[row] - SECOND_S) & (time_s < time_s[row])
-        whole = time_s[row] - time_s[0] >= SECOND_S
+        whole = before.sum() >= KNOWN * SECOND_S / step  # at a drive's start, or after a gap, nobody knows
         end = min(np.searchsorted(way_m, way_m[row] + REACH_M), len(way_m) - 1)
         if whole and straight[before].all() and abs(heading_rad[end] - heading_rad[row]) >= TURN_RAD:
             rows.append(row)

@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import explained
+from pipeline.report.tables import csv_file
 
 Row = dict[str, str]  # of a CSV file: column → value
 
@@ -48,11 +48,8 @@ def _write(model: Path, name: str, row_of: Callable[[int, Row], Row], out: Path,
         with explained(str(path), hint=f"Make it again: dvc repro --force {stage}@{model.name}"):
             rows = _read(path, row_of)
         made = ".".join([model.name, *path.relative_to(model).parts[:-1], "csv"])
-        with replacing(out / made) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-            table = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
-            table.writeheader()
-            # DVC draws an empty field as 0, and nan as a gap.
-            table.writerows({column: value or "nan" for column, value in row.items()} for row in rows)
+        # DVC draws an empty field as 0, and nan as a gap.
+        csv_file.write(out / made, [{column: value or "nan" for column, value in row.items()} for row in rows])
 
 
 def _read(path: Path, row_of: Callable[[int, Row], Row]) -> list[Row]:

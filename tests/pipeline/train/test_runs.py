@@ -22,7 +22,8 @@ def test_without_folds_the_first_seed_is_the_model_and_each_folder_knows_its_nam
 def test_a_fold_for_each_test_drive_which_it_does_not_see(fit_to: str, left: tuple[str, ...]) -> None:
     folds = runs.folds(SPLITS, {"fit_to": fit_to})
     assert [fold.name for fold in folds] == ["x", "y", "z"]
-    assert folds[1] == runs.Fold("y", (*left, "x", "z"), ("v",), ("y",))
+    val = ("v",) if fit_to == "both" else ()  # validation is of training's world
+    assert folds[1] == runs.Fold("y", (*left, "x", "z"), val, ("y",))
     made = runs.runs(Path("data/train/gnn"), [0, 5], folds)
     assert [str(run.folder) for run in made[2:4]] == ["data/train/gnn/fold-z", "data/train/gnn/seed-5/fold-x"]
     assert str(made[2]) == "seed 0 without z"

@@ -49,6 +49,20 @@ def test_only_corners_after_a_straight_second_are_decisions(curvature: np.ndarra
     assert found(curvature) == onsets
 
 
+def test_after_a_gap_nobody_knows_what_was_before() -> None:
+    turn = bends((30, STRAIGHT), (20, CORNER))
+    frames = np.arange(50)
+
+    def found_at(kept: np.ndarray) -> list[int]:
+        valid, speed = np.ones(kept.sum(), bool), np.full(kept.sum(), 8.0)
+        rows = decisions.onsets(turn[kept], valid, frames[kept] / 10, turn[kept] * speed, speed)
+        return frames[kept][rows].tolist()
+
+    assert found_at(frames != 25) == [30]  # one frame alone
+    assert found_at((frames < 5) | (frames >= 30)) == []
+    assert found_at((frames < 5) | (frames >= 26)) == []
+
+
 def test_who_waits_at_a_corner_decides_when_the_car_moves() -> None:
     curvature = bends((20, STRAIGHT), (15, 0.6), (20, CORNER))
     valid = np.r_[np.ones(20, bool), np.zeros(15, bool), np.ones(20, bool)]

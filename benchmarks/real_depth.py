@@ -109,7 +109,9 @@ def judge(drive: str, ingested: Path, content: Mapping[str, Any], folder: Path) 
         fitted = encoder.main(ingested, out / "encoder", params)
         store.write_index(ingested, {drive: "test"})
         perceived = perception.main(ingested, fitted, out / "perception", params)
-        report = store.read_json(scores.main(ingested, perceived, out / "scores") / "metrics.json", stage="scores")
+        report = store.read_json(
+            scores.main(ingested, perceived, out / "scores", motion=out / "motion") / "metrics.json", stage="scores"
+        )
         for key, of in (("depth_lidar", name), ("ground_plane_lidar", "flat")):
             for crop, suffix in CROPS.items():
                 if found := report["test"][key + suffix]:
@@ -146,12 +148,8 @@ def agreement(cls: np.ndarray, teacher: np.ndarray) -> np.ndarray:
 
 def depth_table(rows: Mapping[str, Row]) -> str:
     """Return the errors of depth on drives with scans, as Markdown."""
-    head = [
-        "left out",
-        "of the",
-        *(cell for error in ("abs rel", "δ1") for cell in (error, "ESPNetv2's", "flat ground's")),
-    ]
-    lines = [head, ["---", "---", *["--:"] * 6]]
+    beside = "ESPNetv2's", "flat ground's"
+    lines = [["left out", "of the", "abs rel", *beside, "δ1", *beside], ["---", "---", *["--:"] * 6]]
     for drive, row in rows.items():
         for crop, depth in row.depth.items():
             if depth:

@@ -2,6 +2,7 @@
 
 The encoder of ``presets/real.yaml`` stands beside ESPNetv2, whose depth head is fitted to the other drives' scans, and
 flat ground under ESPNetv2's classes. Its classes are compared with ESPNetv2's, which taught them on the other drives.
+Depth is what stage perception stores, with the preset's ``reach``, against the points of the scans that the camera sees.
 """
 
 import contextlib
@@ -17,7 +18,8 @@ import yaml
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, closest
-from pipeline.camera.classes import VOID
+from pipeline.camera import classes
+from pipeline.encoder import perceive
 from pipeline.sections.preset import merged
 from stages import encoder, ingest, perception, scores
 
@@ -28,14 +30,20 @@ DRIVES = (
 )
 ESPNETV2 = {"backbone": "espnetv2", "teacher": None, "epochs": 2, "frames": 40, "learning_rate": 0.001}
 ERRORS = ("abs_rel", "delta1")
+CROPS = {"whole image": "", "Eigen's crop": "_eigen"}
+KINDS = (classes.GROUND, classes.TRAFFIC, (classes.SKY,))  # and all that is built or grows
 
 
 class Row(NamedTuple):
-    """A drive's figures: images; of depth, [abs rel, δ1] by network; of classes, the share of equal pixels by frame."""
+    """A drive's figures: of depth, [abs rel, δ1] by crop and network; of classes, the share of equal pixels by frame.
 
-    images: int
-    depth: dict[str, list[float]]
-    agreement: np.ndarray
+    `classes` and `kinds` [F] compare our network with ESPNetv2, `mirrored` [F] ESPNetv2 with what it sees in a mirror.
+    """
+
+    depth: dict[str, dict[str, list[float]]]
+    classes: np.ndarray
+    kinds: np.ndarray
+    mirrored: np.ndarray
 
 
 def main(
@@ -46,7 +54,7 @@ def main(
     frames: Annotated[int | None, typer.Option(min=1, help="to fit to, instead of the preset's")] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="instead of the preset's")] = None,
 ) -> None:
-    """Leave each drive out, fit to the others, judge it, and print a Markdown table."""
+    """Leave each drive out, fit to the others, judge it, and print Markdown tables."""
     judged = [_named(drive) for drive in drives] if drives else list(DRIVES)
     with tempfile.TemporaryDirectory() as scratch, contextlib.redirect_stdout(sys.stderr):
         folder = Path(scratch)
@@ -60,7 +68,7 @@ def main(
         content["encoder"]["teacher"]["drives"] = "train"
         ingested = ingest.main(folder / "town", folder / "raw", folder / "ingest", _write(content, folder / "all.yaml"))
         rows = {drive: judge(drive, ingested, content, folder / drive) for drive in judged}
-    print(table(rows))
+    print(depth_table(rows), class_table(rows), sep="\n\n")
 
 
 def _named(number: str) -> str:
@@ -95,7 +103,7 @@ def judge(drive: str, ingested: Path, content: Mapping[str, Any], folder: Path) 
     """Fit the encoder of `content` and ESPNetv2 to all drives in `ingested` but one, and compare them on that one."""
     ours = content["encoder"]
     networks = {"ours": ours, "espnetv2": ours | ESPNETV2 | {"weights": ours["teacher"]["weights"]}}
-    depth: dict[str, list[float]] = {}
+    depth: dict[str, dict[str, list[float]]] = {crop: {} for crop in CROPS}
     cls = []
     for name, settings in networks.items():
         params, out = _write({**content, "encoder": settings}, folder / f"{name}.yaml"), folder / name
@@ -103,33 +111,71 @@ def judge(drive: str, ingested: Path, content: Mapping[str, Any], folder: Path) 
         fitted = encoder.main(ingested, out / "encoder", params)
         store.write_index(ingested, {drive: "test"})
         perceived = perception.main(ingested, fitted, out / "perception", params)
-        report = store.read_json(scores.main(ingested, perceived, out / "scores") / "metrics.json", stage="scores")
+        report = store.read_json(
+            scores.main(ingested, perceived, out / "scores", motion=out / "motion") / "metrics.json", stage="scores"
+        )
         for key, of in (("depth_lidar", name), ("ground_plane_lidar", "flat")):
-            if report["test"].get(key):
-                depth[of] = [report["test"][key][error] for error in ERRORS]
+            for crop, suffix in CROPS.items():
+                if found := report["test"][key + suffix]:
+                    depth[crop][of] = [found[error] for error in ERRORS]
         with store.DriveReader(perceived / f"{drive}.h5", stage="perception") as file:
             cls.append(file["cls"])
-    return Row(len(cls[0]), depth, agreement(*cls))
+    mirror = classes_in_a_mirror(ingested / f"{drive}.h5", fitted)
+    return Row(depth, agreement(*cls), agreement(*map(kinds, cls)), agreement(mirror, cls[1]))
+
+
+def classes_in_a_mirror(ingested: Path, fitted: Path) -> np.ndarray:
+    """Return the trainIds [F,H,W] that a fitted encoder sees in a drive's mirrored images, mirrored back."""
+    model = perceive.load(fitted)
+    with store.DriveReader(ingested, stage="ingest") as file:
+        rows, K = np.flatnonzero(file["has_image"]), file["K"]
+        mirrored = (np.ascontiguousarray(file.row("image", row)[None, :, ::-1]) for row in rows)
+        return np.concatenate([perceive.perceive(model, image, K)[1][:, :, ::-1] for image in mirrored])
+
+
+def kinds(cls: np.ndarray) -> np.ndarray:
+    """Return for trainIds which of KINDS they are, 255 for void: what depth, motion and graphs tell apart."""
+    table = np.full(256, len(KINDS), np.uint8)
+    for kind, members in enumerate(KINDS):
+        table[list(members)] = kind
+    table[classes.VOID] = classes.VOID
+    return table[cls]
 
 
 def agreement(cls: np.ndarray, teacher: np.ndarray) -> np.ndarray:
     """Return the share of a frame's pixels [F] whose trainIds [F,H,W] are the teacher's, of those that it names."""
-    known = teacher != VOID
+    known = teacher != classes.VOID
     return ((cls == teacher) & known).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
 
 
-def table(rows: Mapping[str, Row]) -> str:
-    """Return the rows as Markdown."""
-    head = ["left out", "images", "abs rel", "ESPNetv2's", "flat ground's", "δ1", "ESPNetv2's", "flat ground's"]
-    lines = [[*head, "classes as ESPNetv2's", "worst frame"], ["---", *["--:"] * 9]]
-    for drive, (images, depth, equal) in rows.items():
-        figures = [_figures(depth, error) for error in range(len(ERRORS))]
-        lines.append([drive[-4:], str(images), *figures[0], *figures[1], f"{equal.mean():.3f}", f"{equal.min():.3f}"])
+def depth_table(rows: Mapping[str, Row]) -> str:
+    """Return the errors of depth on drives with scans, as Markdown."""
+    beside = "ESPNetv2's", "flat ground's"
+    lines = [["left out", "of the", "abs rel", *beside, "δ1", *beside], ["---", "---", *["--:"] * 6]]
+    for drive, row in rows.items():
+        for crop, depth in row.depth.items():
+            if depth:
+                figures = [depth[of][error] for error in range(len(ERRORS)) for of in ("ours", "espnetv2", "flat")]
+                lines.append([drive[-4:], crop, *_printed(figures)])
+    return _markdown(lines)
+
+
+def class_table(rows: Mapping[str, Row]) -> str:
+    """Return the shares of pixels that are of ESPNetv2's classes, as Markdown."""
+    head = ["left out", "images", "classes as ESPNetv2's", "worst frame", "kinds", "ESPNetv2 mirrored"]
+    lines = [head, ["---", *["--:"] * 5]]
+    for drive, row in rows.items():
+        shares = [row.classes.mean(), row.classes.min(), row.kinds.mean(), row.mirrored.mean()]
+        lines.append([drive[-4:], str(len(row.classes)), *_printed(shares)])
+    return _markdown(lines)
+
+
+def _printed(figures: Sequence[float]) -> list[str]:
+    return [f"{figure:.3f}" for figure in figures]
+
+
+def _markdown(lines: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
-def _figures(depth: Mapping[str, Sequence[float]], error: int) -> list[str]:
-    return [f"{depth[name][error]:.3f}" if name in depth else "" for name in ("ours", "espnetv2", "flat")]
 
 
 if __name__ == "__main__":

@@ -67,15 +67,21 @@ def test_each_drive_has_its_line(
     assert "class_head by the teacher's classes" in printed.err
     left_out = [set(real_depth.DRIVES) - frames.keys() for frames in taught]  # of both networks
     assert left_out == [{"2011_09_26_drive_0039"}] * 2 + [{real_depth.FULL_SIZE}] * 2
-    lines = [line.strip("|").split("|") for line in printed.out.splitlines()]
-    assert {len(cells) for cells in lines} == {10}
-    grey, full = ([cell.strip() for cell in cells] for cells in lines[2:])
-    assert grey[:2] == ["0039", str(FRAMES)]
-    assert grey[2:8] == [""] * 6
-    assert full[0] == "0052"
-    figures = np.array(full[2:], float)
-    assert (figures >= 0).all()
-    assert (figures[3:] <= 1).all()
+    depth, cls = (
+        [line.strip("| ").split(" | ") for line in part.splitlines()[2:]] for part in printed.out.split("\n\n")
+    )
+    assert [line[:2] for line in depth] == [["0052", "whole image"], ["0052", "Eigen's crop"]]  # 0039 has no scans
+    assert (np.array([line[2:] for line in depth], float) >= 0).all()
+    assert [line[:2] for line in cls] == [["0039", str(FRAMES)], ["0052", str(FRAMES)]]
+    shares = np.array([line[2:] for line in cls], float)
+    assert (shares >= 0).all()
+    assert (shares <= 1).all()
+    assert (shares[:, 0] <= shares[:, 2]).all()  # what is of one class is of one kind
+
+
+def test_kinds() -> None:
+    cls = np.array([0, 1, 9, 2, 8, 10, 11, 13, 255])
+    np.testing.assert_array_equal(real_depth.kinds(cls), [0, 0, 0, 3, 3, 2, 1, 1, 255])
 
 
 def test_agreement_leaves_out_what_the_teacher_does_not_name() -> None:

@@ -135,8 +135,8 @@ def fault(drives: Sequence[Drive], window: int) -> str | None:
         runs = [stop - start for drive in drives for start, stop in drive.runs]
         where = f"{drives[0].horizon} frames after its end" if drives[0].horizon else "at its end"
         return (
-            f"{drives[0].graphs.parent}: no window of {window} consecutive frames with a valid label {where} in {names} "
-            f"(longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
+            f"{drives[0].graphs.parent}: no window of {window} consecutive frames with a valid label {where} in "
+            f"{names} (longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
         )
     if not any(drive.steering_rad[drive.valid].any() for drive in drives):
         return f"{drives[0].labels.parent}: every valid label of {names} is 0, nothing to learn or judge: add drives"

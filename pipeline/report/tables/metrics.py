@@ -12,7 +12,7 @@ ODOMETRY = ("odometry", "odometry_lidar")
 MOTION = ("nmse", "yaw_rmse_degps", "speed_ratio", "valid")
 
 
-def figures(results: Sequence[Mapping[str, Any]], scores: Mapping[str, Any] | None) -> Figures:
+def figures(results: Sequence[comparison.Result], scores: Mapping[str, Any] | None) -> Figures:
     """Return name → value.
 
     ``<model>.nmse``, its 95 % interval ``nmse_low`` to ``nmse_high``, ``mae_deg``; ``odometry-<horizon>.nmse`` of the

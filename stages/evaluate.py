@@ -14,6 +14,7 @@ from pipeline.base.params import SPLITS, load
 from pipeline.report.judge import predictions, split, steering_plot
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import frames, predict, runs, windows
+from pipeline.train.judged import judged
 
 
 def main(
@@ -27,7 +28,8 @@ def main(
     """Write metrics.json, predictions.csv and a plot of the test drives; predictions of further seeds in folders.
 
     Invalid frames have no say in any figure. Figures are means over the seeds. A network that is fitted to some of the
-    test drives judges the one that it has not seen. Returns the model's folder.
+    test drives judges the one that it has not seen; of the drives that several were fitted to, the first judges each.
+    Returns the model's folder.
     """
     with held(out / name, out.parent / ".resume" / f"{out.name}-{name}"):
         return _evaluate(name, train, graphs, labels, out, load(Evaluate, params))
@@ -37,32 +39,35 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     config = store.read_json(train / name / "config.json", stage=f"train@{name}")
     line, seeds = config["model"], config["seeds"]
     variant = graphs / line["input"]
-    folds = runs.folds(store.read_index(variant, stage="graphs"), line)
+    folds = judged(runs.folds(store.read_index(variant, stage="graphs"), line), variant, labels, line)
     models = {run: _load(run, name, config) for run in runs.runs(train / name, seeds, folds)}
 
-    cases: dict[str, list[split.Case]] = {of: [] for of in SPLITS}
+    # Once each, though several folds may have been fitted to a drive: its frames count once in errors and intervals.
+    cases: dict[str, dict[str, split.Case]] = {of: {} for of in SPLITS}
     for fold in folds:
         of_fold = [model for run, model in models.items() if run.fold == fold]
-        for of, judged in cases.items():
-            drives = windows.read_drives(
-                variant, labels, getattr(fold, of), line["window"], line["horizon"], line["motion"]
-            )
-            judged += [split.Case(drive, _predict(of_fold, drive), of_fold[0].target.mean_rad) for drive in drives]
+        for of, known in cases.items():
+            for drive in (drive for drive in getattr(fold, of) if drive not in known):
+                read = windows.read_drive(variant, labels, drive, line["horizon"], line["motion"])
+                known[drive] = split.Case(read, _predict(of_fold, read), of_fold[0].target.mean_rad)
+    of_splits = {of: list(known.values()) for of, known in cases.items()}
 
     result: dict[str, Any] = {
         "model": name,
         "line": line,
         "seeds": seeds,
-        "drives": {of: list(dict.fromkeys(case.drive.name for case in judged)) for of, judged in cases.items()},
+        "drives": {of: list(known) for of, known in cases.items()},
         "parameters": config["parameters"],
         "encode_ms_per_frame": config["encode_ms_per_frame"],
-        **split.sizes([case.drive for case in cases["test"]]),
-        **{of: split.figures(judged, settings) if judged else None for of, judged in cases.items()},
+        "variant": split.variant(of_splits["test"][0].drive),
+        **split.sizes([case.drive for case in of_splits["test"]]),
+        **{of: split.figures(of_split, settings) if of_split else None for of, of_split in of_splits.items()},
     }
     store.write_json(out / name / "metrics.json", result)
     for number, folder in enumerate(runs.folders(out / name, seeds).values()):
-        predictions.write(folder / "predictions.csv", [(case.drive, case.predicted[number]) for case in cases["test"]])
-    _draw_and_say(out / name / "steering.png", result, cases["test"])
+        rows = [(case.drive, case.predicted[number]) for case in of_splits["test"]]
+        predictions.write(folder / "predictions.csv", rows)
+    _draw_and_say(out / name / "steering.png", result, of_splits["test"])
     return out / name
 
 
@@ -82,12 +87,12 @@ def _predict(models: list[predict.Trained], drive: windows.Drive) -> np.ndarray:
         return np.stack([model.predict(graphs) for model in models])
 
 
-def _draw_and_say(path: Path, result: Mapping[str, Any], judged: list[split.Case]) -> None:
+def _draw_and_say(path: Path, result: Mapping[str, Any], tested: list[split.Case]) -> None:
     """Draw the test drives with one seed's predictions, and print the test's figures."""
     name, test, count = result["model"], result["test"], len(result["seeds"])
     steering_plot.draw(
         path,
-        [(case.drive, case.predicted[0]) for case in judged],
+        [(case.drive, case.predicted[0]) for case in tested],
         f"{name}: nmse {test['nmse']:.3f}" + (f" (mean of {count} seeds, one shown)" if count > 1 else ""),
     )
     spread = "" if test["nmse_std"] is None else f" ± {test['nmse_std']:.3f} over {count} seeds"

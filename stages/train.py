@@ -14,12 +14,13 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, explained
 from pipeline.base.lock import held
-from pipeline.base.params import SPLITS, load, load_entry
+from pipeline.base.params import load, load_entry
 from pipeline.base.pool import run_side_by_side
 from pipeline.base.resume import file_hash
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
 from pipeline.train import distributed, runs, windows
+from pipeline.train.judged import judged
 
 
 def main(
@@ -35,7 +36,7 @@ def main(
     side, with a thread each. Returns the model's folder.
     """
     from models.steering.core import steering_net
-    from pipeline.train.training import Job, fit_run
+    from pipeline.train.training import Job, fit_run, ms_per_frame
 
     model, settings = load_entry(Model, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": model.learning_rate or settings.learning_rate})
@@ -44,13 +45,14 @@ def main(
     with explained(where=where):
         line = steering_net.resolved(model.model_dump())
         folds = runs.folds(splits, line)
-    for fold in folds:  # the test drives too, to find out now, not after training, that this model has no frame in them
-        for split in SPLITS:
-            windows.read_drives(variant, labels, getattr(fold, split), model.window, model.horizon, model.motion)
+    folds = judged(folds, variant, labels, line)
+    for fold in folds:
+        for learned in (fold.train, fold.val):
+            windows.read_drives(variant, labels, learned, model.window, model.horizon, model.motion)
     todo = runs.runs(out / name, settings.seeds, folds)
     kept = out.parent / ".resume" / f"{out.name}-{name}"
-    learned = {drive for fold in folds for drive in fold.train + fold.val}
-    files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in learned}
+    drives = {drive for fold in folds for drive in fold.train + fold.val}
+    files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in drives}
     job = Job(name, where, line, settings, variant, labels, splits, files, kept)
     with distributed.joined() as (world, device), held(out / name, kept) if world.leads else nullcontext():
         if world.size > settings.batch_runs:
@@ -65,10 +67,11 @@ def main(
         else:
             for run in todo:
                 fit_run(run, job, world, device)
-    if world.leads:
-        if folds[0].name:  # a model's config.json is that of its first network
-            shutil.copyfile(todo[0].folder / "config.json", out / name / "config.json")
-        shutil.rmtree(kept)
+        if world.leads:  # a model's config.json is that of its first network
+            config = store.read_json(todo[0].folder / "config.json", stage=f"train@{name}")
+            config["encode_ms_per_frame"] = ms_per_frame(todo[0], job, device)
+            store.write_json(out / name / "config.json", config)
+            shutil.rmtree(kept)
     return out / name
 
 

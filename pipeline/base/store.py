@@ -264,7 +264,10 @@ def write_index(folder: Path, splits: Mapping[str, str]) -> None:
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
-    """Return drive name → split of a stage's folder, in its order. Raises InputError if a drive that it names has no file."""
+    """Return drive name → split of a stage's folder, in its order.
+
+    Raises InputError if a drive that it names has no file.
+    """
     index = read_json(folder / "index.json", stage=stage)
     if index.get("schema") != SCHEMA:
         raise InputError(

@@ -72,10 +72,18 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
             "seeds": settings.seeds,
             "effective_frames": fit.effective_frames(train, line["alpha"]),
             "parameters": steering_net.parameter_count(net),
-            # Measured here, so that stage evaluate has no clock in its files.
-            "encode_ms_per_frame": predict.ms_per_frame(net, steering_net.encode, val or train, line["window"]),
         }
         _write(run.folder, fitting, state, about, more)
+
+
+def ms_per_frame(run: Run, job: Job, device: torch.device | str) -> float:
+    """Return the time in which a finished run's network encodes a frame, in ms.
+
+    To be measured when nothing trains beside it, and by training, so that stage evaluate has no clock in its files.
+    """
+    line, fold = job.line, run.fold
+    drives = [windows.read_drive(job.variant, job.labels, name) for name in fold.val or fold.train]
+    return predict.ms_per_frame(predict.load(run.folder, device).net, steering_net.encode, drives, line["window"])
 
 
 def _write(folder: Path, fitting: fit.Fit, state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:

@@ -101,7 +101,8 @@ class Drive(Timeline):
     valid: np.ndarray  # bool; False where that frame has no label
     speed_mps: np.ndarray  # float64, at the frame itself
     held_rad: np.ndarray  # float64, the last valid label, before the target frame, that the frame itself may know; or 0
-    measured_rad: dict[str, np.ndarray]  # kind of motion that the file carries → float64, the measured angle
+    # Kind of motion that the file carries → float64, the measured angle; NaN if no frame is measured, as without scans.
+    measured_rad: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -118,25 +119,37 @@ def read_drives(
 ) -> list[Drive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
-    `window`, `horizon` and `motion` as in a model's line. Raises InputError if a label or the motion is missing, or if
-    no window of `window` frames has a valid target.
+    `window`, `horizon` and `motion` as in a model's line. Raises InputError as :func:`read_drive`, or if all together
+    have a :func:`fault`.
     """
-    drives = [_read_drive(graphs / f"{name}.h5", labels / f"{name}.h5", name, horizon, motion) for name in names]
-    if names and not any(_has_target(drive, window) for drive in drives):
-        runs = [stop - start for drive in drives for start, stop in drive.runs]
-        where = f"{horizon} frames after its end" if horizon else "at its end"
-        raise InputError(
-            f"{graphs}: no window of {window} consecutive frames with a valid label {where} in {', '.join(names)} "
-            f"(longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
-        )
-    if names and not any(drive.steering_rad[drive.valid].any() for drive in drives):
-        raise InputError(
-            f"{labels}: every valid label of {', '.join(names)} is 0, nothing to learn or judge: add drives"
-        )
+    drives = [read_drive(graphs, labels, name, horizon, motion) for name in names]
+    if names and (what := fault(drives, window)):
+        raise InputError(what)
     return drives
 
 
-def _read_drive(graphs: Path, labels: Path, name: str, horizon: int, motion: str) -> Drive:
+def fault(drives: Sequence[Drive], window: int) -> str | None:
+    """Return why nothing can be learned of `drives`, or judged by them: no whole window with a target, or no bend."""
+    names = ", ".join(drive.name for drive in drives)
+    if not any(_has_target(drive, window) for drive in drives):
+        runs = [stop - start for drive in drives for start, stop in drive.runs]
+        where = f"{drives[0].horizon} frames after its end" if drives[0].horizon else "at its end"
+        return (
+            f"{drives[0].graphs.parent}: no window of {window} consecutive frames with a valid label {where} in "
+            f"{names} (longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
+        )
+    if not any(drive.steering_rad[drive.valid].any() for drive in drives):
+        return f"{drives[0].labels.parent}: every valid label of {names} is 0, nothing to learn or judge: add drives"
+    return None
+
+
+def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: str = "none") -> Drive:
+    """Read one drive's labels; arguments as of :func:`read_drives`.
+
+    Raises InputError if a label is missing, or if the motion is: the file does not carry it, or the drive moves and no
+    frame of it is measured.
+    """
+    graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
     with frames.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
         row_of = {int(number): row for row, number in enumerate(truth.frame)}
         missing = [int(number) for number in file.frame if int(number) not in row_of]
@@ -145,6 +158,12 @@ def _read_drive(graphs: Path, labels: Path, name: str, horizon: int, motion: str
         here = np.array([row_of[int(number)] for number in file.frame], np.int64)
         ahead = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
         steering_rad, valid, car = truth["steering_rad"], truth["valid"].astype(bool), Car.of(truth)
+        measured = {kind: file.motion(kind).valid.any() for kind in file.motions}
+        if valid[here].any() and not measured.get(motion, True):
+            raise InputError(
+                f"{graphs}: motion: {motion} is measured in no frame (lidar takes scans, visual takes images): "
+                f"leave {name} out of ingest.drives, or choose another motion"
+            )
         return Drive(
             **vars(Timeline.of(file, motion, car)),
             name=name,
@@ -156,7 +175,10 @@ def _read_drive(graphs: Path, labels: Path, name: str, horizon: int, motion: str
             valid=(ahead >= 0) & valid[ahead],
             speed_mps=truth["speed_mps"][here],
             held_rad=_held(steering_rad[here], valid[here], known=horizon > 0),
-            measured_rad={kind: car.measured_angle(file.motion(kind)) for kind in file.motions},
+            measured_rad={
+                kind: car.measured_angle(file.motion(kind)) if known else np.full(len(here), np.nan)
+                for kind, known in measured.items()
+            },
         )
 
 

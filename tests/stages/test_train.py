@@ -186,9 +186,13 @@ def test_a_test_drive_is_judged_by_the_network_that_has_not_seen_it(folder: Path
     made, judged = run_train(folder), run_evaluate(folder)
     networks = sorted(str(path.parent.relative_to(made)) for path in made.rglob("best.pt"))
     assert networks == sorted(f"{seed}fold-{drive}" for seed in ("", "seed-7/") for drive in tested)
-    own = ["2026_01_01_drive_0001"] if fit_to == "both" else []
+    own, val = (["2026_01_01_drive_0001"], ["2026_01_02_drive_0001"]) if fit_to == "both" else ([], [])
     result = json.loads((judged / "metrics.json").read_text())
-    assert result["drives"] == {"train": own + tested[::-1], "val": ["2026_01_02_drive_0001"], "test": tested}
+    assert result["drives"] == {"train": own + tested[::-1], "val": val, "test": tested}
+    for split in [split for split, names in result["drives"].items() if names]:  # each drive once
+        assert result[split]["frames"] == len(result["drives"][split]) * (60 - 3)
+    assert (result["val"] is None) == (fit_to == "others")
+    assert result["encode_ms_per_frame"] > 0
     assert sorted(result["test"]["by_drive"]) == tested
     assert result["test"]["frames"] == 2 * (60 - 3)
     for seed in ("", "seed-7/"):
@@ -207,6 +211,28 @@ def test_a_test_drive_is_judged_by_the_network_that_has_not_seen_it(folder: Path
     report.main(folder / "evaluate", out, folder / "params.yaml", folder / "scores", folder / "train")
     assert len(list((out / "learning").iterdir())) == 4
     assert f"| {fit_to} |" in (out / "table.md").read_text()
+
+
+@pytest.mark.slow
+def test_a_drive_that_cannot_be_judged_is_named_and_still_teaches(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short, *tested = ["2026_01_03_drive_0001", *write_two_test_drives(folder)]
+    store.write_index(folder / "graphs/semantic", {**dict.fromkeys([*tested, short], "test")})
+    straight = np.zeros(60)
+    artefacts.write_labels(folder / f"labels/{short}.h5", short, straight, np.arange(60))
+    write_params(folder, {"fit_to": "others"}, epochs=1)
+    made, judged = run_train(folder), run_evaluate(folder)
+    said = capsys.readouterr().out
+    assert f"not judged: {folder / 'labels'}: every valid label of {short} is 0" in said
+    assert sorted(path.parent.name for path in made.rglob("best.pt")) == [f"fold-{drive}" for drive in tested]
+    result = json.loads((judged / "metrics.json").read_text())
+    assert result["drives"]["test"] == tested
+    assert short in result["drives"]["train"]
+    for drive in tested:
+        artefacts.write_labels(folder / f"labels/{drive}.h5", drive, straight, np.arange(60))
+    with pytest.raises(InputError, match=r"every valid label of .* is 0"):
+        run_train(folder)
 
 
 @pytest.mark.slow

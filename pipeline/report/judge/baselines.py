@@ -18,7 +18,8 @@ def baselines(
 
     zero: always straight. train_mean: the mean of the training targets. persistence: the last true angle that may be
     known, `held_rad` [N]; it knows what no model is told. odometry: the angle that is measured at the last frame seen,
-    of `measured_rad`, kind of motion → [N]: of its first kind, and a further one as odometry_<kind>.
+    of `measured_rad`, kind of motion → [N]: of its first kind, and a further one as odometry_<kind>. It is judged where
+    it is known: scores are None of angles some of which are NaN, as those of a drive without scans are.
     """
     by_name = {
         "zero": np.zeros_like(steering_rad),
@@ -27,4 +28,5 @@ def baselines(
     }
     for number, (kind, angle) in enumerate(measured_rad.items()):
         by_name[f"odometry_{kind}" if number else "odometry"] = angle
-    return {name: scores(steering_rad, predicted) for name, predicted in by_name.items()}
+    known = {name: slice(0 if np.isnan(predicted).any() else None) for name, predicted in by_name.items()}
+    return {name: scores(steering_rad[known[name]], predicted[known[name]]) for name, predicted in by_name.items()}

@@ -76,6 +76,13 @@ class _Columns:
         }
 
 
+def variant(drive: Drive) -> dict[str, Any]:
+    """Return the settings of the graph variant that a drive's graphs are of."""
+    with store.DriveReader(drive.graphs, stage="graphs") as file:
+        settings: dict[str, Any] = file.params.get("graphs", {})
+    return settings
+
+
 def sizes(drives: Sequence[Drive]) -> dict[str, float | None]:
     """Return means over the drives' frames: points, kNN edges before and after pruning; None for what there is not."""
     counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}

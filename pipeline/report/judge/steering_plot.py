@@ -12,6 +12,7 @@ from pipeline.train.windows import Drive
 def draw(path: Path, predictions: Sequence[tuple[Drive, np.ndarray]], title: str) -> None:
     """Draw true and predicted steering [G] rad over time, a panel per drive; grey where there is no valid target.
 
+    Beside them the angle of odometry, of the first kind of motion that the drive's graphs carry.
     Time is that of the last frame seen; with a horizon, both angles are those so many frames later.
     """
     from matplotlib.figure import Figure
@@ -22,6 +23,8 @@ def draw(path: Path, predictions: Sequence[tuple[Drive, np.ndarray]], title: str
         truth = np.rad2deg(np.where(drive.valid, drive.steering_rad, np.nan))
         panel.axhline(0, color="0.85", linewidth=0.8)
         panel.plot(drive.time_s, truth, color="tab:red", label="driven (bicycle model)")
+        for measured in [*drive.measured_rad.values()][:1]:
+            panel.plot(drive.time_s, np.rad2deg(measured), color="tab:orange", linewidth=0.8, label="odometry")
         panel.plot(drive.time_s, np.rad2deg(predicted), color="tab:green", label="predicted")
         panel.fill_between(
             drive.time_s, 0, 1, where=~drive.valid, transform=panel.get_xaxis_transform(), color="0.93", linewidth=0
@@ -30,7 +33,7 @@ def draw(path: Path, predictions: Sequence[tuple[Drive, np.ndarray]], title: str
         panel.set_ylabel(f"steering in deg, left +{ahead}")
         panel.set_title(drive.name, fontsize="small", loc="left")
         panel.margins(x=0)
-    panels[0].legend(loc="upper right", frameon=False, ncols=2)
+    panels[0].legend(loc="upper right", frameon=False, ncols=3)
     panels[-1].set_xlabel("time in s")
     figure.suptitle(title)
     with replacing(path) as tmp:

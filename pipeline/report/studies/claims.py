@@ -40,9 +40,9 @@ def markdown(results: Sequence[Result], evaluate: Path, settings: Evaluate) -> l
         if claim.ours not in by_name or claim.other not in by_name:
             continue
         ours, other = by_name[claim.ours], by_name[claim.other]
-        truth, drive, *angles = _predictions(evaluate / claim.ours, evaluate / claim.other)
+        truth, drive, (angles, others) = _predictions(evaluate / claim.ours, evaluate / claim.other)
         draw = (settings.bootstrap_block_frames, settings.bootstrap_samples, settings.seed)
-        low, high = difference_interval(truth, *angles, drive, *draw)
+        low, high = difference_interval(truth, angles, others, drive, *draw)
         verdict = "better" if high < 0 else "worse" if low > 0 else "no difference shown"
         lines.append(
             f"- {claim.text}: {verdict}. nmse {ours['test']['nmse']:.3f} against {other['test']['nmse']:.3f}, "
@@ -52,14 +52,15 @@ def markdown(results: Sequence[Result], evaluate: Path, settings: Evaluate) -> l
     return ["## The paper's claims", "", *lines, ""] if lines else []
 
 
-def _predictions(*models: Path) -> tuple[np.ndarray, ...]:
+def _predictions(*models: Path) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
     """Return truth and drive number [N] of the frames where all networks predict, and each model's angles [S,N]."""
     tables = [[_read(path) for path in sorted(model.rglob("predictions.csv"))] for model in models]
     common = sorted(set.intersection(*(set(of_seed) for of_model in tables for of_seed in of_model)))
     names = sorted({drive for drive, _ in common})
     truth = np.array([tables[0][0][key][0] for key in common])
     drive = np.array([names.index(name) for name, _ in common])
-    return truth, drive, *(np.array([[of_seed[key][1] for key in common] for of_seed in each]) for each in tables)
+    angles = [np.array([[of_seed[key][1] for key in common] for of_seed in of_model]) for of_model in tables]
+    return truth, drive, angles
 
 
 def _read(path: Path) -> Angles:

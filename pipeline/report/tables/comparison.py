@@ -16,7 +16,7 @@ KNOWABLE = "without_decisions"  # in metrics.json
 def in_order(results: Sequence[Result]) -> list[Result]:
     """Return results by horizon; of each, the paper's networks in its order, then ours as they come."""
     order = [*paper.PAPER, None]
-    return sorted(results, key=lambda result: (horizon(result), order.index(paper.name(result["line"]))))
+    return sorted(results, key=lambda result: (horizon(result), order.index(_of_paper(result))))
 
 
 def by_horizon(results: Sequence[Result]) -> list[list[Result]]:
@@ -36,8 +36,12 @@ def cell(result: Result) -> str | None:
 
 def published(result: Result) -> paper.Published | None:
     """Return what the paper says of this network, if it is one of its own."""
-    name = paper.name(result["line"])
+    name = _of_paper(result)
     return paper.PAPER[name] if name else None
+
+
+def _of_paper(result: Result) -> str | None:
+    return paper.name({**result["line"], "accumulate": result.get("variant", {}).get("accumulate")})
 
 
 def baselines(results: Sequence[Result]) -> dict[str, Result]:

@@ -7,7 +7,10 @@ Settings = dict[str, tuple[Any, ...]]
 
 
 class Published(NamedTuple):
-    """A network of the paper: key of a model's settings → values that are the paper's; its MSE in Table 2."""
+    """A network of the paper: key of a model's settings → values that are the paper's; its MSE in Table 2.
+
+    `accumulate` is a setting of the graph variant.
+    """
 
     settings: Settings
     train_mse: float
@@ -18,7 +21,7 @@ class Published(NamedTuple):
 # the LTC cell. None: the model has no such setting.
 _ALL: Settings = {
     "equivariant": (False, None), "cell": ("ltc", "eq4", None), "motion": ("none", None), "horizon": (0, None),
-    "fit_to": ("train", None),
+    "fit_to": ("train", None), "roads": (None,), "accumulate": (None,),
 }  # fmt: skip
 _POINTS: Settings = {**_ALL, "semantics": (0.0, None), "alpha": (0.0, None)}  # all frames weigh alike, unlike the CNN's
 _SETS: Settings = {
@@ -40,7 +43,10 @@ PAPER = {  # in its order
 
 
 def name(settings: Mapping[str, Any]) -> str | None:
-    """Return which network of the paper a model's settings describe, whatever its own name; None if it is ours."""
+    """Return which network of the paper a model's settings describe, whatever its own name; None if it is ours.
+
+    Beside the model's own, `accumulate` of its graph variant.
+    """
     for network, published in PAPER.items():
         if all(settings.get(key) in values for key, values in published.settings.items()):
             return network

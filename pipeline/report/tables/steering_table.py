@@ -92,7 +92,7 @@ def _scores(of_split: Result, drives: Cells) -> Cells:
     return {
         "MSE rad² train / val / test": _errors(of_split),
         "test nmse": _figure(test["nmse"]),
-        "MAE deg": f"{test['mae_deg']:.2f}",
+        "MAE deg": "none" if test["mae_deg"] is None else f"{test['mae_deg']:.2f}",
         **{column: _figure(comparison.nmse_of_drive(test, drive)) for drive, column in drives.items()},
         "nmse without decisions": _figure(test.get(KNOWABLE, {}).get("nmse")),
     }
@@ -110,7 +110,8 @@ def _by_curvature(results: Sequence[Result]) -> list[str]:
 
 
 def _errors(of_split: Result) -> str:
-    return " / ".join(f"{of_split[split]['mse_rad2']:.5f}" if of_split[split] else "none" for split in SPLITS)
+    errors = [(of_split[split] or {}).get("mse_rad2") for split in SPLITS]
+    return " / ".join("none" if error is None else f"{error:.5f}" for error in errors)
 
 
 def _figure(nmse: float | None) -> str:

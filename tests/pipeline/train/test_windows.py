@@ -202,6 +202,17 @@ def test_motion_that_the_file_does_not_carry_is_named(folder: Path) -> None:
         windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "lidar")
 
 
+def test_motion_that_is_measured_in_no_frame_says_nothing(folder: Path) -> None:
+    first, second = DRIVES
+    artefacts.add_motion(folder / f"graphs/semantic/{first}.h5", "lidar", np.full(23, 0.1))
+    artefacts.add_motion(folder / f"graphs/semantic/{second}.h5", "lidar", np.full(23, 0.1), np.zeros(23))
+    measured = [drive.measured_rad["lidar"] for drive in _read(folder)]
+    assert measured[0] == pytest.approx(np.full(23, 0.1), abs=1e-6)
+    assert np.isnan(measured[1]).all()
+    with pytest.raises(InputError, match=rf"{second}\.h5: motion: lidar is measured in no frame .* leave {second} out"):
+        windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "lidar")
+
+
 def test_batches_read_ahead_in_a_thread_are_the_same(folder: Path) -> None:
     drives = _read(folder)
     groups = [[span] for span in windows.spans(drives, 8, 5)]

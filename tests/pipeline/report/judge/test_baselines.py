@@ -20,3 +20,10 @@ def test_odometry_is_the_first_kind_and_others_bear_their_name() -> None:
     assert result["odometry"]["mse_rad2"] == pytest.approx(0.005)
     assert result["odometry_lidar"]["mse_rad2"] == 0
     assert "odometry" in baselines(steering, 0.0, steering, {"lidar": steering})
+
+
+def test_odometry_of_a_drive_without_scans_is_not_known() -> None:
+    steering = np.array([0.1, 0.2])
+    result = baselines(steering, 0.0, steering, {"visual": steering, "lidar": np.array([0.1, np.nan])})
+    assert result["odometry"]["nmse"] == 0
+    assert (result["odometry_lidar"]["frames"], result["odometry_lidar"]["nmse"]) == (0, None)

@@ -73,9 +73,9 @@ def test_who_waits_at_a_corner_decides_when_the_car_moves() -> None:
 def test_frames_whose_target_lies_behind_the_onset_count_apart(tmp_path: Path, horizon: int, first: int) -> None:
     frame = np.arange(80)
     steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
-    artefacts.write_labels(tmp_path / "labels.h5", NAME, steering, frame)
-    artefacts.write_graphs(tmp_path / "graphs.h5", NAME, steering, frame, 8, np.random.default_rng(0))
-    drive = windows._read_drive(tmp_path / "graphs.h5", tmp_path / "labels.h5", NAME, horizon, "none")
+    artefacts.write_labels(tmp_path / f"labels/{NAME}.h5", NAME, steering, frame)
+    artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
+    drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
     assert np.flatnonzero(decisions.near(drive)).tolist() == list(range(first, 41))
 
 

@@ -67,6 +67,19 @@ def test_the_network_that_judges_a_drive_more_than_once_has_the_mean(tmp_path: P
     assert made["by_drive"][NAMES[0]]["mse_rad2"] == pytest.approx(made["mse_rad2"])
 
 
+def test_odometry_is_none_where_a_drive_has_no_scans(tmp_path: Path) -> None:
+    for name, drive in zip(NAMES, drives(tmp_path), strict=True):
+        has_scans = np.full(30, name == NAMES[0])
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", drive.steering_rad)
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "lidar", drive.steering_rad, has_scans)
+    again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4)
+    made = figures([split.Case(drive, np.zeros((1, 30)), 0.0) for drive in again])
+    of_drives = [made["by_drive"][name]["baselines"]["odometry_lidar"]["nmse"] for name in NAMES]
+    assert of_drives == [pytest.approx(0, abs=1e-6), None]
+    assert made["baselines"]["odometry_lidar"]["nmse"] is None
+    assert made["baselines"]["odometry"]["nmse"] == pytest.approx(0, abs=1e-6)
+
+
 def test_odometry_is_judged_where_all_drives_carry_it(tmp_path: Path) -> None:
     first, second = drives(tmp_path)
     for name, drive in zip(NAMES, (first, second), strict=True):

@@ -22,6 +22,12 @@ def test_models_that_look_ahead_come_behind() -> None:
     assert [[made["model"] for made in group] for group in comparison.by_horizon(ordered)] == [["do", "ours"], ["far"]]
 
 
+def test_a_network_on_accumulated_clouds_is_not_the_papers() -> None:
+    plain = result("do", **PAPERS) | {"variant": {"accumulate": None}}
+    assert comparison.published(plain)
+    assert comparison.published(plain | {"variant": {"accumulate": {"motion": "visual", "frames": 8}}}) is None
+
+
 def test_a_predictor_that_some_splits_lack_has_none_there() -> None:
     made = result("ours", odometry={"odometry": 0.04})
     del made["train"]["baselines"]["odometry"]

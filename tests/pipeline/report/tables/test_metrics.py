@@ -17,6 +17,8 @@ def test_names_are_flat_and_what_was_not_measured_is_left_out() -> None:
             "net.train_nmse": 0.1,
         }
     )
+    ahead = result("net-10", odometry={"odometry": 0.4}, horizon=10)
+    assert metrics.figures([model, ahead], None)["odometry-10.nmse"] == 0.4
     model["val"] = scores(0.15)
     model["test"]["nmse"] = None  # a drive that is straight throughout
     figures = metrics.figures([model], None)

@@ -19,7 +19,12 @@ SETS = {**PLAIN, "input": "lidar-pointnet2", "spatial": "pointnet2", "temporal":
         ({**SEMANTIC, "semantics": 1.0, "spatial": "gatv2"}, None),
         ({**SEMANTIC, "semantics": 1.0, "window": 4}, None),
         ({**SEMANTIC, "semantics": 1.0, "alpha": 5.0}, None),
-        ({**SEMANTIC, "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train", "roads": 6}, "sa-gnn-ncp"),
+        (
+            {**SEMANTIC, "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train", "roads": None},
+            "sa-gnn-ncp",
+        ),
+        ({**SEMANTIC, "semantics": 1.0, "roads": 6}, None),
+        ({**SEMANTIC, "semantics": 1.0, "accumulate": {"motion": "visual", "frames": 8}}, None),
         ({**SEMANTIC, "semantics": 1.0, "motion": "visual"}, None),
         ({**SEMANTIC, "semantics": 1.0, "horizon": 10}, None),
         ({**SEMANTIC, "semantics": 1.0, "fit_to": "both"}, None),

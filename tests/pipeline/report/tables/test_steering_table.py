@@ -76,6 +76,14 @@ def test_trivial_predictors_stand_below_the_models_of_their_horizon() -> None:
     assert "| test RMSE deg, 10 frames ahead, where the road" in text
 
 
+def test_what_was_measured_on_some_drives_alone_has_no_figure_for_all() -> None:
+    made = result("ours", odometry={"odometry": 0.04})
+    made["test"]["baselines"]["odometry"] = dict.fromkeys(("mse_rad2", "rmse_deg", "mae_deg", "nmse")) | {"frames": 0}
+    row = cells(steering_table.markdown([made]), "*odometry*")
+    assert [row[key] for key in ("test nmse", "MAE deg", "nmse 0002")] == ["none", "none", "0.040"]
+    assert row["MSE rad² train / val / test"] == "0.00040 / none / none"
+
+
 def test_seeds_are_told_by_their_spread() -> None:
     one, two = result("one"), result("two")
     two["seeds"] = [0, 1]

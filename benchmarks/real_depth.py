@@ -18,6 +18,7 @@ import yaml
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, closest
 from pipeline.camera.classes import VOID
+from pipeline.motion import kinds
 from pipeline.sections.preset import merged
 from stages import encoder, ingest, perception, scores
 
@@ -101,7 +102,9 @@ def judge(drive: str, ingested: Path, content: Mapping[str, Any], folder: Path) 
         fitted = encoder.main(ingested, out / "encoder", params)
         store.write_index(ingested, {drive: "test"})
         perceived = perception.main(ingested, fitted, out / "perception", params)
-        report = store.read_json(scores.main(ingested, perceived, out / "scores") / "metrics.json", stage="scores")
+        kinds.write(out / "motion", [])
+        scored = scores.main(ingested, perceived, out / "motion", out / "scores", params)
+        report = store.read_json(scored / "metrics.json", stage="scores")
         for key, of in (("depth_lidar", name), ("ground_plane_lidar", "flat")):
             if report["test"].get(key):
                 depth[of] = [report["test"][key][error] for error in ERRORS]

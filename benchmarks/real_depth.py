@@ -2,7 +2,7 @@
 
 The encoder of ``presets/real.yaml`` stands beside ESPNetv2, whose depth head is fitted to the other drives' scans, and
 flat ground under ESPNetv2's classes. Its classes are compared with ESPNetv2's, which taught them on the other drives.
-Depth is what stage perception stores, with the preset's ``reach``, against the points of the scans that the camera sees.
+Depth is what stage perception stores, with the preset's ``reach``, against those points of scans that the camera sees.
 """
 
 import contextlib
@@ -20,6 +20,7 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError, closest
 from pipeline.camera import classes
 from pipeline.encoder import perceive
+from pipeline.motion import kinds as motion_kinds
 from pipeline.sections.preset import merged
 from stages import encoder, ingest, perception, scores
 
@@ -111,9 +112,9 @@ def judge(drive: str, ingested: Path, content: Mapping[str, Any], folder: Path) 
         fitted = encoder.main(ingested, out / "encoder", params)
         store.write_index(ingested, {drive: "test"})
         perceived = perception.main(ingested, fitted, out / "perception", params)
-        report = store.read_json(
-            scores.main(ingested, perceived, out / "scores", motion=out / "motion") / "metrics.json", stage="scores"
-        )
+        motion_kinds.write(out / "motion", [])
+        scored = scores.main(ingested, perceived, out / "motion", out / "scores", params)
+        report = store.read_json(scored / "metrics.json", stage="scores")
         for key, of in (("depth_lidar", name), ("ground_plane_lidar", "flat")):
             for crop, suffix in CROPS.items():
                 if found := report["test"][key + suffix]:

@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from pipeline.base import store
+from pipeline.motion import kinds
 from pipeline.sections.preset import merged
 from stages import clouds, graphs, ingest, labels, town
 
@@ -42,6 +43,7 @@ def make(params: Path, folder: Path, variants: Sequence[str]) -> None:
     for drive in store.read_index(folder / "ingest", stage="ingest"):
         _perceive(folder / f"ingest/{drive}.h5", folder / f"perception/{drive}.h5", drive)
     clouds.main(folder / "ingest", folder / "perception", folder / "clouds", params)
+    kinds.write(folder / "motion", [])
     for variant in variants:
         graphs.main(variant, folder, folder / "graphs", params)
 

@@ -14,6 +14,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load_entry
 from pipeline.base.pool import Summary, run_over_drives
 from pipeline.graphs import accumulate, cloud, graph_file
+from pipeline.motion import kinds
 from pipeline.sections.graphs import Variant
 
 
@@ -31,22 +32,20 @@ def main(
     settings = load_entry(Variant, "graphs", name, params)
     source, stage = data / settings.source, settings.source.split("/")[0]
     splits = store.read_index(source, stage=stage)
-    kinds = {index.parent.name: index.parent for index in sorted((data / "motion").glob("*/index.json"))}
-    for folder in kinds.values():
-        store.read_index(folder, stage="motion")
-    if settings.accumulate and settings.accumulate.motion not in kinds:
+    measured = kinds.read(data / "motion")
+    if settings.accumulate and settings.accumulate.motion not in measured:
         raise InputError(
             f"{params}: graphs.{name}.accumulate.motion = {settings.accumulate.motion!r}, but {data / 'motion'} holds "
-            f"{', '.join(kinds) or 'none'}: add it to motion.kinds and run dvc repro, or take another"
+            f"{', '.join(measured)}: add it to motion.kinds and run dvc repro, or take another"
         )
     summaries = run_over_drives(
-        partial(_images if settings.kind == "image" else _points, source=source, motion=kinds, settings=settings),
+        partial(_images if settings.kind == "image" else _points, source=source, motion=measured, settings=settings),
         list(splits),
         module="stages.graphs",
         out=out / name,
         resume=out.parent / ".resume" / f"{out.name}-{name}",
-        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (source, *kinds.values())],
-        settings={**settings.model_dump(), "motion": list(kinds)},
+        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (source, *measured.values())],
+        settings={**settings.model_dump(), "motion": list(measured)},
         workers=workers,
         describe=lambda summary: ", ".join(f"{number} {what}" for what, number in summary.items()),
     )
@@ -75,7 +74,7 @@ def _points(drive: str, path: Path, source: Path, motion: Mapping[str, Path], se
         wholes = _clouds(clouds)
         if settings.accumulate:
             with store.DriveReader(motion[settings.accumulate.motion] / f"{drive}.h5", stage="motion") as measured:
-                T_before = accumulate.steps(measured)
+                T_before = accumulate.steps(measured, settings.source)
             wholes = accumulate.accumulated(clouds.frame.tolist(), wholes, T_before, settings.accumulate.frames)
         frames = _frames(clouds, wholes, settings, settings.points)
         counts = graph_file.write_points(file, clouds.frame, clouds.time_s, frames, neighbours)

@@ -1,5 +1,6 @@
 """Measure what the car did since the frame before, without oxts: data/motion/<kind>/<drive>.h5."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from pipeline.base import console, progress, store
 from pipeline.base.params import load
 from pipeline.base.pool import Summary, run_over_drives
 from pipeline.camera.images import to_metres
-from pipeline.motion import lidar, motion_file, visual
+from pipeline.motion import kinds, lidar, motion_file, visual
 from pipeline.motion.step import Step
 from pipeline.sections.motion import Motion
 
@@ -44,6 +45,9 @@ def main(
         without = [drive for drive in splits if not summaries[f"{kind}/{drive}"]["valid"]]
         if without:
             print(f"{kind}: no motion of {', '.join(without)}")
+    for kind in KINDS.keys() - settings.kinds:  # of an earlier run
+        shutil.rmtree(out / kind, ignore_errors=True)
+    kinds.write(out, settings.kinds)
     return out
 
 
@@ -81,7 +85,7 @@ def _visual(raw: store.DriveReader, perceived: store.DriveReader, settings: Moti
         for row, number in enumerate(perceived.frame)
     )
     K = raw["K"] if len(perceived.frame) else np.eye(3)  # a drive without images has no camera
-    camera_height_m = perceived.params["perception"]["camera_height_m"] if settings.road_scale else None
+    camera_height_m = float(perceived.attrs["camera_height_m"]) if settings.road_scale else None
     return perceived.frame, perceived.time_s, visual.steps(views, K, camera_height_m)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.base import console, progress, store
 from pipeline.base.params import load
 from pipeline.base.pool import Summary, run_over_drives
+from pipeline.camera.mount import camera_height
 from pipeline.encoder import precomputed
 from pipeline.perception import batches
 from pipeline.perception.batches import Batch
@@ -60,6 +61,8 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
         store.DriveWriter(path, stage="perception", drive=drive, params=params) as target,
     ):
+        camera_height_m = settings.camera_height_m or camera_height(batches.calibration(source))
+        target.attrs["camera_height_m"] = camera_height_m
         rows, size = np.flatnonzero(source["has_image"]), source.shape("image")[1:3]
         target.put("frame", source.frame[rows])
         target.put("time_s", source.time_s[rows], "s")
@@ -70,9 +73,9 @@ def _perceive_drive(drive: str, path: Path, *, ingest: Path, encoder: Path, sett
         with closing(passes(lambda batch: (batch, *see(batch)), images)) as results:
             for batch, depth, cls in results:
                 for metres, seen, scan_m in zip(depth, cls, batch.scans_m, strict=True):
-                    factor = mode.rescale(Frame(metres, seen, scan_m, batch.K, settings.camera_height_m), factor)
+                    factor = mode.rescale(Frame(metres, seen, scan_m, batch.K, camera_height_m), factor)
                     if settings.reach:
-                        put_on_ground(metres, seen, batch.K, settings.camera_height_m, settings.reach)
+                        put_on_ground(metres, seen, batch.K, camera_height_m, settings.reach)
                 target.append("depth_m", stored_depth(depth, cls))
                 target.append("cls", cls)
                 progress.advance(len(cls))

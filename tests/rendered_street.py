@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.camera.geometry import rays
+from pipeline.camera.geometry import rays, scale_K
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 
-SIZE = (96, 320)
+SIZE, FINER = (96, 320), 2
 K = np.array([[180.0, 0.0, 159.5], [0.0, 180.0, 44.0], [0.0, 0.0, 1.0]])
 HALF_WIDTH_M, END_M, ROOF_M = 7.0, 60.0, 5.0
 
@@ -33,7 +33,17 @@ def view(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     The world's frame is that of a camera at the beginning of the street, which leads along z.
     """
-    direction = rays(K, SIZE) @ T_world_cam[:3, :3].T  # of depth 1
+    fine = SIZE[0] * FINER, SIZE[1] * FINER
+    grey, *_ = _seen(T_world_cam, scale_K(K, SIZE, fine), fine)  # aliases of a coarse image would not move as it does
+    image = cv2.resize(grey, SIZE[::-1], interpolation=cv2.INTER_AREA).astype(np.uint8)
+    _, depth, which, sky = _seen(T_world_cam, K, SIZE)
+    cls = np.where(sky, classes.SKY, np.where(which == 0, classes.ROAD, classes.BUILDING)).astype(np.uint8)
+    return np.repeat(image[..., None], 3, axis=-1), np.where(sky, 0, depth).astype(np.float32), cls
+
+
+def _seen(T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
+    """Return brightness, depth, the number of the plane and whether it is sky, each [H,W]."""
+    direction = rays(K, size) @ T_world_cam[:3, :3].T  # of depth 1
     origin = T_world_cam[:3, 3]
     with np.errstate(divide="ignore"):
         planes = [
@@ -50,9 +60,7 @@ def view(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         _texture(place[..., 1], place[..., 2], 3), _texture(place[..., 0], place[..., 1], 4),
     ])  # fmt: skip
     sky = place[..., 1] < -ROOF_M
-    cls = np.where(sky, classes.SKY, np.where(which == 0, classes.ROAD, classes.BUILDING)).astype(np.uint8)
-    image = np.where(sky, 230, grey).astype(np.uint8)
-    return np.repeat(image[..., None], 3, axis=-1), np.where(sky, 0, depth).astype(np.float32), cls
+    return np.where(sky, 230, grey).astype(np.float32), depth, which, sky
 
 
 def pose(heading_rad: float, x: float, z: float) -> np.ndarray:

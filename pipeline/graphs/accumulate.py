@@ -1,4 +1,4 @@
-"""Clouds that span time: those of a window's frames, brought into its last frame's coordinates by measured motion."""
+"""Clouds that span time: those of the last frames, brought into a frame's own coordinates by measured motion."""
 
 from collections.abc import Iterable, Iterator, Mapping
 
@@ -9,15 +9,16 @@ from pipeline.camera.geometry import transform
 from pipeline.graphs.cloud import Cloud
 
 
-def steps(motion: DriveReader) -> dict[int, np.ndarray]:
+def steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
     """Return frame number → T_before_now float64 [4,4] of the frames of a motion file whose motion was measured.
 
-    Motion by images may have corrected the depth that it knows lengths from. Clouds have not: so lengths are divided by
-    that correction here, and a street that stands still lies still, whatever depth's scale.
+    Motion by images may have corrected the depth that it knows lengths from. ``clouds/pseudo``, which are lifted from
+    that depth, have not: so lengths are divided by that correction, and a street that stands still lies still, whatever
+    depth's scale. `source` ``clouds/lidar`` is in metres, as motion is.
     """
     measured = motion["valid"].astype(bool)
     T_before = motion["T_before"][measured].astype(np.float64)
-    if "scale" in motion:
+    if source == "clouds/pseudo":
         T_before[:, :3, 3] /= motion["scale"][measured, None]
     return {int(number): T for number, T in zip(motion.frame[measured], T_before, strict=True)}
 
@@ -27,8 +28,10 @@ def accumulated(
 ) -> Iterator[Cloud]:
     """Yield of each frame its cloud and those of up to `frames` - 1 frames before, as it would see them now.
 
-    As far back as the frames follow each other by number and motion was measured. What moves by itself leaves a trace;
-    what the car has passed lies behind the camera. At most `frames` clouds are held.
+    `frames` is the variant's, whatever a network's window. A cloud reaches as far back as the frames follow each other
+    by number and motion was measured, so not beyond a halt: there a frame's cloud is its own, since a car that stands
+    is not told from one whose motion could not be measured. What moves by itself leaves a trace; what the car has
+    passed lies behind the camera. At most `frames` clouds are held.
 
     Args:
         frame: KITTI frame numbers, ascending.

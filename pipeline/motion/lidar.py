@@ -6,11 +6,12 @@ rings travel with the car, and hold on to those before where a road has little e
 """
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pipeline.motion.step import Step, plausible
+from pipeline.motion.step import Step, plausible, standing
 
 if TYPE_CHECKING:
     from open3d.geometry import PointCloud
@@ -24,7 +25,6 @@ ITERATIONS = 20
 MIN_POINTS = 300
 MIN_SHARE = 0.5  # of points that find a plane
 MIN_HOLD = 0.01  # mean squared component of the normals along the direction that they hold least: all around, 1/3
-STANDING_M = 0.02  # a step is shorter: the car stands
 
 
 class Scan(NamedTuple):
@@ -45,15 +45,27 @@ def steps(scans: Iterable[Scan], T_cam_velo: np.ndarray) -> Iterator[Step | None
         now, T_before = _cloud(scan.points), None
         if before is not None and now is not None and scan.number == number + 1:
             T_before, inliers, residual_m = _aligned(now, before, guess)
-        guess = T_before
-        number, before = scan.number, now
-        if T_before is None or np.linalg.norm(T_before[:3, 3]) < STANDING_M:
-            yield None
-            continue
-        T_before = T_cam_velo @ T_before @ np.linalg.inv(T_cam_velo)
-        yield Step(T_before, inliers, residual_m) if plausible(T_before) else None
+        number, before, guess, step = scan.number, now, None, None
+        if T_before is not None and plausible(T_cam_before := T_cam_velo @ T_before @ np.linalg.inv(T_cam_velo)):
+            guess = T_before  # a step that no car makes would mislead the next one
+            step = None if standing(T_before) else Step(T_cam_before, inliers, residual_m)
+        yield step
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Have Open3D sum up in one order: on several threads the last bits of a pose change from run to run."""
+    import open3d as o3d
+
+    before = o3d.utility.get_max_threads()
+    o3d.utility.set_max_threads(1)
+    try:
+        yield
+    finally:
+        o3d.utility.set_max_threads(before)
+
+
+@_one_thread()
 def _cloud(points: np.ndarray) -> "PointCloud | None":
     """Return the scan thinned out, with normals; None if too little is left."""
     import open3d as o3d
@@ -68,6 +80,7 @@ def _cloud(points: np.ndarray) -> "PointCloud | None":
     return cloud
 
 
+@_one_thread()
 def _aligned(now: "PointCloud", before: "PointCloud", guess: np.ndarray | None) -> tuple[np.ndarray | None, int, float]:
     """Return T_before [4,4] of the sensor, None where the scans do not tell; inliers, their RMS distance in m."""
     from open3d.pipelines import registration as icp

@@ -29,7 +29,7 @@ class Pose(NamedTuple):
 
 
 def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> Pose | None:
-    """Return the motion that explains where points are seen; None if there are too few, or too few agree.
+    """Return the motion that explains where points are seen; None if too few agree, or they do not tell.
 
     Args:
         xyz: points [N,3] in m, in the camera frame before.
@@ -51,7 +51,10 @@ def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
         robust = weight / (1 + _squared(error, weight) / CAUCHY**2)[:, None, None]
         weighted = np.einsum("nia,nij->naj", slopes, robust)
         normal, gradient = np.einsum("naj,njb->ab", weighted, slopes), np.einsum("naj,nj->a", weighted, error)
-        change = -np.linalg.solve(normal, gradient)
+        try:
+            change = -np.linalg.solve(normal, gradient)
+        except np.linalg.LinAlgError:  # all behind the camera, or all in one place
+            return None
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
     error, weight, _ = _linearised(T, xyz, uv, K, depth_sigma)

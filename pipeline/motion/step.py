@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-WINDOW = 10  # steps before and after, whose mean is a step's time
+STANDING_M = 0.02  # a step is shorter: the car stands
 SIDEWAYS_M, SIDEWAYS = 0.1, 0.5  # of a step, and of its length ahead: a camera ahead of the axle swings out
 FARTHEST_M = 10.0
-SAME = 1.5  # they count if they took at most so many times more or less
+RECENT = 20  # steps whose mean is a step's time, itself the last
+SAME = 1.5  # those of them count that took at most so many times more or less than it
 
 
 class Step(NamedTuple):
@@ -21,6 +22,11 @@ class Step(NamedTuple):
     inliers: int
     residual: float  # px of visual, m of lidar
     scale: float = 1.0  # what depth was multiplied by
+
+
+def standing(T_before: np.ndarray) -> bool:
+    """Say whether a step [4,4] is so short that it says nothing but that the car stands."""
+    return bool(np.linalg.norm(T_before[:3, 3]) < STANDING_M)
 
 
 def plausible(T_before: np.ndarray) -> bool:
@@ -43,16 +49,17 @@ def rates(T_before: np.ndarray, dt_s: float) -> tuple[float, float]:
 
 
 def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """Return the time from one frame number to the next around each of `frame` [F], float64 [F] in seconds.
+    """Return the time that each of `frame` [F] came after the number before, float64 [F] in seconds.
 
     KITTI's times are those of the packet that is nearest to an image, on a grid of 10 ms that the camera does not keep:
-    between neighbours they err by a tenth. So a step's time is the mean of those around it that take about as long.
+    between neighbours they err by a tenth. So a step's time is the mean of the last ones that took about as long; no
+    later time is known to it. The first frame, which no step leads to, has that of the second.
     """
     steps = np.diff(time_s) / np.diff(frame)
     if not len(steps):
         return np.full(len(frame), np.nan)
     means = np.empty(len(steps))
     for index, own in enumerate(steps):
-        around = steps[max(0, index - WINDOW) : index + WINDOW + 1]
-        means[index] = around[(around < own * SAME) & (around > own / SAME)].mean()
+        recent = steps[max(0, index + 1 - RECENT) : index + 1]
+        means[index] = recent[(recent < own * SAME) & (recent > own / SAME)].mean()
     return np.concatenate([means[:1], means])

@@ -9,7 +9,7 @@ from pipeline.camera import classes
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import pose
 from pipeline.motion.road import Road
-from pipeline.motion.step import Step, plausible
+from pipeline.motion.step import Step, plausible, standing
 from pipeline.motion.tracks import Corners, follow
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
@@ -80,7 +80,10 @@ class _Odometry:
         if not len(uv) or np.median(np.abs(uv - uv_before).max(axis=1)) < STANDING_PX:
             return None
         measured = pose(xyz, uv, self._K, depth_sigma[believed])
-        if measured is None or not plausible(T_before := np.linalg.inv(measured.T_now_before)):
+        if measured is None:
+            return None
+        T_before = np.linalg.inv(measured.T_now_before)
+        if standing(T_before) or not plausible(T_before):
             return None
         return Step(T_before, int(measured.inliers.sum()), measured.residual_px, scale)
 

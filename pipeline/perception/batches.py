@@ -28,6 +28,12 @@ def read(source: DriveReader, rows: np.ndarray, size: int, *, scans: bool) -> Ge
         yield Batch(source.frame[batch], images, source["K"], scans_m)
 
 
+def calibration(source: DriveReader) -> np.ndarray | None:
+    """Return T_cam_velo [4,4] of a file of stage ingest; None without one."""
+    has_one = "T_cam_velo" in source
+    return source["T_cam_velo"] if has_one else None
+
+
 def _scan(source: DriveReader, row: int) -> np.ndarray:
     scan = source.rows("lidar", *source.rows("lidar_ptr", row, row + 2))
     _, height, width, _ = source.shape("image")

@@ -36,6 +36,10 @@ def put_on_ground(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_heig
     What stands on the ground hides what lies behind its foot. Monocular depth sees through it where it is smooth and
     bright, as a tanker's flank, and takes it for the sky.
 
+    It is wrong where the ground falls away: downhill by more than `reach` allows, the foot stands lower in the image
+    than on flat ground at its distance, and traffic comes too near; uphill it does nothing. And a vehicle whose foot
+    another one hides comes as near as that one.
+
     Args:
         depth: [H,W] in metres.
         cls, K, camera_height_m: as in :func:`ground_plane_depth`.

@@ -72,6 +72,11 @@ class Variant(Section):
             raise ValueError(f"{what} needs {key}")
         for key in sorted(self.model_fields_set - known):
             raise ValueError(f"{key} means nothing to {what}: leave it out. Keys that do: {', '.join(sorted(known))}")
+        if self.accumulate and (self.source, self.accumulate.motion) == ("clouds/pseudo", "lidar"):
+            raise ValueError(
+                "accumulate.motion = 'lidar' is in metres, which depth is but roughly: with source: clouds/pseudo "
+                "take visual, which knows depth's own scale; with clouds/lidar either"
+            )
         if len({len(self.centres), len(self.radius_m), len(self.neighbours)}) > 1:
             raise ValueError("centres, radius_m and neighbours must have one number for each level")
         if self.crop_m and not (self.crop_m[0] < self.crop_m[2] and self.crop_m[1] < self.crop_m[3]):

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.atomic import replacing
-from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
 from pipeline.town.motion import IMU_HEIGHT_M
 
-SCANNER_HEIGHT_M = 1.73
 CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}  # of camera 0: grey left, right, colour left, right
 _LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x forward, y left, z up -> x right, y down, z forward
 
@@ -33,7 +32,7 @@ _OTHERS = {
     "2026_01_04": Cameras(0.86 * _KITTI.focal_per_width, (0.506, 0.478), 1.55),
     "2026_01_05": Cameras(1.18 * _KITTI.focal_per_width, (0.477, 0.441), 1.72),
     "2026_01_06": Cameras(1.06 * _KITTI.focal_per_width, (0.512, 0.466), 1.76),
-    # Near KITTI's height: these dates' drives are for judging, and perception.camera_height_m is one for all.
+    # Near KITTI's height: these dates' drives are for judging.
     "2026_01_07": Cameras(0.93 * _KITTI.focal_per_width, (0.483, 0.470), 1.60),
     "2026_01_08": Cameras(1.11 * _KITTI.focal_per_width, (0.500, 0.449), 1.70),
 }

@@ -15,6 +15,7 @@ from pipeline.camera.images import DEPTH_UNITS_PER_M
 from pipeline.graphs import cloud
 from pipeline.kitti.ingest_file import put_motion, put_pixels
 from pipeline.kitti.oxts import make_rows
+from pipeline.motion import kinds
 from stages import clouds, graphs
 from tests import street
 
@@ -36,6 +37,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store.write_index(folder / "perception", SPLITS)
     _params(folder / "params.yaml")
     _clouds(folder, folder / "clouds", folder / "params.yaml")
+    kinds.write(folder / "motion", [])
     return folder
 
 
@@ -195,6 +197,7 @@ def test_images_are_ingests_frame_by_frame(data: Path, tmp_path: Path, capsys: p
         put_motion(file, np.array([3, 4, 6, 9]), time_s, make_rows(4))
         put_pixels(file, "image", 4, street.SIZE, [(row, image[row]) for row in (0, 2, 3)])
     params = _params(tmp_path / "params.yaml", graphs={"image": {"source": "ingest"}})
+    kinds.write(tmp_path / "motion", [])
     _graphs(tmp_path, tmp_path / "graphs", "image", params)  # no clouds, no perception are there
     assert f"image: no frames in {BLIND}" in capsys.readouterr().out
     with store.DriveReader(tmp_path / f"graphs/image/{FULL}.h5", stage="graphs") as file:
@@ -211,7 +214,8 @@ def test_run_twice_gives_the_same_bytes_whatever_the_workers(data: Path, tmp_pat
     params = _params(tmp_path / "params.yaml", graphs={"sets": SETS})
     for out, workers in ((tmp_path / "a", 1), (tmp_path / "b", 2)):
         out.mkdir()
-        (out / "ingest").symlink_to(data / "ingest")
+        for name in ("ingest", "motion"):
+            (out / name).symlink_to(data / name)
         clouds.main(data / "ingest", data / "perception", out / "clouds", data / "params.yaml", workers)
         for name in ("semantic", "sets", "image"):
             graphs.main(name, out, out / "graphs", params, workers)
@@ -224,6 +228,7 @@ def test_unknown_variants_and_foreign_files_are_one_line(data: Path, tmp_path: P
     with pytest.raises(InputError, match=r"graphs has no 'semantics': did you mean semantic\?"):
         _graphs(data, tmp_path, "semantics")
     (tmp_path / "clouds").mkdir()
+    kinds.write(tmp_path / "motion", [])
     shutil.copytree(data / "ingest", tmp_path / "clouds/pseudo")
     with pytest.raises(InputError, match=r"stage 'ingest'.* stage 'clouds'"):
         _graphs(tmp_path, tmp_path / "graphs", "depth", data / "params.yaml")
@@ -239,9 +244,10 @@ def test_an_accumulated_cloud_is_that_of_several_frames(data: Path, tmp_path: Pa
     lines = {
         name: {"source": "clouds/pseudo", "points": 300, "k": 4, "crop_m": [-20, -3, 20, 30], "accumulate": settings}
         for name, settings in {
-            "one": None, "three": {"motion": "visual", "frames": 3}, "lidar": {"motion": "lidar", "frames": 3}
+            "one": None, "three": {"motion": "visual", "frames": 3}
         }.items()
     }  # fmt: skip
+    lines["lidar"] = lines["three"] | {"source": "clouds/lidar", "accumulate": {"motion": "lidar", "frames": 3}}
     params = _params(tmp_path / "params.yaml", graphs=lines)
     one, three = (_graphs(tmp_path, tmp_path / "graphs", name, params) for name in ("one", "three"))
     with (
@@ -277,7 +283,9 @@ def write_motion(folder: Path, valid: list[int]) -> None:
             file.put("yaw_rate_radps", np.zeros(len(valid), np.float32))
             file.put("speed_mps", np.array(valid, np.float32) * 10)
             file.put("T_before", T_before)
+            file.put("scale", np.ones(len(valid), np.float32))
     store.write_index(folder, SPLITS)
+    kinds.write(folder.parent, [folder.name])
 
 
 @pytest.mark.parametrize(
@@ -286,6 +294,7 @@ def write_motion(folder: Path, valid: list[int]) -> None:
         ({"source": "ingest", "accumulate": {"motion": "visual", "frames": 3}}, "accumulate means nothing to images"),
         ({"accumulate": {"motion": "visual", "frames": 1}}, r"accumulate\.frames = 1: .*greater than or equal to 2"),
         ({"accumulate": {"motion": "oxts", "frames": 3}}, r"accumulate\.motion = 'oxts': .*visual.*lidar"),
+        ({"accumulate": {"motion": "lidar", "frames": 3}}, r"accumulate\.motion = 'lidar' is in metres.*take visual"),
         ({"accumulate": {"frames": 3}}, r"accumulate\.motion is missing"),
         ({"accumulate": {"motion": "visual", "frame": 3}}, r"unknown key graphs\.v\.accumulate\.frame: .*frames"),
     ],
@@ -307,6 +316,7 @@ def test_each_kind_of_measured_motion_is_carried_by_points_and_images(tmp_path: 
             file.put("speed_mps", np.array([1, 3], np.float32))
             file.put("valid", np.array([0, 1], np.uint8))
     store.write_index(tmp_path / "motion/visual", SPLITS)
+    kinds.write(tmp_path / "motion", ["visual"])
     params = _params(tmp_path / "params.yaml", graphs={"image": {"source": "ingest"}})
     for variant in ("depth", "image"):
         path = _graphs(tmp_path, tmp_path / "graphs", variant, params) / f"{FULL}.h5"

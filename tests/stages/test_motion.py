@@ -10,6 +10,7 @@ from pipeline.base import store
 from pipeline.camera.images import to_units
 from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
 from pipeline.kitti.oxts import make_rows
+from pipeline.motion import kinds as index
 from pipeline.sections.perception import Perception
 from stages import motion
 from tests import rendered_street as street
@@ -34,6 +35,7 @@ def write_drive(root: Path, drive: str, poses: list[np.ndarray], *, images: bool
         put_scans(file, frames, ((row, np.pad(points, [(0, 0), (0, 1)])) for row, points in enumerate(clouds)))
     params = {"perception": Perception(batch=1).model_dump()}
     with store.DriveWriter(root / "perception" / f"{drive}.h5", stage="perception", drive=drive, params=params) as file:
+        file.attrs["camera_height_m"] = 1.65
         file.put("frame", NUMBERS[: len(views)])
         file.put("time_s", NUMBERS[: len(views)] / 10)
         file.put("depth_m", np.array([to_units(depth) for _, depth, _ in views], np.uint16).reshape(-1, *street.SIZE))
@@ -100,6 +102,9 @@ def test_workers_change_no_byte(root: Path) -> None:
 def test_kinds_are_those_of_the_params_and_drives_without_motion_are_named(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (root / "one/visual").mkdir(parents=True)  # of an earlier run
+    store.write_index(root / "one/visual", {})
     run(root, "one", workers=1, kinds=("lidar",))
-    assert [path.name for path in (root / "one").iterdir()] == ["lidar"]
+    assert {path.name for path in (root / "one").iterdir()} == {"index.json", "lidar"}
+    assert index.read(root / "one") == {"lidar": root / "one/lidar"}
     assert f"lidar: no motion of {STANDS}, {BLIND}" in capsys.readouterr().out

@@ -3,12 +3,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres, to_units
 from pipeline.encoder.truth import read_truth
+from pipeline.motion import kinds
 from pipeline.perception.ground_plane import ground_plane_depth
 from pipeline.perception.scores import depth_errors
 from pipeline.sections.perception import Perception
@@ -17,6 +19,7 @@ from tests import street
 
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test", "2026_01_03_drive_0002": "test"}
 DENSE, LIDAR, BLIND = SPLITS
+LABELS = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "standstill": "invalid"}
 FACTOR = 1.1  # of each perceived depth
 
 
@@ -35,6 +38,7 @@ def write_perceived(root: Path, drive: str, **settings: object) -> None:
         cls = np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *street.SIZE)
         cls[:, :3] = classes.VEGETATION
         depth[:, :, :9] = 0
+        target.attrs["camera_height_m"] = settings.get("camera_height_m", 1.65)
         target.put("frame", numbers)
         target.put("depth_m", to_units(depth))
         target.put("cls", cls)
@@ -49,11 +53,13 @@ def folder(tmp_path: Path) -> Path:
     for drive in SPLITS:
         write_perceived(tmp_path, drive)
     store.write_index(tmp_path / "perception", SPLITS)
+    kinds.write(tmp_path / "motion", [])
     return tmp_path
 
 
 def run(root: Path, name: str = "scores", workers: int = 1) -> dict:
-    out = main(root / "ingest", root / "perception", root / name, workers)
+    (root / "params.yaml").write_text(yaml.safe_dump({"labels": LABELS}))
+    out = main(root / "ingest", root / "perception", root / "motion", root / name, root / "params.yaml", workers)
     assert out == root / name
     return json.loads((out / "metrics.json").read_text())
 
@@ -117,6 +123,7 @@ def test_a_frame_goes_by_its_number(folder: Path) -> None:
             folder / "some" / f"{DENSE}.h5", stage="perception", drive=DENSE, params=file.params
         ) as target,
     ):
+        target.attrs["camera_height_m"] = file.attrs["camera_height_m"]
         for name in ("frame", "depth_m", "cls"):
             target.put(name, file[name][[1, 4]])
     (folder / "some" / f"{DENSE}.h5").replace(folder / "perception" / f"{DENSE}.h5")
@@ -143,6 +150,12 @@ def test_without_perception_the_command_is_named(tmp_path: Path) -> None:
         run(tmp_path)
 
 
+def test_without_motion_the_command_is_named(folder: Path) -> None:
+    (folder / "motion/index.json").unlink()
+    with pytest.raises(InputError, match=r"motion/index\.json is missing.*dvc repro motion"):
+        run(folder)
+
+
 def test_measured_motion_is_judged_by_oxts_by_frame_number(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The street's oxts say 8 m/s straight on; each drive says 1.1 times as much, and its first frame nothing."""
     for drive in SPLITS:
@@ -158,11 +171,13 @@ def test_measured_motion_is_judged_by_oxts_by_frame_number(folder: Path, capsys:
             motion.put("speed_mps", np.float32(8.8) * valid)
             motion.put("valid", valid.astype(np.uint8))
     store.write_index(folder / "motion/visual", SPLITS)
-    out = main(folder / "ingest", folder / "perception", folder / "scores", 1, folder / "motion")
-    cards = json.loads((out / "metrics.json").read_text())["motion"]["visual"]
+    kinds.write(folder / "motion", ["visual"])
+    cards, out = run(folder)["motion"]["visual"], folder / "scores"
     assert cards["test"] == {
+        "drives": 1,  # the blind one has no frames
         "frames": 5,
         "valid": 0.8,
+        "judged": 4,
         "yaw_rmse_degps": pytest.approx(np.degrees(0.01)),
         "yaw_median_degps": pytest.approx(np.degrees(0.01)),
         "speed_ratio": pytest.approx(1.1),
@@ -170,4 +185,7 @@ def test_measured_motion_is_judged_by_oxts_by_frame_number(folder: Path, capsys:
     }
     assert cards["val"] is None
     assert json.loads((out / DENSE / "metrics.json").read_text())["motion"]["visual"] == cards["train"]
-    assert "visual motion, test: 80% measured, yaw rate to 0.57 deg/s, speed x 1.100" in capsys.readouterr().out
+    assert (
+        "visual motion, test: 80% of 5 frames measured, yaw rate to 0.57 deg/s, speed x 1.100"
+        in capsys.readouterr().out
+    )

@@ -68,9 +68,11 @@ def test_what_lies_before_a_gap_or_unmeasured_motion_is_left_out() -> None:
     assert held([], T_before, 2) == []
 
 
-def test_clouds_have_the_scale_of_their_depth_not_the_corrected_one(tmp_path: Path) -> None:
+def test_pseudo_clouds_have_the_scale_of_their_depth_and_scans_are_in_metres(tmp_path: Path) -> None:
     T = np.stack([np.eye(4), step(0.1, 2.0), step(0.1, 3.0)]).astype(np.float32)
-    for kind, forward_m in (("visual", 1.6), ("lidar", 2.0)):
+    for kind, source, forward_m in (
+        ("visual", "clouds/pseudo", 1.6), ("visual", "clouds/lidar", 2.0), ("lidar", "clouds/lidar", 2.0)
+    ):  # fmt: skip
         path = tmp_path / f"{kind}.h5"
         with store.DriveWriter(path, stage="motion", drive=DRIVE, params={}) as file:
             file.put("frame", np.array([4, 5, 6], np.int32))
@@ -80,6 +82,6 @@ def test_clouds_have_the_scale_of_their_depth_not_the_corrected_one(tmp_path: Pa
             if kind == "visual":
                 file.put("scale", np.array([0, 1.25, 0], np.float32))
         with store.DriveReader(path, stage="motion") as motion:
-            ((number, T_before),) = accumulate.steps(motion).items()
+            ((number, T_before),) = accumulate.steps(motion, source).items()
         assert number == 5
         assert T_before == pytest.approx(step(0.1, forward_m), abs=1e-6)

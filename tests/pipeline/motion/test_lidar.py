@@ -1,6 +1,7 @@
 """A street of planes, scanned from a known path: motion is measured; where scans do not tell, it is not."""
 
 import numpy as np
+import open3d as o3d
 import pytest
 
 from pipeline.motion import lidar, step
@@ -58,3 +59,33 @@ def test_a_gap_is_not_measured() -> None:
     scans = [scan(number, pose, world()) for number, pose in zip((1, 2, 4), street.arc(3, 0.0, 6.0), strict=True)]
     assert [one is not None for one in lidar.steps(scans, T_CAM_VELO)] == [False, True, False]
     assert list(lidar.steps([], T_CAM_VELO)) == []
+
+
+def test_a_step_that_no_car_makes_is_no_guess_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    sideways, forward = np.eye(4), np.eye(4)
+    sideways[1, 3], forward[0, 3] = 3.0, 0.6
+    found, guesses = iter([sideways, forward, forward]), []
+
+    def aligned(now: object, before: object, guess: np.ndarray | None) -> tuple[np.ndarray, int, float]:
+        guesses.append(guess)
+        return next(found), 500, 0.1
+
+    monkeypatch.setattr(lidar, "_aligned", aligned)
+    assert [one is not None for one in measured(street.arc(4, 0.0, 6.0), world())] == [False, False, True, True]
+    assert guesses[:2] == [None, None]
+    assert guesses[2] is forward
+
+
+def test_threads_change_no_bit() -> None:
+    before = o3d.utility.get_max_threads()
+    scans = [scan(number, pose, world()) for number, pose in enumerate(street.arc(3, 0.2, 6.0))]
+    found = []
+    try:
+        for threads in (1, 2, 2):
+            o3d.utility.set_max_threads(threads)
+            found.append(b"".join(one.T_before.tobytes() for one in lidar.steps(scans, T_CAM_VELO) if one))
+            assert o3d.utility.get_max_threads() == threads
+    finally:
+        o3d.utility.set_max_threads(before)
+    assert found[0]
+    assert len(set(found)) == 1

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pipeline.camera.geometry import transform
-from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
 from pipeline.kitti.calibration import cameras_in, read_camera
 from pipeline.town.motion import IMU_HEIGHT_M
-from pipeline.town.rig import SCANNER_HEIGHT_M, make_rig, rotation, write_calibration
+from pipeline.town.rig import make_rig, rotation, write_calibration
 
 
 @pytest.mark.parametrize("date", ["2026_01_01", "2026_01_05"])

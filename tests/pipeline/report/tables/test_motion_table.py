@@ -1,6 +1,9 @@
 from pipeline.report.tables.motion_table import markdown
 
-CARD = {"frames": 153, "valid": 0.99, "yaw_rmse_degps": 0.16, "yaw_median_degps": 0.11, "speed_ratio": 0.977}
+CARD = {
+    "drives": 2, "frames": 153, "valid": 0.99, "judged": 140,
+    "yaw_rmse_degps": 0.16, "yaw_median_degps": 0.11, "speed_ratio": 0.977,
+}  # fmt: skip
 
 
 def test_each_kind_and_split_that_was_judged_has_a_row() -> None:
@@ -10,9 +13,9 @@ def test_each_kind_and_split_that_was_judged_has_a_row() -> None:
     }
     rows = [line for line in markdown(cards).splitlines() if line.startswith(("| lidar", "| visual"))]
     assert rows == [
-        "| lidar | test | 153 | 99.0% | 0.160 | 0.110 | 0.977 | 0.0005 |",
-        "| visual | train | 153 | 99.0% | 0.160 | 0.110 | 0.977 | none |",
-        "| visual | test | 153 | 99.0% | 0.160 | 0.110 | 0.977 | 0.130 |",
+        "| lidar | test | 2 | 153 | 99.0% | 140 | 0.160 | 0.110 | 0.977 | 0.0005 |",
+        "| visual | train | 2 | 153 | 99.0% | 140 | 0.160 | 0.110 | 0.977 | none |",
+        "| visual | test | 2 | 153 | 99.0% | 140 | 0.160 | 0.110 | 0.977 | 0.130 |",
     ]
 
 

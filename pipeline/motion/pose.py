@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 MIN_POINTS = 20
-MIN_SHARE = 0.3  # of inliers
+MIN_START, MIN_SHARE = 0.3, 0.6  # of who agrees with RANSAC's pose, and in the end: what moves in a queue is no street
 RANSAC_PX = 2.0  # error of who agrees
 TRIALS = 100
 PIXEL_SIGMA = 0.3
@@ -42,7 +42,7 @@ def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
     if len(xyz) < MIN_POINTS:
         return None
     ok, turn, shift, agree = cv2.solvePnPRansac(xyz, uv, K, None, iterationsCount=TRIALS, reprojectionError=RANSAC_PX)
-    if not ok or agree is None or len(agree) < max(MIN_POINTS, MIN_SHARE * len(xyz)):
+    if not ok or agree is None or len(agree) < max(MIN_POINTS, MIN_START * len(xyz)):
         return None
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]

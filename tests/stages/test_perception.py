@@ -172,7 +172,7 @@ def test_precomputed_files_go_where_their_frames_are(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("mode", "expected"), [("camera_height", 1.0), ("lidar_median", 1.0), ("none", 0.4)])
 def test_depth_of_another_unit_gets_its_scale(tmp_path: Path, mode: str, expected: float) -> None:
     write_precomputed(tmp_path, factor=0.4)
-    run(tmp_path, "perception", batch=3, depth_scale=mode)
+    run(tmp_path, "perception", batch=3, depth_scale=mode, camera_height_m=1.65)
     found = read(tmp_path / "perception" / f"{DENSE}.h5")["depth_m"].astype(float)
     truth = np.stack([street.scene(frame)[1] for frame in range(7)]) * 256
     assert np.median(found[truth > 0] / truth[truth > 0]) == pytest.approx(expected, rel=0.01)
@@ -185,3 +185,18 @@ def test_the_median_of_lidar_is_that_of_the_scan_not_of_dense_truth(tmp_path: Pa
     street.write_drive(tmp_path / "ingest", DENSE, 7)  # dense truth alone
     run(tmp_path, "perception", batch=3, depth_scale="lidar_median")
     assert not read(tmp_path / "perception" / f"{DENSE}.h5")["depth_m"].any()
+
+
+def test_the_cameras_height_is_the_calibrations_or_the_one_that_the_params_say(folder: Path, tmp_path: Path) -> None:
+    for name in ("ingest", "encoder"):
+        (tmp_path / name).symlink_to(folder / name)
+    for camera_height_m, expected in ((None, {DENSE: 1.65, LIDAR: 1.73 - 0.1}), (1.4, {DENSE: 1.4, LIDAR: 1.4})):
+        run(tmp_path, "perception", batch=4, camera_height_m=camera_height_m)
+        for drive, height_m in expected.items():
+            with store.DriveReader(tmp_path / "perception" / f"{drive}.h5", stage="perception") as file:
+                assert file.attrs["camera_height_m"] == pytest.approx(height_m)
+
+
+def test_reach_without_metres_is_refused(folder: Path) -> None:
+    with pytest.raises(InputError, match="reach is of depth in metres"):
+        run(folder, "none", batch=4, depth_scale="none", reach=1.1)

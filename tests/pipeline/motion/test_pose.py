@@ -25,6 +25,12 @@ def test_the_pose_is_that_of_who_agrees() -> None:
     np.testing.assert_allclose(found.T_now_before, np.eye(4), atol=1e-3)
 
 
+def test_where_much_moves_by_itself_nobody_says_what_is_the_street() -> None:
+    uv, xyz = street(np.random.default_rng(0))
+    uv[: POINTS * 45 // 100, 0] += 30.0  # as one: a queue that no class tells
+    assert pose(xyz, uv, K, np.full(POINTS, 0.1)) is None
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_points_in_one_place_and_on_one_line_tell_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)

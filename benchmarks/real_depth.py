@@ -130,7 +130,7 @@ def classes_in_a_mirror(ingested: Path, fitted: Path) -> np.ndarray:
     model = perceive.load(fitted)
     with store.DriveReader(ingested, stage="ingest") as file:
         rows, K = np.flatnonzero(file["has_image"]), file["K"]
-        mirrored = (np.ascontiguousarray(file.row("image", row)[None, :, ::-1]) for row in rows)
+        mirrored = (np.ascontiguousarray(file.row("image", int(row))[None, :, ::-1]) for row in rows)
         return np.concatenate([perceive.perceive(model, image, K)[1][:, :, ::-1] for image in mirrored])
 
 

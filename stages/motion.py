@@ -45,8 +45,8 @@ def main(
         without = [drive for drive in splits if not summaries[f"{kind}/{drive}"]["valid"]]
         if without:
             print(f"{kind}: no motion of {', '.join(without)}")
-    for kind in KINDS.keys() - settings.kinds:  # of an earlier run
-        shutil.rmtree(out / kind, ignore_errors=True)
+    for stale in KINDS.keys() - settings.kinds:  # of an earlier run
+        shutil.rmtree(out / stale, ignore_errors=True)
     kinds.write(out, settings.kinds)
     return out
 

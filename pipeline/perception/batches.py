@@ -36,4 +36,5 @@ def calibration(source: DriveReader) -> np.ndarray | None:
 
 def _scan(source: DriveReader, row: int) -> np.ndarray:
     scan = source.rows("lidar", *source.rows("lidar_ptr", row, row + 2))
-    return scan_depth(scan, source["T_cam_velo"], source["K"], source.shape("image")[1:3])
+    _, height, width, _ = source.shape("image")
+    return scan_depth(scan, source["T_cam_velo"], source["K"], (height, width))

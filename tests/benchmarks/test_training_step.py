@@ -13,7 +13,6 @@ from pipeline.sections.preset import merged
 from pipeline.sections.train import Train
 from pipeline.train import windows
 
-MODELS = list(merged("table2")["models"])
 FRAMES, WINDOWS = 18, 3  # 18 frames hold 3 windows of 16
 
 
@@ -39,14 +38,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_all_models_of_the_paper_are_there_at_full_size(tmp_path: Path) -> None:
     town_frames.write_params("kitti", tmp_path / "params.yaml", FRAMES)
-    assert names("models", tmp_path / "params.yaml") == MODELS
+    assert names("models", tmp_path / "params.yaml") == list(town_frames.MODELS)
     content, kitti = yaml.safe_load((tmp_path / "params.yaml").read_text()), merged("kitti")
     assert all(content[section] == kitti[section] for section in ("graphs", "train", "clouds"))
     assert not any("width" in settings for settings in content["models"].values())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", town_frames.MODELS)
 def test_every_model_makes_a_row(folder: Path, model: str) -> None:
     params = folder / "params.yaml"
     row = training_step.measure(model, params, folder, steps=1)

@@ -94,7 +94,7 @@ def load_model(line: dict[str, Any]) -> dict[str, Any]:
             "models.sa-gnn-ncp.width = 0.25 means nothing to .*gnn.*ncp.*layers, semantics",
         ),
         ("models.sa-gnn-ncp.motion", "lidar", "models.sa-gnn-ncp.motion = 'lidar' .*motion.kinds has visual"),
-        ("graphs.semantic.accumulate", {"motion": "lidar", "frames": 2}, "semantic.accumulate.motion = 'lidar' is not"),
+        ("graphs.lidar.accumulate", {"motion": "lidar", "frames": 2}, "lidar.accumulate.motion = 'lidar' is not"),
         ("models.sa-gnn-ncp.motion", "gps", "models.sa-gnn-ncp.motion = 'gps'"),
         ("models.sa-gnn-ncp.horizon", -1, "models.sa-gnn-ncp.horizon = -1"),
         ("models.sa-gnn-ncp.roads", 1000, r"models.sa-gnn-ncp.roads = 1000: there are \d+ training drives"),

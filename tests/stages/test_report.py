@@ -41,10 +41,11 @@ def test_what_depth_is_worth_stands_below_the_models_where_it_is_known(tmp_path:
 
 def test_what_motion_is_worth_stands_below_that(tmp_path: Path) -> None:
     scores = {split: Scores().report() for split in ("train", "val", "test")}
-    card = {"frames": 9, "valid": 1.0, "yaw_rmse_degps": 0.2, "yaw_median_degps": 0.1, "speed_ratio": 1.0, "nmse": 0.01}
+    card = {"drives": 1, "frames": 9, "valid": 1.0, "judged": 8, "speed_ratio": 1.0, "nmse": 0.01}
+    card |= {"yaw_rmse_degps": 0.2, "yaw_median_degps": 0.1}
     motion = {"visual": {"train": None, "val": None, "test": card}}
     store.write_json(tmp_path / "scores/metrics.json", {**scores, "motion": motion})
-    assert "| visual | test | 9 | 100.0% |" in run(tmp_path, "lonely")
+    assert "| visual | test | 1 | 9 | 100.0% | 8 |" in run(tmp_path, "lonely")
     assert json.loads((tmp_path / "report/metrics.json").read_text())["motion.visual.nmse"] == 0.01
 
 

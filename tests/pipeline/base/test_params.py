@@ -75,7 +75,7 @@ def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
         ("labels.min_speed_mps", None, r"labels.min_speed_mps is missing"),
         ("labels", None, r"has no section 'labels'"),
         ("label", {}, r"unknown section 'label': did you mean labels\?"),
-        ("ingest.source", "nuscenes", r"ingest.source = 'nuscenes': Input should be 'town' or 'kitti'"),
+        ("ingest.source", "nuscenes", r"ingest.source = 'nuscenes': Input should be 'town', 'kitti' or 'both'"),
         ("ingest.image_size", [96], r"ingest.image_size.* Field required|ingest.image_size.*missing"),
         ("ingest.image_size", [96, 8], r"ingest.image_size.1 = 8: Input should be greater than or equal to 32"),
         ("ingest.cameras", [], r"ingest.cameras = \[\]: List should have at least 1 item"),

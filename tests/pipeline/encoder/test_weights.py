@@ -182,9 +182,9 @@ def test_published_files_that_are_none_are_refused(tmp_path: Path) -> None:
         "code": Code(),
         "number": 3,
         "tensor": torch.zeros(1),
-        "mixed": {"a": torch.zeros(1), "b": 2},
+        "mixed": {"a": torch.zeros(1), "b": "two"},
         "numbered": {0: torch.zeros(1)},
-        "wrapped tensor": {"model": torch.zeros(2), "epoch": 3},
+        "wrapped tensor": {"model": torch.zeros(2), "epoch": "third"},
         "empty": {},
     }
     for name, content in contents.items():

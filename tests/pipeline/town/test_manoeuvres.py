@@ -51,7 +51,7 @@ def test_no_road_meets_itself(routes: list[tuple[str, Route]]) -> None:
         assert apart[np.abs(s[:, None] - s[None]) > 60].min() > 20
 
 
-def test_ways_that_are_not_taken_are_mostly_closed_where_the_car_turns(routes: list[tuple[str, Route]]) -> None:
+def test_ways_that_are_not_taken_are_closed_where_the_car_turns(routes: list[tuple[str, Route]]) -> None:
     closed_at_turns = []
     for _, route in routes:
         for arm in route.arms:
@@ -60,7 +60,8 @@ def test_ways_that_are_not_taken_are_mostly_closed_where_the_car_turns(routes: l
                 closed_at_turns.append(arm.closed)
             else:
                 assert not arm.closed  # straight on, past side roads
-    assert 0.5 < np.mean(closed_at_turns) < 0.9
+    assert len(closed_at_turns) > 5
+    assert all(closed_at_turns)
 
 
 def test_same_seed_same_road() -> None:

@@ -1,13 +1,14 @@
 """Frames as the spatial networks see them: images, or many point clouds side by side."""
 
 import dataclasses
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 Kind = Literal["graph", "pointnet2", "image"]
 """What the frames of an input are: GraphBatch, SetBatch or ImageBatch."""
@@ -42,6 +43,23 @@ class GraphBatch:
         """Return the batch on `device`."""
         tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return dataclasses.replace(self, **{name: tensor.to(device) for name, tensor in tensors.items()})
+
+    def blocks(self, points: int) -> Iterator[Self]:
+        """Cut the batch in blocks of whole frames: as many as have `points` points at most, and at least one."""
+        ptr = self.ptr.tolist()
+        ends = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # of the frames' edges
+        first = 0
+        while first < self.frames:
+            last = max(first + 1, bisect_right(ptr, ptr[first] + points) - 1)
+            rows = slice(ptr[first], ptr[last])
+            yield type(self)(
+                self.xyz[rows],
+                self.cls[rows],
+                self.ptr[first : last + 1] - ptr[first],
+                self.degree[rows],
+                self.indices[ends[first] : ends[last]] - ptr[first],
+            )
+            first = last
 
     def mirrored(self) -> Self:
         """Return the frames as seen in a mirror, left for right."""

@@ -6,6 +6,8 @@ from torch import Tensor
 from pipeline.camera import classes
 
 GEOMETRY = 6  # columns of node_features that come from the point's place alone
+IN_MIRROR = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT
+"""What a mirror, left for right, makes of each column of node_features: those of x change sign."""
 GROUND_Y_M = 1.65  # about where KITTI's ground lies; an offset only, to have y start near 0 as the others do
 NODE_FEATURES = GEOMETRY + classes.COUNT
 
@@ -33,7 +35,7 @@ def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
     """Return each frame's mean ‖ max over its points: [N,C], ptr [B+1] → [B,2C]; zeros for a frame without points."""
     # A loop over frames is faster here than segment_reduce (8x, 2 cores) and, unlike index_add, deterministic on CUDA.
     pooled = [
-        torch.cat([points.mean(0), points.max(0).values]) if len(points) else points.new_zeros(2 * x.shape[1])
+        torch.cat([points.mean(0), points.amax(0)]) if len(points) else points.new_zeros(2 * x.shape[1])
         for points in torch.split(x, ptr.diff().tolist())
     ]
     return torch.stack(pooled)

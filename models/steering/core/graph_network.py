@@ -31,10 +31,17 @@ class GraphNetwork(nn.Module):
 
     def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B, features]; neither the order of points nor other frames in the batch change a frame's numbers."""
+        return self.told(self.pooled(batch))
+
+    def pooled(self, batch: GraphBatch) -> Tensor:
+        """Return mean ‖ max over each frame's points after the last layer: [B, 2 width]."""
         dtype = self.read_out.weight.dtype
         operator = self.layers[0].operator(batch, dtype)  # type: ignore[operator]
         x = node_features(batch.xyz.to(dtype), batch.cls, self.semantics)  # [N, 25]
         for layer in self.layers:
             x = layer(x, operator).relu()  # [N, width]
-        pooled = mean_max_pool(x, batch.ptr)  # [B, 2 width]
-        return torch.tanh(self.read_out(pooled))  # [B, features]; the range that LTC synapses listen to
+        return mean_max_pool(x, batch.ptr)
+
+    def told(self, pooled: Tensor) -> Tensor:
+        """What the recurrent network is told of a frame: [..., 2 width] → [..., features]."""
+        return torch.tanh(self.read_out(pooled))  # the range that LTC synapses listen to

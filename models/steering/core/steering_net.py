@@ -67,8 +67,13 @@ class SteeringNet(nn.Module):
 
     def encode(self, batch: Batch) -> Tensor:
         """Return what the spatial network sees in each frame, [B,F]; minus the same in the mirror, if equivariant."""
-        features: Tensor = self.spatial(batch)
-        return features - self.spatial(batch.mirrored()) if self.equivariant else features
+        if not self.equivariant:
+            features: Tensor = self.spatial(batch)
+            return features
+        # A network that has `both` shares what the two have in common.
+        both = getattr(self.spatial, "both", lambda batch: (self.spatial(batch), self.spatial(batch.mirrored())))
+        seen, mirrored = both(batch)
+        return seen - mirrored
 
     def forward(self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
         """Predict the (scaled) steering at each window's last frame, or what the measured angle leaves open of it.

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from models.steering.core.features import GEOMETRY, NODE_FEATURES, max_pool, mean_max_pool, node_features
+from models.steering.core.features import GEOMETRY, IN_MIRROR, max_pool, mean_max_pool, node_features
 from pipeline.camera import classes
 
 
@@ -19,9 +19,9 @@ def test_classes_enter_in_proportion_to_semantics(make_batch):
 def test_features_of_the_mirrored_street_differ_in_sign_of_the_lateral_ones_only(make_batch):
     batch = make_batch([30])
     mirrored = batch.xyz * torch.tensor([-1.0, 1.0, 1.0])
-    signs = torch.ones(NODE_FEATURES)
-    signs[[0, 3]] = -1
-    assert torch.equal(node_features(mirrored, batch.cls, 1.0), node_features(batch.xyz, batch.cls, 1.0) * signs)
+    assert torch.equal(
+        node_features(mirrored, batch.cls, 1.0), node_features(batch.xyz, batch.cls, 1.0) * torch.tensor(IN_MIRROR)
+    )
 
 
 def test_features_are_of_order_one_over_a_street():

@@ -4,7 +4,9 @@ import warnings
 import pytest
 import torch
 
-from models.steering.spatial.gnn import GCNLayer, normalised_adjacency, propagate
+from models.steering.core.graph_network import GraphNetwork
+from models.steering.spatial import gnn
+from models.steering.spatial.gnn import GCN, GCNLayer, normalised_adjacency, propagate
 
 with warnings.catch_warnings():  # PyG's own use of torch.jit is deprecated there, and not ours to mend
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -96,3 +98,30 @@ def test_sparse_product_stays_in_full_precision_under_autocast(make_batch):
 def test_graph_without_nodes(make_batch):
     layer = GCNLayer(3, 4)
     assert layer(torch.zeros(0, 3), GCNLayer.operator(make_batch([0, 0]), torch.float32)).shape == (0, 4)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("layers", [(8, 16), (30, 5, 12), (4,)])
+@pytest.mark.parametrize("points", [1, 30, 10**6])  # of a block: a frame each, some, all
+def test_blocks_of_frames_equal_layers_on_all(make_batch, monkeypatch, dtype, layers, points):
+    """Values and gradients, of the frames and of the frames in the mirror."""
+    monkeypatch.setattr(gnn, "BLOCK", points)
+    batch = make_batch([13, 0, 1, 30, 22, 7])
+    torch.manual_seed(0)
+    net = GCN(5, layers=layers, semantics=0.7).to(dtype)
+    for layer in net.layers:
+        torch.nn.init.normal_(layer.bias)
+    upstream = torch.randn(2, batch.frames, 5, dtype=dtype)
+
+    def gradients(*seen):
+        return torch.autograd.grad(
+            (torch.stack(seen) * upstream[: len(seen)]).sum(), list(net.parameters()), retain_graph=True
+        )
+
+    here, there = (GraphNetwork.pooled(net, side) for side in (batch, batch.mirrored()))
+    here, there = net.told(here), net.told(there)
+    tolerance = TOLERANCE if dtype == torch.float64 else {"rtol": 1e-5, "atol": 1e-5}
+    torch.testing.assert_close(net(batch), here, **tolerance)
+    torch.testing.assert_close(net.both(batch), (here, there), **tolerance)
+    torch.testing.assert_close(gradients(net(batch)), gradients(here), **tolerance)
+    torch.testing.assert_close(gradients(*net.both(batch)), gradients(here, there), **tolerance)

@@ -1,4 +1,3 @@
-import csv
 import json
 import os
 import re
@@ -12,56 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import yaml
 
-from pipeline.base import provenance, store
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
-from pipeline.train import distributed, fit, frames, predict, windows
-from stages import evaluate, report, train
+from pipeline.train import distributed, fit, windows
+from stages import report
 from tests import artefacts
-
-PARAMS = Path(__file__).resolve().parents[2] / "params.yaml"
-SPLITS = {
-    "2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_01_drive_0003": "train",
-    "2026_01_02_drive_0001": "val", "2026_01_03_drive_0001": "test",
-}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dataset")
-    artefacts.write_dataset(folder, SPLITS, frames=60, points=80)
-    return folder
-
-
-@pytest.fixture
-def folder(dataset: Path, tmp_path: Path) -> Path:
-    shutil.copytree(dataset, tmp_path / "data")
-    write_params(tmp_path / "data")
-    return tmp_path / "data"
-
-
-def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
-    content = yaml.safe_load(PARAMS.read_text())
-    line = {"spatial": "gnn", **(model or {})}
-    knobs = {"layers": [16, 16], "semantics": 1.0}
-    means_nothing = {"cnn": {"layers", "semantics"}, "pointnet2": {"layers"}}.get(str(line["spatial"]), set())
-    small = {"input": "semantic", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
-    small |= {knob: value for knob, value in knobs.items() if knob not in means_nothing}
-    content["models"] = {"net": small | line}
-    content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
-    (folder / "params.yaml").write_text(yaml.safe_dump(content))
-
-
-def run_train(folder: Path) -> Path:
-    return train.main("net", folder / "graphs", folder / "labels", folder / "train", folder / "params.yaml")
-
-
-def run_evaluate(folder: Path) -> Path:
-    return evaluate.main(
-        "net", folder / "train", folder / "graphs", folder / "labels", folder / "evaluate", folder / "params.yaml"
-    )
+from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params, write_two_test_drives
 
 
 @pytest.mark.slow
@@ -138,101 +95,11 @@ def test_without_validation_drives_the_last_epoch_counts(folder: Path, capsys: p
     assert result["val"] is None
 
 
-@pytest.mark.slow
-def test_figures_are_means_over_seeds(folder: Path) -> None:
-    write_params(folder, seeds=[0, 7], epochs=2)
-    made = run_train(folder)
-    first, second = (torch.load(made / path, weights_only=True)["net"] for path in ("best.pt", "seed-7/best.pt"))
-    assert any(not torch.equal(first[name], second[name]) for name in first)
-    judged = run_evaluate(folder)
-    both = json.loads((judged / "metrics.json").read_text())["test"]
-    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
-    assert "Means over 2 seeds" in (folder / "report/table.md").read_text()
-
-    alone = []
-    for seed in (0, 7):
-        write_params(folder, seeds=[seed], epochs=2)
-        run_train(folder)
-        alone.append(json.loads((run_evaluate(folder) / "metrics.json").read_text())["test"])
-        own = judged / ("predictions.csv" if seed == 0 else "seed-7/predictions.csv")
-        assert own.exists()
-    for key in ("mse_rad2", "nmse", "mae_deg"):
-        assert both[key] == pytest.approx((alone[0][key] + alone[1][key]) / 2)
-    assert both["nmse_std"] == pytest.approx(abs(alone[0]["nmse"] - alone[1]["nmse"]) / np.sqrt(2))
-    assert alone[0]["nmse_std"] is None
-
-
-def write_two_test_drives(folder: Path) -> list[str]:
-    """Make two of the training drives test drives; return the test drives."""
-    tested = ["2026_01_01_drive_0002", "2026_01_01_drive_0003"]
-    splits = {**SPLITS, **dict.fromkeys(tested, "test")}
-    del splits["2026_01_03_drive_0001"]
-    store.write_index(folder / "graphs/semantic", splits)
-    return tested
-
-
 def made_by(folder: Path) -> dict[str, bytes]:
     """Return relative path → contents of what training and judging wrote, without the time that they took."""
     files = [path for stage in ("train", "evaluate") for path in (folder / stage).rglob("*") if path.is_file()]
     contents = {str(path.relative_to(folder)): path.read_bytes() for path in files}
     return {name: re.sub(rb'"encode_ms_per_frame": [\d.]+', b"", content) for name, content in contents.items()}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fit_to", ["others", "both"])
-def test_a_test_drive_is_judged_by_the_network_that_has_not_seen_it(folder: Path, fit_to: str) -> None:
-    tested = write_two_test_drives(folder)
-    write_params(folder, {"fit_to": fit_to}, epochs=1, seeds=[0, 7])
-    made, judged = run_train(folder), run_evaluate(folder)
-    networks = sorted(str(path.parent.relative_to(made)) for path in made.rglob("best.pt"))
-    assert networks == sorted(f"{seed}fold-{drive}" for seed in ("", "seed-7/") for drive in tested)
-    own, val = (["2026_01_01_drive_0001"], ["2026_01_02_drive_0001"]) if fit_to == "both" else ([], [])
-    result = json.loads((judged / "metrics.json").read_text())
-    assert result["drives"] == {"train": own + tested[::-1], "val": val, "test": tested}
-    for split in [split for split, names in result["drives"].items() if names]:  # each drive once
-        assert result[split]["frames"] == len(result["drives"][split]) * (60 - 3)
-    assert (result["val"] is None) == (fit_to == "others")
-    assert result["encode_ms_per_frame"] > 0
-    assert sorted(result["test"]["by_drive"]) == tested
-    assert result["test"]["frames"] == 2 * (60 - 3)
-    for seed in ("", "seed-7/"):
-        with (judged / f"{seed}predictions.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        for drive in tested:
-            model = predict.load(made / f"{seed}fold-{drive}")
-            assert model.fold == drive
-            with frames.open_graphs(folder / f"graphs/semantic/{drive}.h5") as graphs:
-                angles = model.predict(graphs)
-            written = [row["predicted_rad"] for row in rows if row["drive"] == drive]
-            assert written == ["" if np.isnan(angle) else f"{angle:.6f}" for angle in angles]
-    with pytest.raises(InputError, match=r"net is not a trained model.*: fold-2026_01_01_drive_0002, fold-2026"):
-        predict.load(made)
-    out = folder / "report"
-    report.main(folder / "evaluate", out, folder / "params.yaml", folder / "scores", folder / "train")
-    assert len(list((out / "learning").iterdir())) == 4
-    assert f"| {fit_to} |" in (out / "table.md").read_text()
-
-
-@pytest.mark.slow
-def test_a_drive_that_cannot_be_judged_is_named_and_still_teaches(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    short, *tested = ["2026_01_03_drive_0001", *write_two_test_drives(folder)]
-    store.write_index(folder / "graphs/semantic", {**dict.fromkeys([*tested, short], "test")})
-    straight = np.zeros(60)
-    artefacts.write_labels(folder / f"labels/{short}.h5", short, straight, np.arange(60))
-    write_params(folder, {"fit_to": "others"}, epochs=1)
-    made, judged = run_train(folder), run_evaluate(folder)
-    said = capsys.readouterr().out
-    assert f"not judged: {folder / 'labels'}: every valid label of {short} is 0" in said
-    assert sorted(path.parent.name for path in made.rglob("best.pt")) == [f"fold-{drive}" for drive in tested]
-    result = json.loads((judged / "metrics.json").read_text())
-    assert result["drives"]["test"] == tested
-    assert short in result["drives"]["train"]
-    for drive in tested:
-        artefacts.write_labels(folder / f"labels/{drive}.h5", drive, straight, np.arange(60))
-    with pytest.raises(InputError, match=r"every valid label of .* is 0"):
-        run_train(folder)
 
 
 @pytest.mark.slow
@@ -399,16 +266,6 @@ def test_sets_and_images_go_the_same_way(
     assert "| none |" in (tmp_path / "report/table.md").read_text()
 
 
-def test_a_checkpoint_for_other_inputs_is_refused(folder: Path) -> None:
-    run_train(folder)
-    artefacts.write_dataset(folder, SPLITS, frames=60, points=60, write=artefacts.write_images)
-    with pytest.raises(
-        InputError, match=r"model net expects kNN graphs, but .*\.h5 holds images of 32 x 48 .*force train@net"
-    ):
-        run_evaluate(folder)
-    assert not (folder / "evaluate").exists()
-
-
 @pytest.mark.slow
 def test_a_killed_run_is_not_resumed_on_another_split(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was trained on must not become validation: the files are the same, only their roles differ."""
@@ -447,103 +304,3 @@ def test_impossible_models_are_refused_before_anything_is_written(
     with pytest.raises(InputError, match=message):
         run_train(folder)
     assert not (folder / "train").exists()
-
-
-def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
-    made = run_train(folder)
-    config = json.loads((made / "config.json").read_text())
-    store.write_json(made / "config.json", config | {"model": config["model"] | {"alpha": 1.0}})
-    with pytest.raises(InputError, match=r"best\.pt is of model net, seed 0, .*config.* --force train@net"):
-        run_evaluate(folder)
-    content = torch.load(made / "best.pt", weights_only=True)
-    content["model"]["features"] = 9
-    checkpoint.write(made / "best.pt", content)
-    with pytest.raises(InputError, match=r"best\.pt does not fit .* dvc repro --force train@net"):
-        run_evaluate(folder)
-    assert not (folder / "evaluate").exists()
-
-
-def test_a_checkpoint_of_another_model_is_refused(folder: Path) -> None:
-    made = run_train(folder)
-    content = torch.load(made / "best.pt", weights_only=True)
-    checkpoint.write(made / "best.pt", content | {"name": "other"})
-    with pytest.raises(InputError, match=r"best\.pt is of model other, seed 0, .*Train it again"):
-        run_evaluate(folder)
-    (made / "best.pt").write_bytes((made / "last.pt").read_bytes()[:-100])
-    with pytest.raises(InputError, match=r"best\.pt is cut short.* dvc repro --force train@net"):
-        run_evaluate(folder)
-    assert not (folder / "evaluate").exists()
-
-
-def test_evaluate_and_report_are_byte_identical_when_run_twice(folder: Path) -> None:
-    run_train(folder)
-
-    def made() -> dict[str, bytes]:
-        run_evaluate(folder)
-        report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
-        files = [*(folder / "evaluate").rglob("*"), *(folder / "report").rglob("*")]
-        return {str(path): path.read_bytes() for path in files if path.is_file()}
-
-    first = made()
-    assert first == made()
-    assert {Path(name).name for name in first} >= {
-        "metrics.json",
-        "predictions.csv",
-        "steering.png",
-        "table.md",
-        "table.csv",
-    }
-
-
-def test_predictions_csv_covers_every_frame(folder: Path) -> None:
-    run_train(folder)
-    lines = (run_evaluate(folder) / "predictions.csv").read_text().splitlines()
-    assert lines[0] == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid"
-    rows = [line.split(",") for line in lines[1:]]
-    assert [row[1] for row in rows] == [str(number) for number in range(60)]
-    assert [row[5] == "" for row in rows] == [number < 3 for number in range(60)]
-    error = np.array([float(row[5]) - float(row[4]) for row in rows[3:]])
-    result = json.loads((folder / "evaluate/net/metrics.json").read_text())
-    assert result["test"]["mse_rad2"] == pytest.approx(float((error**2).mean()), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_in_python_a_model_predicts_the_numbers_of_predictions_csv(folder: Path) -> None:
-    write_params(folder, seeds=[0, 7], epochs=1)
-    made, judged = run_train(folder), run_evaluate(folder)
-    for own, trained in ((judged, made), (judged / "seed-7", str(made / "seed-7"))):
-        with (own / "predictions.csv").open(newline="") as file:
-            written = {int(row["frame"]): row["predicted_rad"] for row in csv.DictReader(file)}
-        model = predict.load(trained)
-        with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
-            every, some = model.predict(graphs), model.predict(graphs, [59, 2, 30])
-        assert [("" if np.isnan(angle) else f"{angle:.6f}") for angle in every] == list(written.values())
-        assert some == pytest.approx(every[[59, 2, 30]], abs=1e-6, nan_ok=True)
-        assert np.isnan(some[1])
-
-
-def test_report_names_models_that_are_not_here(folder: Path) -> None:
-    run_train(folder)
-    run_evaluate(folder)
-    content = yaml.safe_load((folder / "params.yaml").read_text())
-    content["models"]["other"] = content["models"]["net"]
-    (folder / "params.yaml").write_text(yaml.safe_dump(content))
-    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
-    text = (folder / "report" / "table.md").read_text()
-    assert "| net | " in text
-    assert "dvc repro --pull --downstream train@other" in text
-    assert len(re.findall(r"\| \*zero\* \|.*\| 1\.000 \|", text)) == 1
-    with (folder / "report" / "table.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["model"] for row in rows] == ["net", "zero", "train_mean", "persistence"]
-    assert float(rows[0]["test_nmse_low"]) <= float(rows[0]["test_nmse_high"])
-    assert rows[1]["test_nmse"] == "1.0"
-
-
-def test_no_edit_of_judging_trains_and_no_edit_of_the_run_is_judged() -> None:
-    trained_by, judged_by = (
-        {str(path) for path in provenance.import_closure(f"stages.{stage}")} for stage in ("train", "evaluate")
-    )
-    assert not {path for path in trained_by if path.startswith("pipeline/report")}
-    assert not {path for path in judged_by if Path(path).stem in ("fit", "augment", "schedule")}
-    assert {"pipeline/train/predict.py", "pipeline/train/windows.py"} <= trained_by & judged_by

@@ -1,0 +1,45 @@
+"""A small model on small graphs: its params.yaml, and the stages that train and judge it."""
+
+from pathlib import Path
+
+import yaml
+
+from pipeline.base import store
+from stages import evaluate, train
+
+PARAMS = Path(__file__).resolve().parents[1] / "params.yaml"
+SPLITS = {
+    "2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_01_drive_0003": "train",
+    "2026_01_02_drive_0001": "val", "2026_01_03_drive_0001": "test",
+}  # fmt: skip
+
+
+def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
+    content = yaml.safe_load(PARAMS.read_text())
+    line = {"spatial": "gnn", **(model or {})}
+    knobs = {"layers": [16, 16], "semantics": 1.0}
+    means_nothing = {"cnn": {"layers", "semantics"}, "pointnet2": {"layers"}}.get(str(line["spatial"]), set())
+    small = {"input": "semantic", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
+    small |= {knob: value for knob, value in knobs.items() if knob not in means_nothing}
+    content["models"] = {"net": small | line}
+    content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
+    (folder / "params.yaml").write_text(yaml.safe_dump(content))
+
+
+def run_train(folder: Path) -> Path:
+    return train.main("net", folder / "graphs", folder / "labels", folder / "train", folder / "params.yaml")
+
+
+def run_evaluate(folder: Path) -> Path:
+    return evaluate.main(
+        "net", folder / "train", folder / "graphs", folder / "labels", folder / "evaluate", folder / "params.yaml"
+    )
+
+
+def write_two_test_drives(folder: Path) -> list[str]:
+    """Make two of the training drives test drives; return the test drives."""
+    tested = ["2026_01_01_drive_0002", "2026_01_01_drive_0003"]
+    splits = {**SPLITS, **dict.fromkeys(tested, "test")}
+    del splits["2026_01_03_drive_0001"]
+    store.write_index(folder / "graphs/semantic", splits)
+    return tested

@@ -38,8 +38,10 @@ def plausible(T_before: np.ndarray) -> bool:
 def rates(T_before: np.ndarray, dt_s: float) -> tuple[float, float]:
     """Return yaw rate, rad/s, left +, and forward speed, m/s, of a step [4,4] that took `dt_s`.
 
-    Both are means over the step. Forward is where the camera looks half-way through it: seen from there, a camera ahead
-    of the axle, which a turn moves sideways, goes as far forward as the axle does.
+    Both are means over the step, so those of half a frame ago. So are KITTI's labels, as oxts' rates come 0.06 s late:
+    led on to the frame's time, the angle of four real drives has an nmse of 0.0040 instead of 0.0023. Forward is where
+    the camera looks half-way through it: seen from there, a camera ahead of the axle, which a turn moves sideways, goes
+    as far forward as the axle does.
     """
     import cv2
 

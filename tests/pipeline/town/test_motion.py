@@ -1,9 +1,13 @@
 """The ego's motion, and the oxts rows that tell it: positions, speeds, rates are each other's integrals."""
 
+import tarfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from pipeline.kitti.oxts import COLUMNS
+from pipeline.kitti.oxts import COLUMNS, WU, YAW
+from pipeline.kitti.raw import find_drives
 from pipeline.label import steering_angle
 from pipeline.town.body import Body, draw_body
 from pipeline.town.manoeuvres import draw_route
@@ -16,7 +20,8 @@ from pipeline.town.motion import (
     frame_times,
     speed_profile,
 )
-from pipeline.town.oxts import GRAVITY_MPS2, oxts_rows
+from pipeline.town.oxts import GRAVITY_MPS2, RATES_LATE_S, oxts_rows
+from pipeline.town.recording import read_recording
 from pipeline.town.route import AHEAD_M, Route
 
 LAT, LON, LATERAL = 49.0, 8.4, 3.0
@@ -55,29 +60,52 @@ def test_speed_and_yaw_integrate_to_the_track(driven: Drive) -> None:
     assert np.linalg.norm(track - measured, axis=1).max() < 0.10
 
 
-def test_the_label_is_the_curvature_of_the_path(driven: Drive) -> None:
+def test_the_label_is_the_curvature_of_the_path_a_moment_ago(driven: Drive) -> None:
     route, motion, _, oxts = driven
     moving = oxts["vf"] > 1
-    label = steering_angle(oxts["wu"], oxts["vf"], 2.7)[moving]
-    np.testing.assert_allclose(label, np.arctan(2.7 * route.curvature(motion.s_m[moving])), atol=1e-12)
+    label = steering_angle(oxts["wu"], oxts["vf"], 2.7)
+    s_m, speed_mps = (
+        np.interp(motion.time_s - RATES_LATE_S, motion.time_s, values) for values in (motion.s_m, motion.speed_mps)
+    )
+    faster = speed_mps[moving] / oxts["vf"][moving]  # a moment ago: the speed is not late
+    np.testing.assert_allclose(np.tan(label[moving]), 2.7 * route.curvature(s_m)[moving] * faster, atol=1e-12)
     assert label.max() > 0.1  # left and right
     assert label.min() < -0.1
 
 
-def test_rates_are_derivatives(driven: Drive) -> None:
-    _, motion, _, oxts = driven
+def test_rates_are_derivatives_a_moment_ago(driven: Drive) -> None:
+    route, motion, _, oxts = driven
     dt = np.diff(motion.time_s)
     turned = np.diff(np.unwrap(oxts["yaw"]))
-    np.testing.assert_allclose(turned, (oxts["wu"][1:] + oxts["wu"][:-1]) / 2 * dt, atol=3e-3)
+    in_time = np.interp(motion.time_s + RATES_LATE_S, motion.time_s, oxts["wu"])
+    np.testing.assert_allclose(turned[:-1], ((in_time[1:] + in_time[:-1]) / 2 * dt)[:-1], atol=5e-3)
     np.testing.assert_allclose(np.hypot(oxts["vn"], oxts["ve"]), oxts["vf"], atol=1e-12)
     np.testing.assert_allclose(
         np.arctan2(oxts["vn"], oxts["ve"])[oxts["vf"] > 0], oxts["yaw"][oxts["vf"] > 0], atol=1e-9
     )
-    np.testing.assert_allclose(oxts["al"], oxts["vf"] * oxts["wu"], atol=1e-12)
+    np.testing.assert_allclose(oxts["al"], oxts["vf"] ** 2 * route.curvature(motion.s_m), atol=1e-12)
     assert np.abs(oxts["al"]).max() <= LATERAL + 0.01
     assert np.abs(np.diff(oxts["vf"]) / dt).max() < 1.01 * BRAKE_MPS2
     assert 0.098 < dt.mean() < 0.108
     assert 0 < dt.std() < 0.002
+
+
+@pytest.mark.real
+@pytest.mark.slow
+def test_real_rates_are_as_late(real_kitti: Path, tmp_path: Path) -> None:
+    names = ["2011_09_26_drive_0009", "2011_09_26_drive_0101", "2011_09_30_drive_0034"]
+    wanted = tuple(f"{name[:10]}/{name}_sync/oxts" for name in names)
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        members = [member for member in archive if member.name.removeprefix("./").startswith(wanted)]
+        archive.extractall(tmp_path, members, filter="data")
+    for name in names:
+        taken = read_recording(find_drives(tmp_path, [name])[name], 10_000)
+        time_s, rate = taken.time_s, taken.rows[:, WU]
+        turning = np.diff(np.unwrap(taken.rows[:, YAW])) / np.diff(time_s)
+        middle = (time_s[1:] + time_s[:-1]) / 2
+        late_s = np.arange(-0.1, 0.15, 0.005)
+        error = [np.mean((turning - np.interp(middle + late, time_s, rate))[2:-2] ** 2) for late in late_s]
+        assert late_s[np.argmin(error)] == pytest.approx(RATES_LATE_S, abs=0.0101)
 
 
 def test_a_halt_lasts_as_long_as_it_should(driven: Drive) -> None:

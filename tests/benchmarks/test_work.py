@@ -3,7 +3,7 @@
 import torch
 
 from benchmarks.work import Counter, Work
-from models.steering.spatial.gnn import normalised_adjacency, propagate
+from models.steering.core.adjacency import normalised_adjacency, propagate
 
 
 def test_matrix_product_and_its_gradient() -> None:

@@ -4,9 +4,10 @@ import warnings
 import pytest
 import torch
 
+from models.steering.core import convolutions
+from models.steering.core.adjacency import normalised_adjacency, propagate
 from models.steering.core.graph_network import GraphNetwork
-from models.steering.spatial import gnn
-from models.steering.spatial.gnn import GCN, GCNLayer, normalised_adjacency, propagate
+from models.steering.spatial.gnn import GCN, GCNLayer
 
 with warnings.catch_warnings():  # PyG's own use of torch.jit is deprecated there, and not ours to mend
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -102,10 +103,10 @@ def test_graph_without_nodes(make_batch):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("layers", [(8, 16), (30, 5, 12), (4,)])
-@pytest.mark.parametrize("points", [1, 30, 10**6])  # of a block: a frame each, some, all
-def test_blocks_of_frames_equal_layers_on_all(make_batch, monkeypatch, dtype, layers, points):
+@pytest.mark.parametrize("tile", [4, 30, 10**6])  # points: several of a frame, some frames, all
+def test_tile_after_tile_equals_layer_after_layer(make_batch, monkeypatch, dtype, layers, tile):
     """Values and gradients, of the frames and of the frames in the mirror."""
-    monkeypatch.setattr(gnn, "BLOCK", points)
+    monkeypatch.setattr(convolutions, "TILE", tile)
     batch = make_batch([13, 0, 1, 30, 22, 7])
     torch.manual_seed(0)
     net = GCN(5, layers=layers, semantics=0.7).to(dtype)

@@ -1,0 +1,64 @@
+"""The matrix of a graph convolution (paper eq. 3; Kipf and Welling 2017), and the product with it."""
+
+import warnings
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:
+    """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix.
+
+    Args:
+        degree: [N], neighbours per node; no node is its own neighbour.
+        indices: int64 [E], neighbours of node 0, of node 1, …; symmetric: if j is in i's list, i is in j's.
+        dtype: of the values.
+    Returns:
+        [N,N] with E + N entries; in each row the diagonal comes first, then the neighbours as given.
+    """
+    nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
+    node = torch.arange(nodes, device=device)
+    row = node.repeat_interleave(degree.long() + 1, output_size=entries)  # of each entry
+    starts = torch.zeros(nodes + 1, dtype=torch.int64, device=device)
+    starts[1:] = (degree.long() + 1).cumsum(0)
+    neighbour = torch.ones(entries, dtype=torch.bool, device=device)
+    neighbour[starts[:-1]] = False
+    column = row.masked_scatter(neighbour, indices)
+
+    scale = (degree.to(dtype) + 1).rsqrt()  # [N], D̃^(-1/2)
+    values = scale[row] * scale[column]
+    return _csr(starts.int(), column.int(), values, nodes)
+
+
+def propagate(adjacency: Tensor, x: Tensor) -> Tensor:
+    """Return adjacency @ x for a symmetric sparse matrix [N,N] and x [N,C], in the matrix's precision."""
+    product: Tensor = _SymmetricProduct.apply(adjacency, x.to(adjacency.dtype))  # type: ignore[no-untyped-call]
+    return product
+
+
+class _SymmetricProduct(torch.autograd.Function):
+    """A @ x whose gradient is A @ gradient, since A = Aᵀ: torch's own would transpose the matrix each time."""
+
+    @staticmethod
+    def forward(ctx: Any, matrix: Tensor, x: Tensor) -> Tensor:
+        ctx.matrix = matrix
+        with torch.autocast(x.device.type, enabled=False):  # no half-precision sparse product in torch
+            return matrix @ x
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
+        return None, propagate(ctx.matrix, gradient)
+
+
+def rows_of(matrix: Tensor, first: int, last: int) -> Tensor:
+    """Return rows [first, last) of a sparse CSR matrix, without copying its entries."""
+    starts = matrix.crow_indices()[first : last + 1]
+    entries = slice(*starts[[0, -1]].tolist())
+    return _csr(starts - starts[0], matrix.col_indices()[entries], matrix.values()[entries], matrix.shape[1])
+
+
+def _csr(starts: Tensor, columns: Tensor, values: Tensor, width: int) -> Tensor:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(starts, columns, values, (len(starts) - 1, width), check_invariants=False)

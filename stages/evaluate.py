@@ -11,7 +11,7 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.lock import held
 from pipeline.base.params import SPLITS, load
-from pipeline.report.judge import predictions, split, steering_plot
+from pipeline.report.judge import predictions, split, steering_plot, structure
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import frames, predict, runs, windows
 from pipeline.train.judged import judged
@@ -25,7 +25,7 @@ def main(
     out: Annotated[Path, typer.Option(help="the model gets a folder in it")] = Path("data/evaluate"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write metrics.json, predictions.csv and a plot of the test drives; predictions of further seeds in folders.
+    """Write metrics.json, and of the test drives predictions.csv, a plot and a graph; further seeds have folders.
 
     Invalid frames have no say in any figure. Figures are means over the seeds. A network that is fitted to some of the
     test drives judges the one that it has not seen; of the drives that several were fitted to, the first judges each.
@@ -67,6 +67,7 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     for number, folder in enumerate(runs.folders(out / name, seeds).values()):
         rows = [(case.drive, case.predicted[number]) for case in of_splits["test"]]
         predictions.write(folder / "predictions.csv", rows)
+    structure.write(out / name / "structure.json", [case.drive for case in of_splits["test"]])
     _draw_and_say(out / name / "steering.png", result, of_splits["test"])
     return out / name
 

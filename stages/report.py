@@ -1,4 +1,4 @@
-"""Put models side by side: data/report/{table.md, table.csv, metrics.json, learning/, steering/, settings/}."""
+"""Put models side by side: data/report/{index.html, table.md, table.csv, metrics.json, …}."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +8,7 @@ from pipeline.base import console, store
 from pipeline.base.atomic import replacing
 from pipeline.base.lock import held
 from pipeline.base.params import load, names
+from pipeline.report.page.page import Sources, write_page
 from pipeline.report.studies import claims, figure, study, tables
 from pipeline.report.tables import (
     comparison,
@@ -28,10 +29,14 @@ def main(
     params: Path = Path("params.yaml"),
     scores: Path = Path("data/scores"),
     train: Path = Path("data/train"),
+    labels: Path = Path("data/labels"),
+    pictures: Path = Path("data/pictures"),
 ) -> Path:
     """Write each model of the params file on the test drives, the trivial predictors, what depth and motion are worth.
 
-    Beside the table, the same for DVC's own views: flat figures, learning curves, driven and predicted steering; and
+    The same as a page to look at, index.html.
+
+    And for DVC's own views: flat figures, learning curves, driven and predicted steering; and
     what single settings are worth, if there are models of a study. Models that are not evaluated here are named.
     Returns `out`.
     """
@@ -44,11 +49,9 @@ def main(
     known = (scores / "metrics.json").is_file()
     encoder = store.read_json(scores / "metrics.json", stage="scores") if known else None
 
-    text = steering_table.markdown(results, absent=[model for model in models if model not in here])
-    if encoder:
-        text += "\n" + perception_table.markdown(encoder)
-        if motion := motion_table.markdown(encoder.get("motion", {})):
-            text += "\n" + motion
+    steering = steering_table.markdown(results, absent=[model for model in models if model not in here])
+    perceived = write_perception(encoder) if encoder else ""
+    text = "\n".join(filter(None, [steering, perceived]))
     with held(out, out.parent / ".resume" / out.name):
         with replacing(out / "table.md") as tmp:
             tmp.write_text(text, encoding="utf-8")
@@ -59,9 +62,16 @@ def main(
         for model in here:
             curves.write_learning(train / model, out / "learning")
             curves.write_steering(evaluate / model, out / "steering")
+        write_page(out / "index.html", results, steering, perceived, Sources(evaluate, train, labels, pictures))
         text += write_studies(results, evaluate, out / "settings", load(Evaluate, params))
     print(text)
     return out
+
+
+def write_perception(scores: dict[str, Any]) -> str:
+    """Return the tables of what depth, classes and motion are worth."""
+    motion = motion_table.markdown(scores.get("motion", {}))
+    return "\n".join(filter(None, [perception_table.markdown(scores), motion]))
 
 
 def write_studies(results: Sequence[dict[str, Any]], evaluate: Path, out: Path, settings: Evaluate) -> str:

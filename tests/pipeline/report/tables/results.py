@@ -47,6 +47,8 @@ def result(model: str, nmse: float = 0.2, odometry: dict[str, float] | None = No
         "seeds": [0],
         "drives": {"train": ["one"], "val": [], "test": list(drives)},
         "parameters": 9259,
+        "encode_ms_per_frame": 0.7,
+        "variant": {"k": 6, "accumulate": None},
         "points_per_frame": 1000.0,
         "edges_per_frame": 5160.0,
         "edges_per_frame_unpruned": 6000.0,

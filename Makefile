@@ -16,7 +16,7 @@ PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
 # dvc repro, but without the graph variants that no model of params.yaml takes.
 demo: setup            ## the whole chain on the embedded sample, then its table
 	dvc repro check pictures report
-	@cat data/report/table.md
+	@cat data/report/table.md && echo "Open data/report/index.html in a browser."
 
 # The same chain with a preset laid over params.yaml, in a copy of the code under runs/NAME: params.yaml and data/ stay as
 # they are. What is there already, here or from an earlier run, comes from the one cache.
@@ -29,7 +29,7 @@ $(PRESETS): setup
 	@cd "runs/$@" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
 	@rm -rf "data/report/$@"; [ ! -e "runs/$@/data/report/settings/studies.md" ] || cp -RL "runs/$@/data/report/settings" "data/report/$@"
 	@for kind in md csv; do cp "runs/$@/data/report/table.$$kind" "data/report/$@.$$kind"; done
-	@cat "data/report/$@.md"
+	@cp "runs/$@/data/report/index.html" "data/report/$@.html" && cat "data/report/$@.md"
 
 PRESET ?=
 params: setup          ## a preset's changes written into params.yaml: make params PRESET=kitti, or a file of your own

@@ -17,7 +17,7 @@ echo "$@" >> {log}
 case "$1" in
 init) mkdir .dvc ;;
 repro)
-  mkdir -p data/report/settings && echo "| of $(basename "$PWD") |" | tee data/report/table.csv > data/report/table.md
+  mkdir -p data/report/settings && echo "| of $(basename "$PWD") |" | tee data/report/table.csv data/report/index.html > data/report/table.md
   case "$PWD" in */studies) touch data/report/settings/studies.md data/report/settings/roads.png ;; esac ;;
 esac
 """
@@ -64,7 +64,7 @@ def test_presets_run_in_copies_of_the_code_and_leave_ones_own_files_alone(checko
         assert (run / "data/raw").resolve() == checkout / "data/raw"
         assert (run / "weights").resolve() == checkout / "weights"
         assert (checkout / f"data/report/{name}.md").read_text() == f"| of {name} |\n"
-        assert (checkout / f"data/report/{name}.csv").is_file()
+        assert all((checkout / f"data/report/{name}.{kind}").is_file() for kind in ("csv", "html"))
     assert (checkout / "params.yaml").read_text() == own
     assert sorted(path.name for path in (checkout / "data").iterdir()) == [".gitignore", "report"]
     (checkout / "runs/kitti/pipeline/gone.py").touch()

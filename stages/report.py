@@ -2,13 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from pipeline.base import console, store
 from pipeline.base.atomic import replacing
 from pipeline.base.lock import held
 from pipeline.base.params import load, names
-from pipeline.report.page.page import Sources, write_page
+from pipeline.report.figures import figures
+from pipeline.report.page.page import write_page
+from pipeline.report.sources import Sources
 from pipeline.report.studies import claims, figure, study, tables
 from pipeline.report.tables import (
     comparison,
@@ -24,30 +28,24 @@ from pipeline.sections.evaluate import Evaluate
 
 
 def main(
-    evaluate: Path = Path("data/evaluate"),
+    data: Annotated[Path, typer.Option(help="holds the folders of all stages")] = Path("data"),
     out: Path = Path("data/report"),
     params: Path = Path("params.yaml"),
-    scores: Path = Path("data/scores"),
-    train: Path = Path("data/train"),
-    labels: Path = Path("data/labels"),
-    pictures: Path = Path("data/pictures"),
 ) -> Path:
     """Write each model of the params file on the test drives, the trivial predictors, what depth and motion are worth.
 
-    The same as a page to look at, index.html.
-
-    And for DVC's own views: flat figures, learning curves, driven and predicted steering; and
-    what single settings are worth, if there are models of a study. Models that are not evaluated here are named.
-    Returns `out`.
+    As tables, as a page to look at, and for DVC's own views: flat figures, learning curves, driven and predicted
+    steering. The paper's figures, and what single settings are worth, if there are models of a study. Models that are
+    not evaluated here are named. Returns `out`.
     """
-    models = names("models", params)
-    here = [model for model in models if (evaluate / model / "metrics.json").is_file()]
+    sources, models = Sources(data), names("models", params)
+    here = [model for model in models if (sources.evaluate / model / "metrics.json").is_file()]
     results = comparison.in_order(
-        [store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}") for model in here]
+        [store.read_json(sources.evaluate / model / "metrics.json", stage=f"evaluate@{model}") for model in here]
     )
     # A machine that only trains may have no scores of the encoder.
-    known = (scores / "metrics.json").is_file()
-    encoder = store.read_json(scores / "metrics.json", stage="scores") if known else None
+    known = (sources.scores / "metrics.json").is_file()
+    encoder = store.read_json(sources.scores / "metrics.json", stage="scores") if known else None
 
     steering = steering_table.markdown(results, absent=[model for model in models if model not in here])
     perceived = write_perception(encoder) if encoder else ""
@@ -57,13 +55,14 @@ def main(
             tmp.write_text(text, encoding="utf-8")
         csv_file.write(out / "table.csv", steering_rows.rows(results))
         store.write_json(out / "metrics.json", metrics.figures(results, encoder))
-        for folder in ("learning", "steering", "settings"):  # DVC misses an out that is not there, be it empty
+        for folder in ("learning", "steering", "settings", "figures"):  # DVC misses an out that is not there
             (out / folder).mkdir(exist_ok=True)
         for model in here:
-            curves.write_learning(train / model, out / "learning")
-            curves.write_steering(evaluate / model, out / "steering")
-        write_page(out / "index.html", results, steering, perceived, Sources(evaluate, train, labels, pictures))
-        text += write_studies(results, evaluate, out / "settings", load(Evaluate, params))
+            curves.write_learning(sources.train / model, out / "learning")
+            curves.write_steering(sources.evaluate / model, out / "steering")
+        drawn = figures.draw(out / "figures", results, sources)
+        write_page(out / "index.html", results, steering, perceived, drawn, sources)
+        text += write_studies(results, sources.evaluate, out / "settings", load(Evaluate, params))
     print(text)
     return out
 

@@ -17,7 +17,8 @@ echo "$@" >> {log}
 case "$1" in
 init) mkdir .dvc ;;
 repro)
-  mkdir -p data/report/settings && echo "| of $(basename "$PWD") |" | tee data/report/table.csv data/report/index.html > data/report/table.md
+  mkdir -p data/report/settings && touch data/report/index.html
+  echo "| of $(basename "$PWD") |" | tee data/report/table.csv > data/report/table.md
   case "$PWD" in */studies) touch data/report/settings/studies.md data/report/settings/roads.png ;; esac ;;
 esac
 """

@@ -73,7 +73,8 @@ def draw_depth(panel: Axes, depth_m: np.ndarray) -> None:
 def draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray) -> None:
     """Draw points [P,3] of the camera frame from above, in the colours of their classes [P]; higher ones hide lower."""
     order = np.argsort(-xyz[:, 1], kind="stable")  # y points down
-    panel.scatter(xyz[order, 0], xyz[order, 2], s=1, c=classes.colourise(cls[order]) / 255, linewidths=0)
+    colours = classes.colourise(cls[order]) / 255
+    panel.scatter(xyz[order, 0], xyz[order, 2], s=1, c=colours, linewidths=0, rasterized=True)
     look_from_above(panel)
 
 

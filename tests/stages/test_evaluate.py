@@ -25,7 +25,7 @@ def test_figures_are_means_over_seeds(folder: Path) -> None:
     assert any(not torch.equal(first[name], second[name]) for name in first)
     judged = run_evaluate(folder)
     both = json.loads((judged / "metrics.json").read_text())["test"]
-    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+    report.main(folder, folder / "report", folder / "params.yaml")
     assert "Means over 2 seeds" in (folder / "report/table.md").read_text()
 
     alone = []
@@ -139,7 +139,7 @@ def test_evaluate_and_report_are_byte_identical_when_run_twice(folder: Path) -> 
 
     def made() -> dict[str, bytes]:
         run_evaluate(folder)
-        report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+        report.main(folder, folder / "report", folder / "params.yaml")
         files = [*(folder / "evaluate").rglob("*"), *(folder / "report").rglob("*")]
         return {str(path): path.read_bytes() for path in files if path.is_file()}
 
@@ -157,7 +157,7 @@ def test_evaluate_and_report_are_byte_identical_when_run_twice(folder: Path) -> 
 def test_predictions_csv_covers_every_frame(folder: Path) -> None:
     run_train(folder)
     lines = (run_evaluate(folder) / "predictions.csv").read_text().splitlines()
-    assert lines[0] == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid"
+    assert lines[0] == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid,onset"
     rows = [line.split(",") for line in lines[1:]]
     assert [row[1] for row in rows] == [str(number) for number in range(60)]
     assert [row[5] == "" for row in rows] == [number < 3 for number in range(60)]
@@ -187,7 +187,7 @@ def test_report_names_models_that_are_not_here(folder: Path) -> None:
     content = yaml.safe_load((folder / "params.yaml").read_text())
     content["models"]["other"] = content["models"]["net"]
     (folder / "params.yaml").write_text(yaml.safe_dump(content))
-    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+    report.main(folder, folder / "report", folder / "params.yaml")
     text = (folder / "report" / "table.md").read_text()
     assert "| net | " in text
     assert "dvc repro --pull --downstream train@other" in text

@@ -15,15 +15,15 @@ def run(folder: Path, *models: str) -> str:
     settings = "evaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, curvature_bins_1pm: [0.1], seed: 0}"
     content = f"models: {{{', '.join(f'{model}: {{}}' for model in models)}}}\n{settings}\n"
     (folder / "params.yaml").write_text(content)
-    out = report.main(*(folder / name for name in ("evaluate", "report", "params.yaml", "scores", "train")))
+    out = report.main(folder, folder / "report", folder / "params.yaml")
     assert out == folder / "report"
     return (out / "table.md").read_text()
 
 
 def evaluate(folder: Path, model: str) -> None:
     store.write_json(folder / f"evaluate/{model}/metrics.json", result(model))
-    columns = "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid"
-    (folder / f"evaluate/{model}/predictions.csv").write_text(f"{columns}\na,0,0.0,8.0,0.1,0.2,1\n")
+    columns = "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid,onset"
+    (folder / f"evaluate/{model}/predictions.csv").write_text(f"{columns}\na,0,0.0,8.0,0.1,0.2,1,0\n")
 
 
 def test_what_depth_is_worth_stands_below_the_models_where_it_is_known(tmp_path: Path) -> None:

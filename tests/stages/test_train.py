@@ -262,7 +262,7 @@ def test_sets_and_images_go_the_same_way(
     result = json.loads((run_evaluate(tmp_path) / "metrics.json").read_text())
     assert result["test"]["nmse"] < 0.5
     assert result["edges_per_frame"] is None
-    report.main(tmp_path / "evaluate", tmp_path / "report", tmp_path / "params.yaml")
+    report.main(tmp_path, tmp_path / "report", tmp_path / "params.yaml")
     assert "| none |" in (tmp_path / "report/table.md").read_text()
 
 

@@ -41,16 +41,25 @@ def onsets(
     return np.array(rows, np.int64)
 
 
+def frames(drive: Drive) -> np.ndarray:
+    """Return the numbers, int32, of the frames of a drive at which a turn begins."""
+    return _onsets(drive)[0]
+
+
 def near(drive: Drive) -> np.ndarray:
     """Return which frames [G] of a drive are asked for what its driver has just decided, or is about to.
 
     Those whose target lies at an onset or after it, while the frame itself is not more than a second past it. So with
     a horizon they begin as much before the onset.
     """
+    frame, time_s = _onsets(drive)
+    begun = drive.frame[:, None] + drive.horizon >= frame
+    fresh = drive.time_s[:, None] <= time_s + SECOND_S
+    return np.asarray((begun & fresh).any(axis=1))
+
+
+def _onsets(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     with store.DriveReader(drive.labels, stage="labels") as truth:
         motion = (truth.time_s, truth["yaw_rate_radps"], truth["speed_mps"])
         rows = onsets(truth["curvature_1pm"], truth["valid"].astype(bool), *motion)
-        frame, time_s = truth.frame[rows], truth.time_s[rows]
-    begun = drive.frame[:, None] + drive.horizon >= frame
-    fresh = drive.time_s[:, None] <= time_s + SECOND_S
-    return (begun & fresh).any(axis=1)
+        return truth.frame[rows], truth.time_s[rows]

@@ -1,5 +1,7 @@
 """predictions.csv: each frame with what was predicted by what is seen until then, and what was driven.
 
+`onset` is 1 where the driver begins a turn (decisions.py).
+
 Both angles are those `horizon` frames after it, and so is `valid`; number, time and speed are the frame's own.
 """
 
@@ -10,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.atomic import replacing
+from pipeline.report.judge import decisions
 from pipeline.train.windows import Drive
 
-COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid")
+COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid", "onset")
 
 
 def write(path: Path, predictions: Sequence[tuple[Drive, np.ndarray]]) -> None:
@@ -21,10 +24,12 @@ def write(path: Path, predictions: Sequence[tuple[Drive, np.ndarray]]) -> None:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
         for drive, predicted in predictions:
+            onset = np.isin(drive.frame, decisions.frames(drive))
             for row in range(len(drive.frame)):
                 rows.writerow([
                     drive.name, drive.frame[row], f"{drive.time_s[row]:.6f}", f"{drive.speed_mps[row]:.4f}",
                     _angle(drive.steering_rad[row], 9), _angle(predicted[row], 6), int(drive.valid[row]),
+                    int(onset[row]),
                 ])  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import store
-from pipeline.report.judge import decisions
+from pipeline.report.judge import decisions, paths
 from pipeline.report.judge.baselines import baselines
 from pipeline.report.judge.errors import by_curvature, scores
 from pipeline.report.judge.interval import nmse_interval, nmse_std
@@ -46,7 +46,26 @@ def figures(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
         "by_curvature": by_curvature(steering, predicted, columns.curvature, settings.curvature_bins_1pm),
         "by_drive": {name: columns.scores(np.array(names)[columns.number] == name) for name in dict.fromkeys(names)},
         "without_decisions": columns.scores(~columns.near),
+        "drift_m_per_100m": _drift(cases),
     }
+
+
+def _drift(cases: Sequence[Case]) -> float | None:
+    """Return the mean over seeds of :func:`paths.drift`; None of angles that are not of the frame itself."""
+    if any(case.drive.horizon for case in cases):
+        return None
+    tracks = [_track(case.drive) for case in cases]
+    of_seeds = [
+        paths.drift([(track, case.predicted[seed]) for track, case in zip(tracks, cases, strict=True)])
+        for seed in range(len(cases[0].predicted))
+    ]
+    known = [value for value in of_seeds if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _track(drive: Drive) -> paths.Track:
+    onsets = np.flatnonzero(np.isin(drive.frame, decisions.frames(drive)))
+    return paths.Track(drive.time_s, drive.speed_mps, np.nan_to_num(drive.steering_rad), onsets, drive.car.wheelbase_m)
 
 
 class _Columns:

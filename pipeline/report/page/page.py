@@ -1,35 +1,39 @@
 """What stands on the page, and in which order."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline.base import store
-from pipeline.report.page import plots, predicted, structure
+from pipeline.report import predicted
+from pipeline.report.page import plots, structure
 from pipeline.report.page.html import Section, markdown, paragraph, picture, plot, write
+from pipeline.report.sources import Sources
 from pipeline.report.tables import comparison
 from pipeline.report.tables.comparison import Result
 from pipeline.report.tables.markdown import table
 
 
-@dataclass(frozen=True)
-class Sources:
-    """Folders of other stages. All but `evaluate` may be missing, as on a machine that only trains."""
+def write_page(
+    path: Path,
+    results: Sequence[Result],
+    steering: str,
+    perception: str,
+    figures: Mapping[Path, str],
+    sources: Sources,
+) -> None:
+    """Write the page of models that are :func:`comparison.in_order`.
 
-    evaluate: Path
-    train: Path
-    labels: Path
-    pictures: Path
-
-
-def write_page(path: Path, results: Sequence[Result], steering: str, perception: str, sources: Sources) -> None:
-    """Write the page of models that are :func:`comparison.in_order`, and of their tables in Markdown."""
+    Args:
+        steering, perception: their tables in Markdown.
+        figures: picture → caption, of the paper's figures.
+    """
     sections = [
         Section("Results", markdown("\n".join(_headline(results)))),
         *_of_horizons(results, sources),
-        _learning(results, sources.train),
+        _figures(figures),
         _structures(results, sources.evaluate),
+        _learning(results, sources.train),
         _labels(sources.labels),
         Section("Depth, classes and motion", markdown(perception)) if perception else None,
         _pictures(results, sources.pictures),
@@ -99,6 +103,11 @@ def _of_horizons(results: Sequence[Result], sources: Sources) -> list[Section]:
         body.append(plot(f"speed-{horizon}", plots.by_speed(whole), "Error by speed"))
         sections.append(Section(f"Predicted steering{ahead}", "\n".join(body)))
     return sections
+
+
+def _figures(figures: Mapping[Path, str]) -> Section | None:
+    body = [picture(path, caption) for path, caption in figures.items()]
+    return Section("The paper's figures", "\n".join(body)) if body else None
 
 
 def _learning(results: Sequence[Result], train: Path) -> Section | None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from plotly.graph_objects import Bar, Figure, Scatter, Scattergl
 
-from pipeline.report.page.predicted import Steering
+from pipeline.report.predicted import Steering
 from pipeline.report.tables import comparison
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#e08e0b", "#1b998b", "#7a6a53", "#c2185b")

@@ -13,26 +13,30 @@ import pytest
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.report.page import plots, predicted, structure
-from pipeline.report.page.page import Sources, write_page
+from pipeline.report import predicted
+from pipeline.report.figures import figures
+from pipeline.report.page import plots, structure
+from pipeline.report.page.page import write_page
+from pipeline.report.sources import Sources
 from pipeline.report.tables import comparison
 from tests.pipeline.report.tables.results import result
 
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
 SECTIONS = [
-    "Results", "Predicted steering", "Predicted steering, 10 frames ahead", "Learning curves",
-    "The cloud and its graph", "Plausibility of the labels", "Depth, classes and motion", "What the models were given",
-    "All figures",
+    "Results", "Predicted steering", "Predicted steering, 10 frames ahead", "The paper's figures",
+    "The cloud and its graph", "Learning curves", "Plausibility of the labels", "Depth, classes and motion",
+    "What the models were given", "All figures",
 ]  # fmt: skip
 
 
 def write_model(folder: Path, name: str, error_rad: float) -> None:
-    rows = ["drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid"]
+    rows = ["drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid,onset"]
     for drive in DRIVES:
         for number in range(30):
             driven, valid = 0.01 * number, int(number != 20)
             said = "" if number < 7 else f"{driven + error_rad:.6f}"
-            rows.append(f"{drive},{number},{100 + number / 10:.6f},{number / 2:.4f},{driven:.9f},{said},{valid}")
+            known = f"{drive},{number},{100 + number / 10:.6f},{number / 2:.4f},{driven:.9f}"
+            rows.append(f"{known},{said},{valid},{int(number == 15)}")
     (folder / "evaluate" / name).mkdir(parents=True)
     (folder / "evaluate" / name / "predictions.csv").write_text("\n".join(rows))
     (folder / "train" / name).mkdir(parents=True)
@@ -60,8 +64,10 @@ def folder(tmp_path: Path) -> Path:
 
 def write(folder: Path) -> str:
     results = comparison.in_order([result("ahead", nmse=0.4, horizon=10), result("net")])
-    sources = Sources(*(folder / name for name in ("evaluate", "train", "labels", "pictures")))
-    write_page(folder / "index.html", results, "| steering | <b> |\n| --- | --- |\n", "perceived", sources)
+    sources = Sources(folder)
+    tables = "| steering | <b> |\n| --- | --- |\n", "perceived"
+    drawn = figures.draw(folder / "figures", results, sources)
+    write_page(folder / "index.html", results, *tables, drawn, sources)
     return (folder / "index.html").read_text(encoding="utf-8")
 
 
@@ -92,7 +98,7 @@ def test_without_the_other_stages_it_has_less(folder: Path) -> None:
     for name in ("train", "labels", "pictures"):
         shutil.rmtree(folder / name)
     (folder / "evaluate/net/structure.json").unlink()
-    missing = {SECTIONS[3], SECTIONS[4], SECTIONS[5], SECTIONS[7]}
+    missing = {SECTIONS[4], SECTIONS[5], SECTIONS[6], SECTIONS[8]}
     assert headings(write(folder)) == [title for title in SECTIONS if title not in missing]
 
 

@@ -34,6 +34,7 @@ def scores(nmse: float, drives: tuple[str, ...] = (), **odometry: float) -> dict
             {"from_1pm": 0.03, "to_1pm": None, "frames": 0},
         ],
         "by_drive": {drive: part(nmse - row / 100, baselines, 20) for row, drive in enumerate(drives, start=1)},
+        "drift_m_per_100m": 3.0,
         "without_decisions": part(nmse / 2, {name: of / 2 for name, of in baselines.items()}, 30),
     }
 
@@ -48,7 +49,8 @@ def result(model: str, nmse: float = 0.2, odometry: dict[str, float] | None = No
         "drives": {"train": ["one"], "val": [], "test": list(drives)},
         "parameters": 9259,
         "encode_ms_per_frame": 0.7,
-        "variant": {"k": 6, "accumulate": None},
+        "wheelbase_m": 2.71,
+        "variant": {"k": 6, "keep_inter_class": 0.2, "accumulate": None},
         "points_per_frame": 1000.0,
         "edges_per_frame": 5160.0,
         "edges_per_frame_unpruned": 6000.0,

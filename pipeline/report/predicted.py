@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import explained
+from pipeline.report.judge.paths import Track
 
 
 @dataclass(frozen=True)
@@ -17,45 +18,44 @@ class Steering:
     frame: np.ndarray  # int [F], KITTI frame numbers
     time_s: np.ndarray  # [F], since the drive's first frame
     speed_mps: np.ndarray  # [F]
+    onset: np.ndarray  # bool [F], where the driver begins a turn
+    recorded_deg: np.ndarray  # [F], valid or not
     driven_deg: np.ndarray  # [F], NaN where it is not valid
     predicted_deg: np.ndarray  # [F]
 
     @property
-    def error_deg(self) -> np.ndarray:
-        """Predicted minus driven, of the frames [f] that have both."""
-        error = self.predicted_deg - self.driven_deg
-        return error[~np.isnan(error)]
+    def comparable(self) -> np.ndarray:
+        """Which frames [F] have both angles."""
+        return ~np.isnan(self.driven_deg) & ~np.isnan(self.predicted_deg)
+
+    def track(self, wheelbase_m: float) -> Track:
+        """Return what the drive's path is made of."""
+        steering_rad = np.deg2rad(np.nan_to_num(self.recorded_deg))
+        return Track(self.time_s, self.speed_mps, steering_rad, np.flatnonzero(self.onset), wheelbase_m)
 
 
 def read(model: Path) -> dict[str, Steering]:
     """Read drive → steering from a model's folder of stage evaluate. Raises InputError if its file is damaged."""
     path = model / "predictions.csv"
-    columns: dict[str, list[tuple[float, ...]]] = {}
+    rows: dict[str, list[tuple[float, ...]]] = {}
     with (
         explained(str(path), hint=f"Make it again: dvc repro --force evaluate@{model.name}"),
         path.open(newline="", encoding="utf-8") as file,
     ):
         try:
             for row in csv.DictReader(file):
-                driven = _degrees(row["steering_rad"]) if row["valid"] == "1" else math.nan
-                of_drive = columns.setdefault(row["drive"], [])
-                of_drive.append(
-                    (
-                        float(row["frame"]),
-                        float(row["time_s"]),
-                        float(row["speed_mps"]),
-                        driven,
-                        _degrees(row["predicted_rad"]),
-                    )
-                )
+                recorded = _degrees(row["steering_rad"])
+                driven = recorded if row["valid"] == "1" else math.nan
+                known = (float(row[name]) for name in ("frame", "time_s", "speed_mps", "onset"))
+                rows.setdefault(row["drive"], []).append((*known, recorded, driven, _degrees(row["predicted_rad"])))
         except KeyError as error:
             raise ValueError(f"has no column {error}") from error
-    return {drive: _steering(np.array(rows)) for drive, rows in columns.items()}
+    return {drive: _steering(np.array(of_drive)) for drive, of_drive in rows.items()}
 
 
 def _steering(rows: np.ndarray) -> Steering:
-    frame, time_s, *others = rows.T
-    return Steering(frame.astype(int), time_s - time_s[0], *others)
+    frame, time_s, speed_mps, onset, *angles = rows.T
+    return Steering(frame.astype(int), time_s - time_s[0], speed_mps, onset.astype(bool), *angles)
 
 
 def _degrees(angle_rad: str) -> float:

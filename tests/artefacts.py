@@ -49,7 +49,7 @@ def write_graphs(
 ) -> None:
     """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
     clouds = ((*bend(float(np.tan(steering)) / WHEELBASE_M, points, rng), rng) for steering in steering_rad)
-    with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
+    with store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": {"k": 6, "keep_inter_class": 0.2}}) as file:
         graph_file.write_points(file, frame, frame * 0.1, clouds, graph_file.KnnGraph(points, 6, 0.2))
 
 

@@ -71,8 +71,9 @@ def test_a_test_drive_is_judged_by_the_network_that_has_not_seen_it(folder: Path
     with pytest.raises(InputError, match=r"net is not a trained model.*: fold-2026_01_01_drive_0002, fold-2026"):
         predict.load(made)
     out = folder / "report"
-    report.main(folder / "evaluate", out, folder / "params.yaml", folder / "scores", folder / "train")
+    report.main(folder, out, folder / "params.yaml")
     assert len(list((out / "learning").iterdir())) == 4
+    assert "<h2>Learning curves</h2>" in (out / "index.html").read_text()
     assert f"| {fit_to} |" in (out / "table.md").read_text()
 
 

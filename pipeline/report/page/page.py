@@ -111,8 +111,9 @@ def _figures(figures: Mapping[Path, str]) -> Section | None:
 
 
 def _learning(results: Sequence[Result], train: Path) -> Section | None:
-    curves = {result["model"]: train / result["model"] for result in results}
-    curves = {model: folder for model, folder in curves.items() if (folder / "curve.csv").is_file()}
+    # A model's own is that of its first seed; with folds it has none, and the first fold's stands for it.
+    found = {result["model"]: sorted((train / result["model"]).rglob("curve.csv")) for result in results}
+    curves = {model: files[0] for model, files in found.items() if files}
     if not curves:
         return None
     caption = "Training loss (dotted) and validation nmse of each model's first network"

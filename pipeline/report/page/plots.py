@@ -54,10 +54,10 @@ def scatter(steering: Mapping[str, Sequence[Steering]]) -> Figure:
 
 
 def learning(models: Mapping[str, Path]) -> Figure:
-    """Draw each model's learning curve, of model → a folder with its curve.csv: loss dotted, validation drawn out."""
+    """Draw each model's learning curve, of model → its curve.csv: loss dotted, validation drawn out."""
     figure = _figure("epoch", "error; 1: that of a constant angle", height=440)
-    for number, (model, folder) in enumerate(models.items()):
-        with (folder / "curve.csv").open(newline="", encoding="utf-8") as file:
+    for number, (model, path) in enumerate(models.items()):
+        with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         epoch = [int(row["epoch"]) for row in rows]
         for column, dash in (("val_nmse", "solid"), ("train_loss", "dot")):

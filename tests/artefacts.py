@@ -13,6 +13,7 @@ from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.graphs import graph_file
 
 WHEELBASE_M = 2.7
+GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
 LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0, "standstill": "invalid"}}
 
 
@@ -49,7 +50,7 @@ def write_graphs(
 ) -> None:
     """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
     clouds = ((*bend(float(np.tan(steering)) / WHEELBASE_M, points, rng), rng) for steering in steering_rad)
-    with store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": {"k": 6, "keep_inter_class": 0.2}}) as file:
+    with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
         graph_file.write_points(file, frame, frame * 0.1, clouds, graph_file.KnnGraph(points, 6, 0.2))
 
 

@@ -11,7 +11,7 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.lock import held
 from pipeline.base.params import SPLITS, load
-from pipeline.report.judge import predictions, split, steering_plot, structure
+from pipeline.report.judge import neurons, predictions, split, steering_plot, structure
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import frames, predict, runs, windows
 from pipeline.train.judged import judged
@@ -68,7 +68,11 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     for number, folder in enumerate(runs.folders(out / name, seeds).values()):
         rows = [(case.drive, case.predicted[number]) for case in of_splits["test"]]
         predictions.write(folder / "predictions.csv", rows)
-    structure.write(out / name / "structure.json", [case.drive for case in of_splits["test"]])
+    tested = [case.drive for case in of_splits["test"]]
+    structure.write(out / name / "structure.json", tested)
+    # With folds, of the first one's network on the drive that it has not seen.
+    first, model = next(iter(models.items()))
+    neurons.write(out / name / "neurons.json", model, tested if first.fold.name is None else tested[:1])
     _draw_and_say(out / name / "steering.png", result, of_splits["test"])
     return out / name
 

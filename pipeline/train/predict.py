@@ -115,6 +115,39 @@ class Trained:
         )
         return steering_rad[rows]
 
+    @property
+    def wiring(self) -> dict[str, Any] | None:
+        """Who listens to whom in its recurrent network, as lists; None if it has no wiring.
+
+        Neurons are numbered motor, command, inter, which say how many; sensory and internal: [from, to, ±1], …
+        """
+        from models.steering.core import steering_net
+
+        wiring = steering_net.wiring_of(self.line)
+        if wiring is None:
+            return None
+        synapses = {
+            name: [[*map(int, pair), int(matrix[tuple(pair)])] for pair in np.argwhere(matrix)]
+            for name, matrix in (("sensory", wiring.sensory), ("internal", wiring.internal))
+        }
+        return {"motor": wiring.motor, "command": wiring.command, "inter": wiring.inter, **synapses}
+
+    def activity(self, graphs: frames.Graphs, start: int, stop: int) -> np.ndarray:
+        """Return the recurrent network's state [stop - start, U] where windows end at rows [start, stop) of a file.
+
+        Every window must be whole; the file as of :meth:`predict`.
+        """
+        import torch
+
+        from models.steering.core import steering_net
+
+        timeline = windows.Timeline.of(graphs, self.line["motion"], self.target.car)
+        spans = [windows.Span(0, start - self.window + 1, stop)]
+        with torch.inference_mode():
+            (batch,) = windows.batches([timeline], [spans], self.window, {0: graphs})
+            state: np.ndarray = steering_net.activity(self.net, batch).double().cpu().numpy()
+        return state
+
 
 def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
     """Load the best epoch of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.

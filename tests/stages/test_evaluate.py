@@ -167,6 +167,39 @@ def test_predictions_csv_covers_every_frame(folder: Path) -> None:
     assert result["test"]["mse_rad2"] == pytest.approx(float((error**2).mean()), rel=1e-3)
 
 
+def test_structure_and_neurons_are_those_of_the_sharpest_bend(folder: Path) -> None:
+    write_params(folder, {"equivariant": False}, epochs=1)
+    made, judged = run_train(folder), run_evaluate(folder)
+    with (judged / "predictions.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    sharpest = max(rows, key=lambda row: abs(float(row["steering_rad"])))
+    shown = json.loads((judged / "structure.json").read_text())["2026_01_03_drive_0001"]
+    assert shown["frame"] == int(sharpest["frame"])
+    with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+        arrays = graphs.read(shown["frame"], shown["frame"] + 1)
+    np.testing.assert_allclose(shown["xyz_m"], arrays["xyz"], atol=6e-4)
+    assert shown["cls"] == arrays["cls"].tolist()
+    assert 2 * len(shown["edges"]) == len(arrays["indices"])
+
+    told = json.loads((judged / "neurons.json").read_text())
+    wiring, activity = told["wiring"], np.array(told["activity"])
+    assert activity.shape[1] == wiring["motor"] + wiring["command"] + wiring["inter"]
+    assert int(sharpest["frame"]) in told["frame"]
+    model = predict.load(made)
+    said = {int(row["frame"]): row["predicted_rad"] for row in rows}
+    scale, shift = (getattr(model.net.temporal, f"output_{name}").item() for name in ("scale", "shift"))
+    answers = model.target.std_rad * (activity[:, 0] * scale + shift)  # what the motor neuron's state means
+    np.testing.assert_allclose(answers, [float(said[number]) for number in told["frame"]], atol=1e-4)
+    listeners = {target for _, target, _ in wiring["internal"] if target < wiring["motor"]}
+    assert listeners == {0}
+
+
+def test_a_network_without_wiring_has_no_neurons_to_show(folder: Path) -> None:
+    write_params(folder, {"temporal": "lstm"}, epochs=1)
+    run_train(folder)
+    assert json.loads((run_evaluate(folder) / "neurons.json").read_text()) == {}
+
+
 @pytest.mark.slow
 def test_in_python_a_model_predicts_the_numbers_of_predictions_csv(folder: Path) -> None:
     write_params(folder, seeds=[0, 7], epochs=1)

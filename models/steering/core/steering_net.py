@@ -28,7 +28,8 @@ from models.steering.core.batch import Batch, Kind, of_arrays
 from models.steering.core.knobs import meant, plain, written
 from models.steering.core.motion import COLUMNS, odd_and_even
 from models.steering.core.network_file import Network, Part, load
-from models.steering.core.recurrent import RecurrentCell
+from models.steering.core.recurrent import RecurrentCell, State
+from models.steering.core.wiring import Sizes, Wiring, ncp
 
 Line = Mapping[str, Any]  # a model's line of params.yaml
 
@@ -90,21 +91,33 @@ class SteeringNet(nn.Module):
         """
         features = self.encode(batch)  # [B,F]
         with torch.autocast(features.device.type, enabled=False):  # a tiny part of the work, and an ODE
-            dtype = next(self.temporal.parameters()).dtype
-            odd, even, dt_s = features.to(dtype), features.new_empty(len(features), 0, dtype=dtype), dt_s.to(dtype)
-            if self.motion:
-                if motion is None:
-                    raise ValueError("a network with motion needs that of each frame")
-                of_car, even = odd_and_even(motion.to(dtype))
-                odd = torch.cat([odd, of_car], dim=1)
-            out = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
-            return (out - self._last(torch.cat([-odd, even], dim=1), windows, dt_s)) / 2 if self.equivariant else out
+            odd, even = self._heard(features, motion)
+            out, _ = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
+            if self.equivariant:
+                mirrored, _ = self._last(torch.cat([-odd, even], dim=1), windows, dt_s)
+                out = (out - mirrored) / 2
+            return out
 
-    def _last(self, heard: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
-        """What is heard of each frame [B,D] → what the recurrent network says at each window's end, [W]."""
+    def activity(self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
+        """Return the recurrent network's state at each window's end, [W,U]; arguments as of `forward`."""
+        _, state = self._last(torch.cat(self._heard(self.encode(batch), motion), dim=1), windows, dt_s)
+        return torch.cat(state, dim=1)
+
+    def _heard(self, features: Tensor, motion: Tensor | None) -> tuple[Tensor, Tensor]:
+        """What the recurrent network hears of each frame: what a mirror turns round, and what not, each [B,..]."""
+        features = features.to(next(self.temporal.parameters()).dtype)
+        if not self.motion:
+            return features, features.new_empty(len(features), 0)
+        if motion is None:
+            raise ValueError("a network with motion needs that of each frame")
+        of_car, even = odd_and_even(motion.to(features))
+        return torch.cat([features, of_car], dim=1), even
+
+    def _last(self, heard: Tensor, windows: Tensor, dt_s: Tensor) -> tuple[Tensor, State]:
+        """What is heard of each frame [B,D] → what the recurrent network says at each window's end, [W]; its state."""
         sensed = self.temporal.sense(heard)  # [B,S]
-        out, _ = self.temporal(sensed[windows], dt_s)  # [W,T,1]
-        return out[:, -1, 0]
+        out, state = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,1]
+        return out[:, -1, 0], state
 
 
 def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
@@ -190,11 +203,29 @@ def parameter_count(model: nn.Module) -> int:
 
 def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
     """Return the network's output [W] for arrays: a batch of frames', `windows` [W,T], `dt_s` [W,T], `motion` [B,4]."""
+    output: Tensor = net(*_inputs(net, arrays))
+    return output
+
+
+def _inputs(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
     device = next(net.parameters()).device
     windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
     motion = torch.from_numpy(arrays["motion"]).to(device) if "motion" in arrays else None
-    output: Tensor = net(of_arrays(arrays).to(device), windows, dt_s, motion)
-    return output
+    return of_arrays(arrays).to(device), windows, dt_s, motion
+
+
+def activity(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
+    """Return the recurrent network's state at each window's end [W,U]; arrays as of :func:`predict`."""
+    state: Tensor = net.activity(*_inputs(net, arrays))
+    return state
+
+
+def wiring_of(line: Line) -> Wiring | None:
+    """Return the wiring of a resolved line's recurrent network, if it has one."""
+    if "wiring" not in line:
+        return None
+    inputs = line["features"] + COLUMNS * (line.get("motion", "none") != "none")
+    return ncp(inputs, Sizes(**line["wiring"]))
 
 
 def encode(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.report import predicted, street_view
-from pipeline.report.figures import drawing, paths, pruning, wheels
+from pipeline.report.figures import drawing, neurons, paths, pruning, wheels
 from pipeline.report.predicted import Steering
 from pipeline.report.sources import Sources
 from pipeline.report.tables import comparison
@@ -34,6 +34,12 @@ def draw(out: Path, results: Sequence[Result], sources: Sources) -> dict[Path, s
     shown = store.read_json(structure, stage=f"evaluate@{first['model']}") if structure.is_file() else {}
     if shown:
         captions[out / "pruning.png"] = _pruning(out / "pruning", first["variant"], shown)
+    path = sources.evaluate / first["model"] / "neurons.json"
+    if path.is_file() and (told := store.read_json(path, stage=f"evaluate@{first['model']}")):
+        neurons.draw(out / "neurons", first["model"], told)
+        captions[out / "neurons.png"] = (
+            f"The synapses of {first['model']}, and its neurons' states about the sharpest bend of {told['drive']}."
+        )
     best = sorted(now, key=lambda result: result["test"]["nmse"])[:MOST_MODELS]
     captions[out / "paths.png"] = _paths(out / "paths", best, sources)
     return captions

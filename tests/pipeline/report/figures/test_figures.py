@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.report.figures import paths, pruning, wheels
+from pipeline.report.figures import neurons, paths, pruning, wheels
 from pipeline.report.judge.paths import Track
 
 
@@ -54,3 +54,16 @@ def test_paths_of_models_lie_beside_the_driven_one(tmp_path: Path) -> None:
     assert text.count(">net<") == 1
     assert ">driven<" in text
     assert ">other<" not in text  # it was not judged by this drive
+
+
+def test_neurons_stand_as_signals_go(tmp_path: Path) -> None:
+    wiring = {"motor": 1, "command": 2, "inter": 3, "sensory": [[0, 3, 1], [1, 5, -1]]}
+    wiring["internal"] = [[3, 1, 1], [4, 2, -1], [1, 2, 1], [2, 0, 1]]
+    activity = np.linspace(-1, 1, 24).reshape(4, 6).tolist()
+    steering = [0.1, None, 0.2, 0.3]
+    told = {"wiring": wiring, "drive": "a", "frame": [3, 4, 5, 6], "steering_rad": steering, "activity": activity}
+    neurons.draw(tmp_path / "neurons", "net", told)
+    text = written(tmp_path / "neurons")["svg"].decode()
+    assert re.findall(r">(\d \w+)<", text) == ["2 features", "3 inter", "2 command", "1 motor"]
+    neurons.draw(tmp_path / "again", "net", told)
+    assert written(tmp_path / "again") == written(tmp_path / "neurons")

@@ -1,6 +1,7 @@
 """Files of tensors: written in one step, read without running anything they hold, loaded only if all fits."""
 
 import io
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ def read(path: Path, kind: str) -> dict[str, Any]:
 def load(path: Path) -> Any:
     """Return what a file of torch.save holds, tensors and numbers on the CPU; code in it is refused, never run.
 
-    Raises InputError if it is missing, cut short, or holds more than tensors and plain values.
+    Raises InputError if it is missing, damaged, or holds more than tensors and plain values.
     """
     import numpy as np
     import torch
@@ -55,16 +56,31 @@ def load(path: Path) -> Any:
     if not path.is_file():
         raise InputError(f"{path} is missing")
     try:
+        _check(path)
         with torch.serialization.safe_globals(numbers):
             return torch.load(path, weights_only=True, map_location="cpu")
+    except InputError:
+        raise
     except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
         if isinstance(error, OSError) and error.errno:  # of the system: no permission, a bad disk
             raise
         raise InputError(f"{path} is cut short, or holds more than tensors and plain values") from error
 
 
+def _check(path: Path) -> None:
+    """Verify the checksums of an archive, which torch does not: it would load flipped bits. Old files have none."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+        if damaged:
+            raise InputError(f"{path} is damaged: the checksum of {damaged} in it is wrong")
+
+
 def load_state(module: Any, state: Mapping[str, Any], path: Path) -> None:
-    """Copy tensors into a torch module. Raises InputError unless names and shapes agree one by one."""
+    """Copy tensors into a torch module.
+
+    Raises InputError unless names and shapes agree one by one, and all numbers are finite.
+    """
     own = module.state_dict()
     for name in sorted(own.keys() | state.keys()):
         if name not in state:
@@ -73,6 +89,8 @@ def load_state(module: Any, state: Mapping[str, Any], path: Path) -> None:
             fault = f"has {name}, which the network lacks"
         elif state[name].shape != own[name].shape:
             fault = f"has {name} of shape {list(state[name].shape)}, the network {list(own[name].shape)}"
+        elif not state[name].isfinite().all():
+            fault = f"has numbers in {name} that are not finite"
         else:
             continue
         raise InputError(f"{path} does not fit the network of this code: it {fault}")

@@ -28,6 +28,26 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
         checkpoint.read(path, "thing")
 
 
+def test_no_flipped_bit_gets_into_a_network(tmp_path: Path) -> None:
+    path = tmp_path / "x.pt"
+    weight = torch.linspace(-1, 1, 500)
+    checkpoint.write(path, {"kind": "thing", "net": {"weight": weight}})
+    whole = path.read_bytes()
+    start = whole.index(weight.numpy().tobytes())
+    said = []
+    for place in [*range(start, start + 2000, 97), *range(0, len(whole), 41)]:
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+        try:
+            content = checkpoint.read(path, "thing")
+        except InputError as error:
+            said.append(str(error))
+            continue
+        assert not start <= place < start + 2000  # a byte that means nothing, as padding
+        assert torch.equal(content["net"]["weight"], weight)
+    assert len(said) > 20
+    assert all(line.startswith(str(path)) for line in said)
+
+
 def test_what_the_system_refuses_is_not_called_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checkpoint.write(tmp_path / "x.pt", {"kind": "thing"})
 
@@ -59,6 +79,7 @@ def test_nothing_in_a_file_is_run(tmp_path: Path) -> None:
             lambda state: state.update(weight=torch.zeros(2, 9)),
             r"it has weight of shape \[2, 9\], the network \[2, 3\]",
         ),
+        (lambda state: state["bias"].fill_(torch.nan), "it has numbers in bias that are not finite"),
     ],
 )
 def test_state_must_fit_exactly(change: object, fault: str) -> None:

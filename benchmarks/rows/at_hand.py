@@ -112,7 +112,6 @@ def _params(folder: Path, source: str, points: int) -> Path:
         "semantic": {"source": source, "points": points, "k": 6, "keep_inter_class": 0.2},
         SETS: {"source": source, "neighbourhood": "pointnet2", "points": points},
     }
-    folder.mkdir(parents=True)
     (folder / "params.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return folder / "params.yaml"
 

@@ -43,16 +43,25 @@ def test_rows_are_printed_and_written(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_row_that_fails_is_named_and_the_others_are_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
+    def failing(given: bench.Given) -> Row:
+        raise ValueError("it fails\nat length")
+
+    monkeypatch.setattr(bench, "rows", lambda: {"a": failing, "b": lambda given: Row(1, 2, "s", 2, "")})
+    with pytest.raises(bench.typer.Exit):
+        bench.main(data=tmp_path, out=tmp_path / "results.json")
+    assert "| a |  |  |  |  | not measured: ValueError: it fails |" in capsys.readouterr().out
+    rows = json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert rows["a"] == {"error": "ValueError: it fails"}
+    assert rows["b"]["ratio"] == 2
+
+
+def test_a_peer_that_is_not_installed_is_named_and_no_failure(tmp_path: Path, monkeypatch, capsys) -> None:
     def missing(given: bench.Given) -> Row:
         raise ModuleNotFoundError("No module named 'peer'")
 
-    monkeypatch.setattr(bench, "rows", lambda: {"a": missing, "b": lambda given: Row(1, 2, "s", 2, "")})
-    with pytest.raises(bench.typer.Exit):
-        bench.main(data=tmp_path, out=tmp_path / "results.json")
-    assert "| a |  |  |  |  | not measured: ModuleNotFoundError: No module named 'peer' |" in capsys.readouterr().out
-    rows = json.loads((tmp_path / "results.json").read_text())["rows"]
-    assert rows["a"] == {"error": "ModuleNotFoundError: No module named 'peer'"}
-    assert rows["b"]["ratio"] == 2
+    monkeypatch.setattr(bench, "rows", lambda: {"a": missing})
+    bench.main(data=tmp_path)
+    assert "not measured: ModuleNotFoundError: No module named 'peer'" in capsys.readouterr().out
 
 
 def test_without_a_sample_it_says_what_makes_one(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Every row at a thousandth of its size: it runs, and its two sides do the same."""
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,11 @@ from models.steering.spatial.gnn import GCN
 from pipeline.base import store
 from pipeline.graphs import cloud, graph
 from tests.artefacts import bend, write_labels
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    import ncps.torch  # noqa: F401
+    import torch_geometric.nn  # noqa: F401
 
 DRIVE, POINTS = "2026_01_01_drive_0001", 150
 
@@ -32,7 +38,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def street(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Street:
-    return at_hand.sample(data, tmp_path_factory.mktemp("street") / "sample", POINTS)
+    return at_hand.sample(data, tmp_path_factory.mktemp("street"), POINTS)
 
 
 @pytest.fixture(autouse=True)

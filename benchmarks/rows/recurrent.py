@@ -48,8 +48,8 @@ class Theirs(nn.Module):
         self.net = net
 
     def forward(self, x: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
-        """Return what it says at each window's end [W], of frames [B,F]."""
-        said: Tensor = self.net(x[windows], timespans=dt_s / NOMINAL_STEP_S)[0][:, -1, 0]
+        """Return what it says at each window's end [W], of frames [B,F]; its own clock takes a step as nominal."""
+        said: Tensor = self.net(x[windows])[0][:, -1, 0]
         return said
 
 

@@ -1,6 +1,5 @@
-# make demo · make PRESET · make params PRESET=… · make test · make lint: each sets up what it needs (Debian, Python 3.11
-# or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make
-# replay · make studies.
+# make demo · make PRESET · make params PRESET=… · make test · make bench · make lint: each sets up what it needs (Debian,
+# Python 3.11 or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make replay · make studies.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -11,7 +10,7 @@ export DVC_NO_ANALYTICS := 1
 
 PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
 
-.PHONY: demo $(PRESETS) params test lint format setup system
+.PHONY: demo $(PRESETS) params test bench lint format setup system
 
 # dvc repro, but without the graph variants that no model of params.yaml takes.
 demo: setup            ## the whole chain on the embedded sample, then its table
@@ -38,6 +37,12 @@ params: setup          ## a preset's changes written into params.yaml: make para
 
 test: setup            ## all tests on all cores, with coverage of pipeline/ and models/; pytest -m "not slow": the quick ones
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=98
+
+# Scans: STEER_KITTI=/path/to/kitti, or ../shared/kitti where it lies; else the sample's clouds, of make demo.
+ROWS ?=
+bench: setup           ## beside what a user would pick instead: a table, and benchmarks/results.json; ROWS="ltc load" prints these
+	@STEER_KITTI="$${STEER_KITTI:-$(wildcard ../shared/kitti)}"; [ -n "$$STEER_KITTI" ] && export STEER_KITTI || unset STEER_KITTI; \
+	python -m benchmarks.bench $(ROWS) $(if $(ROWS),,--out benchmarks/results.json)
 
 lint: setup
 	ruff check .

@@ -2,7 +2,6 @@
 
 import contextlib
 import multiprocessing
-import resource
 import statistics
 import sys
 import tempfile
@@ -71,8 +70,8 @@ def main(
         longest = max(entry.window for entry in entries.values())
         count = max(step_frames(longest, load(Train, written)), town_frames.BENT)
         town_frames.write_params(preset, written, count)
-        _apart(town_frames.make, written, folder, sorted({entry.input for entry in entries.values()}))
-        rows = [_apart(measure, name, written, folder, steps) for name in entries]
+        apart(town_frames.make, written, folder, sorted({entry.input for entry in entries.values()}))
+        rows = [apart(measure, name, written, folder, steps) for name in entries]
     print(table(rows))
 
 
@@ -87,9 +86,8 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
 
     from benchmarks import work
     from models.steering.core import steering_net
-    from pipeline.train import fit
 
-    bare_bytes = _peak_bytes()
+    bare_bytes = peak_bytes()
     model, settings = load_entry(Model, "models", name, params), load(Train, params)
     count = step_frames(model.window, settings)
     (drive,) = windows.read_drives(
@@ -108,27 +106,12 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
     torch.manual_seed(0)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     net = steering_net.build(model.model_dump(), **frames.contents(drive.graphs)).to(device)
-    # An epoch cuts runs at random places. Ours are as long as a step's, and must stay whole.
-    whole = settings.model_copy(update={"epochs": 1, "run_windows": 1 << 40})
-
-    def train(steps: int, probe: Callable[[], T]) -> list[T]:
-        """Train for `steps` steps; return what `probe` says as the forward pass of each begins."""
-        readings = []
-
-        def forward(net: Any, batch: windows.Batch) -> torch.Tensor:
-            readings.append(probe())
-            return steering_net.predict(net, batch)
-
-        run = fit.Fit(net, forward, model.window, model.alpha, whole, seed=0)
-        with tempfile.TemporaryDirectory() as kept:
-            run.run([drive] * (steps * settings.batch_runs), [], Path(kept) / "state.pt", {}, name)
-        return readings
-
+    training = Training(net, drive, model, settings)
     # From one forward pass to the next: backward pass, clipping, update, average, and what a thread reads meanwhile.
-    times = [after - before for before, after in pairwise(train(steps + 2, time.perf_counter))]
-    peak_bytes = _peak_bytes()
+    times = [after - before for before, after in pairwise(training.steps(steps + 2, time.perf_counter))]
+    most_bytes = peak_bytes()
     with work.Counter() as counter:
-        before, after = train(2, lambda: counter.work)
+        before, after = training.steps(2, lambda: counter.work)
     flop, moved_bytes, operators = np.subtract(after, before)
     return Row(
         name,
@@ -138,7 +121,7 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
         parameters=steering_net.parameter_count(net),
         step_s=statistics.median(times[1:]),
         read_s=statistics.median(reading),
-        peak_bytes=peak_bytes,
+        peak_bytes=most_bytes,
         bare_bytes=bare_bytes,
         flop=flop / total,
         moved_bytes=moved_bytes / total,
@@ -146,6 +129,31 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
         disk_bytes=drive.graphs.stat().st_size / len(drive.frame),
         device=f"{device.type}, {torch.get_num_threads()} threads",
     )
+
+
+class Training:
+    """Steps on the whole of one drive's runs, as stage train makes them."""
+
+    def __init__(self, net: Any, drive: windows.Drive, model: Model, settings: Train) -> None:
+        # An epoch cuts runs at random places. Ours are as long as a step's, and must stay whole.
+        self.settings = settings.model_copy(update={"epochs": 1, "run_windows": 1 << 40})
+        self.net, self.drive, self.model = net, drive, model
+
+    def steps(self, steps: int, probe: Callable[[], T]) -> list[T]:
+        """Train for `steps` steps; return what `probe` says as the forward pass of each begins."""
+        from models.steering.core import steering_net
+        from pipeline.train import fit
+
+        readings = []
+
+        def forward(net: Any, batch: windows.Batch) -> Any:
+            readings.append(probe())
+            return steering_net.predict(net, batch)
+
+        run = fit.Fit(self.net, forward, self.model.window, self.model.alpha, self.settings, seed=0)
+        with tempfile.TemporaryDirectory() as kept:
+            run.run([self.drive] * (steps * self.settings.batch_runs), [], Path(kept) / "state.pt", {}, "benchmark")
+        return readings
 
 
 def describe(batch: windows.Batch) -> str:
@@ -194,7 +202,7 @@ def _lines(head: list[str], body: list[list[str]]) -> list[str]:
     return [f"| {' | '.join(cells)} |" for cells in (head, rule, *body)]
 
 
-def _apart(function: Callable[..., Any], *arguments: Any) -> Any:
+def apart(function: Callable[..., Any], *arguments: Any) -> Any:
     """Call it in a new process."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_to_stderr) as pool:
         return pool.submit(function, *arguments).result()
@@ -204,8 +212,13 @@ def _to_stderr() -> None:
     sys.stdout = sys.stderr
 
 
-def _peak_bytes() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024  # Linux counts in KiB
+def peak_bytes() -> int:
+    """Return the most memory that this process has had, all included.
+
+    Not getrusage's: to a process that another starts, Linux counts what the other had then.
+    """
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+    return int(line.split()[1]) * 1024  # in KiB
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
 """Liquid time-constant cell (Hasani et al. 2021) on a sparse wiring: with `wiring.ncp`, a neural circuit policy."""
 
+from typing import Any
+
 import torch
 from numpy import int8
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn.functional import softplus
 
 from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_REACH, RecurrentCell, State
@@ -40,22 +43,74 @@ class LTC(RecurrentCell):
         return open_ @ sums  # [..., 2U], Σ w σ e ‖ Σ w σ
 
     def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
-        slope, threshold, sums = self.internal.matrices()
         leak = softplus(self.leak)
-        units = len(leak)
-        (v,) = state or (sensed.new_zeros(len(sensed), units),)  # [W,U]
-        # c as [W,T,U], and all that stays the same while a frame unfolds: numerator ‖ denominator, [W,T,2U]
-        c = softplus(self.capacity) * self.unfolds * NOMINAL_STEP_S / dt_s[..., None]
-        fixed = sensed + torch.cat([leak * self.rest, leak + EPSILON]) + torch.cat([torch.zeros_like(c), c], dim=-1)
-        potentials = []
+        (v,) = state or (sensed.new_zeros(len(sensed), len(leak)),)  # [W,U]
+        c = softplus(self.capacity) * self.unfolds * NOMINAL_STEP_S / dt_s[..., None]  # [W,T,U]
+        fixed = sensed + torch.cat([leak * self.rest, leak + EPSILON])  # numerator ‖ denominator, [W,T,2U]
+        unfolded: tuple[Tensor, Tensor] = Unfolded.apply(  # type: ignore[no-untyped-call]
+            v, c, fixed, *self.internal.matrices(), self.unfolds
+        )
+        potentials, v = unfolded
+        return potentials[..., : self.motor] * self.output_scale + self.output_shift, (v,)
+
+
+class Unfolded(torch.autograd.Function):
+    """All steps of all frames, one after the other, with the gradients written out.
+
+    On arrays as tiny as these, what autograd does about an operator costs more than the operator. Here it sees one for
+    all steps, and what parameters get is summed over the steps at once.
+
+    Args: v [W,U] before; c [W,T,U]; fixed [W,T,2U], what a frame's steps share of numerator ‖ denominator beside c;
+        slope [U,S], threshold [S] and sums [S,2U] of the internal synapses; steps a frame.
+    Returns: v after each frame [W,T,U], and after the last [W,U].
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, v: Tensor, c: Tensor, fixed: Tensor, slope: Tensor, threshold: Tensor, sums: Tensor, unfolds: int
+    ) -> tuple[Tensor, Tensor]:
+        fixed = torch.cat([fixed[..., : c.shape[2]], fixed[..., c.shape[2] :] + c], dim=2)
+        below = -threshold.expand(len(v), -1)  # [W,S]; as long as its result, a product takes it sooner
+        potentials, opened, denominators = [v], [], []
         for c_frame, fixed_frame in zip(c.unbind(1), fixed.unbind(1), strict=True):
-            for _ in range(self.unfolds):
-                open_ = torch.addmm(-threshold, v, slope).sigmoid_()  # [W, synapses]
+            for _ in range(unfolds):
+                open_ = torch.addmm(below, v, slope).sigmoid_()  # [W,S]
                 numerator, denominator = torch.addmm(fixed_frame, open_, sums).chunk(2, dim=1)  # each [W,U]
-                v = torch.addcmul(numerator, c_frame, v) / denominator
-            potentials.append(v)
-        motor = torch.stack(potentials, dim=1)[..., : self.motor]  # [W,T,motor]
-        return motor * self.output_scale + self.output_shift, (v,)
+                v = torch.addcmul(numerator, c_frame, v).div_(denominator)
+                potentials.append(v)
+                opened.append(open_)
+                denominators.append(denominator)
+        ctx.save_for_backward(c, slope, sums)
+        ctx.steps = (potentials, opened, denominators) if any(ctx.needs_input_grad) else None
+        # What is kept must not be what is returned: each would keep the other alive.
+        return torch.stack(potentials[unfolds::unfolds], dim=1), v.clone()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, of_potentials: Tensor, of_last: Tensor) -> tuple[Tensor | None, ...]:
+        c, slope, sums = ctx.saved_tensors
+        potentials, opened, denominators = ctx.steps
+        windows, frames, units = c.shape
+        unfolds = len(opened) // frames
+        sign = sums.new_tensor([1.0, -1.0]).repeat_interleave(units)  # a denominator pulls the other way
+        slope_t, sums_t = slope.T.contiguous(), (sums * sign).T.contiguous()
+        c_frames, of_frames = c.unbind(1), of_potentials.unbind(1)
+        upstream, of_terms, of_gates = of_last, [], []
+        for step in reversed(range(len(opened))):
+            frame, within = divmod(step, unfolds)
+            if within == unfolds - 1:
+                upstream = upstream + of_frames[frame]
+            of_numerator = upstream / denominators[step]
+            of_term = torch.cat([of_numerator, of_numerator * potentials[step + 1]], dim=1)  # [W,2U], but for the sign
+            of_gate = torch.ops.aten.sigmoid_backward(of_term @ sums_t, opened[step])  # [W,S], of what σ is taken of
+            upstream = torch.addmm(of_numerator * c_frames[frame], of_gate, slope_t)
+            of_terms.append(of_term)
+            of_gates.append(of_gate)
+        before, open_ = torch.cat(potentials[:-1]), torch.cat(opened)  # [N W, …] for N steps
+        of_term, of_gate = torch.cat(of_terms[::-1]) * sign, torch.cat(of_gates[::-1])
+        of_c = torch.addcmul(of_term[:, units:], of_term[:, :units], before)
+        of_fixed, of_c = (each.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for each in (of_term, of_c))
+        return upstream, of_c, of_fixed, before.T @ of_gate, -of_gate.sum(0), open_.T @ of_term, None
 
 
 class Synapses(nn.Module):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.core.cell.ltc import LTC, inverse_softplus
+from models.steering.core.cell.ltc import LTC, Unfolded, inverse_softplus
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.wiring import Sizes, ncp
 
@@ -77,6 +77,59 @@ def test_gradients_through_dt():
     sensed = cell.sense(torch.randn(2, 3, 4, dtype=torch.float64)).detach()
     dt_s = torch.full((2, 3), 0.1, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda dt: cell(sensed, dt)[0], dt_s)
+
+
+def step_by_step(v, c, fixed, slope, threshold, sums, unfolds):
+    """What `Unfolded` does, with autograd's own gradients."""
+    after = []
+    for c_frame, fixed_frame in zip(c.unbind(1), fixed.unbind(1), strict=True):
+        for _ in range(unfolds):
+            open_ = torch.sigmoid(v @ slope - threshold)
+            numerator, denominator = (fixed_frame + open_ @ sums).chunk(2, dim=1)
+            v = (numerator + c_frame * v) / (denominator + c_frame)
+        after.append(v)
+    return torch.stack(after, dim=1), v
+
+
+def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
+    """v, c, fixed, slope, threshold, sums: as a cell makes them of a random wiring."""
+    cell = LTC(ncp(5, Sizes(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).to(dtype)
+    units = len(cell.leak)
+    v = torch.rand(windows, units, dtype=dtype)
+    c = torch.rand(windows, frames, units, dtype=dtype) * 30 + 1
+    fixed = cell.sense(torch.randn(windows, frames, 5, dtype=dtype)) + 0.1
+    return [each.detach().requires_grad_() for each in (v, c, fixed, *cell.internal.matrices())]
+
+
+def test_written_out_gradients_are_the_derivatives():
+    torch.manual_seed(0)
+    assert torch.autograd.gradcheck(lambda *of: Unfolded.apply(*of, 3), inputs_of_steps(windows=2, frames=2))
+
+
+@pytest.mark.parametrize(("dtype", "atol"), [(torch.float64, 1e-12), (torch.float32, 1e-6)])
+def test_all_steps_at_once_equal_one_after_the_other(dtype, atol):
+    torch.manual_seed(1)
+    inputs = inputs_of_steps(dtype=dtype)
+    ours, plain = Unfolded.apply(*inputs, 6), step_by_step(*inputs, 6)
+    upstream = [torch.randn_like(each) for each in ours]
+    gradients = [torch.autograd.grad(each, inputs, upstream) for each in (ours, plain)]
+    for got, expected in zip([*ours, *gradients[0]], [*plain, *gradients[1]], strict=True):
+        torch.testing.assert_close(got, expected, rtol=0, atol=atol * max(1, expected.abs().max().item()))
+
+
+def test_a_window_in_two_pieces_has_the_gradients_of_the_whole():
+    torch.manual_seed(2)
+    cell = LTC(ncp(4)).double()
+    x, dt_s = torch.randn(2, 6, 4, dtype=torch.float64), torch.rand(2, 6, dtype=torch.float64) + 0.05
+    whole, _ = cell(cell.sense(x), dt_s)
+    first, state = cell(cell.sense(x[:, :2]), dt_s[:, :2])
+    second, _ = cell(cell.sense(x[:, 2:]), dt_s[:, 2:], state)
+    pieces = torch.cat([first, second], dim=1)
+    torch.testing.assert_close(pieces, whole, **TOLERANCE)
+    parameters = list(cell.parameters())
+    of_whole, of_pieces = (torch.autograd.grad(each.square().sum(), parameters) for each in (whole, pieces))
+    for got, expected in zip(of_pieces, of_whole, strict=True):
+        torch.testing.assert_close(got, expected, **TOLERANCE)
 
 
 def test_long_pause_forgets_and_no_pause_keeps():

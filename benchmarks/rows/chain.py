@@ -1,0 +1,139 @@
+"""Rows of the chain on the sample that ``make demo`` left in data/: what a second worker brings, and the demo."""
+
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from benchmarks.rows.row import Row, compare
+from pipeline.base import store
+from pipeline.kitti import ingest_file
+from pipeline.motion import kinds
+from pipeline.sections.preset import merged
+from stages import clouds, graphs, perception, train
+
+LONG = 400  # frames of the drive that two workers share
+NETWORKS = 2  # that are trained side by side
+
+
+def blocks(data: Path) -> Row:
+    """Perception, clouds and graphs of one long drive."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        content = merged("table2")
+        content["models"] = {}
+        params = folder / "params.yaml"
+        params.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        drive = next(iter(store.read_index(data / "ingest", stage="ingest")))
+        repeated(data / f"ingest/{drive}.h5", folder / f"ingest/{drive}.h5", drive, LONG)
+        store.write_index(folder / "ingest", {drive: "train"})
+        kinds.write(folder / "motion", [])
+
+        def chain(workers: int) -> None:
+            perception.main(folder / "ingest", data / "encoder", folder / "perception", params, workers=workers)
+            clouds.main(folder / "ingest", folder / "perception", folder / "clouds", params, workers=workers)
+            graphs.main("semantic", folder, folder / "graphs", params, workers=workers)
+
+        text = f"perception, clouds, graphs of one drive of {LONG} frames: 2 workers / 1"
+        return compare(_s(partial(chain, 2)), _s(partial(chain, 1)), "s", text)
+
+
+def side_by_side(data: Path) -> Row:
+    """Training networks of the sample's size, a thread each, as ``make table2`` does with seeds."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        content = merged("table2")
+        content["models"] = {name: content["models"][name] for name in ("sa-gnn-ncp",)}
+        content["train"] |= {"epochs": 2, "seeds": list(range(NETWORKS))}
+        params = folder / "params.yaml"
+        params.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        # A third of the training drives: as much as five turns leave time for.
+        splits = store.read_index(data / "graphs/semantic", stage="graphs")
+        of_split = {split: [drive for drive in splits if splits[drive] == split] for split in ("train", "val", "test")}
+        kept = [*of_split["train"][::3], *of_split["val"][:1], *of_split["test"][:1]]
+        (folder / "graphs/semantic").mkdir(parents=True)
+        for drive in kept:
+            (folder / f"graphs/semantic/{drive}.h5").symlink_to((data / f"graphs/semantic/{drive}.h5").resolve())
+        store.write_index(folder / "graphs/semantic", {drive: splits[drive] for drive in kept})
+
+        def fit(workers: int) -> None:
+            with _workers(workers):
+                train.main("sa-gnn-ncp", folder / "graphs", data / "labels", folder / "train", params)
+            shutil.rmtree(folder / "train")
+
+        text = f"{NETWORKS} networks on {len(of_split['train'][::3])} drives of the sample: side by side / in turn"
+        return compare(_s(partial(fit, 2)), _s(partial(fit, 1)), "s", text)
+
+
+def demo(code: Path) -> Row:
+    """The whole chain on the embedded sample, set-up left out, with an empty cache; once, as it takes minutes."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        for name in ("pipeline", "models", "stages"):
+            shutil.copytree(code / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        for name in ("dvc.yaml", "params.yaml", ".dvcignore"):
+            shutil.copy(code / name, folder / name)
+        (folder / "data").mkdir()
+        shutil.copy(code / "data/.gitignore", folder / "data")
+        _run(["dvc", "init", "--quiet", "--no-scm"], folder)
+        start = time.perf_counter()
+        _run(["dvc", "repro", "check", "pictures", "report"], folder)
+        seconds = time.perf_counter() - start
+        metrics = store.read_json(folder / "data/report/metrics.json", stage="report")
+        nmse = metrics["sa-gnn-ncp"]["nmse"]
+    return Row(seconds, None, "s", None, f"make demo after set-up, once; sa-gnn-ncp's nmse {nmse:.3f}")
+
+
+def repeated(source: Path, out: Path, drive: str, count: int) -> None:
+    """Write an ingest file of `count` frames: those of another, over and over."""
+    with (
+        store.DriveReader(source, stage="ingest") as raw,
+        store.DriveWriter(out, stage="ingest", drive=drive, params=raw.params) as file,
+    ):
+        file.attrs |= {key: value for key, value in raw.attrs.items() if key not in file.attrs}
+        row = np.arange(count) % len(raw.frame)
+        number = np.arange(count)
+        ingest_file.put_motion(file, number, number * 0.1, raw["oxts"][row])
+        ingest_file.put_camera(file, raw["K"], raw["T_cam_velo"])
+        for name in ingest_file.PIXELS:
+            images = raw[name]
+            ingest_file.put_pixels(file, name, count, images.shape[1:3], ((n, images[row[n]]) for n in number))
+        scans = [raw.rows("lidar", *ends) for ends in pairwise(raw["lidar_ptr"])]
+        ingest_file.put_scans(file, count, ((n, scans[row[n]]) for n in number))
+
+
+def _s(work: Callable[[], None]) -> Callable[[], float]:
+    def timed() -> float:
+        start = time.perf_counter()
+        work()
+        return time.perf_counter() - start
+
+    return timed
+
+
+@contextmanager
+def _workers(count: int) -> Any:
+    before = os.environ.get("STEER_WORKERS")
+    os.environ["STEER_WORKERS"] = str(count)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["STEER_WORKERS"]
+        else:
+            os.environ["STEER_WORKERS"] = before
+
+
+def _run(command: list[str], folder: Path) -> None:
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    subprocess.run(command, cwd=folder, check=True, env=environment, stdout=subprocess.DEVNULL)

@@ -28,7 +28,7 @@ def vs_pyg_csr(street: Street, device: str) -> Row:
 
     def csr(index: Tensor, weight: Tensor, nodes: int) -> tuple[Tensor]:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+            warnings.filterwarnings("ignore", message="Sparse (CSR tensor support is in beta|invariant checks)")
             return (torch.sparse_coo_tensor(index.flip(0), weight, (nodes, nodes)).coalesce().to_sparse_csr(),)
 
     return _vs_pyg(street, device, "CSR", csr)

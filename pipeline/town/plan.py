@@ -30,10 +30,13 @@ class Plan:
     bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> room for parked cars at each of the route's samples
     parking: np.ndarray  # bool, whether cars may park at each of the route's samples
 
-    def cells(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns [...] of the nearest cells to points [..., 2], clipped to the raster's border."""
-        cell = np.rint((xy - self.origin) / CELL_M).astype(np.int64)
-        return np.clip(cell[..., 1], 0, self.kind.shape[0] - 1), np.clip(cell[..., 0], 0, self.kind.shape[1] - 1)
+    def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to the raster's border."""
+        row, column = (
+            np.rint((along - origin) / CELL_M).astype(np.int64).clip(0, size - 1)
+            for along, origin, size in zip((y, x), self.origin[::-1], self.kind.shape, strict=True)
+        )
+        return row, column
 
     def kerbs(self) -> list[np.ndarray]:
         """Return the closed outlines of the roads, each [N,2] in metres."""

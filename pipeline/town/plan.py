@@ -30,10 +30,13 @@ class Plan:
     bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> room for parked cars at each of the route's samples
     parking: np.ndarray  # bool, whether cars may park at each of the route's samples
 
-    def cells(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns [...] of the nearest cells to points [..., 2], clipped to the raster's border."""
-        cell = np.rint((xy - self.origin) / CELL_M).astype(np.int64)
-        return np.clip(cell[..., 1], 0, self.kind.shape[0] - 1), np.clip(cell[..., 0], 0, self.kind.shape[1] - 1)
+    def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to the border."""
+        row, column = (
+            np.rint((along - origin) / CELL_M).astype(np.int64).clip(0, size - 1)
+            for along, origin, size in zip((y, x), self.origin[::-1], self.kind.shape, strict=True)
+        )
+        return row, column
 
     def kerbs(self) -> list[np.ndarray]:
         """Return the closed outlines of the roads, each [N,2] in metres."""
@@ -66,7 +69,8 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     road = _close(road, CORNER_M)
 
     to_road = (cv2.distanceTransform(1 - road, cv2.DIST_L2, 5) * CELL_M).astype(np.float32)
-    kind = np.where(to_road < character.pavement_m, PAVEMENT, GRASS).astype(np.uint8)
+    kind = np.full(road.shape, GRASS, np.uint8)
+    kind[to_road < character.pavement_m] = PAVEMENT
     kind[to_road < 0.25] = KERBSTONE
     kind[road > 0] = ASPHALT
     paint = np.zeros_like(kind)

@@ -68,7 +68,9 @@ class Route:
 
 def unit(heading_rad: np.ndarray | float) -> np.ndarray:
     """Return the unit vectors [..., 2] of headings [...]."""
-    return np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
+    xy = np.empty((*np.shape(heading_rad), 2))
+    xy[..., 0], xy[..., 1] = np.cos(heading_rad), np.sin(heading_rad)
+    return xy
 
 
 def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:

@@ -21,9 +21,9 @@ class Camera:
 
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
-        forward = geometry.rays(rig.K, rig.size).reshape(-1, 3)
-        self._z_per_m = (1 / np.linalg.norm(forward, axis=1)).astype(np.float32)  # depth along the axis per distance
-        self._directions = (forward * self._z_per_m[:, None]).astype(np.float32)
+        forward = geometry.rays(rig.K, rig.size).reshape(-1, 3).T
+        self._z_per_m = (1 / np.linalg.norm(forward, axis=0)).astype(np.float32)  # depth along the axis per distance
+        self._directions = (forward * self._z_per_m).astype(np.float32)
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
 
     def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -31,9 +31,9 @@ class Camera:
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
         facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)  # the sky has no normal
-        points = rays[facing, :3] + hits.distance_m[facing, None] * rays[facing, 3:]
-        points += np.float32(0.01) * hits.normal[facing]  # off the surface, or it would shade itself
-        lit = np.zeros(len(rays), bool)
+        points = rays[:3, facing] + hits.distance_m[facing] * rays[3:, facing]
+        points += np.float32(0.01) * hits.normal[:, facing]  # off the surface, or it would shade itself
+        lit = np.zeros(rays.shape[1], bool)
         lit[facing] = world.lit(points, light.sun)
         picture = shade(light, hits, rays, lit, self._size)
         depth_m = hits.distance_m * self._z_per_m  # of the sky it is infinite
@@ -48,26 +48,27 @@ class Scanner:
         rings, per_ring = rays
         elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
         azimuth = np.arange(per_ring)[None] * 2 * np.pi / per_ring
-        level = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=-1)
-        up = np.array([0.0, 0.0, 1.0])
-        directions = np.cos(elevation)[..., None] * level + np.sin(elevation)[..., None] * up
-        self._directions = directions.reshape(-1, 3).astype(np.float32)
+        level = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
+        up = np.array([0.0, 0.0, 1.0])[:, None, None]
+        directions = np.cos(elevation) * level + np.sin(elevation) * up  # [3,rings,per_ring]
+        self._directions = directions.reshape(3, -1).astype(np.float32)
         self._T_imu_velo = np.linalg.inv(rig.T_velo_imu)
 
     def take(self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return the scan float32 [P,4]: x, y, z in the velodyne frame, reflectance 0..1."""
         rays = _rays(T_world_imu @ self._T_imu_velo, self._directions)
         hits = world.cast(rays)
-        distance = hits.distance_m + rng.normal(0, RANGE_NOISE_M, len(rays))
-        reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=1) * rng.uniform(0.6, 1.0, len(rays))
-        in_range = hits.distance_m < SCAN_RANGE_M
-        xyz = self._directions[in_range] * distance[in_range, None]
-        return np.column_stack([xyz, np.round(np.clip(reflectance[in_range], 0, 0.99), 2)]).astype(np.float32)
+        distance = hits.distance_m + rng.normal(0, RANGE_NOISE_M, rays.shape[1])
+        reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=0) * rng.uniform(0.6, 1.0, rays.shape[1])
+        in_range = np.flatnonzero(hits.distance_m < SCAN_RANGE_M)
+        xyz = self._directions[:, in_range] * distance[in_range]
+        return np.stack([*xyz, np.round(np.clip(reflectance[in_range], 0, 0.99), 2)], axis=-1).astype(np.float32)
 
 
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    rays = np.empty((len(directions), 6), np.float32)
-    rays[:, :3] = T_world_sensor[:3, 3]
+    """Return the rays [6,N] of a sensor that looks to `directions` float32 [3,N]."""
+    rays = np.empty((6, directions.shape[1]), np.float32)
+    rays[:3] = T_world_sensor[:3, 3:]
     for axis, row in enumerate(T_world_sensor[:3, :3].astype(np.float32)):
-        rays[:, 3 + axis] = dot(directions, row)
+        rays[3 + axis] = dot(directions, row)
     return rays

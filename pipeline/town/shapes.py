@@ -79,13 +79,19 @@ def house(size: tuple[float, float, float], colour: Colour, roof: Colour, roof_m
     return merge([walls, slopes, gables])
 
 
-def cylinder(radius_m: float, height_m: float, colour: Colour, cls: int, sides: int = 8) -> Mesh:
+def cylinder(radius_m: float, height_m: float, colour: Colour, cls: int) -> Mesh:
+    """An upright tube on the origin, open at both ends."""
+    vertices, faces = _tube()
+    return mesh(vertices * [radius_m, radius_m, height_m], faces, colour, cls)
+
+
+@cache
+def _tube(sides: int = 8) -> tuple[np.ndarray, np.ndarray]:
     angle = np.arange(sides) * 2 * np.pi / sides
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * radius_m
-    bottom, top = np.column_stack([ring, np.zeros(sides)]), np.column_stack([ring, np.full(sides, height_m)])
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    vertices = np.concatenate([np.column_stack([ring, np.full(sides, z)]) for z in (0.0, 1.0)])
     i, j = np.arange(sides), (np.arange(sides) + 1) % sides
-    faces = np.concatenate([np.stack([i, j, j + sides], 1), np.stack([i, j + sides, i + sides], 1)])
-    return mesh(np.concatenate([bottom, top]), faces, colour, cls)
+    return vertices, np.concatenate([np.stack([i, j, j + sides], 1), np.stack([i, j + sides, i + sides], 1)])
 
 
 @cache

@@ -72,13 +72,13 @@ def test_the_ego_touches_nothing(drive: str) -> None:
     ahead, left = unit(journey.heading_rad), unit(journey.heading_rad + np.pi / 2)
     for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):  # of the rear axle's middle
         places = journey.xy + forward * ahead + (aside - IMU_LEFT_M) * left
-        assert (plan.to_road_m[plan.cells(places)] == 0).all()
+        assert (plan.to_road_m[plan.cells(*places.T)] == 0).all()
         steps = np.diff(places, axis=0)
         length = np.linalg.norm(steps, axis=1)
         for height in (0.4, 1.5):
             starts = np.column_stack([places[:-1], np.full(len(steps), height)])
             rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(np.float32)
-            assert (world.cast(rays).distance_m > length).all()
+            assert (world.cast(rays.T).distance_m > length).all()
 
 
 @pytest.mark.slow

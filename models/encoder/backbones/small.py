@@ -5,7 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from models.encoder.backbones import Backbone, Parts
-from models.encoder.heads import CellClasses, CellDepth
+from models.encoder.heads import CellClasses, CellDepth, Pointwise
 
 WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
 
@@ -30,7 +30,7 @@ class Small(Backbone):
         self.down2 = nn.Sequential(conv(a, b, stride=2), Residual(b))
         self.down3 = nn.Sequential(conv(b, c, stride=2), Residual(c))
         self.down4 = nn.Sequential(conv(c, d, stride=2), Residual(d), Residual(d, dilation=2))
-        self.side3, self.side2, self.side1 = nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
+        self.side3, self.side2, self.side1 = Pointwise(d, c), Pointwise(c, b), Pointwise(b, a)
         self.up3, self.up2, self.up1 = conv(c, c), conv(b, b), conv(a, self.channels)
 
     def forward(self, image: Tensor, rays: Tensor) -> Tensor:

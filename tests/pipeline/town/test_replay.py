@@ -138,9 +138,9 @@ def test_nothing_stands_on_driven_road(block: Journey, tmp_path: Path, seed: int
         for height in (0.4, 1.5):
             starts = np.column_stack([places[:-1], np.full(len(step), height)])
             rays = np.column_stack([starts, step / length[:, None], np.zeros(len(step))]).astype(np.float32)
-            assert (world.cast(rays).distance_m > length).all()
+            assert (world.cast(rays.T).distance_m > length).all()
     # The car's middle is on road throughout, never on pavement.
-    assert (plan.to_road_m[plan.cells(journey.xy - IMU_LEFT_M * left)] == 0).all()
+    assert (plan.to_road_m[plan.cells(*(journey.xy - IMU_LEFT_M * left).T)] == 0).all()
     assert journey.route.arms  # closed ways at some of the corners
     assert all(arm.closed for arm in journey.route.arms)
 

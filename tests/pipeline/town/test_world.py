@@ -23,8 +23,8 @@ def world() -> World:
 
 
 def rays(*pairs: tuple[list[float], list[float]]) -> np.ndarray:
-    array = np.array([origin + direction for origin, direction in pairs], np.float32)
-    array[:, 3:] /= np.linalg.norm(array[:, 3:], axis=1, keepdims=True)
+    array = np.array([origin + direction for origin, direction in pairs], np.float32).T
+    array[3:] /= np.linalg.norm(array[3:], axis=0)
     return array
 
 
@@ -39,11 +39,11 @@ def test_what_rays_meet_and_where(world: World) -> None:
     )
     np.testing.assert_array_equal(hits.cls, [classes.ROAD, classes.TERRAIN, classes.BUILDING, classes.SKY])
     np.testing.assert_allclose(hits.distance_m, [3, 3 - KERB_M, 9.5, np.inf], rtol=1e-5)
-    np.testing.assert_allclose(hits.normal[:3], [[0, 0, 1], [0, 0, 1], [-1, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(hits.normal.T, [[0, 0, 1], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], atol=1e-6)
 
 
 def test_shadows_fall_away_from_the_sun(world: World) -> None:
-    points = np.array([[9.0, 0, 0.2], [12.0, 0, 0.2], [12.0, 9, 0.2]], np.float32)
+    points = np.array([[9.0, 0, 0.2], [12.0, 0, 0.2], [12.0, 9, 0.2]], np.float32).T
     west = np.array([-1, 0, 0.5]) / np.sqrt(1.25)
     np.testing.assert_array_equal(world.lit(points, west), [True, False, True])
 
@@ -55,7 +55,7 @@ def test_traffic_hides_what_is_behind_it_and_leaves_again(world: World) -> None:
     hits = world.cast(ray)
     np.testing.assert_array_equal(hits.cls, [classes.CAR, classes.SKY])
     assert 3 < hits.distance_m[0] < 5
-    under_the_car = np.array([[-2.0, 0, 0.02]], np.float32)
+    under_the_car = np.array([[-2.0, 0, 0.02]], np.float32).T
     assert not world.lit(under_the_car, np.array([0.0, 0, 1]))[0]
     world.set_traffic([])
     assert world.cast(ray).cls[0] == classes.BUILDING

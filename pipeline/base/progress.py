@@ -1,7 +1,10 @@
 """How far the functions that run over drives have come, told frame by frame, from worker processes too."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.sharedctypes import Synchronized
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 def nobody(frames: int) -> None:
@@ -9,11 +12,26 @@ def nobody(frames: int) -> None:
 
 
 _tell: Callable[[int], object] = nobody
+_done = 0
 
 
 def advance(frames: int) -> None:
     """Say that `frames` more of the drive in work are done."""
+    global _done
+    _done += frames
     _tell(frames)
+
+
+def counted(items: Iterable[T]) -> Iterator[T]:
+    """Yield the items, one for each frame; a frame is done when the next is asked for."""
+    for item in items:
+        yield item
+        advance(1)
+
+
+def done() -> int:
+    """Return how many frames this process has done: so many more than before name the one at which it failed."""
+    return _done
 
 
 def listen(tell: Callable[[int], object]) -> None:

@@ -31,7 +31,8 @@ class Column(NamedTuple):
     dtype: str
     shape: list[int]  # of one row
     rows: int
-    value: int = 0  # of frames that are never filled
+    frames: int = 0  # of `blank`: how many may have a row
+    value: int = 0  # of `blank`: where none is
 
 
 class BlockWriter(DriveWriter):
@@ -63,15 +64,16 @@ class BlockWriter(DriveWriter):
             self._rows[name].append(np.array(rows))  # a copy: the caller may use its array again
 
     def blank(self, name: str, shape: tuple[int, ...], dtype: type, unit: str = "", value: int = 0) -> None:
-        self._start("blank", name, np.empty((0, *shape[1:]), dtype), unit, value)
+        self._start("blank", name, np.empty((0, *shape[1:]), dtype), unit)
+        self._columns[name] = self._columns[name]._replace(frames=shape[0], value=value)
         self._filled[name] = []
 
     def fill(self, name: str, index: int, array: np.ndarray) -> None:
         self._filled[name].append(index)
         self._rows[name].append(np.array(array)[None])
 
-    def _start(self, made_by: str, name: str, rows: np.ndarray, unit: str, value: int = 0) -> None:
-        self._columns[name] = Column(made_by, unit, rows.dtype.str, [*rows.shape[1:]], 0, value)
+    def _start(self, made_by: str, name: str, rows: np.ndarray, unit: str) -> None:
+        self._columns[name] = Column(made_by, unit, rows.dtype.str, [*rows.shape[1:]], 0)
         self._rows[name] = [rows.copy()]
 
     def __enter__(self) -> "BlockWriter":
@@ -137,13 +139,9 @@ def encode(blocks: Sequence[Block], part: int, parts: int, path: Path) -> None:
                     file.fill(name, index, row)
 
 
-def join(blocks: Sequence[Block], parts: Sequence[Path], frames: Sequence[int], file: DriveWriter) -> None:
-    """Write a drive's file of its blocks, in order, and of all parts of :func:`encode`, in order.
-
-    `frames`: how many each block has.
-    """
+def join(blocks: Sequence[Block], parts: Sequence[Path], file: DriveWriter) -> None:
+    """Write a drive's file of its blocks, in order, and of all parts of :func:`encode`, in order."""
     file.attrs |= blocks[0].attrs
-    first = np.cumsum([0, *frames[:-1]])
     for name, column in blocks[0].columns.items():
         match column.made_by:
             case "put":
@@ -157,9 +155,10 @@ def join(blocks: Sequence[Block], parts: Sequence[Path], frames: Sequence[int], 
                 total = _total(blocks, name)
                 file.put_chunks(name, _open(parts), total, range(0, total, file.chunk_rows(name)))
             case "blank":
-                _make(file, name, column, frames=sum(frames))
+                *first, total = np.cumsum([0, *(block.columns[name].frames for block in blocks)]).tolist()
+                _make(file, name, column, frames=total)
                 filled = [start + block.filled(name) for start, block in zip(first, blocks, strict=True)]
-                file.put_chunks(name, _open(parts), sum(frames), np.concatenate(filled).tolist())
+                file.put_chunks(name, _open(parts), total, np.concatenate(filled).tolist())
 
 
 def _make(file: DriveWriter, name: str, column: Column, frames: int = 0) -> None:

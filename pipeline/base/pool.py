@@ -233,7 +233,7 @@ def _from_blocks(drive: _Drive, total: Callable[[Sequence[Summary]], Summary]) -
     ]
     start = time.perf_counter()
     with DriveWriter(drive.path, **drive.header) as file:
-        join(blocks, drive.parts, [len(span) for span in drive.spans], file)
+        join(blocks, drive.parts, file)
     seconds += [time.perf_counter() - start, *(block.log["seconds"] for block in blocks)]
     return total([block.log["summary"] for block in blocks]), sum(seconds)
 

@@ -88,7 +88,6 @@ def ingest(
     settings: Ingest,
 ) -> dict[str, Any]:
     """Write some frames of a drive, `rows` of its oxts packets: a frame without one has no label."""
-    progress.advance(len(rows))  # at once: they are not read one by one, and a damaged file says which it is
     raw = drives[drive]
     numbers, packets = list(raw.oxts), raw.folder / "oxts" / "data"
     if not numbers:
@@ -116,6 +115,7 @@ def ingest(
             made = reader.each(name, read, pictures[name], frames)
         counts[name] = put_pixels(file, name, len(frames), settings.image_size, made)
     counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
+    progress.advance(len(rows))  # all at once: images come first, then scans
     unlabelled = (set(pictures.get("image", {})) | set(scans)) - set(raw.oxts)
     of_drive = {"camera": camera.number if camera else None, "without_oxts": len(unlabelled), "packets": str(packets)}
     return {"counts": counts, "damaged": dict(reader.damaged), "of_drive": of_drive}

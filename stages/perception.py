@@ -85,6 +85,7 @@ class _Perceive:
             images = batches.read(source, chosen, self.settings.batch, scans=mode.needs_scan)
             # One thread reads, others run the network, this one scales and writes.
             with closing(passes(lambda batch: (batch, *see(batch)), images)) as results:
+                progress.begin()
                 for batch, depth, cls in results:
                     frames = _frames(batch, depth, cls, camera_height_m)
                     for frame in frames:

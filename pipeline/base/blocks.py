@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.base.atomic import replacing
 from pipeline.base.store import DriveReader, DriveWriter
 
-_HEADER = "header of the block"  # its name in the file, beside those of datasets
+_HEADER, _AFTER = "header of the block", "left by the block"  # names in the file, beside those of datasets
 _FRAMES = "frames of "  # before a dataset's name: which frames of the block are filled
 _PART = "part"  # in place of a stage's name
 
@@ -38,12 +38,15 @@ class Column(NamedTuple):
 class BlockWriter(DriveWriter):
     """What a :class:`DriveWriter` is to a drive, for some consecutive frames; at its end, `path` holds their block.
 
-    Every block of a drive has the same datasets. Set :attr:`log` to what it is to tell of itself.
+    Every block of a drive has the same datasets. Set `log` to what it is to tell of itself, JSON-able, and `after` to
+    what the next block is to know; `before` is what the block before left so, None for the first.
     """
 
     def __init__(self, path: Path, *, stage: str, drive: str, params: Any) -> None:
         super().__init__(path, stage=stage, drive=drive, params=params)
         self.log: dict[str, Any] = {}
+        self.before: bytes | None = None
+        self.after: bytes = b""
         self._columns: dict[str, Column] = {}
         self._rows: dict[str, list[np.ndarray]] = {}
         self._filled: dict[str, list[int]] = {}
@@ -89,7 +92,7 @@ class BlockWriter(DriveWriter):
         arrays |= {_FRAMES + name: np.array(frames, np.int64) for name, frames in self._filled.items()}
         header = json.dumps({"attrs": self.attrs, "columns": self._columns, "log": self.log})
         with replacing(self.path) as tmp:
-            np.savez(tmp, **{_HEADER: np.array(header)}, **arrays)
+            np.savez(tmp, **{_HEADER: np.array(header), _AFTER: np.frombuffer(self.after, np.uint8)}, **arrays)
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,10 @@ class Block:
         """Return a dataset's rows; where frames may lack one, those of the frames that are filled."""
         with np.load(self.path) as file:
             return file[name]
+
+    def left(self) -> bytes:
+        """Return what it left for the next block."""
+        return self.rows(_AFTER).tobytes()
 
     def filled(self, name: str) -> np.ndarray:
         """Return which frames of the block have a row in a dataset where they may lack one."""

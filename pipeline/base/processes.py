@@ -13,6 +13,10 @@ from typing import Any
 
 from pipeline.base import progress
 
+BROKEN = (
+    "a worker process died (out of memory?) at or near {where}: use fewer workers (STEER_WORKERS=1) "
+    "or run the command again; what is finished is kept"
+)
 _work: Any = None
 
 

@@ -27,7 +27,7 @@ def work(drive: str, rows: range, file: DriveWriter, log: Path, trouble: dict[st
         lines.write(f"{drive}{rows.start}-{rows.stop}\n")
     file.put("frame", np.array(NUMBERS[drive], np.int32)[rows.start : rows.stop])
     file.append("xyz", np.empty((0, 3), np.float32), "m")
-    for row in rows:
+    for row in progress.counted(rows):
         match trouble.get(f"{drive}{row}"):
             case "die":
                 os._exit(9)
@@ -36,7 +36,6 @@ def work(drive: str, rows: range, file: DriveWriter, log: Path, trouble: dict[st
             case "bug":
                 raise ZeroDivisionError
         file.append("xyz", np.random.default_rng(row).normal(size=(3000 * (row % 3), 3)).astype(np.float32))
-        progress.advance(1)
     if trouble.get(drive) == "late":
         raise InputError("the drive is too long")
     return {"frames": len(rows), "points": 3000 * sum(row % 3 for row in rows)}

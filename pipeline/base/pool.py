@@ -132,6 +132,7 @@ def run_over_frames(
     def plan(paths: Mapping[str, Path]) -> _Plan:
         suffix = ".part" if params is None else ".npz"
         blocks = [Blocks(drive, path, list(frames(drive)), size, suffix) for drive, path in paths.items()]
+        blocks.sort(key=lambda one: len(one.numbers), reverse=True)  # the longest chain ends last
         kept = sum(len(one.numbers) - one.frames for one in blocks)
         if kept:
             print(f"{kept} frames of other drives kept from the run before", flush=True)

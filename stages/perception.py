@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.base import console, progress, store
+from pipeline.base.console import default_workers
 from pipeline.base.params import load
 from pipeline.base.pool import Summary, run_over_frames
 from pipeline.camera.mount import camera_height
@@ -50,8 +51,8 @@ def main(
         out=out,
         inputs=lambda drive: [ingest / f"{drive}.h5", weights],
         settings=settings.model_dump(mode="json"),
-        # Processes share the cores of a CPU; a GPU is kept busy by one.
-        workers=1 if torch.cuda.is_available() else workers,
+        # A GPU is kept busy by two processes: while one encodes what it has seen, the other looks.
+        workers=min(2, workers or default_workers()) if torch.cuda.is_available() else workers,
         describe=lambda summary: f"{summary['frames']} frames",
     )
     store.write_index(out, splits)

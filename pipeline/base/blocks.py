@@ -85,7 +85,7 @@ class BlockWriter(DriveWriter):
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         if error is not None:
             return
-        arrays: dict[str, np.ndarray] = {}
+        arrays: dict[str, Any] = {}
         for name, column in self._columns.items():
             arrays[name] = np.concatenate(self._rows.pop(name), dtype=column.dtype, casting="unsafe")
             self._columns[name] = column._replace(rows=len(arrays[name]))

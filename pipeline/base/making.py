@@ -112,7 +112,7 @@ _LOG = "block.json"  # in a block's folder
 def folder_of_blocks(blocks: Blocks, total: Total) -> Steps:
     """Make a drive's folder of blocks, which are folders, by ``work(drive, rows, path)``: the files of all of them."""
     yield blocks.jobs(partial(_write_folder, blocks.drive))
-    logs = [read_json(path / _LOG, stage="") for path in blocks.paths]
+    logs = [read_json(path / _LOG, stage="town") for path in blocks.paths]
     with replacing(blocks.path) as whole:
         for path in blocks.paths:
             shutil.copytree(path, whole, copy_function=_link, dirs_exist_ok=True, ignore=lambda *_: [_LOG])

@@ -20,7 +20,8 @@ from pipeline.base.atomic import replacing, sweep
 from pipeline.base.blocks import BlockWriter
 from pipeline.base.console import default_workers
 from pipeline.base.errors import InputError
-from pipeline.base.jobs import Steps, Summary, run_alone, run_in_processes
+from pipeline.base.jobs import Steps, run_alone, run_in_processes
+from pipeline.base.jobs import Summary as Summary
 from pipeline.base.lock import held
 from pipeline.base.making import Blocks, Total
 from pipeline.base.processes import BROKEN, processes

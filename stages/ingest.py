@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def main(
     }
     dump = settings.model_dump(exclude={"drives"})
     summaries = run_over_frames(
-        partial(ingest, drives=drives, attributes=attributes, settings=settings),
+        Ingester(roots, attributes, settings),
         list(splits),
         stage="ingest",
         params={"ingest": dump},
@@ -79,16 +80,26 @@ def main(
     return out
 
 
+@dataclass
+class Ingester:
+    """Writes frames of drives; it keeps the last drive's list of files from one block to the next."""
+
+    roots: Mapping[str, Path]
+    attributes: Mapping[str, Mapping[str, str]]
+    settings: Ingest
+    listed: dict[str, RawDrive] = field(default_factory=dict)
+
+    def __call__(self, drive: str, rows: range, file: store.DriveWriter) -> dict[str, Any]:
+        """Write some frames of a drive, `rows` of its oxts packets, and return what the log says of them."""
+        if drive not in self.listed:
+            self.listed = find_drives(self.roots[self.attributes[drive]["source"]], [drive])
+        return ingest(drive, rows, file, self.listed[drive], self.attributes[drive], self.settings)
+
+
 def ingest(
-    drive: str,
-    rows: range,
-    file: store.DriveWriter,
-    drives: Mapping[str, RawDrive],
-    attributes: Mapping[str, Mapping[str, str]],
-    settings: Ingest,
+    drive: str, rows: range, file: store.DriveWriter, raw: RawDrive, attributes: Mapping[str, str], settings: Ingest
 ) -> dict[str, Any]:
     """Write some frames of a drive, `rows` of its oxts packets: a frame without one has no label."""
-    raw = drives[drive]
     numbers, packets = list(raw.oxts), raw.folder / "oxts" / "data"
     if not numbers:
         raise InputError(NO_PACKETS.format(folder=packets))
@@ -103,7 +114,7 @@ def ingest(
         raise InputError(f"{raw.calibration} lacks calib_cam_to_cam.txt or calib_velo_to_cam.txt: {drive} has scans")
     pictures = {"image": raw.images(camera.number), "depth": raw.truth_depth, "cls": raw.truth_cls} if camera else {}
 
-    file.attrs |= {**attributes[drive], "camera": camera.number if camera else -1}
+    file.attrs |= {**attributes, "camera": camera.number if camera else -1}
     put_motion(file, np.array(frames, np.int32), time_s, np.array(list(sound.values())).reshape(-1, len(oxts.COLUMNS)))
     if camera:
         put_camera(file, scale_K(camera.K, camera.size, settings.image_size), camera.T_cam_velo)

@@ -73,7 +73,8 @@ class _Perceive:
     def __call__(self, drive: str, rows: range, file: store.DriveWriter) -> Summary:
         from pipeline.encoder.perceive import passes, stored_depth
 
-        see, mode, factor = self.eye(drive), MODES[self.settings.depth_scale], None
+        see, mode = self.eye(drive), MODES[self.settings.depth_scale]
+        factor: float | None = None
         with store.DriveReader(self.ingest / f"{drive}.h5", stage="ingest") as source:
             camera_height_m = self.settings.camera_height_m or camera_height(batches.calibration(source))
             file.attrs["camera_height_m"] = camera_height_m

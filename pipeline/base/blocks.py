@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class BlockWriter(DriveWriter):
         self._columns[name] = Column(made_by, unit, rows.dtype.str, [*rows.shape[1:]], 0)
         self._rows[name] = [rows.copy()]
 
-    def __enter__(self) -> "BlockWriter":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
@@ -107,7 +107,8 @@ class Block:
     def rows(self, name: str) -> np.ndarray:
         """Return a dataset's rows; where frames may lack one, those of the frames that are filled."""
         with np.load(self.path) as file:
-            return file[name]
+            rows: np.ndarray = file[name]
+        return rows
 
     def left(self) -> bytes:
         """Return what it left for the next block."""

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base import console, store
+from pipeline.base import console, progress, store
 from pipeline.base.params import load
-from pipeline.base.pool import Summary, run_over_drives
+from pipeline.base.pool import Summary, run_over_frames
 from pipeline.camera.images import to_metres
 from pipeline.graphs import cloud
 from pipeline.sections.clouds import Clouds
@@ -29,10 +29,12 @@ def main(
     splits = store.read_index(ingest, stage="ingest")
     # One run for both kinds: a stage that is killed keeps what is finished of either.
     names = [f"{kind}/{drive}" for kind in KINDS for drive in splits]
-    summaries = run_over_drives(
+    summaries = run_over_frames(
         partial(_clouds, ingest=ingest, perception=perception, settings=settings),
         names,
-        module="stages.clouds",
+        stage="clouds",
+        params={"clouds": settings.model_dump()},
+        frames=lambda name: _numbers(name, ingest, perception),
         out=out,
         inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
         settings={"clouds": settings.model_dump()},
@@ -47,20 +49,32 @@ def main(
     return out
 
 
-def _clouds(name: str, path: Path, ingest: Path, perception: Path, settings: Clouds) -> Summary:
-    """Write one drive's clouds of one kind, named as pseudo/2011_09_26_drive_0001."""
+def _numbers(name: str, ingest: Path, perception: Path) -> list[int]:
+    """Return the numbers of the frames that have a cloud of a kind, named as in :func:`_clouds`."""
     kind, drive = name.split("/")
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
-        store.DriveWriter(path, stage="clouds", drive=drive, params={"clouds": settings.model_dump()}) as file,
+    ):
+        numbers = raw.frame[raw["has_lidar"] > 0] if kind == "lidar" else perceived.frame
+        return [int(number) for number in numbers]
+
+
+def _clouds(
+    name: str, rows: range, file: store.DriveWriter, ingest: Path, perception: Path, settings: Clouds
+) -> Summary:
+    """Write some frames' clouds of one drive and one kind, named as pseudo/2011_09_26_drive_0001."""
+    kind, drive = name.split("/")
+    with (
+        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+        store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
         frame, time_s, make = KINDS[kind](raw, perceived, settings)
         clouds = (
-            cloud.stored(make(row), settings.max_points, cloud.frame_rng(settings.seed, drive, int(number)))
-            for row, number in enumerate(frame)
+            cloud.stored(make(row), settings.max_points, cloud.frame_rng(settings.seed, drive, int(frame[row])))
+            for row in rows
         )
-        return cloud.write(file, frame, time_s, clouds)
+        return cloud.write(file, frame[rows], time_s[rows], progress.counted(clouds))
 
 
 Frames = tuple[np.ndarray, np.ndarray, Callable[[int], cloud.Cloud]]

@@ -1,18 +1,20 @@
 """Measure what the car did since the frame before, without oxts: data/motion/<kind>/<drive>.h5."""
 
+import pickle
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.base import console, progress, store
+from pipeline.base.blocks import BlockWriter
 from pipeline.base.params import load
-from pipeline.base.pool import Summary, run_over_drives
+from pipeline.base.pool import Summary, run_over_frames
 from pipeline.camera.images import to_metres
 from pipeline.motion import kinds, lidar, motion_file, visual
-from pipeline.motion.step import Step
 from pipeline.sections.motion import Motion
 
 
@@ -30,10 +32,13 @@ def main(
     settings = load(Motion, params)
     splits = store.read_index(perception, stage="perception")
     names = [f"{kind}/{drive}" for kind in settings.kinds for drive in splits]
-    summaries = run_over_drives(
+    summaries = run_over_frames(
         partial(_measure, ingest=ingest, perception=perception, settings=settings),
         names,
-        module="stages.motion",
+        frames=lambda name: _numbers(name, ingest, perception),
+        params={"motion": settings.model_dump()},
+        stage="motion",
+        chained=True,
         out=out,
         inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
         settings={"road_scale": settings.road_scale},
@@ -51,49 +56,67 @@ def main(
     return out
 
 
-def _measure(name: str, path: Path, *, ingest: Path, perception: Path, settings: Motion) -> Summary:
-    """Write one drive's motion of one kind, named as visual/2011_09_26_drive_0001."""
+def _numbers(name: str, ingest: Path, perception: Path) -> list[int]:
+    """Return the numbers of the frames whose motion is measured in a kind, named as in :func:`_measure`."""
     kind, drive = name.split("/")
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
-        store.DriveWriter(path, stage="motion", drive=drive, params={"motion": settings.model_dump()}) as file,
     ):
-        frame, time_s, steps = KINDS[kind](raw, perceived, settings)
-        return {"frames": len(frame), "valid": motion_file.write(file, kind, frame, time_s, _counted(steps))}
+        numbers = raw.frame[raw["has_lidar"] > 0] if kind == "lidar" else perceived.frame
+        return [int(number) for number in numbers]
 
 
-def _counted(steps: Iterator[Step | None]) -> Iterator[Step | None]:
-    for step in steps:
-        progress.advance(1)
-        yield step
+def _measure(name: str, rows: range, file: BlockWriter, *, ingest: Path, perception: Path, settings: Motion) -> Summary:
+    """Write some frames' motion of one drive and one kind, named as visual/2011_09_26_drive_0001.
+
+    What is known of the drive goes from one block to the next: a step begins with the one before, and the road's slope
+    and height are those of all that was driven.
+    """
+    kind, drive = name.split("/")
+    with (
+        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+        store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
+    ):
+        frame, time_s, begin, read = KINDS[kind](raw, perceived, settings)
+        odometry = pickle.loads(file.before) if file.before else begin()
+        steps = (odometry.step(read(row)) for row in rows)
+        valid = motion_file.write(file, kind, frame, time_s, rows, progress.counted(steps))
+        file.after = pickle.dumps(odometry)
+        return {"frames": len(rows), "valid": valid}
 
 
-Frames = tuple[np.ndarray, np.ndarray, Iterator[Step | None]]
-"""KITTI frame numbers [F], times [F], and each one's motion since the one before."""
+Frames = tuple[np.ndarray, np.ndarray, Callable[[], Any], Callable[[int], Any]]
+"""KITTI frame numbers [F], times [F], what begins a drive's odometry, and how that gets one of these frames."""
 
 
 def _visual(raw: store.DriveReader, perceived: store.DriveReader, settings: Motion) -> Frames:
     rows = {int(number): row for row, number in enumerate(raw.frame)}
-    views = (
-        visual.View(
-            int(number),
-            raw.row("image", rows[int(number)]),
-            to_metres(perceived.row("depth_m", row)).astype(np.float32),
-            perceived.row("cls", row),
-        )
-        for row, number in enumerate(perceived.frame)
-    )
-    K = raw["K"] if len(perceived.frame) else np.eye(3)  # a drive without images has no camera
-    camera_height_m = float(perceived.attrs["camera_height_m"]) if settings.road_scale else None
-    return perceived.frame, perceived.time_s, visual.steps(views, K, camera_height_m)
+
+    def read(row: int) -> visual.View:
+        number = int(perceived.frame[row])
+        depth_m = to_metres(perceived.row("depth_m", row)).astype(np.float32)
+        return visual.View(number, raw.row("image", rows[number]), depth_m, perceived.row("cls", row))
+
+    def begin() -> visual.Odometry:
+        K = raw["K"] if len(perceived.frame) else np.eye(3)  # a drive without images has no camera
+        camera_height_m = float(perceived.attrs["camera_height_m"]) if settings.road_scale else None
+        return visual.Odometry(K, perceived.shape("cls")[1:], camera_height_m)
+
+    return perceived.frame, perceived.time_s, begin, read
 
 
 def _lidar(raw: store.DriveReader, perceived: store.DriveReader, settings: Motion) -> Frames:
     rows, ptr = np.flatnonzero(raw["has_lidar"]), raw["lidar_ptr"]
-    scans = (lidar.Scan(int(raw.frame[row]), raw.rows("lidar", ptr[row], ptr[row + 1])) for row in rows)
-    T_cam_velo = raw["T_cam_velo"] if len(rows) else np.eye(4)  # a drive without scans may have no calibration
-    return raw.frame[rows], raw.time_s[rows], lidar.steps(scans, T_cam_velo)
+
+    def read(index: int) -> lidar.Scan:
+        row = rows[index]
+        return lidar.Scan(int(raw.frame[row]), raw.rows("lidar", ptr[row], ptr[row + 1]))
+
+    def begin() -> lidar.Odometry:
+        return lidar.Odometry(raw["T_cam_velo"] if len(rows) else np.eye(4))  # without scans, nothing is calibrated
+
+    return raw.frame[rows], raw.time_s[rows], begin, read
 
 
 KINDS: dict[str, Callable[[store.DriveReader, store.DriveReader, Motion], Frames]] = {

@@ -4,21 +4,23 @@ With town.replay it is built along the tracks of real drives, of which only oxts
 """
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.pool import run_over_drives
+from pipeline.base.pool import run_over_frames
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.town import Town
 from pipeline.town.contact_sheet import contact_sheet, write_rgb
-from pipeline.town.drive import write_drive
+from pipeline.town.drive import Drive
 from pipeline.town.layout import read_views
 from pipeline.town.rig import make_rig, write_calibration
+
+BLOCK_FRAMES = 128  # more than elsewhere: a process lays out the drive's street before it renders the first
 
 
 def main(
@@ -42,18 +44,21 @@ def main(
         if folder.is_dir() and not (folder / "truth").is_dir():
             raise InputError(f"{folder} is there and is not of the sample: name another --out, or move it away")
     recorded = find_recorded(settings, list(splits))
-    frames = {drive: getattr(settings.frames, split) for drive, split in splits.items()}
-    frames |= {drive: min(frames[drive], len(raw.oxts)) for drive, raw in recorded.items()}
-    run_over_drives(
-        partial(render, splits=splits, settings=settings),
+    frames: dict[str, Sequence[int]] = {drive: range(most(drive, splits, settings)) for drive in splits}
+    frames |= {drive: list(raw.oxts)[: len(frames[drive])] for drive, raw in recorded.items()}
+    run_over_frames(
+        Render(splits, settings),
         list(splits),
-        module="stages.town",
+        frames=lambda drive: frames[drive] or range(1),  # without packets: it says so
+        params=None,
+        stage="town",
         out=out,
         inputs=lambda drive: [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
         settings=settings.model_dump(),
         workers=workers,
         target=folders.__getitem__,
-        effort=frames.__getitem__,
+        block_frames=BLOCK_FRAMES,
+        total=lambda blocks: blocks[0],  # each tells of the whole drive
         describe=describe,
     )
     for date in sorted({folder.parent for folder in folders.values()}):
@@ -72,17 +77,34 @@ def find_recorded(settings: Town, drives: Sequence[str]) -> dict[str, RawDrive]:
     return find_drives(root, drives)
 
 
-def render(drive: str, path: Path, splits: Mapping[str, str], settings: Town) -> dict[str, Any]:
-    """Write one drive's folder; its length depends on its split."""
-    return write_drive(
-        drive,
-        path,
-        frames=getattr(settings.frames, splits[drive]),
-        size=settings.image_size,
-        scan_rays=settings.scan_rays,
-        seed=settings.seed,
-        recorded=find_recorded(settings, [drive]).get(drive),
-    )
+def most(drive: str, splits: Mapping[str, str], settings: Town) -> int:
+    """Return how many frames a drive of its split has at most."""
+    frames: int = getattr(settings.frames, splits[drive])
+    return frames
+
+
+@dataclass
+class Render:
+    """Renders frames of drives; it keeps the last drive's street from one block to the next."""
+
+    splits: Mapping[str, str]
+    settings: Town
+    laid_out: dict[str, Drive] = field(default_factory=dict)
+
+    def __call__(self, drive: str, rows: range, path: Path) -> dict[str, Any]:
+        """Write frames of a drive into the folder `path`, and return what the log says of the whole drive."""
+        if drive not in self.laid_out:
+            self.laid_out.clear()
+            self.laid_out[drive] = Drive(
+                drive,
+                frames=most(drive, self.splits, self.settings),
+                size=self.settings.image_size,
+                scan_rays=self.settings.scan_rays,
+                seed=self.settings.seed,
+                recorded=find_recorded(self.settings, [drive]).get(drive),
+            )
+        self.laid_out[drive].write(path, rows)
+        return self.laid_out[drive].summary()
 
 
 def describe(summary: Mapping[str, Any]) -> str:

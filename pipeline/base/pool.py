@@ -1,44 +1,41 @@
-"""Run a function over drives: worker processes, progress, and going on after a kill.
+"""Run a function over drives, or over blocks of their frames: worker processes, progress, going on after a kill.
 
-DVC deletes a stage's outputs before it runs the stage, so finished drives wait in ``data/.resume/<stage>/`` under a
-key that hashes all that determines them; they are moved into the stage's folder when every drive is done.
+DVC deletes a stage's outputs before it runs the stage, so finished drives and blocks wait in ``data/.resume/<stage>/``
+under a key that hashes all that determines their drive; drives are moved into the stage's folder when all are done.
 """
 
 import json
-import multiprocessing
-import os
 import shutil
-import signal
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, as_completed, wait
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from tqdm import tqdm
 
-from pipeline.base import progress
+from pipeline.base import making, progress
 from pipeline.base.atomic import replacing, sweep
+from pipeline.base.blocks import BlockWriter
 from pipeline.base.console import default_workers
 from pipeline.base.errors import InputError
+from pipeline.base.jobs import Steps, run_alone, run_in_processes
+from pipeline.base.jobs import Summary as Summary
 from pipeline.base.lock import held
+from pipeline.base.making import Blocks, Total
+from pipeline.base.processes import BROKEN, processes
 from pipeline.base.resume import resume_key
 from pipeline.base.store import indexed, write_json
 
-REFRESH_S = 0.5  # of the bar, while workers count
+BLOCK_FRAMES = 32  # of a block; changes no byte of a file
 J = TypeVar("J")
-Summary = dict[str, Any]
 Work = Callable[[str, Path], Summary]
 """``work(drive, path)`` writes the drive's file or folder to `path` in one step and returns what the log says."""
-_BROKEN = (
-    "a worker process died (out of memory?) at or near {drive}: use fewer workers (STEER_WORKERS=1) "
-    "or run the command again; what is finished is kept"
-)
+FrameWork = Callable[[str, range, BlockWriter], Summary]
+"""``work(drive, rows, file)`` writes a drive's frames in `rows` to `file` and returns what the log says of them."""
+FolderWork = Callable[[str, range, Path], Summary]
+"""The same into a folder."""
 
 
 def run_over_drives(
@@ -59,7 +56,8 @@ def run_over_drives(
     """Call ``work(drive, path)`` for each of `drives`, in parallel, and leave each drive's file in `out`.
 
     Args:
-        work: a picklable function (``functools.partial`` of a module-level one).
+        work: a picklable function (``functools.partial`` of a module-level one), or an object, of which each process
+            has a copy of its own as long as it lives.
         module: dotted name of the stage's module; its code is part of the resume key (:func:`resume_key`).
         out: the stage's folder, for instance ``data/clouds/pseudo``.
         inputs: drive → what it is made from: files, whose contents are part of the key, or strings that stand for some.
@@ -81,25 +79,110 @@ def run_over_drives(
     Raises InputError if another process writes the same folder; the first error of a worker after the drives in
     progress are done; what is finished is kept for the next run.
     """
-    kept = resume or out.parent / ".resume" / out.name
+
+    def plan(paths: Mapping[str, Path]) -> _Plan:
+        todo = sorted(paths, key=effort or (lambda drive: _bytes(inputs(drive))), reverse=True)
+        makers = {drive: making.whole(drive, paths[drive]) for drive in todo}
+        return _Plan(makers, len(todo), sum(map(frames, todo)) if frames else None)
+
     target = target or (lambda drive: out / f"{drive}.h5")
+    return _make_all(work, drives, plan, module, out, inputs, settings, workers, resume, target, describe)
+
+
+def run_over_frames(
+    work: FrameWork | FolderWork,
+    drives: Sequence[str],
+    *,
+    frames: Callable[[str], Sequence[int]],
+    params: Mapping[str, Any] | None,
+    stage: str,
+    out: Path,
+    inputs: Callable[[str], Sequence[Path | str]],
+    settings: Mapping[str, Any],
+    workers: int | None = None,
+    resume: Path | None = None,
+    target: Callable[[str], Path] | None = None,
+    block_frames: int | None = None,
+    together: int = 1,
+    chained: bool = False,
+    total: Total | None = None,
+    describe: Callable[[Summary], str] = str,
+) -> dict[str, Summary]:
+    """Make each drive's file or folder of blocks of its frames: see :mod:`pipeline.base.blocks`.
+
+    A block is the unit of work and of what a kill can lose. Neither its size nor the number of workers changes a byte.
+    What is not told here is as in :func:`run_over_drives`.
+
+    Args:
+        work: a picklable function or object, as there. ``work(drive, rows, file)`` writes the frames in `rows`,
+            numbered from 0, to `file`, in order, and tells :func:`pipeline.base.progress.advance` of each. An empty
+            `rows` makes the datasets of a drive without frames.
+        frames: drive → the KITTI numbers of the frames that it is made of.
+        params: the params sections that stand in the files; None: drives are folders, and `work` gets a path.
+        stage: its name, which is that of its module too.
+        block_frames: how many a block has at least; default BLOCK_FRAMES.
+        together: so many frames belong together in a block, from the first on, as those of a batch do.
+        chained: blocks of a drive are made one after the other: ``file.before`` is what the block before left as
+            ``file.after``.
+        total: default: the sums of what the blocks return.
+
+    Raises what :func:`run_over_drives` does; an InputError about a frame names drive and frame.
+    """
+    size = -(-(block_frames or BLOCK_FRAMES) // together) * together
+
+    def plan(paths: Mapping[str, Path]) -> _Plan:
+        suffix = ".part" if params is None else ".npz"
+        blocks = [Blocks(drive, path, list(frames(drive)), size, suffix) for drive, path in paths.items()]
+        blocks.sort(key=lambda one: len(one.numbers), reverse=True)  # the longest chain ends last
+        kept = sum(len(one.numbers) - one.frames for one in blocks)
+        if kept:
+            print(f"{kept} frames of other drives kept from the run before", flush=True)
+        makers = {one.drive: steps(one) for one in blocks}
+        return _Plan(makers, sum(len(one.spans) for one in blocks), sum(one.frames for one in blocks))
+
+    def steps(blocks: Blocks) -> Steps:
+        if params is None:
+            return making.folder_of_blocks(blocks, total or _sums)
+        header = {"stage": stage, "drive": Path(blocks.drive).name, "params": params}
+        return making.file_of_blocks(blocks, header, chained, total or _sums)
+
+    target = target or (lambda drive: out / f"{drive}.h5")
+    return _make_all(work, drives, plan, f"stages.{stage}", out, inputs, settings, workers, resume, target, describe)
+
+
+def _sums(summaries: Sequence[Summary]) -> Summary:
+    return {key: sum(summary[key] for summary in summaries) for key in summaries[0]}
+
+
+class _Plan(NamedTuple):
+    makers: Mapping[str, Steps]
+    jobs: int  # at least, of the first steps of all
+    frames: int | None  # that the jobs tell of; None if they tell of none
+
+
+def _make_all(
+    work: Any,
+    drives: Sequence[str],
+    plan: Callable[[Mapping[str, Path]], _Plan],
+    module: str | Sequence[str],
+    out: Path,
+    inputs: Callable[[str], Sequence[Path | str]],
+    settings: Mapping[str, Any],
+    workers: int | None,
+    resume: Path | None,
+    target: Callable[[str], Path],
+    describe: Callable[[Summary], str],
+) -> dict[str, Summary]:
+    kept = resume or out.parent / ".resume" / out.name
     with held(out, kept):
         paths = {
             drive: kept / (resume_key(module, {"drive": drive, **settings}, inputs(drive)) + target(drive).suffix)
             for drive in drives
         }
-        todo = [drive for drive in drives if not paths[drive].exists() or not _sidecar(paths[drive]).is_file()]
-        todo.sort(key=effort or (lambda drive: _bytes(inputs(drive))), reverse=True)
+        todo = {drive: path for drive, path in paths.items() if not path.exists() or not _sidecar(path).is_file()}
         if len(todo) < len(drives):
             print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
-        with tqdm(
-            total=sum(map(frames, todo)) if frames else len(todo),
-            unit=" frames" if frames else " drives",
-            disable=not sys.stderr.isatty(),
-        ) as bar:
-            todo_paths = {drive: paths[drive] for drive in todo}
-            _run(work, todo_paths, workers or default_workers(), describe, bar, bool(frames))
-
+        _run(plan(todo), work, todo, workers or default_workers(), describe)
         summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
         _move({path: target(drive) for drive, path in paths.items()}, out)
         shutil.rmtree(kept)
@@ -121,52 +204,32 @@ def _move(targets: Mapping[Path, Path], out: Path) -> None:
         stale.unlink(missing_ok=True)
 
 
-def _run(
-    work: Work,
-    paths: Mapping[str, Path],
-    workers: int,
-    describe: Callable[[Summary], str],
-    bar: tqdm,
-    by_frame: bool,
-) -> None:
+def _run(plan: _Plan, work: Any, paths: Mapping[str, Path], workers: int, describe: Callable[[Summary], str]) -> None:
+    """Make drives as planned, and keep each with its summary beside its `paths`."""
+    by_frame = plan.frames is not None
+
     def finish(drive: str, summary: Summary, seconds: float) -> None:
-        write_json(_sidecar(paths[drive]), summary)
+        path = paths[drive]
+        write_json(_sidecar(path), summary)
+        shutil.rmtree(making.folder(path), ignore_errors=True)
         speed = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
         if not by_frame:
             bar.update()
-        line = f"{drive}: {describe(summary)}, {_size(paths[drive]) / 1e6:.1f} MB, {seconds:.1f} s{speed}"
+        line = f"{drive}: {describe(summary)}, {_size(path) / 1e6:.1f} MB, {seconds:.1f} s{speed}"
         tqdm.write(line, file=sys.stdout)
         sys.stdout.flush()
 
-    workers = min(workers, len(paths))
-    if workers <= 1:
+    with tqdm(
+        total=plan.frames if by_frame else len(plan.makers),
+        unit=" frames" if by_frame else " drives",
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        workers = min(workers, plan.jobs)
+        if workers > 1:
+            run_in_processes(plan.makers, work, workers, finish, bar, by_frame)
+            return
         progress.listen(bar.update if by_frame else progress.nobody)
-        for drive, path in paths.items():
-            finish(drive, *_timed(work, drive, path))
-        return
-    failures: list[Exception] = []
-    with _processes(workers, threads=max(1, default_workers() // workers)) as (pool, done_frames):
-        jobs = {pool.submit(_timed, work, drive, path): drive for drive, path in paths.items()}
-        pending = set(jobs)
-        try:
-            while pending:
-                done, pending = wait(pending, None if bar.disable else REFRESH_S, return_when=FIRST_COMPLETED)
-                if by_frame:
-                    bar.update(done_frames.value - bar.n)
-                for job in done:
-                    try:
-                        finish(jobs[job], *job.result())
-                    except BrokenProcessPool:
-                        failures.append(InputError(_BROKEN.format(drive=jobs[job])))
-                    except Exception as error:  # whatever it is, the other drives' work is worth keeping
-                        failures.append(error)
-                if failures:
-                    pending = {job for job in pending if not job.cancel()}
-        finally:  # after Ctrl-C too: leaving the pool waits for what is not cancelled
-            for job in jobs:
-                job.cancel()
-    if failures:
-        raise failures[0]
+        run_alone(plan.makers, work, finish)
 
 
 def run_side_by_side(work: Callable[[J], object], jobs: Sequence[J], workers: int | None = None) -> None:
@@ -178,72 +241,16 @@ def run_side_by_side(work: Callable[[J], object], jobs: Sequence[J], workers: in
 
     Raises the first error of a worker after what runs is done; the jobs that wait are left out.
     """
-    with _processes(min(workers or default_workers(), len(jobs)), threads=1) as (pool, _):
+    with processes(min(workers or default_workers(), len(jobs)), threads=1) as (pool, _):
         waiting = [pool.submit(work, job) for job in jobs]
         try:
             for job in as_completed(waiting):
                 job.result()
         except BrokenProcessPool as error:
-            raise InputError(_BROKEN.format(drive=jobs[waiting.index(job)])) from error
+            raise InputError(BROKEN.format(where=jobs[waiting.index(job)])) from error
         finally:
             for job in waiting:
                 job.cancel()
-
-
-@contextmanager
-def _processes(workers: int, threads: int) -> "Iterator[tuple[ProcessPoolExecutor, Synchronized[int]]]":
-    """Yield worker processes whose libraries use so many threads, and the counter of the frames that they have done."""
-    # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
-    context = multiprocessing.get_context("spawn")
-    done_frames = context.Value("q", 0)
-    with _Environment(OMP_NUM_THREADS=str(threads)), ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_start_worker, initargs=(threads, done_frames)
-    ) as pool:  # fmt: skip
-        yield pool, done_frames
-
-
-def _timed(work: Work, drive: str, path: Path) -> tuple[Summary, float]:
-    start = time.perf_counter()
-    summary = work(drive, path)
-    return summary, time.perf_counter() - start
-
-
-def _start_worker(threads: int, done_frames: "Synchronized[int]") -> None:
-    """Keep a worker's libraries from using every core each, and the worker from outliving a killed stage."""
-    import cv2
-
-    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in a shell's background job, which goes on
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C: end without a traceback each
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
-    cv2.setNumThreads(threads)
-    progress.listen_with(done_frames)
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(threads)
-
-
-def _exit_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
-
-
-class _Environment:
-    """Environment variables for the children started inside the block."""
-
-    def __init__(self, **variables: str) -> None:
-        self._new = variables
-
-    def __enter__(self) -> None:
-        self._old = {name: os.environ.get(name) for name in self._new}
-        os.environ.update(self._new)
-
-    def __exit__(self, *_: object) -> None:
-        for name, value in self._old.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _sidecar(path: Path) -> Path:

@@ -45,13 +45,21 @@ class DriveWriter:
         }
 
     def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
-        """Write a complete dataset. Arrays of three or more axes are compressed frame by frame."""
+        """Write a complete dataset, a row per frame. Arrays of three or more axes are compressed frame by frame."""
         array = np.asarray(array)
         options: dict[str, Any] = {}
         if array.ndim >= 3 and array.size:
             options = {"chunks": (1, *array.shape[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
         self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
         self._sink.check()
+
+    def put_once(self, name: str, array: np.ndarray, unit: str = "") -> None:
+        """Write a complete dataset that is of the drive, not of its frames."""
+        self.put(name, array, unit)
+
+    def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
+        """Write where the rows of each frame begin and end, int64 [F+1]; `counts` [F] says how many it has."""
+        self.put(name, pointers(counts), unit)
 
     def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`, which the first call makes with their dtype and shape."""
@@ -82,6 +90,28 @@ class DriveWriter:
         """Write one frame of a dataset made by :meth:`blank`."""
         self._file[name][index] = array
         self._sink.check()
+
+    def chunk_rows(self, name: str) -> int:
+        """Return how many rows of a dataset made by :meth:`append` or :meth:`blank` are stored together, as a chunk."""
+        return int(self._file[name].chunks[0])
+
+    def put_chunks(self, name: str, parts: Iterable["DriveReader"], rows: int, at: Iterable[int]) -> None:
+        """Fill a dataset made by :meth:`append` or :meth:`blank` with chunks as they lie in other files, encoded.
+
+        Args:
+            parts: files whose datasets of this name were made in the same way.
+            rows: that the dataset has in the end.
+            at: the row at which each of their chunks begins, in their order.
+        """
+        dataset, chunk_at = self._file[name], iter(at)
+        dataset.resize(rows, axis=0)
+        for part in parts:
+            source = part.dataset(name)
+            for start in range(0, len(source), source.chunks[0]):
+                rest = (0,) * (source.ndim - 1)
+                mask, chunk = source.id.read_direct_chunk((start, *rest))
+                dataset.id.write_direct_chunk((next(chunk_at), *rest), chunk, mask)
+                self._sink.check()
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pipeline.base.store import DriveWriter, pointers
+from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
 
 Cloud = tuple[np.ndarray, np.ndarray]
@@ -85,7 +85,7 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iter
         file.append("xyz", xyz)
         file.append("cls", cls)
         counts.append(len(xyz))
-    file.put("ptr", pointers(counts), unit="row")
+    file.put_pointers("ptr", counts, unit="row")
     return {"frames": len(counts), "points": sum(counts)}
 
 

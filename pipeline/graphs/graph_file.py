@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pipeline.base.store import DriveReader, DriveWriter, pointers
+from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.graphs import graph, neighbourhoods
 
 Points = tuple[np.ndarray, np.ndarray, np.random.Generator]
@@ -47,7 +47,7 @@ def write_points(
         file.append("cls", cls)
         neighbours.append(file, xyz, cls, rng)
         nodes.append(len(xyz))
-    file.put("ptr", pointers(nodes), unit="row")
+    file.put_pointers("ptr", nodes, unit="row")
     return {"frames": len(nodes), "points": sum(nodes)} | neighbours.finish(file)
 
 
@@ -96,7 +96,7 @@ class KnnGraph:
 
     def finish(self, file: DriveWriter) -> Counts:
         entries, edges_knn, edges_kept = np.array(self._counts, np.int64).reshape(-1, 3).T
-        file.put("indices_ptr", pointers(entries), unit="row")
+        file.put_pointers("indices_ptr", entries, unit="row")
         file.put("edges_knn", edges_knn.astype(np.int32), unit="directed edges")
         file.put("edges_kept", edges_kept.astype(np.int32), unit="directed edges")
         return {"kNN edges": int(edges_knn.sum()), "kept": int(edges_kept.sum())}
@@ -124,5 +124,5 @@ class PointSets:
 
     def finish(self, file: DriveWriter) -> Counts:
         for number, counts in enumerate(self._counts, start=1):
-            file.put(f"centres_{number}_ptr", pointers(counts), unit="row")
+            file.put_pointers(f"centres_{number}_ptr", counts, unit="row")
         return {"centres": sum(sum(counts) for counts in self._counts)}

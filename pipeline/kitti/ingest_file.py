@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.store import DriveWriter, pointers
+from pipeline.base.store import DriveWriter
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, read_classes, read_depth, read_image
 
@@ -42,9 +42,9 @@ def put_motion(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, oxts: n
 
 def put_camera(file: DriveWriter, K: np.ndarray, T_cam_velo: np.ndarray | None) -> None:
     """Write the intrinsics [3,3] for the size of the images, and [4,4] where the LiDAR is calibrated."""
-    file.put("K", K, "pixels")
+    file.put_once("K", K, "pixels")
     if T_cam_velo is not None:
-        file.put("T_cam_velo", T_cam_velo, "m")
+        file.put_once("T_cam_velo", T_cam_velo, "m")
 
 
 def put_pixels(file: DriveWriter, name: str, frames: int, size: Size, rows: Rows | None) -> int:
@@ -70,6 +70,6 @@ def put_scans(file: DriveWriter, frames: int, rows: Rows) -> int:
     for index, scan in rows:
         file.append("lidar", scan)
         points[index] = len(scan)
-    file.put("lidar_ptr", pointers(points), "rows of lidar")
+    file.put_pointers("lidar_ptr", points, "rows of lidar")
     file.put("has_lidar", (points > 0).astype(np.uint8))
     return int(np.count_nonzero(points))

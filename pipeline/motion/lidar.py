@@ -5,9 +5,9 @@ by itself fits nowhere, and Tukey's weights leave it out. The second, narrower o
 rings travel with the car, and hold on to those before where a road has little else.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -34,22 +34,35 @@ class Scan(NamedTuple):
     points: np.ndarray
 
 
-def steps(scans: Iterable[Scan], T_cam_velo: np.ndarray) -> Iterator[Step | None]:
-    """Yield the motion since the frame before of each of a drive's frames, in order; None where it is not measured.
+class Odometry:
+    """What is known of a drive so far: the scan before, the step before. It can be pickled, to go on later."""
 
-    `T_cam_velo` [4,4] takes points from a scan to the camera's frame, in which steps are.
-    """
-    number, before = -2, None
-    guess: np.ndarray | None = None
-    for scan in scans:
-        now, T_before = _cloud(scan.points), None
-        if before is not None and now is not None and scan.number == number + 1:
+    def __init__(self, T_cam_velo: np.ndarray) -> None:
+        """Begin a drive. `T_cam_velo` [4,4] takes points from a scan to the camera's frame, in which steps are."""
+        self._T_cam_velo = T_cam_velo
+        self._before: Scan | None = None
+        self._cloud: PointCloud | None = None  # of the scan before
+        self._guess: np.ndarray | None = None
+
+    def step(self, scan: Scan) -> Step | None:
+        """Return the motion since the frame before; None where it is not measured. Scans come in order of numbers."""
+        number, before, guess = self._before.number if self._before else None, self._cloud, self._guess
+        now, T_before, step = _cloud(scan.points), None, None
+        self._before, self._cloud, self._guess = scan, now, None
+        if before is not None and now is not None and number is not None and scan.number == number + 1:
             T_before, inliers, residual_m = _aligned(now, before, guess)
-        number, before, guess, step = scan.number, now, None, None
+        T_cam_velo = self._T_cam_velo
         if T_before is not None and plausible(T_cam_before := T_cam_velo @ T_before @ np.linalg.inv(T_cam_velo)):
-            guess = T_before  # a step that no car makes would mislead the next one
+            self._guess = T_before  # a step that no car makes would mislead the next one
             step = None if standing(T_before) else Step(T_cam_before, inliers, residual_m)
-        yield step
+        return step
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_cloud": None}  # Open3D's cannot be pickled
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._cloud = _cloud(self._before.points) if self._before else None
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """Motion from images and their depth: corners, followed, lifted, and the pose that explains where they went."""
 
-from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -31,24 +30,17 @@ class View(NamedTuple):
     cls: np.ndarray
 
 
-def steps(views: Iterable[View], K: np.ndarray, camera_height_m: float | None) -> Iterator[Step | None]:
-    """Yield the motion since the frame before of each of a drive's frames, in order; None where it is not measured.
-
-    Args:
-        views: ascending by number.
-        K: intrinsics [3,3] at the images' size.
-        camera_height_m: over the road, which corrects depth's scale; None: depth is right as it is.
-    """
-    odometry: _Odometry | None = None
-    for view in views:
-        odometry = odometry or _Odometry(K, view.cls.shape, camera_height_m)
-        yield odometry.step(view)
-
-
-class _Odometry:
-    """What is known of a drive so far: the frame before, the step before, the road."""
+class Odometry:
+    """What is known of a drive so far: the frame and the step before, the road. It can be pickled, to go on later."""
 
     def __init__(self, K: np.ndarray, size: tuple[int, ...], camera_height_m: float | None) -> None:
+        """Begin a drive.
+
+        Args:
+            K: intrinsics [3,3] at the images' size.
+            size: (H, W) of the images.
+            camera_height_m: over the road, which corrects depth's scale; None: depth is right as it is.
+        """
         self._K = K
         self._enlarged = -(-MIN_WIDTH // size[1])
         self._road = Road(K, (size[0], size[1]), camera_height_m)
@@ -58,7 +50,7 @@ class _Odometry:
         self._T_before: np.ndarray | None = None
 
     def step(self, view: View) -> Step | None:
-        """Return the motion since the frame before."""
+        """Return the motion since the frame before; None where it is not measured. Views come in order of numbers."""
         grey, step = self._read(view.image), None
         if self._number is not None and view.number == self._number + 1:
             step = self._measured(grey)

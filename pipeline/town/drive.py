@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.atomic import replacing
+from pipeline.base import progress
 from pipeline.kitti.raw import RawDrive
 from pipeline.town.character import QUARTERS, draw_character
 from pipeline.town.journey import draw_journey, record
@@ -25,62 +25,69 @@ from pipeline.town.world import World
 WHEELBASE_M = 2.7  # of the steering that the log tells; labels have their own in params.yaml
 
 
-def write_drive(
-    drive: str,
-    path: Path,
-    *,
-    frames: int,
-    size: tuple[int, int],
-    scan_rays: tuple[int, int],
-    seed: int,
-    recorded: RawDrive | None = None,
-) -> dict[str, Any]:
-    """Render `frames` frames of the drive named `drive` (2026_01_01_drive_0001) into the folder `path`.
+class Drive:
+    """One drive of the town: road, street, light, traffic and motion, from which any of its frames can be rendered."""
 
-    Args:
-        size: [H, W] of the pictures.
-        scan_rays: rings and rays per ring of the scanner.
-        seed: of the whole town; together with the name it determines road, street, light and motion.
-        recorded: a real drive; the ego then drives as it did, along a road laid where it drove, for its first `frames`
-            frames, and its oxts files are copied.
+    def __init__(
+        self,
+        drive: str,
+        *,
+        frames: int,
+        size: tuple[int, int],
+        scan_rays: tuple[int, int],
+        seed: int,
+        recorded: RawDrive | None = None,
+    ) -> None:
+        """Lay out the drive named `drive` (2026_01_01_drive_0001) with `frames` frames.
 
-    Returns: what a log may say: frames, metres driven, mean squared steering angle of the road (:data:`WHEELBASE_M`).
+        Args:
+            size: [H, W] of the pictures.
+            scan_rays: rings and rays per ring of the scanner.
+            seed: of the whole town; together with the name it determines road, street, light and motion.
+            recorded: a real drive; the ego then drives as it did, along a road laid where it drove, for its first
+                `frames` frames, and its oxts files are copied.
+        """
+        self._name, self._seed = drive, seed
+        rng = random_of(drive, seed)
+        recording = read_recording(recorded, frames) if recorded else None
+        quarter, first = theme(drive)
+        character = draw_character(rng, quarter)
+        if recording:
+            self._journey = replay(drive, recording, rng, character.lane_m)
+        else:
+            self._journey = draw_journey(rng, frames, character, first)
+        route, motion = self._journey.route, self._journey.motion
+        plan = draw_plan(route, rng, character)
+        self._world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
+        self._light = draw_light(rng)
+        traffic = draw_traffic(route, motion, rng)
+        self._traffic = [(vehicle, shown(vehicle, self._journey)) for vehicle in traffic]
+        self._recording = recording or record(self._journey, drive[:10], rng)
+        rig = make_rig(size, drive[:10])
+        self._camera, self._scanner = Camera(rig), Scanner(rig, scan_rays)
 
-    The folder appears under its name only when complete. Calibration files belong to the date's folder, see
-    :func:`pipeline.town.rig.write_calibration`.
-    """
-    rng = random_of(drive, seed)
-    recording = read_recording(recorded, frames) if recorded else None
-    quarter, first = theme(drive)
-    character = draw_character(rng, quarter)
-    if recording:
-        journey = replay(drive, recording, rng, character.lane_m)
-    else:
-        journey = draw_journey(rng, frames, character, first)
-    route, motion = journey.route, journey.motion
-    plan = draw_plan(route, rng, character)
-    world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
-    light = draw_light(rng)
-    traffic = draw_traffic(route, motion, rng)
-    near = [shown(vehicle, journey) for vehicle in traffic]
-    recording = recording or record(journey, drive[:10], rng)
+    def write(self, path: Path, rows: range) -> None:
+        """Render the frames in `rows`, numbered from 0, into the folder `path`; oxts files come with the first."""
+        folder = DriveFolder(path)
+        if rows.start == 0:
+            folder.put_recording(self._recording)
+        numbers = list(self._recording.packets)
+        for i in progress.counted(rows):
+            self._world.set_traffic([vehicle.at(i) for vehicle, near_at in self._traffic if near_at[i]])
+            pose = self._journey.pose(i)
+            noise = random_of(self._name, self._seed, numbers[i])
+            picture = self._camera.take(self._world, self._light, pose)
+            folder.put(numbers[i], *picture, self._scanner.take(self._world, pose, noise))
 
-    rig = make_rig(size, drive[:10])
-    camera, scanner = Camera(rig), Scanner(rig, scan_rays)
-    with replacing(path) as unfinished:
-        folder = DriveFolder(unfinished)
-        folder.put_recording(recording)
-        for i, frame in enumerate(recording.packets):
-            world.set_traffic([vehicle.at(i) for vehicle, near_at in zip(traffic, near, strict=True) if near_at[i]])
-            pose = journey.pose(i)
-            noise = random_of(drive, seed, frame)
-            folder.put(frame, *camera.take(world, light, pose), scanner.take(world, pose, noise))
-    steering = np.arctan(WHEELBASE_M * route.curvature(motion.s_m))
-    return {
-        "frames": len(recording.packets),
-        "metres": round(float(motion.s_m[-1] - motion.s_m[0]), 1),
-        "mean_steering_squared_rad2": round(float(np.mean(steering**2)), 5),
-    }
+    def summary(self) -> dict[str, Any]:
+        """Return what a log may say: frames, metres driven, mean squared steering angle of the road (WHEELBASE_M)."""
+        motion = self._journey.motion
+        steering = np.arctan(WHEELBASE_M * self._journey.route.curvature(motion.s_m))
+        return {
+            "frames": len(self._recording.packets),
+            "metres": round(float(motion.s_m[-1] - motion.s_m[0]), 1),
+            "mean_steering_squared_rad2": round(float(np.mean(steering**2)), 5),
+        }
 
 
 def theme(drive: str) -> tuple[str, str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.base import store
+from pipeline.base import pool, store
 from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import DEPTH_UNITS_PER_M
@@ -210,18 +210,23 @@ def test_images_are_ingests_frame_by_frame(data: Path, tmp_path: Path, capsys: p
 
 
 @pytest.mark.slow
-def test_run_twice_gives_the_same_bytes_whatever_the_workers(data: Path, tmp_path: Path) -> None:
-    params = _params(tmp_path / "params.yaml", graphs={"sets": SETS})
-    for out, workers in ((tmp_path / "a", 1), (tmp_path / "b", 2)):
+def test_neither_workers_nor_blocks_change_a_byte(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spanning = {"source": "clouds/pseudo", "points": 300, "k": 4, "accumulate": {"motion": "visual", "frames": 3}}
+    params = _params(tmp_path / "params.yaml", graphs={"sets": SETS, "spanning": spanning})
+    write_motion(tmp_path / "motion" / "visual", valid=[0, 1, 1, 1])
+    contents = []
+    for name, workers, size in (("a", 1, 32), ("b", 2, 1), ("c", 3, 3)):
+        monkeypatch.setattr(pool, "BLOCK_FRAMES", size)
+        out = tmp_path / name
         out.mkdir()
-        for name in ("ingest", "motion"):
-            (out / name).symlink_to(data / name)
+        (out / "ingest").symlink_to(data / "ingest")
+        (out / "motion").symlink_to(tmp_path / "motion")
         clouds.main(data / "ingest", data / "perception", out / "clouds", data / "params.yaml", workers)
-        for name in ("semantic", "sets", "image"):
-            graphs.main(name, out, out / "graphs", params, workers)
-    files = [path.relative_to(tmp_path / "a") for path in (tmp_path / "a").glob("*/*/*.*") if path.is_file()]
-    assert len(files) == 2 * 4 + 3 * 4
-    assert all((tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes() for file in files)
+        for variant in ("semantic", "sets", "image", "spanning"):
+            graphs.main(variant, out, out / "graphs", params, workers)
+        contents.append({str(path.relative_to(out)): path.read_bytes() for path in sorted(out.glob("[cg]*/*/*.*"))})
+    assert len(contents[0]) == 2 * 4 + 4 * 4
+    assert contents[0] == contents[1] == contents[2]
 
 
 def test_unknown_variants_and_foreign_files_are_one_line(data: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.base import store
+from pipeline.base import pool, store
 from pipeline.camera.images import to_units
 from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
 from pipeline.kitti.oxts import make_rows
@@ -93,8 +93,12 @@ def test_a_drive_that_stands_or_has_nothing_to_measure_says_so(root: Path, kind:
 
 
 @pytest.mark.slow
-def test_workers_change_no_byte(root: Path) -> None:
-    run(root, "two", workers=2)
+@pytest.mark.parametrize(("workers", "size"), [(2, 32), (1, 2), (3, 1)])
+def test_neither_workers_nor_blocks_change_a_byte(
+    root: Path, workers: int, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool, "BLOCK_FRAMES", size)
+    run(root, "two", workers=workers)
     for path in (root / "motion").rglob("*.h5"):
         assert path.read_bytes() == (root / "two" / path.relative_to(root / "motion")).read_bytes()
 

@@ -7,7 +7,7 @@ import torch
 import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.base import store
+from pipeline.base import pool, store
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.encoder.perceive import save
@@ -115,7 +115,7 @@ def test_a_bad_checkpoint_is_one_error_that_names_the_command(folder: Path, tmp_
 
 
 @pytest.mark.slow
-def test_the_same_bytes_for_any_number_of_workers_and_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_bytes_for_any_workers_threads_and_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     size, frames = (96, 320), 5  # at which one pass on several threads has other bytes
     images = np.random.default_rng(0).integers(0, 256, (frames, *size, 3), np.uint8)
     for drive in (DENSE, LIDAR):
@@ -129,14 +129,15 @@ def test_the_same_bytes_for_any_number_of_workers_and_threads(tmp_path: Path, mo
     save(tmp_path / "encoder", "small", UnifiedEncoder("small").state_dict())
     before = torch.get_num_threads()
     monkeypatch.setenv("STEER_WORKERS", "4")  # cores, of which each of two workers has its share
-    for name, workers, threads in (("one", 1, 1), ("side", 1, 3), ("two", 2, 1)):
+    for name, workers, threads, block in (("one", 1, 1, 32), ("side", 1, 3, 32), ("two", 2, 1, 2), ("three", 3, 1, 4)):
+        monkeypatch.setattr(pool, "BLOCK_FRAMES", block)
         torch.set_num_threads(threads)
         try:
             run(tmp_path, name, batch=2, workers=workers)
         finally:
             torch.set_num_threads(before)
     for drive in (DENSE, LIDAR):
-        contents = {(tmp_path / name / f"{drive}.h5").read_bytes() for name in ("one", "side", "two")}
+        contents = {(tmp_path / name / f"{drive}.h5").read_bytes() for name in ("one", "side", "two", "three")}
         assert len(contents) == 1, drive
 
 
@@ -178,6 +179,24 @@ def test_depth_of_another_unit_gets_its_scale(tmp_path: Path, mode: str, expecte
     assert np.median(found[truth > 0] / truth[truth > 0]) == pytest.approx(expected, rel=0.01)
     with store.DriveReader(tmp_path / "perception" / f"{DENSE}.h5", stage="perception") as file:
         assert ("unknown unit" in file.dataset("depth_m").attrs["unit"]) == (mode == "none")
+
+
+def test_a_frame_that_does_not_tell_its_scale_has_that_of_the_frame_before_whatever_the_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_precomputed(tmp_path, factor=0.4)
+    import h5py
+
+    with h5py.File(tmp_path / "ingest" / f"{DENSE}.h5", "r+") as file:
+        file["has_lidar"][:] = [0, 1, 0, 0, 0, 1, 0]
+    contents = []
+    for name, size in (("whole", 32), ("one", 1), ("two", 2)):
+        monkeypatch.setattr(pool, "BLOCK_FRAMES", size)
+        run(tmp_path, name, batch=1, depth_scale="lidar_median")
+        contents.append((tmp_path / name / f"{DENSE}.h5").read_bytes())
+    assert contents[0] == contents[1] == contents[2]
+    depth = read(tmp_path / "whole" / f"{DENSE}.h5")["depth_m"]
+    assert [frame.any() for frame in depth] == [False, *[True] * 6]
 
 
 def test_the_median_of_lidar_is_that_of_the_scan_not_of_dense_truth(tmp_path: Path) -> None:

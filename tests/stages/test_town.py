@@ -82,10 +82,13 @@ def test_the_ego_touches_nothing(drive: str) -> None:
 
 
 @pytest.mark.slow
-def test_drives_of_the_params_whatever_the_workers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drives_of_the_params_whatever_the_workers_and_blocks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     params = write_params(tmp_path / "params.yaml")
     outs = [tmp_path / "one", tmp_path / "two"]
-    for workers, out in enumerate(outs, start=1):
+    for workers, (out, size) in enumerate(zip(outs, (128, 2), strict=True), start=1):
+        monkeypatch.setattr(town, "BLOCK_FRAMES", size)
         assert town.main(out=out, params=params, workers=workers) == out
     raw = find_drives(outs[0], DRIVES)
     assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]

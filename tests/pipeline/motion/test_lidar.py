@@ -31,8 +31,13 @@ def scan(number: int, T_world_cam: np.ndarray, points: np.ndarray) -> lidar.Scan
     return lidar.Scan(number, (points @ T_velo_world[:3, :3].T + T_velo_world[:3, 3])[seen].astype(np.float32))
 
 
+def steps_of(scans: list[lidar.Scan]) -> list[step.Step | None]:
+    odometry = lidar.Odometry(T_CAM_VELO)
+    return [odometry.step(one) for one in scans]
+
+
 def measured(poses: list[np.ndarray], points: np.ndarray) -> list[step.Step | None]:
-    return list(lidar.steps([scan(number, pose, points) for number, pose in enumerate(poses)], T_CAM_VELO))
+    return steps_of([scan(number, pose, points) for number, pose in enumerate(poses)])
 
 
 @pytest.mark.parametrize(("yaw_rate", "speed"), [(0.4, 6.0), (-0.4, 6.0), (0.0, 12.0)])
@@ -57,8 +62,7 @@ def test_standing_and_too_few_points_are_not_measured() -> None:
 
 def test_a_gap_is_not_measured() -> None:
     scans = [scan(number, pose, world()) for number, pose in zip((1, 2, 4), street.arc(3, 0.0, 6.0), strict=True)]
-    assert [one is not None for one in lidar.steps(scans, T_CAM_VELO)] == [False, True, False]
-    assert list(lidar.steps([], T_CAM_VELO)) == []
+    assert [one is not None for one in steps_of(scans)] == [False, True, False]
 
 
 def test_a_step_that_no_car_makes_is_no_guess_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,7 +88,7 @@ def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     try:
         for threads in (1, 2, 2, 2):
             o3d.utility.set_max_threads(threads)
-            found.append(b"".join(one.T_before.tobytes() for one in lidar.steps(scans, T_CAM_VELO) if one))
+            found.append(b"".join(one.T_before.tobytes() for one in steps_of(scans) if one))
             assert o3d.utility.get_max_threads() == threads
     finally:
         o3d.utility.set_max_threads(before)

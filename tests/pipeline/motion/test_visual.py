@@ -16,7 +16,8 @@ def views(*poses: np.ndarray) -> list[visual.View]:
 
 
 def measured(frames: list[visual.View], camera_height_m: float | None = CAMERA_HEIGHT_M) -> list[step.Step | None]:
-    return list(visual.steps(frames, street.K, camera_height_m))
+    odometry = visual.Odometry(street.K, street.SIZE, camera_height_m)
+    return [odometry.step(frame) for frame in frames]
 
 
 def rates(steps: list[step.Step | None]) -> np.ndarray:

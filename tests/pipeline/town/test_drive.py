@@ -10,7 +10,7 @@ from pipeline.camera.images import to_metres
 from pipeline.camera.png import read_png
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive, read_scan
-from pipeline.town.drive import write_drive
+from pipeline.town.drive import Drive
 from pipeline.town.oxts import ALTITUDE_M
 from pipeline.town.rig import make_rig, rotation, write_calibration
 
@@ -21,8 +21,8 @@ FRAMES = 12
 
 def render(folder: Path, name: str = NAME, seed: int = 0, frames: int = FRAMES) -> RawDrive:
     path = folder / name[:10] / f"{name}_sync"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_drive(name, path, frames=frames, size=SIZE, scan_rays=(32, 200), seed=seed)
+    made = Drive(name, frames=frames, size=SIZE, scan_rays=(32, 200), seed=seed)
+    made.write(path, range(frames))
     write_calibration(make_rig(SIZE, name[:10]), path.parent)
     return RawDrive(path)
 

@@ -15,7 +15,7 @@ from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.label import steering_labels
 from pipeline.town.character import draw_character
-from pipeline.town.drive import write_drive
+from pipeline.town.drive import Drive
 from pipeline.town.journey import Journey
 from pipeline.town.light import draw_ground_colours
 from pipeline.town.meetings import find_meetings
@@ -179,8 +179,8 @@ def test_times_of_a_cut_out_drive_are_never_guessed(tmp_path: Path) -> None:
 
 def render(folder: Path, recorded: RawDrive, frames: int) -> RawDrive:
     path = folder / DRIVE[:10] / f"{DRIVE}_sync"
-    path.parent.mkdir(parents=True)
-    write_drive(DRIVE, path, frames=frames, size=SIZE, scan_rays=(32, 60), seed=0, recorded=recorded)
+    made = Drive(DRIVE, frames=frames, size=SIZE, scan_rays=(32, 60), seed=0, recorded=recorded)
+    made.write(path, range(frames))
     return RawDrive(path)
 
 

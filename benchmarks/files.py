@@ -55,7 +55,7 @@ def encodings(xyz: np.ndarray) -> dict[str, np.ndarray]:
     return {
         "xyz float32": xyz,
         "int32 steps": steps,
-        "int32 differences": np.diff(steps, axis=0, prepend=0),
+        "int32 differences": np.diff(steps, axis=0, prepend=np.int32(0)),
         "int16 of 4 mm": np.rint(xyz * 256).astype(np.int16),
     }
 

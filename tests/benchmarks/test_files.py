@@ -1,12 +1,8 @@
-"""The table of encodings: what is stored can be undone, and each filter has a row."""
-
-from pathlib import Path
+"""The table of encodings: what is stored can be undone."""
 
 import numpy as np
-import pytest
 
 from benchmarks import files
-from tests import artefacts
 
 
 def test_what_is_stored_says_the_same_points_and_neighbours() -> None:
@@ -21,11 +17,3 @@ def test_what_is_stored_says_the_same_points_and_neighbours() -> None:
     made = files.differences(indices, degree)
     np.testing.assert_array_equal(made["less the last"].cumsum(dtype=np.uint16), indices)
     np.testing.assert_array_equal(made["less the node"] + np.array([0, 0, 1, 2, 2, 2], np.uint16), indices)
-
-
-def test_each_filter_has_a_row_of_bytes_and_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    artefacts.write_graphs(tmp_path / "a.h5", "a", np.zeros(3), np.arange(3), 40, np.random.default_rng(0))
-    files.main(tmp_path / "a.h5", frames=2)
-    head, _, *rows = capsys.readouterr().out.splitlines()
-    assert [row.split(" | ")[0].removeprefix("| ") for row in rows] == list(files.FILTERS)
-    assert all(row.count("|") == head.count("|") for row in rows)

@@ -20,13 +20,17 @@ from types import TracebackType
 from typing import Any, Self
 
 import h5py
+import hdf5plugin
 import numpy as np
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, explained
 
-SCHEMA = 1
-_CHUNK_ROWS = 8192  # of ragged data
+SCHEMA = 2  # 1: gzip
+_CHUNK_ROWS = 32768  # of ragged data
+# A checksum, as Blosc2 takes a changed bit for good. Sizes and speeds of this and others: docs/files.md.
+_ENCODED = {**hdf5plugin.Blosc2(cname="lz4", filters=hdf5plugin.Blosc2.BITSHUFFLE), "fletcher32": True}
+_CACHE_BYTES = 1 << 20  # of chunks last read, for each dataset of a file that stays open
 _MISSING = "{path} is missing. Make it: dvc repro {stage}. Bring it from another machine: dvc pull {stage}"
 _AGAIN = "Make it again: dvc repro --force {stage}"
 
@@ -49,7 +53,7 @@ class DriveWriter:
         array = np.asarray(array)
         options: dict[str, Any] = {}
         if array.ndim >= 3 and array.size:
-            options = {"chunks": (1, *array.shape[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
+            options = {"chunks": (1, *array.shape[1:]), **_ENCODED}
         self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
         self._sink.check()
 
@@ -69,7 +73,7 @@ class DriveWriter:
             chunk = (1 if rows.ndim >= 3 else _CHUNK_ROWS, *rows.shape[1:])
             dataset = self._file.create_dataset(
                 name, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
-                chunks=chunk, compression="gzip", compression_opts=1, shuffle=True,
+                chunks=chunk, **_ENCODED,
             )  # fmt: skip
             dataset.attrs["unit"] = unit
         dataset = self._file[name]
@@ -82,7 +86,7 @@ class DriveWriter:
         """Make a dataset [F, ...] full of `value`, for :meth:`fill`. Frames that are never filled take no space."""
         dataset = self._file.create_dataset(
             name, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
-            chunks=(1, *shape[1:]), compression="gzip", compression_opts=1, shuffle=True,
+            chunks=(1, *shape[1:]), **_ENCODED,
         )  # fmt: skip
         dataset.attrs["unit"] = unit
 
@@ -193,13 +197,14 @@ class DriveReader:
         if not path.is_file():
             raise InputError(_MISSING.format(path=path, stage=stage))
         try:
-            self._file = h5py.File(path, "r")
+            self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
         except OSError as error:
             if error.errno:  # the system's, as without permission; h5py leaves out the name
                 raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
             raise InputError(f"{path} is damaged ({error}). {_AGAIN.format(stage=stage)}") from error
         self.path = path
         self._stage = stage
+        self._datasets: dict[str, h5py.Dataset] = {}  # to find one in the file takes longer than to read a small one
         self.attrs: dict[str, Any] = dict(self._file.attrs)
         writer, schema = self.attrs.get("stage"), self.attrs.get("schema")
         if (writer, schema) != (stage, SCHEMA):
@@ -260,9 +265,11 @@ class DriveReader:
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return the h5py dataset; raises InputError, naming the file, if it has none of that name."""
-        if name not in self._file:
-            raise InputError(f"{self.path} has no dataset {name!r} (it has {', '.join(self._file)})")
-        return self._file[name]
+        if name not in self._datasets:
+            if name not in self._file:
+                raise InputError(f"{self.path} has no dataset {name!r} (it has {', '.join(self._file)})")
+            self._datasets[name] = self._file[name]
+        return self._datasets[name]
 
     def __enter__(self) -> Self:
         return self

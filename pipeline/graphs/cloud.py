@@ -116,7 +116,9 @@ def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Return at most `limit` of the indices 0..count-1, drawn without replacement, ascending: Morton order survives."""
     if count <= limit:
         return np.arange(count)
-    return np.sort(rng.choice(count, limit, replace=False, shuffle=False))
+    chosen = np.zeros(count, bool)
+    chosen[rng.choice(count, limit, replace=False, shuffle=False)] = True
+    return np.flatnonzero(chosen)
 
 
 def quantise(xyz: np.ndarray) -> np.ndarray:

@@ -1,10 +1,14 @@
 """The kNN graph of a cloud, and its semantic pruning (paper section 4.2, Fig. 3)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
+
+_FLANN = {"algorithm": 4, "leaf_max_size": 10, "reorder": True}  # FLANN_INDEX_KDTREE_SINGLE: one tree, exact
+_EXACT = {"checks": -1, "eps": 0.0, "sorted": True}  # checks: as many leaves as it takes
 
 
 @dataclass(frozen=True)
@@ -26,21 +30,9 @@ def build(xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng
     """Connect each point [P,3] to its `k` nearest, make the edges undirected, and prune those between classes.
 
     Edges within a class of `cls` [P] stay; of those between classes, a fraction `keep_inter_class`, drawn by `rng`.
+    Raises InputError if a point has more than 255 neighbours.
     """
-    count = len(xyz)
-    neighbours = nearest(xyz, k)  # [P,k']
-    source = np.repeat(np.arange(count, dtype=np.int64), neighbours.shape[1])
-    target = neighbours.reshape(-1).astype(np.int64)
-    pair = np.minimum(source, target) * count + np.maximum(source, target)
-    # Two points that choose each other make one pair of multiplicity 2.
-    pair, multiplicity = np.unique(pair, return_counts=True)
-    a, b = pair // max(count, 1), pair % max(count, 1)
-    keep = _keep(cls[a] == cls[b], keep_inter_class, rng)
-    a, b = a[keep], b[keep]
-    degree, indices = csr(a, b, count)
-    return Graph(
-        degree, indices.astype(index_dtype(count)), edges_knn=len(source), edges_kept=int(multiplicity[keep].sum())
-    )
+    return pruned(undirected(nearest(xyz, k)), cls, keep_inter_class, rng)
 
 
 def index_dtype(nodes: int) -> type[np.unsignedinteger]:
@@ -53,35 +45,54 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
     count = len(xyz)
     k = min(k, count - 1)
     if k < 1:
-        return np.empty((count, 0), np.int64)
-    import open3d.core as o3c
+        return np.empty((count, 0), np.int32)
+    import cv2
 
-    points = o3c.Tensor.from_numpy(np.ascontiguousarray(xyz, np.float32))
-    search = o3c.nns.NearestNeighborSearch(points)
-    search.knn_index()
-    neighbours = search.knn_search(points, k + 1)[0].numpy()  # [P,k+1], mostly the point itself first
-    own = neighbours == np.arange(count)[:, None]
+    points = np.ascontiguousarray(xyz, np.float32)
+    neighbours, _ = cv2.flann_Index(points, _FLANN).knnSearch(points, k + 1, params=_EXACT)  # int32 [P,k+1]
+    own = neighbours == np.arange(count, dtype=np.int32)[:, None]  # mostly the first
     # Where points coincide, a point may not find itself among k+1: then its last neighbour goes.
     own[~own.any(axis=1), -1] = True
     return neighbours[~own].reshape(count, k)
 
 
-def _keep(same_class: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> np.ndarray:
-    keep = same_class.copy()
-    between = np.flatnonzero(~same_class)
-    keep[rng.choice(between, round(keep_inter_class * len(between)), replace=False)] = True
-    return keep
+def undirected(neighbours: np.ndarray) -> Any:
+    """Return the symmetric matrix whose entry (i, j) says how many of the points i and j name the other: 1 or 2.
 
-
-def csr(a: np.ndarray, b: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return degree uint8 [count] and indices [2E] of the graph whose edges join nodes a [E] and b [E], each once.
-
-    Raises InputError if a node has more than 255 neighbours.
+    Args:
+        neighbours: [P,k], of each point.
+    Returns:
+        scipy.sparse.csr_array uint8 [P,P], ascending in each row.
     """
-    row, column = np.concatenate([a, b]), np.concatenate([b, a])
-    order = np.argsort(row * count + column)
-    degree = np.bincount(row, minlength=count)
+    from scipy.sparse import csr_array
+
+    count, k = neighbours.shape
+    starts = np.arange(count + 1, dtype=np.int32) * k
+    # Transposing puts entries in their place without comparing them, and leaves rows in order.
+    named = csr_array((np.ones(count * k, np.uint8), neighbours.ravel(), starts), shape=(count, count)).T.tocsr()
+    return named + named.T.tocsr()
+
+
+def pruned(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> Graph:
+    """Return the graph of an :func:`undirected` matrix [P,P] without some of its edges; the others as of `build`."""
+    starts, column = matrix.indptr, matrix.indices
+    row = np.repeat(np.arange(len(cls), dtype=column.dtype), np.diff(starts))
+    between = np.flatnonzero(cls[row] != cls[column])
+    between = between[row[between] < column[between]]  # of an edge's two entries the first
+    goes = np.ones(len(between), bool)
+    goes[rng.choice(len(between), round(keep_inter_class * len(between)), replace=False)] = False
+    entry = np.arange(len(column), dtype=column.dtype)
+    second = type(matrix)((entry, column, starts), shape=matrix.shape).T.tocsr().data  # entry (j, i) of entry (i, j)
+    gone = np.concatenate([between[goes], second[between[goes]]])
+    keep = np.ones(len(column), bool)
+    keep[gone] = False
+    degree = np.diff(starts) - np.bincount(row[gone], minlength=len(cls))
     if degree.max(initial=0) > 255:
         # Only many coinciding points can do this; k nearest distinct points bound it by about 12 k.
         raise InputError(f"a point has {degree.max()} neighbours, more than 255: use a smaller k")
-    return degree.astype(np.uint8), column[order]
+    return Graph(
+        degree.astype(np.uint8),
+        column[keep].astype(index_dtype(len(cls))),
+        edges_knn=int(matrix.data.sum()) // 2,
+        edges_kept=int(matrix.data[keep].sum()) // 2,
+    )

@@ -1,6 +1,6 @@
 """Reading graph files: what kind of frames one holds, and runs of them as the arrays that networks expect.
 
-Three kinds. `graph`: xyz float32 [N,3], cls uint8 [N], ptr int64 [B+1], degree uint8 [N], indices int64 [E].
+Three kinds. `graph`: xyz float32 [N,3], cls uint8 [N], ptr int64 [B+1], degree uint8 [N], indices int32 [E].
 `pointnet2`: xyz, cls, ptr, and for each level l from 1: centres_l int64 [M], neighbours_l int64 [M,n], centres_l_ptr
 int64 [B+1]. `image`: uint8 [B,H,W,3]. Files number rows from 0 in each frame; arrays count on through all their frames.
 """
@@ -8,7 +8,7 @@ int64 [B+1]. `image`: uint8 [B,H,W,3]. Files number rows from 0 in each frame; a
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from itertools import count
+from itertools import accumulate, count, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -83,8 +83,7 @@ class Graphs:
             rows = self._file.rows(name, ptr[0], ptr[-1])
             if (numbered := _numbered(name)) is not None:
                 first = self._ptr[numbered][start:stop]  # of the rows that are numbered, each frame's first
-                shift = np.repeat(first - first[0], np.diff(ptr))
-                rows = rows.astype(np.int64) + shift.reshape(-1, *[1] * (rows.ndim - 1))
+                rows = _counted_on(rows, ptr - ptr[0], first - first[0], _WIDE.get(name, np.int64))
             arrays[name] = rows
             if name in _POINTERS or name.startswith("centres_"):
                 arrays[_POINTERS.get(name, f"{name}_ptr")] = ptr - ptr[0]
@@ -116,19 +115,30 @@ def described(contents: Mapping[str, Any]) -> str:
 
 def concatenate(parts: Sequence[Arrays]) -> Arrays:
     """Put runs of frames of one kind one after the other."""
+    if len(parts) == 1:
+        return parts[0]
     batch = {}
     for name in parts[0]:
         arrays = [part[name] for part in parts]
         numbered = _numbered(name)
         if numbered is not None:
-            before = np.cumsum([0, *(len(part[numbered]) for part in parts)])
-            arrays = [array + first for array, first in zip(arrays, before, strict=False)]
+            before = accumulate((len(part[numbered]) for part in parts), initial=0)
+            arrays = [array + first for array, first in zip(arrays, before, strict=False)]  # as wide as they were
         if name.endswith("ptr"):
             arrays = [array[:-1] for array in arrays[:-1]] + arrays[-1:]
         batch[name] = np.concatenate(arrays)
     return batch
 
 
+def _counted_on(rows: np.ndarray, ptr: np.ndarray, first: np.ndarray, dtype: type[np.integer]) -> np.ndarray:
+    """Return the numbers in `rows` plus `first` [B], that of each frame; its rows begin at `ptr` [B+1]."""
+    numbers = np.empty(rows.shape, dtype)
+    for (start, stop), shift in zip(pairwise(ptr.tolist()), first.tolist(), strict=True):
+        np.add(rows[start:stop], shift, out=numbers[start:stop], dtype=dtype, casting="same_kind")
+    return numbers
+
+
+_WIDE = {"indices": np.int32}  # as wide as sparse matrices want them; what indexes tensors is int64
 _POINTERS = {"xyz": "ptr"}  # the others are called as what they point into
 
 

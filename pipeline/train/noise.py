@@ -101,7 +101,7 @@ def without(batch: Batch, dropped: np.ndarray) -> Batch:
     before = np.concatenate([[0], np.cumsum(entries)])  # of each entry, how many stay before it
     stops = np.cumsum(degree, dtype=np.int64)
     left = before[stops] - before[stops - degree]  # neighbours of each point
-    place = np.cumsum(kept) - 1  # new number of each point that stays
+    place = np.cumsum(kept, dtype=indices.dtype) - 1  # new number of each point that stays
     return batch | {
         "xyz": batch["xyz"][kept],
         "cls": batch["cls"][kept],

@@ -12,13 +12,13 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
 
     Args:
         degree: [N], neighbours per node; no node is its own neighbour.
-        indices: int64 [E], neighbours of node 0, of node 1, …; symmetric: if j is in i's list, i is in j's.
+        indices: int32 or int64 [E], neighbours of node 0, of node 1, …; symmetric: if j is in i's list, i is in j's.
         dtype: of the values.
     Returns:
         [N,N] with E + N entries; in each row the diagonal comes first, then the neighbours as given.
     """
     nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
-    node = torch.arange(nodes, device=device)
+    node = torch.arange(nodes, dtype=indices.dtype, device=device)
     row = node.repeat_interleave(degree.long() + 1, output_size=entries)  # of each entry
     starts = torch.zeros(nodes + 1, dtype=torch.int64, device=device)
     starts[1:] = (degree.long() + 1).cumsum(0)
@@ -27,7 +27,7 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
     column = row.masked_scatter(neighbour, indices)
 
     scale = (degree.to(dtype) + 1).rsqrt()  # [N], D̃^(-1/2)
-    values = scale[row] * scale[column]
+    values = scale.index_select(0, row) * scale.index_select(0, column)
     return _csr(starts.int(), column.int(), values, nodes)
 
 

@@ -17,7 +17,7 @@ def neighbourhoods(degree: Tensor, indices: Tensor, *, loops: bool) -> Chunks:
 
     Args:
         degree: [N], neighbours per node.
-        indices: int64 [E], neighbours of node 0, of node 1, …
+        indices: int32 or int64 [E], neighbours of node 0, of node 1, …
         loops: whether each node counts as its own first neighbour. Without, lonely nodes are in no chunk.
     """
     starts = degree.long().cumsum(0) - degree.long()
@@ -26,7 +26,7 @@ def neighbourhoods(degree: Tensor, indices: Tensor, *, loops: bool) -> Chunks:
         if not count and not loops:
             continue
         nodes = (degree == count).nonzero()[:, 0]
-        neighbours = indices[starts[nodes, None] + torch.arange(count, device=degree.device)]
+        neighbours = indices[starts[nodes, None] + torch.arange(count, device=degree.device)].long()
         if loops:
             neighbours = torch.cat([nodes[:, None], neighbours], dim=1)
         rows = max(1, EDGES // neighbours.shape[1])

@@ -20,7 +20,7 @@ class GraphBatch:
 
     xyz [N,3] metres, rectified camera frame (x right, y down, z forward); cls uint8 [N], trainId;
     ptr int64 [B+1], frame b owns the rows ptr[b]:ptr[b+1]; degree [N], neighbours without the node itself;
-    indices int64 [E], neighbours' row numbers in the batch, node after node (CSR).
+    indices int32 or int64 [E], neighbours' row numbers in the batch, node after node (CSR).
     """
 
     xyz: Tensor

@@ -6,7 +6,7 @@ import resource
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -184,7 +184,7 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
 def test_reader_tells_no_permission_from_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "a.h5")
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, "Unable to synchronously open file (…)")  # root may read everything
 
     monkeypatch.setattr(h5py, "File", refuse)
@@ -192,12 +192,14 @@ def test_reader_tells_no_permission_from_damage(tmp_path: Path, monkeypatch: pyt
         DriveReader(path, stage="clouds")
 
 
-def test_damage_within_a_file_is_named_with_file_and_dataset(tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", [lambda chunk: bytes(len(chunk)), lambda chunk: chunk[:-9] + b"\x99" + chunk[-8:]])
+def test_damage_within_a_file_is_named_with_file_and_dataset(tmp_path: Path, damage: Callable[..., bytes]) -> None:
     path = write(tmp_path / "a.h5")
     with h5py.File(path) as file:
         where = file["image"].id.get_chunk_info(1)
     content = bytearray(path.read_bytes())
-    content[where.byte_offset : where.byte_offset + where.size] = bytes(where.size)
+    chunk = slice(where.byte_offset, where.byte_offset + where.size)
+    content[chunk] = damage(bytes(content[chunk]))
     path.write_bytes(content)
     with DriveReader(path, stage="clouds") as file:
         file.row("image", 0)
@@ -209,12 +211,12 @@ def test_damage_within_a_file_is_named_with_file_and_dataset(tmp_path: Path) -> 
 def test_reader_refuses_what_it_cannot_read(tmp_path: Path) -> None:
     path = write(tmp_path / "a.h5")
     with pytest.raises(
-        InputError, match=r"has stage 'clouds', schema 1; this code reads stage 'ingest'.*dvc repro --force"
+        InputError, match=r"has stage 'clouds', schema 2; this code reads stage 'ingest'.*dvc repro --force"
     ):
         DriveReader(path, stage="ingest")
     with h5py.File(path, "r+") as file:
-        file.attrs["schema"] = 99
-    with pytest.raises(InputError, match="has stage 'clouds', schema 99; this code reads stage 'clouds', schema 1"):
+        file.attrs["schema"] = 1
+    with pytest.raises(InputError, match="has stage 'clouds', schema 1; this code reads stage 'clouds', schema 2"):
         DriveReader(path, stage="clouds")
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(InputError, match="is damaged"):
@@ -241,9 +243,9 @@ def test_index_round_trip_and_faults(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"lacks c, named in its index.json. Get them: dvc pull clouds"):
         store.read_index(tmp_path, stage="clouds")
     store.write_json(tmp_path / "index.json", {"schema": 0, "drives": {}})
-    with pytest.raises(InputError, match=r"has schema 0, this code reads 1.*dvc repro --force"):
+    with pytest.raises(InputError, match=r"has schema 0, this code reads 2.*dvc repro --force"):
         store.read_index(tmp_path, stage="clouds")
-    (tmp_path / "index.json").write_text('{"schema": 1, ')
+    (tmp_path / "index.json").write_text('{"schema": 2, ')
     with pytest.raises(InputError, match=r"index.json is not valid JSON.*dvc repro --force clouds"):
         store.read_index(tmp_path, stage="clouds")
     with pytest.raises(InputError, match=r"index.json is missing. Make it: dvc repro clouds"):

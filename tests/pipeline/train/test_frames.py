@@ -78,6 +78,17 @@ def test_neighbours_are_the_same_points_wherever_they_lie_in_the_batch(tmp_path:
     assert len(batch["ptr"]) == len(batch["centres_2_ptr"]) == 1 + 8
 
 
+def test_graphs_keep_their_edges_wherever_they_lie_in_the_batch(tmp_path: Path) -> None:
+    path = made(tmp_path, artefacts.write_graphs)
+    batch = read(path, RUNS)
+    assert (batch["indices"].dtype, batch["degree"].dtype, batch["xyz"].dtype) == (np.int32, np.uint8, np.float32)
+    with store.DriveReader(path, stage="graphs") as file:
+        ptr, indices_ptr, indices, xyz = (file[name] for name in ("ptr", "indices_ptr", "indices", "xyz"))
+    rows = [row for run in RUNS for row in range(*run)]
+    ends = np.concatenate([xyz[ptr[row] + indices[indices_ptr[row] : indices_ptr[row + 1]]] for row in rows])
+    np.testing.assert_array_equal(batch["xyz"][batch["indices"]], ends)
+
+
 def test_images_are_read_as_they_are(tmp_path: Path) -> None:
     path = made(tmp_path, artefacts.write_images)
     with store.DriveReader(path, stage="graphs") as file:

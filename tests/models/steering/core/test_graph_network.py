@@ -27,6 +27,12 @@ def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
     return GraphBatch(batch.xyz[rows], batch.cls[rows], torch.tensor([0, end - start]), batch.degree[rows], indices)
 
 
+def test_indices_may_be_as_narrow_as_files_give_them(make_batch, network):
+    batch = make_batch([40, 7])
+    narrow = dataclasses.replace(batch, indices=batch.indices.int())
+    torch.testing.assert_close(network(narrow), network(batch), rtol=0, atol=0)
+
+
 def test_order_of_points_changes_nothing(make_batch, network):
     batch = make_batch([40])
     order = torch.randperm(40)

@@ -107,9 +107,9 @@ def repeated(source: Path, out: Path, drive: str, count: int) -> None:
         ingest_file.put_camera(file, raw["K"], raw["T_cam_velo"])
         for name in ingest_file.PIXELS:
             images = raw[name]
-            ingest_file.put_pixels(file, name, count, images.shape[1:3], ((n, images[row[n]]) for n in number))
+            ingest_file.put_pixels(file, name, count, images.shape[1:3], ((n, images[row[n]]) for n in range(count)))
         scans = [raw.rows("lidar", *ends) for ends in pairwise(raw["lidar_ptr"])]
-        ingest_file.put_scans(file, count, ((n, scans[row[n]]) for n in number))
+        ingest_file.put_scans(file, count, ((n, scans[row[n]]) for n in range(count)))
 
 
 def _s(work: Callable[[], None]) -> Callable[[], float]:

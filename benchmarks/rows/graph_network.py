@@ -3,7 +3,7 @@
 import copy
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +12,7 @@ from benchmarks.rows.at_hand import Street
 from benchmarks.rows.row import Row, compare, ms
 from models.steering.core import batch as batches
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
-from models.steering.spatial.gnn import GCN
+from models.steering.spatial.gnn import GCN, GCNLayer
 
 WIDTHS = (32, 32, 64)
 FRAMES = 4  # of a batch
@@ -64,7 +64,7 @@ def pyg_like(net: GCN) -> nn.ModuleList:
     from torch_geometric.nn import GCNConv
 
     layers = nn.ModuleList()
-    for ours in net.layers:
+    for ours in cast(list[GCNLayer], net.layers):
         theirs = GCNConv(*ours.weight.shape, normalize=False)
         theirs.lin.weight.data = copy.deepcopy(ours.weight.data.T)
         theirs.bias.data = copy.deepcopy(ours.bias.data)

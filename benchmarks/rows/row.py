@@ -27,7 +27,8 @@ def compare(ours: Measured, peer: Measured, unit: str, what: str, more_is_better
     """Run both once to warm up, then in turn: what else the machine does meets both."""
     ours(), peer()
     turns = [(ours(), peer()) for _ in range(ROUNDS)]
-    return of_medians(*(statistics.median(figures) for figures in zip(*turns, strict=True)), unit, what, more_is_better)
+    own, other = (statistics.median(figures) for figures in zip(*turns, strict=True))
+    return of_medians(own, other, unit, what, more_is_better)
 
 
 def alone(ours: Measured, unit: str, what: str) -> Row:

@@ -82,7 +82,7 @@ def _step(street: Street, device: str, equivariant: bool) -> Callable[[], float]
 def _times(street: Street, device: str, equivariant: bool, steps: int) -> list[float]:
     """Return the seconds of `steps` training steps, after one that is not timed."""
     settings = load(Train, street.params)
-    model = Model(**PLAIN, equivariant=equivariant)
+    model = Model.model_validate({**PLAIN, "equivariant": equivariant})
     variant, labels = street.folder / "graphs/semantic", street.folder / "labels"
     (drive,) = windows.read_drives(variant, labels, [street.drive], WINDOW)
     drive = replace(drive, runs=((0, FRAMES),))
@@ -116,7 +116,7 @@ class Naive(nn.Module):
         ours = GCN(32)
         self.layers, self.read_out = pyg_like(ours), ours.read_out
         for layer in self.layers:
-            layer.normalize = True  # as it does unless told otherwise
+            layer.normalize = True  # type: ignore[assignment]  # as it does unless told otherwise
         self.temporal = recurrent.theirs(32)
 
     def forward(self, batch: Any) -> torch.Tensor:

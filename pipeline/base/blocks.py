@@ -92,7 +92,8 @@ class BlockWriter(DriveWriter):
         arrays |= {_FRAMES + name: np.array(frames, np.int64) for name, frames in self._filled.items()}
         header = json.dumps({"attrs": self.attrs, "columns": self._columns, "log": self.log})
         with replacing(self.path) as tmp:
-            np.savez(tmp, **{_HEADER: np.array(header), _AFTER: np.frombuffer(self.after, np.uint8)}, **arrays)
+            arrays |= {_HEADER: np.array(header), _AFTER: np.frombuffer(self.after, np.uint8)}
+            np.savez(tmp, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
 
 
 @dataclass(frozen=True)

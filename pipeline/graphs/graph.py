@@ -49,7 +49,7 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
     import cv2
 
     points = np.ascontiguousarray(xyz, np.float32)
-    neighbours, _ = cv2.flann_Index(points, _FLANN).knnSearch(points, k + 1, params=_EXACT)  # int32 [P,k+1]
+    neighbours, _ = cv2.flann_Index(points, _FLANN).knnSearch(points, k + 1, params=_EXACT)  # type: ignore[attr-defined]
     own = neighbours == np.arange(count, dtype=np.int32)[:, None]  # mostly the first
     # Where points coincide, a point may not find itself among k+1: then its last neighbour goes.
     own[~own.any(axis=1), -1] = True

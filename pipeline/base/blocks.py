@@ -93,7 +93,7 @@ class BlockWriter(DriveWriter):
         header = json.dumps({"attrs": self.attrs, "columns": self._columns, "log": self.log})
         with replacing(self.path) as tmp:
             arrays |= {_HEADER: np.array(header), _AFTER: np.frombuffer(self.after, np.uint8)}
-            np.savez(tmp, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
+            np.savez(tmp, **arrays)
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def edit(project: Path) -> Iterator[object]:
         ("pipeline/report/tables/steering_rows.py", {"report"}),
         ("pipeline/report/tables/perception_table.py", {"report"}),
         ("pipeline/report/studies/claims.py", {"report"}),
-        ("pipeline/report/street_view.py", {"pictures"}),
+        ("pipeline/report/street_view.py", {"pictures", "report"}),
         ("pipeline/perception/scores.py", {"scores"}),
         ("pipeline/perception/motion_scores.py", {"scores"}),
         ("stages/scores.py", {"scores"}),
@@ -100,7 +100,12 @@ def test_a_network_trains_the_models_that_use_it(edit, file: str, models: set[st
         # The angle that measured motion says: scores judge it, and a network with motion adds to it.
         (
             "pipeline/label.py",
-            {"labels", "scores", *(f"{stage}@{model}" for stage in ("train", "evaluate") for model in MODELS)},
+            {
+                "labels",
+                "scores",
+                "report",
+                *(f"{stage}@{model}" for stage in ("train", "evaluate") for model in MODELS),
+            },
         ),
         ("pipeline/motion/pose.py", {"motion"}),
         ("pipeline/graphs/neighbourhoods.py", {"graphs@semantic"}),

@@ -158,7 +158,7 @@ def test_with_motion_and_a_horizon_the_measured_angle_is_where_learning_starts(f
     assert target["std_rad"] != pytest.approx(drive.steering_rad[drive.valid].std(), rel=0.05)
     rows = [line.split(",") for line in (judged / "predictions.csv").read_text().splitlines()[1:]]
     assert [row[6] for row in rows] == ["1"] * 55 + ["0"] * 5
-    report.main(folder / "evaluate", folder / "report", folder / "params.yaml")
+    report.main(folder, folder / "report", folder / "params.yaml")
     table = (folder / "report/table.md").read_text()
     assert "| *odometry* |" in table
     assert "5 frames ahead" in table

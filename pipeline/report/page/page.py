@@ -66,8 +66,9 @@ def _headline(results: Sequence[Result]) -> list[str]:
                 f"{test['mae_deg']:.2f}", f"{result['parameters']:,}", _said(edges, ",.0f"), f"{ms:.1f}",
             ])  # fmt: skip
         for name, of_split in comparison.baselines(group).items():
-            test = of_split["test"]
-            body.append([f"*{name}*", horizon, f"{test['nmse']:.3f}", "", f"{test['mae_deg']:.2f}", "", "", ""])
+            test = of_split["test"] or {"nmse": None, "mae_deg": None}  # as of lidar, where a test drive has no scans
+            nmse, error = _said(test["nmse"], ".3f"), _said(test["mae_deg"], ".2f")
+            body.append([f"*{name}*", horizon, nmse, "", error, "", "", ""])
     return [
         *table(header, body),
         "",

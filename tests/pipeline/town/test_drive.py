@@ -126,12 +126,3 @@ def test_same_name_same_bytes_other_name_other_road(tmp_path: Path) -> None:
         assert path.read_bytes() == (again.folder / path.relative_to(first.folder)).read_bytes(), path
     for different in (other, reseeded):
         assert different.truth_depth[0].read_bytes() != first.truth_depth[0].read_bytes()
-
-
-def test_a_drive_that_is_there_is_replaced(tmp_path: Path) -> None:
-    old = tmp_path / "2026_01_01" / f"{NAME}_sync" / "oxts" / "rest"
-    old.parent.mkdir(parents=True)
-    old.touch()
-    drive = render(tmp_path, frames=1)
-    assert list(drive.oxts) == [0]
-    assert not old.exists()

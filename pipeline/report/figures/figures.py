@@ -57,17 +57,18 @@ def _of_images(out: Path, model: str, steering: dict[str, Steering], sources: So
         with store.DriveReader(sources.ingest / f"{drive}.h5", stage="ingest") as raw:
             image = raw.row("image", raw.row_of(number))
         shown.append(wheels.Shown(f"{kind}: {drive}, {number}", image, of.predicted_deg[row], of.driven_deg[row]))
-    wheels.draw(out / "wheels", model, shown)
-    said = (
-        f"Figure 4. Frames of four kinds of bend, chosen by what {model} predicts: in the green box the steering wheel"
-    )
-    captions = {out / "wheels.png": f"{said} as predicted, in the red one as driven."}
+    captions = {}
     drive, number = next(iter(frames.values()))
     files = [(sources.perception, "perception"), (sources.clouds, "clouds")]
     if all(_holds(folder / f"{drive}.h5", stage, number) for folder, stage in files):
         _street(out / "street", drive, number, sources)
         said = f"Figure 2. {drive}, frame {number}: image, depth, classes, semantic cloud from above."
         captions[out / "street.png"] = said
+    wheels.draw(out / "wheels", model, shown)
+    captions[out / "wheels.png"] = (
+        f"Figure 4. Frames of four kinds of bend, chosen by what {model} predicts: in the green box the steering wheel "
+        "as predicted, in the red one as driven."
+    )
     return captions
 
 

@@ -120,7 +120,9 @@ class Fit:
 
     def _say(self, line: str) -> None:
         if self.world.leads:
-            print(line, flush=True)
+            # In one piece: runs side by side share the output, and an unbuffered print writes the line's end by itself.
+            sys.stdout.write(f"{line}\n")
+            sys.stdout.flush()
 
     def _train(self, drives: Sequence[windows.Drive], target: predict.Target, epoch: int) -> tuple[float, float]:
         settings = self.settings

@@ -35,7 +35,7 @@ params: setup          ## a preset's changes written into params.yaml: make para
 	@[ -n "$(PRESET)" ] || { echo "make params PRESET=… is one of: $(PRESETS), or the path of a file" >&2; exit 1; }
 	@python -m pipeline.sections.preset "$(PRESET)" --out params.yaml
 
-test: setup            ## all tests on all cores, with coverage of pipeline/ and models/; pytest -m "not slow": the quick ones
+test: setup            ## all tests on all cores, with coverage of all that runs; pytest -m "not slow": the quick ones
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=98
 
 # Scans: STEER_KITTI=/path/to/kitti, or ../shared/kitti where it lies; else the sample's clouds, of make demo.

@@ -1,4 +1,4 @@
-"""Run a stage's ``main`` as a command: arguments by Typer, errors as one line, exit status."""
+"""Functions as commands: arguments by Typer, errors as one line, exit status."""
 
 import errno
 import functools
@@ -20,33 +20,49 @@ _WRONG_KIND = (errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENOTEMPTY)
 
 
 def run(main: Callable[..., object]) -> None:
-    """Parse the command line for `main` and call it.
-
-    An :class:`InputError` or an OSError (a full disk, no permission, …) ends the process with one line on stderr and
-    status 1, Ctrl-C with 130. Anything else is a bug and keeps its traceback.
+    """Parse a stage's command line for `main` and call it, :func:`guarded`.
 
     A process that DVC started ends with it, as workers end with this process: DVC, killed, cannot tell it to.
     """
 
     @functools.wraps(main)  # Typer reads its arguments
-    def guarded(*args: object, **options: object) -> None:
+    def of_dvc(*args: object, **options: object) -> None:
         if _DVC in os.environ:
             _end_with(_starter(os.environ[_DVC]))
+        main(*args, **options)
+
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(guarded(of_dvc))
+    app()
+
+
+def guarded(
+    main: Callable[..., object], kept: str = "finished drives are kept, run the same command again to go on"
+) -> Callable[..., None]:
+    """Return `main` as a command that ends as a user expects; `kept` says what an end before its time leaves.
+
+    An :class:`InputError` or an OSError (a full disk, no permission, …) ends the process with one line on stderr and
+    status 1, Ctrl-C with 130. Anything else is a bug and keeps its traceback, as everything does with an option `debug`.
+    """
+
+    @functools.wraps(main)
+    def command(*args: object, **options: object) -> None:
+        if options.get("debug"):
+            main(*args, **options)
+            return
         try:
             main(*args, **options)
         except InputError as error:
             _stop(str(error))
-        except BrokenPipeError:  # stages print, to a pipe that is gone; Python would try once more as it ends
+        except BrokenPipeError:  # commands print, to a pipe that is gone; Python would try once more as it ends
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            _stop("the output pipe is closed: finished drives are kept")
+            _stop(f"the output pipe is closed: {kept}")
         except OSError as error:
-            _stop(_explain(error))
+            _stop(_explain(error, kept))
         except KeyboardInterrupt:  # Typer would end silently
-            _stop("interrupted: finished drives are kept, run the same command again to go on", status=130)
+            _stop(f"interrupted: {kept}", status=130)
 
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(guarded)
-    app()
+    return command
 
 
 def default_workers() -> int:
@@ -67,13 +83,13 @@ def _stop(message: str, status: int = 1) -> None:
     sys.exit(status)
 
 
-def _explain(error: OSError) -> str:
+def _explain(error: OSError, kept: str) -> str:
     """Return what went wrong, with which file, and what to do about it."""
     files = " → ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
     message = error.strerror or str(error) or type(error).__name__
     if error.errno in DISK_FULL:
         where = f" while writing {files}" if files else ""
-        return f"{message}{where}. Free some space and run the same command again: finished drives are kept."
+        return f"{message}{where}. Free some space: {kept}."
     message += f": {files}" if files else ""
     link = _dangling(Path(str(error.filename))) if files else None
     if link:

@@ -83,13 +83,19 @@ def perceive(
     """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8 [B,H,W,3].
 
     `K` [3,3] are the intrinsics of these images. One forward pass of `model`, which is in evaluation mode, with
-    products in `precision`, of section perception.
+    products in `precision`, of section perception. On a CPU, one image after the other: an image's last bits depend on
+    whether others are beside it, and a live camera shows one at a time.
     """
     device = next(model.parameters()).device
+    at_once = 1 if device.type == "cpu" else len(images)
     with torch.inference_mode(), autocast(device, precision):
-        batch = torch.from_numpy(images).to(device).permute(0, 3, 1, 2)
-        depth, logits = model(batch, torch.from_numpy(K).to(device).expand(len(images), 3, 3))
-        return depth.float().cpu().numpy(), likeliest(logits).to(torch.uint8).cpu().numpy()
+        intrinsics = torch.from_numpy(K).to(device)
+        seen = [
+            model(part.to(device).permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3))
+            for part in torch.from_numpy(images).split(at_once)
+        ]
+        depth, cls = (torch.cat(parts) for parts in zip(*((d.float(), likeliest(c)) for d, c in seen), strict=True))
+        return depth.cpu().numpy(), cls.to(torch.uint8).cpu().numpy()
 
 
 def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:

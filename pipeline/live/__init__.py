@@ -1,0 +1,1 @@
+"""A trained model on what a camera sees, frame by frame."""

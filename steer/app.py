@@ -1,0 +1,28 @@
+"""The command `steer`: a module for each of its verbs. They import what is large in their functions: help is quick."""
+
+from collections.abc import Callable
+
+import typer
+
+from pipeline.base.console import guarded
+from steer import predict
+
+app = typer.Typer(
+    help="Steering angles from a trained model, your own recordings as KITTI raw, and what an artefact holds.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode="markdown",
+)
+
+
+@app.callback()
+def _steer() -> None:
+    """Have verbs even while there is one."""
+
+
+def _add(name: str, command: Callable[..., object], kept: str) -> None:
+    app.command(name, no_args_is_help=True)(guarded(command, kept))
+
+
+_add("predict", predict.predict, "what is written is whole")

@@ -1,4 +1,4 @@
-"""steer predict: the steering of a drive, a folder of images, a video or a camera, frame by frame."""
+"""steer predict: the steering of a drive, a folder of images or a video, frame by frame."""
 
 import csv
 from contextlib import ExitStack, closing
@@ -18,9 +18,7 @@ COLUMNS = ("drive", "frame", "time_s", "predicted_rad", "steering_rad", "latency
 
 
 def predict(
-    source: Annotated[
-        str, typer.Argument(help="a KITTI drive's folder, a folder of images, a video, a camera's number")
-    ],
+    source: Annotated[Path, typer.Argument(help="a KITTI drive's folder, a folder of images, or a video")],
     model: Annotated[Path, typer.Option(help="a trained model's folder")] = Path("data/train/sa-gnn-ncp"),
     out: Annotated[Path, typer.Option(help="gets steering.csv and overlay.mp4")] = Path("out"),
     fov: Annotated[
@@ -44,21 +42,19 @@ def predict(
 
     steer predict street.mp4 --fov 65 --model data/train/motion
     """
-    from pipeline.camera import intrinsics
     from pipeline.live import settings
     from pipeline.live.chain import Chain, takes_scans
-    from pipeline.live.source import open_source
+    from pipeline.live.source import Lens, open_source
     from pipeline.train import predict as trained
 
     voice = Voice(quiet, as_json)
     net = trained.load(model)
     data = _data(model, encoder, params)
     of_params = settings.read(params or data.parent / "params.yaml", net.line["input"], data)
-    given = intrinsics.given(fov=fov, K=k, calib=calib)
     stream = open_source(
         source,
         of_params.ingest.cameras,
-        given,
+        Lens(calib, fov, k),
         of_params.ingest.image_size,
         takes_scans(net, of_params),
         net.target.car,

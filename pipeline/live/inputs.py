@@ -31,7 +31,7 @@ class Inputs:
             yield moment
 
     def _clouds(self, moments: Iterable[Moment]) -> Iterator[tuple[Moment, cloud.Cloud]]:
-        """Yield each frame with its cloud as stage clouds stores it; frames without the scan that it takes are left out."""
+        """Yield each frame with its cloud as stage clouds stores it; a frame without the scan that it takes is none."""
         clouds = self._settings.clouds
         for moment in moments:
             if self._variant.source == "clouds/pseudo":

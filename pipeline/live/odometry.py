@@ -34,8 +34,8 @@ class Odometry:
         if step is None:
             return None, Motion()
         numbers, times = (np.array(values) for values in zip(*self._times, strict=True))
-        as_stored = np.array(rates(step.T_before, durations(numbers, times)[-1]), np.float32)
-        return step, Motion(*as_stored.tolist(), True)
+        yaw_rate_radps, speed_mps = rates(step.T_before, durations(numbers, times)[-1])
+        return step, Motion(float(np.float32(yaw_rate_radps)), float(np.float32(speed_mps)), True)
 
 
 class MeasuredAngle:

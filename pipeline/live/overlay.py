@@ -49,7 +49,7 @@ class Overlay:
             said = f"predicted {_words(moment.predicted_rad)}"
         if moment.driven_rad is not None:
             said += f"   driven {_words(moment.driven_rad)}"
-        image[: 2 * TEXT_PX] //= 3  # so that words are legible on any street
+        image[: 2 * TEXT_PX] = image[: 2 * TEXT_PX] // 3  # so that words are legible on any street
         text = f"{moment.time_s:6.1f} s   {said}"
         cv2.putText(image, text, (10, round(1.4 * TEXT_PX)), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255,) * 3, 1, cv2.LINE_AA)
         self._writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))

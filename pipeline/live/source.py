@@ -1,4 +1,4 @@
-"""What a live chain sees: a KITTI drive, a folder of images, a video or a camera, one frame at a time."""
+"""What a live chain sees: a KITTI drive, a folder of images or a video, one frame at a time."""
 
 import time
 from collections.abc import Generator, Mapping, Sequence
@@ -11,7 +11,7 @@ from pipeline import label
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.footage import open_footage
 from pipeline.camera.images import Size, read_image
-from pipeline.camera.intrinsics import Intrinsics
+from pipeline.camera.intrinsics import intrinsics
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.live.moment import Moment
@@ -32,14 +32,21 @@ class Source:
     left_out: list[str] = field(default_factory=list)  # what was damaged, as it is met
 
 
-def open_source(
-    name: str, cameras: Sequence[int], intrinsics: Intrinsics | None, aspect: Size, scans: bool, car: Car
-) -> Source:
-    """Open what a user names: a KITTI drive's folder, a folder of images, a video, or the number of a camera.
+@dataclass(frozen=True)
+class Lens:
+    """How a user says a camera's intrinsics, one of them: see :func:`pipeline.camera.intrinsics.intrinsics`."""
+
+    calib: Path | None = None
+    fov_deg: float | None = None
+    K: str | None = None
+
+
+def open_source(path: Path, cameras: Sequence[int], lens: Lens, aspect: Size, scans: bool, car: Car) -> Source:
+    """Open what a user names: a KITTI drive's folder, a folder of images, or a video.
 
     Args:
         cameras: of a KITTI drive, the first of them that has images.
-        intrinsics: of what is no KITTI drive.
+        lens: of what is no KITTI drive.
         aspect: (H, W) in any unit: images of another shape are cut at top and bottom, or at the sides, around the
             optical axis, as a network has only seen this shape. A KITTI drive's stay whole.
         scans: whether the LiDAR scans of a KITTI drive are wanted.
@@ -47,18 +54,14 @@ def open_source(
     Raises:
         InputError: it is none of them, is not calibrated, or cannot be read.
     """
-    folder = Path(name)
-    drive = RawDrive(folder.resolve())
+    drive = RawDrive(path.resolve())
     if any(drive.images(camera) for camera in cameras):
+        if lens != Lens():
+            raise InputError(f"{path} is a KITTI drive with a calibration of its own: leave out --calib, --fov and --K")
         return _of_drive(drive, cameras, scans, car)
-    if folder.is_dir() and (drive.oxts or drive.scans):
-        raise InputError(f"{folder} has no images of camera {' or '.join(map(str, cameras))}: extract image_02 as well")
-    if intrinsics is None:
-        raise InputError(
-            f"{name} does not say what its camera is: give --fov DEGREES (across the image), --K FX,FY,CX,CY in its "
-            "pixels, or --calib FILE (a calib_cam_to_cam.txt)"
-        )
-    return _of_footage(name, intrinsics, aspect)
+    if drive.oxts or drive.scans:
+        raise InputError(f"{path} has no images of camera {' or '.join(map(str, cameras))}: extract image_02 as well")
+    return _of_footage(path, lens, aspect)
 
 
 def _of_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) -> Source:
@@ -109,9 +112,9 @@ def _driven(packets: Mapping[int, Path], number: int, car: Car) -> float | None:
     return float(steering_rad[0]) if valid[0] else None
 
 
-def _of_footage(name: str, intrinsics: Intrinsics, aspect: Size) -> Source:
-    footage = open_footage(Path(name))
-    K = intrinsics.K(footage.size)
+def _of_footage(path: Path, lens: Lens, aspect: Size) -> Source:
+    footage = open_footage(path)
+    K = intrinsics(footage.size, **vars(lens))
     rows, columns = _cut(footage.size, K, aspect)
     cut_K = K.copy()
     cut_K[0, 2] -= columns.start
@@ -126,7 +129,7 @@ def _of_footage(name: str, intrinsics: Intrinsics, aspect: Size) -> Source:
             )
             began_s = time.perf_counter()
 
-    return Source(View(Path(name).stem, size, cut_K), moments(), footage.count, footage.fps or FPS)
+    return Source(View(path.stem, size, cut_K), moments(), footage.count, footage.fps or FPS)
 
 
 def _cut(size: Size, K: np.ndarray, aspect: Size) -> tuple[slice, slice]:

@@ -10,7 +10,9 @@ from stages import clouds, encoder, evaluate, graphs, ingest, labels, motion, pe
 
 TEST = "2026_01_03_drive_0001"
 MODELS = {
-    "points": {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual"},
+    "points": {
+        "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual",
+    },
     "ahead": {"input": "accumulated", "spatial": "gnn", "temporal": "lstm", "window": 3, "horizon": 2},
     "scans": {"input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 2, "motion": "lidar"},
     "sets": {"input": "sets", "spatial": "pointnet2", "temporal": "lstm", "window": 2, "width": 0.125},
@@ -33,10 +35,10 @@ def make(folder: Path) -> None:
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["town"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
     params["ingest"] |= {
-        "image_size": [64, 224],
+        "image_size": [96, 320],
         "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0001"], "test": [TEST]},
     }
-    params["encoder"] |= {"epochs": 1, "frames": 12}
+    params["encoder"] |= {"epochs": 4, "frames": 24}
     params["perception"] |= {"reach": 1.1, "depth_scale": "camera_height"}
     params["motion"] |= {"kinds": ["visual", "lidar"]}
     params["clouds"] |= {"max_points": 2000}

@@ -116,15 +116,15 @@ def _write(chain: "Chain", stream: "Source", out: Path, voice: Voice, *, video: 
             bar.update()
             if frames % 20 == 0:
                 bar.set_postfix_str(str(latency.summary()))
-    for what in stream.left_out:
-        voice.line(f"left out: {what}")
+    for note in stream.notes:
+        voice.line(note)
     measured = latency.summary()
     ahead = f", each {model.horizon} frames ahead" if model.horizon else ""
     voice.line(f"{model.name}: {predicted} angles of {frames} frames{ahead}; {measured} from file to angle")
     voice.line(f"{out / 'steering.csv'}" + (f", {out / 'overlay.mp4'}" if video else ""))
     voice.result({
         "model": model.name, "source": stream.view.name, "frames": frames, "predicted": predicted, "gaps": gaps,
-        "horizon": model.horizon, "left_out": stream.left_out, **measured._asdict(),
+        "horizon": model.horizon, "notes": stream.notes, **measured._asdict(),
         "csv": str(out / "steering.csv"), "video": str(out / "overlay.mp4") if video else None,
     })  # fmt: skip
 

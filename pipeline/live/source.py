@@ -29,7 +29,7 @@ class Source:
     moments: Generator[Moment]
     count: int | None  # frames to come, where that is known
     fps: float
-    left_out: list[str] = field(default_factory=list)  # what was damaged, as it is met
+    notes: list[str] = field(default_factory=list)  # what a user is to know, as it is met
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,9 @@ def _of_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) ->
         raise InputError(f"{drive.folder}: no image has an oxts packet of its number: extract the drive again")
     stamps = drive.oxts_times if drive.oxts else drive.folder / f"image_{camera.number:02d}" / "timestamps.txt"
     of_file = list(drive.oxts) if drive.oxts else numbers
-    time_s = dict(zip(of_file, oxts.read_times(stamps, of_file), strict=True))
+    notes = [] if stamps.is_file() else [f"{stamps} is missing: frames are taken to come {FPS:g} times a second"]
+    seconds = (np.array(of_file) - of_file[0]) / FPS if notes else oxts.read_times(stamps, of_file)
+    time_s = dict(zip(of_file, seconds.tolist(), strict=True))
     view = View(
         drive.folder.name.removesuffix("_sync"),
         camera.size,
@@ -82,7 +84,7 @@ def _of_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) ->
         camera.T_cam_velo,
         bool(drive.scans) and camera.T_cam_velo is not None,
     )
-    source = Source(view, iter(()), len(numbers), _fps(list(time_s.values())))  # type: ignore[arg-type]
+    source = Source(view, iter(()), len(numbers), _fps(list(time_s.values())), notes)  # type: ignore[arg-type]
 
     def moments() -> Generator[Moment]:
         for number in numbers:
@@ -92,9 +94,9 @@ def _of_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) ->
                 scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
                 driven_rad = _driven(drive.oxts, number, car)
             except DamagedFile as error:
-                source.left_out.append(str(error))
+                notes.append(f"left out: {error}")
                 continue
-            yield Moment(number, float(time_s[number]), image, began_s, scan, driven_rad)
+            yield Moment(number, time_s[number], image, began_s, scan, driven_rad)
 
     source.moments = moments()
     return source

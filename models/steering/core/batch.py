@@ -41,8 +41,9 @@ class GraphBatch:
         return len(self.ptr) - 1
 
     def to(self, device: torch.device | str) -> Self:
-        """Return the batch on `device`."""
+        """Return the batch on `device`, but for `ptr`: a step that asks a GPU where frames begin waits for it."""
         tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        del tensors["ptr"]
         moved = {name: tensor.to(device, non_blocking=True) for name, tensor in tensors.items()}
         return dataclasses.replace(self, **moved)
 
@@ -80,6 +81,11 @@ class Level:
     neighbours: Tensor
     ptr: Tensor
 
+    def to(self, device: torch.device | str) -> Self:
+        """Return the level on `device`, but for `ptr`."""
+        centres, neighbours = (tensor.to(device, non_blocking=True) for tensor in (self.centres, self.neighbours))
+        return dataclasses.replace(self, centres=centres, neighbours=neighbours)
+
 
 @dataclass(frozen=True)
 class SetBatch:
@@ -102,13 +108,10 @@ class SetBatch:
         return cls(xyz, trainid, ptr, levels)
 
     def to(self, device: torch.device | str) -> Self:
-        """Return the batch on `device`."""
-        levels = tuple(
-            Level(*(tensor.to(device, non_blocking=True) for tensor in (level.centres, level.neighbours, level.ptr)))
-            for level in self.levels
-        )
-        xyz, cls, ptr = (tensor.to(device, non_blocking=True) for tensor in (self.xyz, self.cls, self.ptr))
-        return dataclasses.replace(self, xyz=xyz, cls=cls, ptr=ptr, levels=levels)
+        """Return the batch on `device`, but for what points: a step that asks a GPU where frames begin waits for it."""
+        levels = tuple(level.to(device) for level in self.levels)
+        xyz, cls = (tensor.to(device, non_blocking=True) for tensor in (self.xyz, self.cls))
+        return dataclasses.replace(self, xyz=xyz, cls=cls, levels=levels)
 
     def mirrored(self) -> Self:
         """Return the frames as seen in a mirror, left for right."""

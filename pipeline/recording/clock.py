@@ -10,7 +10,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera.footage import Footage, Image, ImageFolder
 from pipeline.recording.track import Rates
 
-ROUNDING_S = 1e-3  # of timestamps in videos: so much before or after the motion's times is within them
+ROUNDING_S = 1e-3  # of timestamps in videos, to which everything here holds
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Coverage:
     @property
     def kept(self) -> np.ndarray:
         """Whether an image has motion, bool [F]."""
-        return self.gap_s <= self.max_gap_s
+        return self.gap_s <= self.max_gap_s + ROUNDING_S
 
     @property
     def in_gaps(self) -> int:
@@ -100,7 +100,8 @@ def timed(footage: Footage, times_s: np.ndarray | None) -> Iterator[tuple[float,
         for image in footage.frames():
             if image.time_s is None:
                 raise InputError(
-                    f"{footage.path} says no times: --times FILE has one per image, --fps N says their rate"
+                    f"{footage.path} does not say when its images were taken: say --fps N, or --times FILE with a line "
+                    "for each"
                 )
             yield image.time_s, image
         return

@@ -38,9 +38,10 @@ def import_recording(
 ) -> None:
     """Turn a video, or a folder of images, and the car's speed and yaw rate into a drive in KITTI raw's layout.
 
-    Speed and yaw rate are interpolated linearly to the images' times. A GPX or NMEA track has times in seconds since
-    1970 (UTC); its speeds and courses are smoothed by parabolas. Images without motion are left out. Then set
-    ingest.source: kitti in params.yaml, name the drive in ingest.drives, and run dvc repro.
+    Speed and yaw rate are interpolated linearly to the images' times; images without motion are left out. A GPX or
+    NMEA track has times in seconds since 1970 (UTC), and its speeds and courses are smoothed by parabolas over a second
+    or more: one fix a second flattens bends, so prefer the car's own log, or a receiver of 5 Hz that says velocities.
+    Then set ingest.source: kitti in params.yaml, name the drive in ingest.drives, and run dvc repro.
 
     Example: steer import drive.mp4 --motion can.csv --fov 78 --offset 0.35 --drive 2027_03_31_drive_0001
     """

@@ -8,8 +8,10 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.town.oxts import EARTH_RADIUS_M
 
-SMOOTH_S = 1.0  # over which parabolas are fitted,
-MIN_FIXES = 5  # or over so many fixes, where they are rarer
+# Parabolas are fitted over this time: at 10 Hz of KITTI's own track, half of it triples the angle's squared error.
+SMOOTH_S = 1.0
+# Or over so many fixes, where they are rarer: positions have to be derived twice, velocities once.
+LEAST_POSITIONS, LEAST_VELOCITIES = 5, 3
 MIN_SPEED_MPS = 1.0  # slower, the course is noise
 
 
@@ -47,22 +49,23 @@ def rates_of(fixes: Fixes, path: Path) -> tuple[Rates, str]:
     """Return speed and yaw rate at the fixes, and the rule by which they were made, in words.
 
     Positions, or velocities where the receiver says them, are brought to even steps, the median between fixes, and
-    fitted by parabolas over SMOOTH_S or MIN_FIXES fixes (Savitzky-Golay), whose derivatives are velocity v and
-    acceleration a: the speed is |v|, the yaw rate, the course's derivative, (v × a) / v². Below MIN_SPEED_MPS it is 0.
+    fitted by parabolas over SMOOTH_S (Savitzky-Golay), whose derivatives are velocity v and acceleration a: the speed
+    is |v|, the yaw rate, the course's derivative, (v × a) / v². Below MIN_SPEED_MPS it is 0.
 
-    Raises InputError, which names `path`, if there are fewer than MIN_FIXES fixes.
+    Raises InputError, which names `path`, if there are too few fixes.
     """
     from scipy.signal import savgol_filter
 
-    if len(fixes.time_s) < MIN_FIXES:
-        raise InputError(f"{path} has {len(fixes.time_s)} fixes with a time: {MIN_FIXES} are the least to smooth over")
+    says = fixes.velocity_mps is not None
+    least = LEAST_VELOCITIES if says else LEAST_POSITIONS
+    if len(fixes.time_s) < least:
+        raise InputError(f"{path} has {len(fixes.time_s)} fixes with a time: {least} are the least to smooth over")
     step_s = float(np.median(np.diff(fixes.time_s)))
     even_s = np.arange(fixes.time_s[0], fixes.time_s[-1] + step_s / 2, step_s)
-    fitted = max(MIN_FIXES, 2 * round(SMOOTH_S / step_s / 2) + 1)
+    fitted = max(least, 2 * round(SMOOTH_S / step_s / 2) + 1)
     if len(even_s) < fitted:
         raise InputError(f"{path} lasts {fixes.time_s[-1] - fixes.time_s[0]:.1f} s, which is too short to smooth")
 
-    says = fixes.velocity_mps is not None
     values = fixes.velocity_mps if fixes.velocity_mps is not None else _to_plane(fixes)
     values = np.column_stack([np.interp(even_s, fixes.time_s, column) for column in values.T])
     v, a = (

@@ -121,7 +121,7 @@ def test_a_track_of_a_receiver(tmp_path: Path, log: Path, kind: str, capsys: pyt
     np.testing.assert_allclose(packets[:, 22], 0.1, rtol=0.04)
     heading_after_5_s = gnss.bend(FRAMES, 0.1)[2] + 0.5
     np.testing.assert_allclose(packets[:, 5], heading_after_5_s, atol=0.1)
-    assert "fitted by parabolas over 5 fixes" in capsys.readouterr().out
+    assert "fitted by parabolas over " in capsys.readouterr().out
 
 
 def test_an_absolute_clock_of_both(tmp_path: Path, log: Path) -> None:

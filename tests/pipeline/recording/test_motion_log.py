@@ -60,9 +60,10 @@ def test_no_log(tmp_path: Path) -> None:
 
 def test_tracks_are_told_by_how_they_begin(tmp_path: Path) -> None:
     time_s, places, heading = bend(20, 1.0)
-    for text, what in ((gpx(time_s, places), "positions"), (nmea(time_s, places, 9.0, heading), "velocities")):
+    for text, rule in (
+        (gpx(time_s, places), "positions, fitted by parabolas over 5 fixes"),
+        (nmea(time_s, places, 9.0, heading), "velocities, fitted by parabolas over 3 fixes"),
+    ):
         motion = read_motion(log(tmp_path, text), offset_s=-START.timestamp())
         np.testing.assert_allclose(motion.rates.time_s, time_s, atol=1e-6)
-        assert f"20 fixes of {tmp_path}/can.csv: speed and course of its {what}, fitted by parabolas over 5 fixes" in (
-            motion.source
-        )
+        assert f"20 fixes of {tmp_path}/can.csv: speed and course of its {rule}" in motion.source

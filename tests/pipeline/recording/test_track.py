@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.kitti.oxts import COLUMNS, VF, WU, read_row, read_times
+from pipeline.kitti.raw import RawDrive
+from pipeline.label import steering_labels
+from pipeline.recording.packets import packets
 from pipeline.recording.track import Fixes, Rates, rates_of
 from tests.gnss import bend
 
@@ -66,10 +70,11 @@ def test_across_the_date_line() -> None:
     np.testing.assert_allclose(rates.yaw_rate_radps, 0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("count", "message"), [(4, "has 4 fixes with a time: 5 are the least")])
-def test_too_few(count: int, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        rates_of(fixes_of(count, 1.0, 9.0, 0.1, says=True), FILE)
+@pytest.mark.parametrize(("says", "least"), [(True, 3), (False, 5)])
+def test_too_few(says: bool, least: int) -> None:
+    rates_of(fixes_of(least, 1.0, 9.0, 0.1, says), FILE)
+    with pytest.raises(InputError, match=f"has {least - 1} fixes with a time: {least} are the least"):
+        rates_of(fixes_of(least - 1, 1.0, 9.0, 0.1, says), FILE)
 
 
 def test_too_short_to_smooth() -> None:
@@ -80,3 +85,25 @@ def test_too_short_to_smooth() -> None:
 def test_later() -> None:
     rates = Rates(np.arange(2.0), np.ones(2), np.zeros(2)).later(-0.5)
     np.testing.assert_array_equal(rates.time_s, [-0.5, 0.5])
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("step", "says", "worst"), [(1, True, 0.01), (1, False, 0.13), (10, True, 0.13)])
+def test_a_real_track_tells_the_angle(real_half: Path, step: int, says: bool, worst: float) -> None:
+    """KITTI's own track as a receiver's, at 10 Hz and at 1 Hz: the label's squared error, as a share of its own."""
+    for drive in ("0005", "0039"):
+        raw = RawDrive(real_half / f"2011_09_26/2011_09_26_drive_{drive}_sync")
+        time_s = read_times(raw.oxts_times, list(raw.oxts))
+        rows = np.array([read_row(path) for path in raw.oxts.values()])
+        fixes = rows[::step]
+        lat, lon, ve, vn = (fixes[:, COLUMNS.index(name)] for name in ("lat", "lon", "ve", "vn"))
+        rates, _ = rates_of(Fixes(time_s[::step], lat, lon, np.stack([ve, vn], axis=-1) if says else None), FILE)
+        covered = time_s <= rates.time_s[-1]
+        made = packets(rates, time_s[covered])
+        said, truth = (
+            steering_labels(packet[:, WU], packet[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid")
+            for packet in (made, rows[covered])
+        )
+        valid = said[1] & truth[1]
+        error = np.mean((said[0] - truth[0])[valid] ** 2) / np.mean(truth[0][valid] ** 2)
+        assert error < worst

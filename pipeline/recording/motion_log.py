@@ -34,7 +34,10 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
     Raises InputError if the file is not one of these, lacks a column, or time does not increase.
     """
     if not path.is_file():
-        raise InputError(f"{path} is missing: --motion wants a CSV file with {_UNITS}, or a GPX or NMEA track")
+        raise InputError(f"{path} is no file: --motion wants a CSV file with {_UNITS}, or a GPX or NMEA track")
+    with path.open("rb") as file:
+        if b"\0" in file.read(4096):  # a video may have gigabytes
+            raise InputError(f"{path} is not text: --motion wants a CSV file with {_UNITS}, or a GPX or NMEA track")
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     kind = text.lstrip()[:1]
     if kind in ("<", "$", "!"):

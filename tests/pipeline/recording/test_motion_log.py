@@ -54,8 +54,12 @@ def test_what_is_wrong_with_a_log(tmp_path: Path, text: str, message: str) -> No
 
 
 def test_no_log(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is missing: --motion wants a CSV file with time_s in seconds"):
-        read_motion(tmp_path / "can.csv")
+    for path in (tmp_path / "can.csv", tmp_path):
+        with pytest.raises(InputError, match="is no file: --motion wants a CSV file with time_s in seconds"):
+            read_motion(path)
+    (tmp_path / "drive.mp4").write_bytes(b"\0\0\0 ftypisom")
+    with pytest.raises(InputError, match="is not text: --motion wants a CSV file"):
+        read_motion(tmp_path / "drive.mp4")
 
 
 def test_tracks_are_told_by_how_they_begin(tmp_path: Path) -> None:

@@ -38,8 +38,8 @@ def import_recording(
 ) -> None:
     """Turn a video, or a folder of images, and the car's speed and yaw rate into a drive in KITTI raw's layout.
 
-    Speed and yaw rate are interpolated linearly to the images' times; images without motion are left out. A GPX or
-    NMEA track has times in seconds since 1970 (UTC), and its speeds and courses are smoothed by parabolas over a second
+    Speed and yaw rate are interpolated linearly to the images' times, which count from a recording's first image;
+    images without motion are left out. A GPX or NMEA track has times in seconds since 1970 (UTC), and its speeds and courses are smoothed by parabolas over a second
     or more: one fix a second flattens bends, so prefer the car's own log, or a receiver of 5 Hz that says velocities.
     Then set ingest.source: kitti in params.yaml, name the drive in ingest.drives, and run dvc repro.
 
@@ -81,8 +81,8 @@ def import_recording(
         layout.write_packets(unfinished, rows, covered.kept, time_s)
         layout.write_calibration(folder, footage.size, matrix)
 
-    found = _found(folder, footage, time_s, covered)
-    for line in _lines(drive, log.source, found):
+    found = {"drive": drive} | _found(folder, footage, time_s, covered)
+    for line in _lines(log.source, found):
         voice.line(line)
     voice.result(found | {"motion": log.source, "K": matrix.tolist()})
 
@@ -128,18 +128,16 @@ def _found(folder: Path, footage: "Footage", time_s: "np.ndarray", covered: "Cov
     }
 
 
-def _lines(drive: str, source: str, found: dict[str, Any]) -> Iterator[str]:
+def _lines(source: str, found: dict[str, Any]) -> Iterator[str]:
     """Yield what people read of an import."""
     height, width = found["size"]
     span = "{first_s:.3f} to {last_s:.3f} s".format_map(found)
-    yield f"{drive}: {found['frames']} of {found['images']} images, {width} x {height}, {span}, in {found['folder']}"
-    interpolated = "{interpolated} frames interpolated, between samples up to {largest_gap_s:.3g} s apart".format_map(
-        found
-    )
+    yield f"{found['drive']}: {found['frames']} of {found['images']} images, {width} x {height}, {span}, in {found['folder']}"
+    interpolated = "{interpolated} frames interpolated, samples up to {largest_gap_s:.3g} s apart".format_map(found)
     yield f"motion: {source}; {interpolated if found['interpolated'] else 'each frame is at a sample'}"
     if found["frames"] < found["images"]:
         left_out = "{before} before its first sample, {after} after its last, {in_gaps} in gaps"
         yield f"without motion, left out: {left_out.format_map(found['left_out'])}"
     if found["untimed_from"] is not None:
         yield f"the video's timestamps stop at image {found['untimed_from']}: then its frame rate tells times"
-    yield f"next: in params.yaml ingest.source: kitti and {drive} in ingest.drives, then dvc repro"
+    yield f"next: in params.yaml ingest.source: kitti and {found['drive']} in ingest.drives, then dvc repro"

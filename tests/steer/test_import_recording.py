@@ -89,7 +89,7 @@ def test_rates_are_resampled_to_the_video_s_clock_and_it_is_said(
     out = capsys.readouterr().out
     assert f"{DRIVES[0]}: 9 of 12 images, 64 x 48, 0.300 to 1.100 s, in " in out
     assert "12 samples of" in out
-    assert "9 frames interpolated, between samples up to 0.1" in out
+    assert "9 frames interpolated, samples up to 0.1" in out
     assert "without motion, left out: 3 before its first sample, 0 after its last, 0 in gaps" in out
     assert "ingest.source: kitti" in out
     packet = np.loadtxt(drive.oxts[5])

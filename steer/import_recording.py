@@ -39,8 +39,9 @@ def import_recording(
     """Turn a video, or a folder of images, and the car's speed and yaw rate into a drive in KITTI raw's layout.
 
     Speed and yaw rate are interpolated linearly to the images' times, which count from a recording's first image;
-    images without motion are left out. A GPX or NMEA track has times in seconds since 1970 (UTC), and its speeds and courses are smoothed by parabolas over a second
-    or more: one fix a second flattens bends, so prefer the car's own log, or a receiver of 5 Hz that says velocities.
+    images without motion are left out. A GPX or NMEA track has times in seconds since 1970 (UTC), and its speeds and
+    courses are smoothed by parabolas over a second or more: one fix a second flattens bends, so prefer the car's own
+    log, or a receiver of 5 Hz that says velocities.
     Then set ingest.source: kitti in params.yaml, name the drive in ingest.drives, and run dvc repro.
 
     Example: steer import drive.mp4 --motion can.csv --fov 78 --offset 0.35 --drive 2027_03_31_drive_0001
@@ -81,10 +82,10 @@ def import_recording(
         layout.write_packets(unfinished, rows, covered.kept, time_s)
         layout.write_calibration(folder, footage.size, matrix)
 
-    found = {"drive": drive} | _found(folder, footage, time_s, covered)
-    for line in _lines(log.source, found):
+    summary = {"drive": drive} | _summary(folder, footage, time_s, covered)
+    for line in _lines(log.source, summary):
         voice.line(line)
-    voice.result(found | {"motion": log.source, "K": matrix.tolist()})
+    voice.result(summary | {"motion": log.source, "K": matrix.tolist()})
 
 
 def _span(footage: "Footage", times_s: "np.ndarray | None") -> tuple[float, float]:
@@ -112,7 +113,7 @@ def _with_motion(
             bar.update()
 
 
-def _found(folder: Path, footage: "Footage", time_s: "np.ndarray", covered: "Coverage") -> dict[str, Any]:
+def _summary(folder: Path, footage: "Footage", time_s: "np.ndarray", covered: "Coverage") -> dict[str, Any]:
     kept_s = time_s[covered.kept]
     return {
         "folder": str(folder),
@@ -128,16 +129,17 @@ def _found(folder: Path, footage: "Footage", time_s: "np.ndarray", covered: "Cov
     }
 
 
-def _lines(source: str, found: dict[str, Any]) -> Iterator[str]:
+def _lines(source: str, summary: dict[str, Any]) -> Iterator[str]:
     """Yield what people read of an import."""
-    height, width = found["size"]
-    span = "{first_s:.3f} to {last_s:.3f} s".format_map(found)
-    yield f"{found['drive']}: {found['frames']} of {found['images']} images, {width} x {height}, {span}, in {found['folder']}"
-    interpolated = "{interpolated} frames interpolated, samples up to {largest_gap_s:.3g} s apart".format_map(found)
-    yield f"motion: {source}; {interpolated if found['interpolated'] else 'each frame is at a sample'}"
-    if found["frames"] < found["images"]:
+    height, width = summary["size"]
+    span = "{first_s:.3f} to {last_s:.3f} s".format_map(summary)
+    images = "{drive}: {frames} of {images} images".format_map(summary)
+    yield f"{images}, {width} x {height}, {span}, in {summary['folder']}"
+    interpolated = "{interpolated} frames interpolated, samples up to {largest_gap_s:.3g} s apart".format_map(summary)
+    yield f"motion: {source}; {interpolated if summary['interpolated'] else 'each frame is at a sample'}"
+    if summary["frames"] < summary["images"]:
         left_out = "{before} before its first sample, {after} after its last, {in_gaps} in gaps"
-        yield f"without motion, left out: {left_out.format_map(found['left_out'])}"
-    if found["untimed_from"] is not None:
-        yield f"the video's timestamps stop at image {found['untimed_from']}: then its frame rate tells times"
-    yield f"next: in params.yaml ingest.source: kitti and {found['drive']} in ingest.drives, then dvc repro"
+        yield f"without motion, left out: {left_out.format_map(summary['left_out'])}"
+    if summary["untimed_from"] is not None:
+        yield f"the video's timestamps stop at image {summary['untimed_from']}: then its frame rate tells times"
+    yield f"next: in params.yaml ingest.source: kitti and {summary['drive']} in ingest.drives, then dvc repro"

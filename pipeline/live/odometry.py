@@ -28,8 +28,10 @@ class Odometry:
         if self._visual:
             depth_m = to_metres(moment.depth).astype(np.float32)
             step = self._visual.step(visual.View(moment.number, moment.small, depth_m, moment.cls))
-        if self._lidar and moment.scan is not None:
+        elif self._lidar and moment.scan is not None:
             step = self._lidar.step(lidar.Scan(moment.number, moment.scan))
+        else:  # a frame without a scan is none of those that lidar steps are between
+            return None, Motion()
         self._times.append((moment.number, moment.time_s))
         if step is None:
             return None, Motion()

@@ -1,0 +1,149 @@
+"""The chain killed at random moments, again and again, until it ends by itself: for a test, and longer by hand.
+
+python -m tests.kills 60        # so many kills, then what was lost
+"""
+
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+
+from tests import scratch
+
+STAGES = (
+    "town", "ingest", "labels", "encoder", "perception", "motion", "scores", "clouds", "pictures", "graphs", "train",
+    "evaluate", "report",
+)  # fmt: skip
+LONGEST_S = 9.0  # until a kill; DVC needs some two seconds to start a stage
+
+
+class Killed(NamedTuple):
+    """What killing a chain has shown."""
+
+    stages: dict[str, int]  # stage → how often it was at work when it was killed
+    differing: list[str]  # files that are not those of an undisturbed run
+    left_over: list[str]  # files that should not be there
+    kept: int  # times that something was taken over from a run before
+
+
+def small(folder: Path) -> Path:
+    """Make a scratch copy whose sample is small, with two seeds to train."""
+    scratch.copy(folder)
+    params = yaml.safe_load((folder / "params.yaml").read_text())
+    params["town"] |= {"image_size": [96, 320], "frames": {"train": 40, "val": 12, "test": 12}}
+    params["ingest"] |= {
+        "image_size": [96, 320],
+        "drives": {
+            "train": ["2026_01_01_drive_0001..0002"], "val": ["2026_01_02_drive_0001"],
+            "test": ["2026_01_03_drive_0001"],
+        },
+    }  # fmt: skip
+    params["encoder"] |= {"epochs": 3, "frames": 40}
+    params["graphs"] = {"semantic": params["graphs"]["semantic"] | {"points": 300}}
+    params["train"] |= {"epochs": 8, "seeds": [0, 1]}
+    (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return all that stages have written, without the time that a network took."""
+    files = scratch.files_of(folder, list(STAGES))
+    clock = re.compile(rb'"encode_ms_per_frame": [\d.]+')
+    timed = re.compile(r"data/(train|evaluate|report)/")
+    return {
+        name: clock.sub(b"", content) if timed.match(name) else content
+        for name, content in files.items()
+        if not name.startswith("data/report/")  # its page and tables show that time; they are made of the rest
+    }
+
+
+def kill_and_go_on(undisturbed: Path, folder: Path, kills: int, seed: int = 0) -> Killed:
+    """Run the chain in `folder`, a copy like `undisturbed`, with so many kills, and compare the two."""
+    rng, struck = random.Random(seed), dict.fromkeys((*STAGES, "between"), 0)
+    environment = {
+        **os.environ, "PYTHONPATH": str(folder), "DVC_NO_ANALYTICS": "1", "STEER_WORKERS": "2",
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+    }  # fmt: skip
+    kept, done = 0, 0
+    while True:
+        log = folder / "chain.log"
+        with log.open("w") as output:
+            chain = subprocess.Popen(
+                ["dvc", "repro"], cwd=folder, env=environment, stdout=output, stderr=output, start_new_session=True
+            )
+            try:
+                chain.wait(rng.uniform(1.5, LONGEST_S) if done < kills else None)
+            except subprocess.TimeoutExpired:
+                os.killpg(chain.pid, signal.SIGKILL)
+                chain.wait()
+        said = log.read_text()
+        kept += said.count("kept from the run before")
+        if chain.returncode == -signal.SIGKILL:
+            done += 1
+            ran = scratch.stages_run(said)
+            struck[ran[-1].split("@")[0] if ran and ran[-1].split("@")[0] in struck else "between"] += 1
+        elif chain.returncode != 0:
+            raise AssertionError(f"after {done} kills, the same command failed:\n{said}")
+        elif done >= kills:
+            break
+        else:  # it ended before enough kills: begin anew with a stage that is still to be struck
+            again = rng.choice([stage for stage in STAGES if struck[stage] == min(struck[s] for s in STAGES)])
+            _forget(folder, again)
+    _wait_for_the_end(folder)
+    ours, theirs = contents(folder), contents(undisturbed)
+    differing = sorted(name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name))
+    left_over = [
+        str(path.relative_to(folder))
+        for path in (folder / "data").rglob("*")
+        if re.search(r"\.tmp|\.resume/.", str(path))
+    ]
+    return Killed({stage: count for stage, count in struck.items() if count}, differing, left_over, kept)
+
+
+def _forget(folder: Path, stage: str) -> None:
+    """Have DVC make a stage's outs, and what follows, once more: they and its memory of them go."""
+    shutil.rmtree(folder / "data" / stage, ignore_errors=True)
+    shutil.rmtree(folder / ".dvc/cache", ignore_errors=True)
+    lock = yaml.safe_load((folder / "dvc.lock").read_text())
+    lock["stages"] = {name: entry for name, entry in lock["stages"].items() if name.split("@")[0] != stage}
+    (folder / "dvc.lock").write_text(yaml.safe_dump(lock, sort_keys=False))
+
+
+def _wait_for_the_end(folder: Path) -> None:
+    """Wait until no process works in a folder any more: workers end by themselves when their stage was killed."""
+    for _ in range(100):
+        if not any(Path(cwd).resolve() == folder.resolve() for cwd in _working_folders()):
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"processes are left in {folder}")
+
+
+def _working_folders() -> list[str]:
+    folders = []
+    for process in Path("/proc").glob("[0-9]*/cwd"):
+        try:
+            folders.append(str(process.readlink()))
+        except OSError:
+            continue  # ended just now, or another user's
+    return folders
+
+
+def main(kills: int) -> None:
+    """Kill the chain so many times and say what was lost."""
+    with tempfile.TemporaryDirectory() as scratch_folder:
+        undisturbed, folder = (small(Path(scratch_folder) / name) for name in ("undisturbed", "killed"))
+        scratch.run(undisturbed, "dvc", "repro")
+        print(kill_and_go_on(undisturbed, folder, kills))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

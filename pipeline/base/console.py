@@ -42,7 +42,7 @@ def guarded(
     """Return `main` as a command that ends as a user expects; `kept` says what an end before its time leaves.
 
     An :class:`InputError` or an OSError (a full disk, no permission, …) ends the process with one line on stderr and
-    status 1, Ctrl-C with 130. Anything else is a bug and keeps its traceback, as everything does with an option `debug`.
+    status 1, Ctrl-C with 130. Anything else is a bug and keeps its traceback, as all does with an option `debug`.
     """
 
     @functools.wraps(main)

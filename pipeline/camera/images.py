@@ -27,16 +27,22 @@ def to_units(depth_m: np.ndarray) -> np.ndarray:
 
 def read_image(path: Path, size: Size, new_size: Size) -> np.ndarray:
     """Return an image as RGB uint8 [H,W,3], grey repeated. Raises DamagedFile; InputError if it is not of `size`."""
-    import cv2
-
     pixels = _read(path, size, np.uint8)
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, axis=-1)
-    if size == new_size:
-        return pixels
+    return resized(pixels, new_size)
+
+
+def resized(image: np.ndarray, size: Size) -> np.ndarray:
+    """Return an image uint8 [H,W,3] at another size; :func:`pipeline.camera.geometry.scale_K` tells its intrinsics."""
+    import cv2
+
+    height, width = image.shape[:2]
+    if (height, width) == size:
+        return image
     # Averaging over areas keeps what is thin; it is made for shrinking only.
-    smaller = new_size[0] <= size[0] and new_size[1] <= size[1]
-    return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
+    smaller = size[0] <= height and size[1] <= width
+    return cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
 
 
 def read_depth(path: Path, size: Size | None, new_size: Size) -> np.ndarray:

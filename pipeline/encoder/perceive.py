@@ -92,7 +92,7 @@ def perceive(
         intrinsics = torch.from_numpy(K).to(device)
         seen = [
             model(part.to(device).permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3))
-            for part in torch.from_numpy(images).split(at_once)
+            for part in torch.split(torch.from_numpy(images), at_once)
         ]
         depth, cls = (torch.cat(parts) for parts in zip(*((d.float(), likeliest(c)) for d, c in seen), strict=True))
         return depth.cpu().numpy(), cls.to(torch.uint8).cpu().numpy()

@@ -17,10 +17,20 @@ def steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
     depth's scale. `source` ``clouds/lidar`` is in metres, as motion is.
     """
     measured = motion["valid"].astype(bool)
-    T_before = motion["T_before"][measured].astype(np.float64)
+    scale = motion["scale"] if "scale" in motion else np.ones(len(measured), np.float32)
+    rows = zip(motion.frame[measured], motion["T_before"][measured], scale[measured], strict=True)
+    return {int(number): of_clouds(T_before, factor, source) for number, T_before, factor in rows}
+
+
+def of_clouds(T_before: np.ndarray, scale: float, source: str) -> np.ndarray:
+    """Return a measured step float32 [4,4] in the lengths of the clouds of `source`, float64; see :func:`steps`.
+
+    `scale` is what depth was multiplied by to measure it.
+    """
+    T = T_before.astype(np.float64)
     if source == "clouds/pseudo":
-        T_before[:, :3, 3] /= motion["scale"][measured, None]
-    return {int(number): T for number, T in zip(motion.frame[measured], T_before, strict=True)}
+        T[:3, 3] /= scale
+    return T
 
 
 def accumulated(

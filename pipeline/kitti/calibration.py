@@ -1,7 +1,6 @@
 """KITTI raw's calibration files: one camera's rectified image size, intrinsics and pose relative to the LiDAR.
 
-Files are parsed by ``pykitti.utils.read_calib_file``. What pykitti's ``raw`` class makes of them is not used: it needs
-all four cameras, and users have files with only some.
+What pykitti's ``raw`` class makes of them is not used: it needs all four cameras, and users have files with only some.
 """
 
 from dataclasses import dataclass
@@ -9,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import explained
+from pipeline.camera.calib_file import matrix, read_entries
 
-_AGAIN = "Extract the date's calibration archive again"
+_AGAIN = "Extract the date's calibration archive (…_calib.zip) again"
 
 
 @dataclass(frozen=True)
@@ -30,46 +30,29 @@ class Camera:
 def cameras_in(folder: Path) -> list[int]:
     """Return the numbers of the cameras that a date's ``calib_cam_to_cam.txt`` describes; none if it is absent."""
     path = folder / "calib_cam_to_cam.txt"
-    entries = _read(path) if path.is_file() else {}
+    with explained(hint=_AGAIN):
+        entries = read_entries(path) if path.is_file() else {}
     return [number for number in range(4) if f"P_rect_{number:02d}" in entries]
 
 
 def read_camera(folder: Path, number: int) -> Camera:
     """Read camera `number` from a date folder's calibration files. Raises InputError if they lack what it needs."""
-    path = folder / "calib_cam_to_cam.txt"
-    entries = _read(path)
-    P = _matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
-    width, height = _matrix(entries, f"S_rect_{number:02d}", (2,), path)
-    K = P[:, :3]
-    T_cam_velo = None
-    velo = folder / "calib_velo_to_cam.txt"
-    if velo.is_file():
-        # P_rect projects points of the reference camera's frame: P = K [I | t], so t is where this camera sees them.
-        # All three components of t: with x alone (as pykitti has it) depths are off by t_z, 3 mm.
-        shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
-        rectify = _rigid(_matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
-        entries = _read(velo)
-        T_ref_velo = _rigid(_matrix(entries, "R", (3, 3), velo), _matrix(entries, "T", (3,), velo))
-        T_cam_velo = shift @ rectify @ T_ref_velo
+    path, velo = folder / "calib_cam_to_cam.txt", folder / "calib_velo_to_cam.txt"
+    with explained(hint=_AGAIN):
+        entries = read_entries(path)
+        P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
+        width, height = matrix(entries, f"S_rect_{number:02d}", (2,), path)
+        K = P[:, :3]
+        T_cam_velo = None
+        if velo.is_file():
+            # P_rect projects points of the reference camera's frame: P = K [I | t], so t is where this camera sees
+            # them. All three components of t: with x alone (as pykitti has it) depths are off by t_z, 3 mm.
+            shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
+            rectify = _rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
+            entries = read_entries(velo)
+            T_ref_velo = _rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
+            T_cam_velo = shift @ rectify @ T_ref_velo
     return Camera(number, (int(height), int(width)), K, T_cam_velo)
-
-
-def _read(path: Path) -> dict[str, np.ndarray]:
-    from pykitti.utils import read_calib_file  # takes a second to import
-
-    if not path.is_file():
-        raise InputError(f"{path} is missing: extract the date's calibration archive (…_calib.zip) there")
-    with explained(f"{path} is not a calibration file", hint=_AGAIN):
-        return dict(read_calib_file(path))
-
-
-def _matrix(entries: dict[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    if name not in entries:
-        raise InputError(f"{path} has no {name}. {_AGAIN}")
-    values = entries[name]
-    if values.size != np.prod(shape) or not np.isfinite(values).all():
-        raise InputError(f"{path}: {name} is not {np.prod(shape)} finite numbers. {_AGAIN}")
-    return values.reshape(shape)
 
 
 def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.atomic import replacing
+from pipeline.camera.calib_file import write_entries
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
 from pipeline.town.motion import IMU_HEIGHT_M
 
@@ -95,22 +95,12 @@ def rotation(x: float, y: float, z: float) -> np.ndarray:
 
 def write_calibration(rig: Rig, folder: Path) -> None:
     """Write calib_cam_to_cam.txt, calib_velo_to_cam.txt and calib_imu_to_velo.txt into a date's folder."""
-    lines = ["calib_time: 01-Jan-2026 12:00:00", "corner_dist: 9.950000e-02"]
+    time = {"calib_time": "01-Jan-2026 12:00:00"}
+    cameras: dict[str, str | np.ndarray] = {**time, "corner_dist": "9.950000e-02"}
     for camera, P in rig.P_rect.items():
-        lines += [
-            _line(f"S_rect_{camera:02d}", np.array(rig.size[::-1], float)),
-            _line(f"R_rect_{camera:02d}", rig.R_rect),
-            _line(f"P_rect_{camera:02d}", P),
-        ]
-    _write(folder / "calib_cam_to_cam.txt", lines)
+        cameras[f"S_rect_{camera:02d}"] = np.array(rig.size[::-1], float)
+        cameras[f"R_rect_{camera:02d}"] = rig.R_rect
+        cameras[f"P_rect_{camera:02d}"] = P
+    write_entries(folder / "calib_cam_to_cam.txt", cameras)
     for name, T in (("velo_to_cam", rig.T_cam_velo), ("imu_to_velo", rig.T_velo_imu)):
-        _write(folder / f"calib_{name}.txt", [lines[0], _line("R", T[:3, :3]), _line("T", T[:3, 3])])
-
-
-def _line(name: str, values: np.ndarray) -> str:
-    return f"{name}: " + " ".join(f"{value:.12e}" for value in values.ravel())
-
-
-def _write(path: Path, lines: list[str]) -> None:
-    with replacing(path) as tmp:
-        tmp.write_text("\n".join(lines) + "\n", encoding="ascii")
+        write_entries(folder / f"calib_{name}.txt", {**time, "R": T[:3, :3], "T": T[:3, 3]})

@@ -89,7 +89,10 @@ class SteeringNet(nn.Module):
         Returns:
             [W]
         """
-        features = self.encode(batch)  # [B,F]
+        return self.recall(self.encode(batch), windows, dt_s, motion)
+
+    def recall(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
+        """Predict as `forward` does, of frames that are encoded already: their features [B,F]."""
         with torch.autocast(features.device.type, enabled=False):  # a tiny part of the work, and an ODE
             odd, even = self._heard(features, motion)
             out, _ = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
@@ -208,10 +211,14 @@ def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
 
 
 def _inputs(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
+    return of_arrays(arrays).to(next(net.parameters()).device), *_windows(net, arrays)
+
+
+def _windows(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> tuple[Tensor, Tensor, Tensor | None]:
     device = next(net.parameters()).device
     windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
-    motion = torch.from_numpy(arrays["motion"]).to(device) if "motion" in arrays else None
-    return of_arrays(arrays).to(device), windows, dt_s, motion
+    motion = torch.from_numpy(arrays["motion"]).to(device) if net.motion and "motion" in arrays else None
+    return windows, dt_s, motion
 
 
 def activity(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
@@ -226,6 +233,11 @@ def wiring_of(line: Line) -> Wiring | None:
         return None
     inputs = line["features"] + COLUMNS * (line.get("motion", "none") != "none")
     return ncp(inputs, Sizes(**line["wiring"]))
+
+
+def recall(net: SteeringNet, features: Tensor, arrays: Mapping[str, np.ndarray]) -> Tensor:
+    """Return the network's output [W] for frames that are encoded, and the arrays of :func:`predict` beside them."""
+    return net.recall(features, *_windows(net, arrays))
 
 
 def encode(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:

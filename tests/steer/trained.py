@@ -1,0 +1,55 @@
+"""A small sample driven through the whole chain in this process, with a model of each kind of input."""
+
+from contextlib import chdir
+from pathlib import Path
+
+import yaml
+
+from pipeline.base.provenance import ROOT
+from stages import clouds, encoder, evaluate, graphs, ingest, labels, motion, perception, town, train
+
+TEST = "2026_01_03_drive_0001"
+MODELS = {
+    "points": {
+        "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual",
+    },
+    "ahead": {"input": "accumulated", "spatial": "gnn", "temporal": "lstm", "window": 3, "horizon": 2},
+    "scans": {"input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 2, "motion": "lidar"},
+    "sets": {"input": "sets", "spatial": "pointnet2", "temporal": "lstm", "window": 2, "width": 0.125},
+    "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},
+}  # fmt: skip
+VARIANTS = {
+    "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},
+    "accumulated": {"source": "clouds/pseudo", "points": 200, "k": 4, "accumulate": {"motion": "visual", "frames": 3}},
+    "lidar": {"source": "clouds/lidar", "points": 200, "k": 4, "crop_m": [-15, -10, 15, 30]},
+    "sets": {
+        "source": "clouds/lidar", "neighbourhood": "pointnet2", "points": 200, "centres": [32], "radius_m": [4],
+        "neighbours": [8],
+    },
+    "image": {"source": "ingest"},
+}  # fmt: skip
+
+
+def make(folder: Path) -> None:
+    """Write params.yaml and data/ to a folder: three drives of a few frames, and MODELS trained on them."""
+    params = yaml.safe_load((ROOT / "params.yaml").read_text())
+    params["town"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
+    params["ingest"] |= {
+        "image_size": [96, 320],
+        "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0001"], "test": [TEST]},
+    }
+    params["encoder"] |= {"epochs": 4, "frames": 24}
+    params["perception"] |= {"reach": 1.1, "depth_scale": "camera_height"}
+    params["motion"] |= {"kinds": ["visual", "lidar"]}
+    params["clouds"] |= {"max_points": 2000}
+    params["graphs"], params["models"] = VARIANTS, MODELS
+    params["train"] |= {"epochs": 1}
+    (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
+    with chdir(folder):
+        for stage in (town, ingest, labels, encoder, perception, motion, clouds):
+            stage.main()
+        for variant in VARIANTS:
+            graphs.main(variant)
+        for model in MODELS:
+            train.main(model)
+            evaluate.main(model)

@@ -43,9 +43,7 @@ def _compare(a: Path, b: Path, name: str, tolerance: float) -> Iterator[Differen
         for dataset in sorted((names & others) - {"frame"}):
             sides = _Side(one, dataset, rows), _Side(other, dataset, other_rows)
             found = _dataset(*sides, frames, tolerance)
-            difference = found.difference(
-                name, dataset, _form(*sides), drive=one.drive, unit=sides[0].unit.replace("none", "")
-            )
+            difference = found.difference(name, dataset, _form(*sides), drive=one.drive, unit=sides[0].unit)
             if difference:
                 yield difference
 
@@ -80,7 +78,7 @@ class _Side:
         self.file, self.name, self.rows = file, name, rows
         dataset, frames = file.dataset(name), len(file.frame)
         self.shape, self.dtype = dataset.shape, dataset.dtype
-        self.unit = str(dataset.attrs.get("unit") or "none")
+        self.unit = str(dataset.attrs.get("unit", ""))
         self._whole = file[name] if dataset.size * dataset.dtype.itemsize <= _WHOLE_BYTES else None
         self._starts: np.ndarray | None = None
         if _is_pointer(name):
@@ -126,17 +124,24 @@ def _starts(file: DriveReader, pointer: str) -> np.ndarray:
 
 def _form(a: _Side, b: _Side) -> str:
     """Say what differs beside the values."""
-    said = [f"{what} {x} and {y}" for what, x, y in (("dtype", a.dtype, b.dtype), ("unit", a.unit, b.unit)) if x != y]
+    said = [f"dtype {a.dtype} and {b.dtype}"] if a.dtype != b.dtype else []
+    if a.unit != b.unit:
+        said.append(f"unit {a.unit or 'none'} and {b.unit or 'none'}")
     if a.kind != b.kind:
         said.append(f"a value for each {a.kind}, and one for each {b.kind}")
-    elif a.shape != b.shape if a.kind == "drive" else a.shape[1:] != b.shape[1:]:
+    elif not _alike(a, b):
         said.append(f"shape {a.shape} and {b.shape}")
     return ", ".join(said)
 
 
+def _alike(a: _Side, b: _Side) -> bool:
+    """Say whether values can be compared: of frames, the number of rows may differ."""
+    return a.kind == b.kind and (a.shape == b.shape if a.kind == "drive" else a.shape[1:] == b.shape[1:])
+
+
 def _dataset(a: _Side, b: _Side, frames: np.ndarray, tolerance: float) -> Tally:
     found = Tally(tolerance)
-    if a.kind != b.kind or (a.shape != b.shape if a.kind == "drive" else a.shape[1:] != b.shape[1:]):
+    if not _alike(a, b):
         return found
     if a.kind == "drive":
         found.add(a.all(), b.all())

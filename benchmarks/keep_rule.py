@@ -26,6 +26,7 @@ from pipeline.report.tables import markdown
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
 from pipeline.train import fit, frames, predict, windows
+from pipeline.train.curve import Epoch, kept_epoch
 
 RULES: tuple[str, ...] = get_args(Train.model_fields["keep"].annotation)
 BY_CHANCE = "the best of all epochs"  # by the judging half itself: what no rule can beat
@@ -108,10 +109,10 @@ def judged(squares: np.ndarray) -> dict[str, tuple[float, float]]:
         judging = [drive for drive in drives if drive not in choosing]
         error = [nmse(epoch[judging]) for epoch in squares]
         curve = [
-            fit.Epoch(number, 0.0, 0.0, math.nan, nmse(epoch[list(choosing)]))
+            Epoch(number, 0.0, 0.0, math.nan, nmse(epoch[list(choosing)]))
             for number, epoch in enumerate(squares, start=1)
         ]
-        kept = {rule: fit.kept_epoch(curve, rule) for rule in RULES} | {BY_CHANCE: 1 + int(np.argmin(error))}
+        kept = {rule: kept_epoch(curve, rule) for rule in RULES} | {BY_CHANCE: 1 + int(np.argmin(error))}
         for rule, epoch in kept.items():
             found[rule].append((error[epoch - 1], epoch))
     return {rule: tuple(np.mean(rows, axis=0).tolist()) for rule, rows in found.items()}

@@ -24,7 +24,7 @@ BEYOND: dict[str, set[str]] = {
     "scores": {"models/encoder", "pipeline/perception/batches.py"},
     # These make another training anyway.
     "evaluate": {
-        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "augment", "noise")),
+        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment", "noise")),
         "pipeline/fitting",
     },
 }

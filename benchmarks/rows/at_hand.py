@@ -108,6 +108,7 @@ def sample(data: Path, folder: Path, points: int) -> Street:
 def _params(folder: Path, source: str, points: int) -> Path:
     content = merged("kitti")
     content["models"] = {}
+    content["clouds"]["max_points"] = max(points, content["clouds"]["max_points"])
     content["graphs"] = {
         "semantic": {"source": source, "points": points, "k": 6, "keep_inter_class": 0.2},
         SETS: {"source": source, "neighbourhood": "pointnet2", "points": points},

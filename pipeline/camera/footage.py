@@ -14,6 +14,7 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.images import Size
 from pipeline.camera.jpeg import read_jpeg
 from pipeline.camera.png import read_png
+from pipeline.camera.video_clock import VideoClock
 
 _READERS: dict[str, Callable[[Path], np.ndarray]] = {".png": read_png, ".jpg": read_jpeg, ".jpeg": read_jpeg}
 
@@ -70,7 +71,7 @@ class Video:
         images have other sizes than the first.
         """
         capture = _open(self.path)
-        clock = _Clock(self.path, self.fps, start=0 if self.fixed_fps else None)
+        clock = VideoClock(self.path, self.fps, start=0 if self.fixed_fps else None)
         try:
             index = -1
             while True:
@@ -98,29 +99,6 @@ class Video:
                 f"{self.path} ends after {images} of the {self.count} images that it announces: copy it again; if that "
                 f"is all there is, write it anew: ffmpeg -i {self.path.name} -c copy whole{self.path.suffix}"
             )
-
-
-class _Clock:
-    """Times of a video's images since the first: its timestamps, or from image `start` on its frame rate."""
-
-    def __init__(self, path: Path, fps: float | None, start: int | None) -> None:
-        self.path, self.fps, self.start = path, fps, start
-        self.last_s, self._start_s, self._first_s = -math.inf, 0.0, 0.0
-
-    def time_s(self, index: int, position_s: float) -> float:
-        """Return the time of image `index`, which the file has at `position_s`."""
-        if index == 0:
-            self._first_s = position_s
-        since_s = position_s - self._first_s
-        if self.start is None and not since_s > self.last_s:
-            # The image before is the last whose timestamp is trusted; 0 and 0 at the start say that there are none.
-            self.start, self._start_s = max(0, index - 1), self.last_s
-        if self.start is not None:
-            if self.fps is None:
-                raise DamagedFile(f"{self.path} has neither timestamps nor a frame rate: say --fps")
-            since_s = self._start_s + (index - self.start) / self.fps
-        self.last_s = since_s
-        return since_s
 
 
 Footage = ImageFolder | Video

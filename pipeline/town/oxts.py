@@ -17,13 +17,8 @@ RATES_LATE_S = 0.06
 
 
 def oxts_rows(route: Route, motion: Motion, body: Body, latitude_deg: float, longitude_deg: float) -> np.ndarray:
-    """Return the rows of KITTI's oxts files, [F,30], for a level road, on which the car's body moves.
-
-    Latitude and longitude by the local tangent plane at the first row's latitude, which agrees with KITTI's Mercator
-    formula to millimetres over a drive.
-    """
+    """Return the rows of KITTI's oxts files, [F,30], for a level road, on which the car's body moves."""
     xy, heading = route.at(motion.s_m)
-    xy = xy - xy[0]
     v, a, roll, pitch = motion.speed_mps, motion.acceleration_mps2, body.roll_rad, body.pitch_rad
     sideways = v**2 * route.curvature(motion.s_m)
     yaw_rate = _late(v, motion.time_s) * route.curvature(_late(motion.s_m, motion.time_s))
@@ -35,16 +30,45 @@ def oxts_rows(route: Route, motion: Motion, body: Body, latitude_deg: float, lon
     roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in (roll_rate, pitch_rate))
     return make_rows(
         len(v),
-        lat=latitude_deg + np.rad2deg(xy[:, 1] / EARTH_RADIUS_M),
-        lon=longitude_deg + np.rad2deg(xy[:, 0] / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
+        **level_columns(xy, heading, v, a, sideways, yaw_rate, latitude_deg, longitude_deg),
         alt=ALTITUDE_M + IMU_HEIGHT_M + body.heave_m,
-        roll=roll, pitch=pitch, yaw=np.arctan2(np.sin(heading), np.cos(heading)),
-        vn=v * np.sin(heading), ve=v * np.cos(heading), vf=v, vu=climb,
-        ax=ax, ay=ay, az=az, af=a, al=sideways, au=GRAVITY_MPS2,
+        roll=roll, pitch=pitch, vu=climb,
+        ax=ax, ay=ay, az=az,
         # Of angles below a degree: the body's rates about its own axes and about the road's are the same.
-        wx=roll_rate, wy=pitch_rate, wz=yaw_rate, wf=roll_rate, wl=pitch_rate, wu=yaw_rate,
+        wx=roll_rate, wy=pitch_rate, wf=roll_rate, wl=pitch_rate,
         pos_accuracy=0.05, vel_accuracy=0.02, navstat=4, numsats=9, posmode=4, velmode=4, orimode=4,
     )  # fmt: skip
+
+
+def level_columns(
+    xy_m: np.ndarray, heading_rad: np.ndarray, speed_mps: np.ndarray, forward_mps2: np.ndarray, left_mps2: np.ndarray,
+    yaw_rate_radps: np.ndarray, latitude_deg: float, longitude_deg: float,
+) -> dict[str, np.ndarray | float]:  # fmt: skip
+    """Return the columns of oxts that say how a car moves in the plane; it does not slide sideways.
+
+    Latitude and longitude by the local tangent plane at the first row's latitude, which agrees with KITTI's Mercator
+    formula to millimetres over a drive.
+
+    Args:
+        xy_m: to the east and to the north, [F,2].
+        heading_rad: counter-clockwise from east, [F].
+        speed_mps, forward_mps2, left_mps2, yaw_rate_radps: speed forward, accelerations, yaw rate left +, all [F].
+        latitude_deg, longitude_deg: of the first row.
+    """
+    east_m, north_m = (xy_m - xy_m[0]).T
+    return {
+        "lat": latitude_deg + np.rad2deg(north_m / EARTH_RADIUS_M),
+        "lon": longitude_deg + np.rad2deg(east_m / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
+        "yaw": np.arctan2(np.sin(heading_rad), np.cos(heading_rad)),
+        "vn": speed_mps * np.sin(heading_rad),
+        "ve": speed_mps * np.cos(heading_rad),
+        "vf": speed_mps,
+        "af": forward_mps2,
+        "al": left_mps2,
+        "au": GRAVITY_MPS2,
+        "wz": yaw_rate_radps,
+        "wu": yaw_rate_radps,
+    }
 
 
 def _rate(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:

@@ -1,12 +1,11 @@
 """Fit a steering network to the training drives: epochs, early stopping on validation, state saved for a resume."""
 
-import csv
 import math
 import multiprocessing
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +16,18 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, explained
 from pipeline.fitting import checkpoint
 from pipeline.fitting.precision import autocast
-from pipeline.fitting.prefetch import prefetch
 from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.sections.train import Train
-from pipeline.train import noise, predict, score, windows
+from pipeline.train import predict, reading, score, windows
 from pipeline.train.augment import Change
+from pipeline.train.curve import Epoch, kept_epoch, out_of_patience
 from pipeline.train.distributed import World
 
 WARM_UP = 0.05  # share of the steps in which the learning rate rises
-SMOOTHED = 3  # epochs
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """One row of curve.csv. Without validation drives the last two are NaN."""
-
-    epoch: int
-    learning_rate: float
-    train_loss: float
-    val_mse_rad2: float
-    val_nmse: float
+SHOWN = 0.02  # of an epoch's time; the network waits for less now and then
 
 
 class Fit:
@@ -91,7 +78,7 @@ class Fit:
         After each epoch the state goes to `kept`, beside what `about` says of the run; if that file exists, training
         goes on from there, to the same result. Raises InputError if the loss is no longer finite.
         """
-        target, epochs = predict.Target.of(train), self.settings.epochs
+        epochs = self.settings.epochs
         if kept.is_file():
             with explained(hint=f"Delete {kept} to start again"):
                 self._load(checkpoint.read(kept, predict.KIND))
@@ -99,11 +86,25 @@ class Fit:
         if self.alpha:
             count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
             self._say(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}")
+        steps = reading.Steps(train, self.window, self.settings.noise)
+        with reading.Reader(steps, self.device) as reader:
+            self._run_epochs(reader, train, val, kept, about, title)
+
+    def _run_epochs(
+        self,
+        reader: reading.Reader,
+        train: Sequence[windows.Drive],
+        val: Sequence[windows.Drive],
+        kept: Path,
+        about: Mapping[str, Any],
+        title: str,
+    ) -> None:
+        target, epochs, keep = predict.Target.of(train), self.settings.epochs, self.settings.keep
         started, before = time.perf_counter(), len(self.curve)
-        keep = self.settings.keep
         while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
-            epoch = len(self.curve) + 1
-            loss, rate = self._train(train, target, epoch)
+            epoch, began = len(self.curve) + 1, time.perf_counter()
+            loss, rate = self._train(reader, train, target, epoch)
+            waited = reader.waited_s / (time.perf_counter() - began)
             if not math.isfinite(loss):
                 raise InputError(
                     f"{title}: the loss of epoch {epoch} is {loss}: lower train.learning_rate or clip_norm"
@@ -116,7 +117,8 @@ class Fit:
                 checkpoint.write(kept, {**about, **self._state(), "kind": predict.KIND, "epoch": epoch})
             eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
             nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (kept)' if better else ''}" if val else ""
-            self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go")
+            reads = f", {waited:.0%} of it waiting for data" if waited > SHOWN else ""
+            self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go{reads}")
 
     def _say(self, line: str) -> None:
         if self.world.leads:
@@ -124,39 +126,45 @@ class Fit:
             sys.stdout.write(f"{line}\n")
             sys.stdout.flush()
 
-    def _train(self, drives: Sequence[windows.Drive], target: predict.Target, epoch: int) -> tuple[float, float]:
-        settings = self.settings
-        # Everything random in an epoch follows from its number: a resumed run goes on as if it had never stopped.
-        rng = np.random.default_rng([self.seed, epoch])
+    def _plan(self, drives: Sequence[windows.Drive], epoch: int) -> tuple[list[list[int]], list[reading.Step]]:
+        """Return which of each step's runs are this process's, and this process's steps.
+
+        Everything random in an epoch follows from its number: a resumed run goes on as if it had never stopped.
+        """
+        settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
         spans = windows.random_spans(drives, self.window, settings.run_windows, rng)
         groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
-        # A process without a run of its own takes part with one that counts nothing.
         shares = [self.world.share(len(group)) for group in groups]
-        own = [[group[run] for run in share or [0]] for group, share in zip(groups, shares, strict=True)]
+        steps = []
+        for number, (group, share) in enumerate(zip(groups, shares, strict=True)):
+            own = share or [0]  # a process without a run of its own takes part with one that counts nothing
+            change = Change.draw(len(group), settings, rng).of(own)  # drawn for all processes' runs
+            first = 1 + number * settings.batch_runs  # from 1: zeros at the end of a seed are as if they were not there
+            seeds = tuple((self.seed, epoch, first + run) for run in own)
+            steps.append(reading.Step(tuple(group[run] for run in own), change, seeds))
+        return shares, steps
+
+    def _train(
+        self, reader: reading.Reader, drives: Sequence[windows.Drive], target: predict.Target, epoch: int
+    ) -> tuple[float, float]:
+        settings = self.settings
+        shares, steps = self._plan(drives, epoch)
         self.learner.train()
         total, rate = torch.zeros(2, dtype=torch.float64, device=self.device), 0.0  # sums of weight · error², weight
-        steps = zip(groups, shares, own, prefetch(windows.examples(drives, own, self.window)), strict=True)
         alone = multiprocessing.parent_process() is None  # several bars on one terminal draw over each other
         hidden = not (alone and self.world.leads and sys.stderr.isatty())
-        bar = tqdm(steps, f"epoch {epoch}", len(groups), unit="step", leave=False, disable=hidden)
-        for step, (group, share, runs, batch) in enumerate(bar):
-            rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(groups)) / settings.epochs, WARM_UP)
+        bar = tqdm(reader.batches(steps), f"epoch {epoch}", len(steps), unit="step", leave=False, disable=hidden)
+        for step, (share, batch) in enumerate(zip(shares, bar, strict=True)):
+            rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(steps)) / settings.epochs, WARM_UP)
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
-            change = Change.draw(len(group), settings, rng)  # of all processes' runs
-            frames = [span.stop - span.start for span in runs]
-            batch = change.of(share or [0]).apply(batch, frames)
-            # From 1: zeros at the end of a seed are as if they were not there.
-            first = 1 + step * settings.batch_runs
-            rngs = [np.random.default_rng([self.seed, epoch, first + run]) for run in share or [0]]
-            batch = noise.disturbed(batch, frames, rngs, settings.noise)
             with autocast(self.device, settings.precision):
                 predicted = self.forward(self.learner, batch)
-            steering = torch.from_numpy(batch["steering_rad"]).to(predicted)
-            weight = torch.from_numpy(batch["valid"]).to(predicted) * torch.exp(self.alpha * steering.abs())
+            steering = batch["steering_rad"].to(predicted)
+            weight = batch["valid"].to(predicted) * torch.exp(self.alpha * steering.abs())
             weight = weight if share else torch.zeros_like(weight)
             mass = self.world.sum(weight.sum())
-            left_open = steering - torch.from_numpy(batch["base_rad"]).to(predicted)
+            left_open = steering - batch["base_rad"].to(predicted)
             error = weighted_error(predicted, left_open / target.std_rad, weight)
             self.optimiser.zero_grad(set_to_none=True)
             # The learner averages over the processes; their errors add up.
@@ -195,28 +203,6 @@ class Fit:
         self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
 
 
-def kept_epoch(curve: Sequence[Epoch], keep: str) -> int:
-    """Return the number of the epoch whose average a rule of `train.keep` takes; the last if nothing was validated.
-
-    One epoch's validation error is noise as much as merit: `smoothed` takes it as a mean with that of the two epochs
-    before, and `last` does not ask it.
-    """
-    if keep == "last":
-        return len(curve)
-    over = SMOOTHED if keep == "smoothed" else 1
-    error = {
-        row.epoch: math.fsum(each.val_nmse for each in curve[max(0, end - over) : end]) / min(over, end)
-        for end, row in enumerate(curve, start=1)
-    }
-    judged = [epoch for epoch in error if not math.isnan(error[epoch])]
-    return min(judged, key=error.__getitem__, default=len(curve))
-
-
-def out_of_patience(curve: Sequence[Epoch], keep: str, patience: int) -> bool:
-    """Whether `patience` epochs have come after the one that is kept."""
-    return len(curve) - kept_epoch(curve, keep) >= patience
-
-
 def copy_of(net: nn.Module) -> dict[str, Tensor]:
     """Return the network's tensors as they are now, on the CPU."""
     return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
@@ -235,12 +221,3 @@ def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
 def weighted_error(predicted: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
     """Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 once divided by Σ w."""
     return (weight * (predicted - wanted).square()).sum()
-
-
-def write_curve(path: Path, curve: Sequence[Epoch]) -> None:
-    """Write curve.csv, one row per epoch; what was not measured stays empty."""
-    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(field.name for field in fields(Epoch))
-        for row in curve:
-            rows.writerow("" if math.isnan(value) else f"{value:.6g}" for value in asdict(row).values())

@@ -47,6 +47,11 @@ class Graphs:
             return {"kind": "graph"}
         return {"kind": "pointnet2", "levels": next(n for n in count() if f"centres_{n + 1}" not in self._file)}
 
+    @property
+    def points_per_frame(self) -> float:
+        """The mean over its frames; 0 of images, and of a file without frames."""
+        return int(self._ptr["xyz"][-1]) / max(len(self.frame), 1) if "xyz" in self._ptr else 0.0
+
     @cached_property
     def motions(self) -> tuple[str, ...]:
         """The kinds of measured motion that the file carries: visual, lidar."""

@@ -15,8 +15,11 @@ from pipeline.base.resume import resume_key
 from pipeline.fitting import checkpoint
 from pipeline.sections.train import Train
 from pipeline.train import fit, frames, predict, windows
+from pipeline.train.curve import kept_epoch, write_curve
 from pipeline.train.distributed import World
 from pipeline.train.runs import Run
+
+SMALL = 8_000  # points a frame
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         for drives in (fold.train, fold.val)
     )
     contents = frames.contents(train[0].graphs)
+    if torch.device(device).type == "cpu":
+        torch.set_num_threads(threads(train[0].graphs))
     torch.manual_seed(run.seed)
     with explained(where=job.where):
         net = steering_net.build(line, **contents)
@@ -76,6 +81,16 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         _write(run.folder, fitting, state, about, more)
 
 
+def threads(graphs: Path) -> int:
+    """Return how many threads help to train on frames as in a graph file.
+
+    On few points a second thread has next to nothing to do, and where another process has its core, each of a step's
+    hundreds of small operations waits for it. One thread's sums are the same on any machine, besides.
+    """
+    with frames.open_graphs(graphs) as file:
+        return 1 if 0 < file.points_per_frame < SMALL else torch.get_num_threads()
+
+
 def ms_per_frame(run: Run, job: Job, device: torch.device | str) -> float:
     """Return the time in which a finished run's network encodes a frame, in ms.
 
@@ -88,9 +103,9 @@ def ms_per_frame(run: Run, job: Job, device: torch.device | str) -> float:
 
 def _write(folder: Path, fitting: fit.Fit, state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
     """Write a finished run's files; `state` is what its last epoch left."""
-    best = fit.kept_epoch(fitting.curve, fitting.settings.keep)
+    best = kept_epoch(fitting.curve, fitting.settings.keep)
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(state, folder / "last.pt")
     checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "epoch": best, "net": fitting.best})
-    fit.write_curve(folder / "curve.csv", fitting.curve)
+    write_curve(folder / "curve.csv", fitting.curve)
     store.write_json(folder / "config.json", {**about, "best_epoch": best, "epochs": len(fitting.curve), **more})

@@ -262,9 +262,14 @@ def batches(
             yield read | _windows(timelines, group, window)
 
 
-def examples(drives: Sequence[Drive], groups: Sequence[Sequence[Span]], window: int) -> Generator[Batch]:
+def examples(
+    drives: Sequence[Drive],
+    groups: Sequence[Sequence[Span]],
+    window: int,
+    opened: Mapping[int, frames.Graphs] | None = None,
+) -> Generator[Batch]:
     """Read each group of spans as one batch with targets, as :func:`batches` does."""
-    with closing(batches(drives, groups, window)) as read:
+    with closing(batches(drives, groups, window, opened)) as read:
         for group, batch in zip(groups, read, strict=True):
             ends = [(drives[span.drive], slice(span.start + window - 1, span.stop)) for span in group]
             steering_rad = np.concatenate([drive.steering_rad[rows] for drive, rows in ends])

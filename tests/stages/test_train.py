@@ -15,7 +15,7 @@ import torch
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
-from pipeline.train import distributed, fit, windows
+from pipeline.train import distributed, training, windows
 from stages import report
 from tests import artefacts
 from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params, write_two_test_drives
@@ -60,7 +60,7 @@ def test_killed_and_resumed_gives_the_weights_of_an_undisturbed_run(
 
 @pytest.mark.slow
 def test_a_killed_run_with_other_params_is_not_resumed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(training, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         run_train(folder)
     monkeypatch.undo()
@@ -273,7 +273,7 @@ def test_a_killed_run_is_not_resumed_on_another_split(folder: Path, monkeypatch:
     for splits in (SPLITS, {**SPLITS, "2026_01_01_drive_0003": "val"}):
         store.write_index(folder / "graphs/semantic", splits)
         with monkeypatch.context() as patch:
-            patch.setattr(fit, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+            patch.setattr(training, "write_curve", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
             with pytest.raises(KeyboardInterrupt):
                 run_train(folder)
         keys.append({path.name for path in (folder / ".resume/train-net").glob("*.pt")})

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+Array = np.ndarray | Tensor
 Kind = Literal["graph", "pointnet2", "image"]
 """What the frames of an input are: GraphBatch, SetBatch or ImageBatch."""
 
@@ -30,9 +31,9 @@ class GraphBatch:
     indices: Tensor
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Self:
-        """Return the batch of the arrays of these names; others are ignored."""
-        return cls(**{field.name: torch.from_numpy(arrays[field.name]) for field in dataclasses.fields(cls)})
+    def of_arrays(cls, arrays: Mapping[str, Array]) -> Self:
+        """Return the batch of the arrays of these names, which may be tensors; others are ignored."""
+        return cls(**{field.name: torch.as_tensor(arrays[field.name]) for field in dataclasses.fields(cls)})
 
     @property
     def frames(self) -> int:
@@ -40,9 +41,11 @@ class GraphBatch:
         return len(self.ptr) - 1
 
     def to(self, device: torch.device | str) -> Self:
-        """Return the batch on `device`."""
+        """Return the batch on `device`, but for `ptr`: a step that asks a GPU where frames begin waits for it."""
         tensors = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return dataclasses.replace(self, **{name: tensor.to(device) for name, tensor in tensors.items()})
+        del tensors["ptr"]
+        moved = {name: tensor.to(device, non_blocking=True) for name, tensor in tensors.items()}
+        return dataclasses.replace(self, **moved)
 
     def blocks(self, points: int) -> Iterator[Self]:
         """Cut the batch in blocks of whole frames: as many as have `points` points at most, and at least one."""
@@ -78,6 +81,11 @@ class Level:
     neighbours: Tensor
     ptr: Tensor
 
+    def to(self, device: torch.device | str) -> Self:
+        """Return the level on `device`, but for `ptr`."""
+        centres, neighbours = (tensor.to(device, non_blocking=True) for tensor in (self.centres, self.neighbours))
+        return dataclasses.replace(self, centres=centres, neighbours=neighbours)
+
 
 @dataclass(frozen=True)
 class SetBatch:
@@ -89,24 +97,21 @@ class SetBatch:
     levels: tuple[Level, ...]
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Self:
+    def of_arrays(cls, arrays: Mapping[str, Array]) -> Self:
         """Return the batch of xyz, cls, ptr, and of centres_1, neighbours_1, centres_1_ptr, centres_2, …"""
-        xyz, trainid, ptr = (torch.from_numpy(arrays[name]) for name in ("xyz", "cls", "ptr"))
+        xyz, trainid, ptr = (torch.as_tensor(arrays[name]) for name in ("xyz", "cls", "ptr"))
         count = sum(name.startswith("neighbours_") for name in arrays)
         levels = tuple(
-            Level(*(torch.from_numpy(arrays[name]) for name in (f"centres_{n}", f"neighbours_{n}", f"centres_{n}_ptr")))
+            Level(*(torch.as_tensor(arrays[name]) for name in (f"centres_{n}", f"neighbours_{n}", f"centres_{n}_ptr")))
             for n in range(1, count + 1)
         )
         return cls(xyz, trainid, ptr, levels)
 
     def to(self, device: torch.device | str) -> Self:
-        """Return the batch on `device`."""
-        levels = tuple(
-            Level(level.centres.to(device), level.neighbours.to(device), level.ptr.to(device)) for level in self.levels
-        )
-        return dataclasses.replace(
-            self, xyz=self.xyz.to(device), cls=self.cls.to(device), ptr=self.ptr.to(device), levels=levels
-        )
+        """Return the batch on `device`, but for what points: a step that asks a GPU where frames begin waits for it."""
+        levels = tuple(level.to(device) for level in self.levels)
+        xyz, cls = (tensor.to(device, non_blocking=True) for tensor in (self.xyz, self.cls))
+        return dataclasses.replace(self, xyz=xyz, cls=cls, levels=levels)
 
     def mirrored(self) -> Self:
         """Return the frames as seen in a mirror, left for right."""
@@ -121,7 +126,7 @@ class ImageBatch:
 
     def to(self, device: torch.device | str) -> Self:
         """Return the batch on `device`."""
-        return dataclasses.replace(self, image=self.image.to(device))
+        return dataclasses.replace(self, image=self.image.to(device, non_blocking=True))
 
     def mirrored(self) -> Self:
         """Return the frames as seen in a mirror; KITTI's optical axis meets the image within 2 % of its middle."""
@@ -131,10 +136,10 @@ class ImageBatch:
 Batch = GraphBatch | SetBatch | ImageBatch
 
 
-def of_arrays(arrays: Mapping[str, np.ndarray]) -> Batch:
+def of_arrays(arrays: Mapping[str, Array]) -> Batch:
     """Return the batch that the arrays' names tell of; arrays of other names are ignored."""
     if "image" in arrays:
-        return ImageBatch(torch.from_numpy(arrays["image"]))
+        return ImageBatch(torch.as_tensor(arrays["image"]))
     return GraphBatch.of_arrays(arrays) if "degree" in arrays else SetBatch.of_arrays(arrays)
 
 

@@ -20,11 +20,10 @@ pipeline.camera.classes, which stage check sees to: what two networks share lies
 from collections.abc import Mapping
 from typing import Any, get_args
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import Batch, Kind, of_arrays
+from models.steering.core.batch import Array, Batch, Kind, of_arrays
 from models.steering.core.knobs import meant, plain, written
 from models.steering.core.motion import COLUMNS, odd_and_even
 from models.steering.core.network_file import Network, Part, load
@@ -204,24 +203,24 @@ def parameter_count(model: nn.Module) -> int:
     return sum(parameter.numel() for parameter in model.parameters() if parameter.requires_grad)
 
 
-def predict(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
+def predict(net: SteeringNet, arrays: Mapping[str, Array]) -> Tensor:
     """Return the network's output [W] for arrays: a batch of frames', `windows` [W,T], `dt_s` [W,T], `motion` [B,4]."""
     output: Tensor = net(*_inputs(net, arrays))
     return output
 
 
-def _inputs(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
+def _inputs(net: SteeringNet, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
     return of_arrays(arrays).to(next(net.parameters()).device), *_windows(net, arrays)
 
 
-def _windows(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> tuple[Tensor, Tensor, Tensor | None]:
+def _windows(net: SteeringNet, arrays: Mapping[str, Array]) -> tuple[Tensor, Tensor, Tensor | None]:
     device = next(net.parameters()).device
-    windows, dt_s = (torch.from_numpy(arrays[name]).to(device) for name in ("windows", "dt_s"))
-    motion = torch.from_numpy(arrays["motion"]).to(device) if net.motion and "motion" in arrays else None
+    windows, dt_s = (torch.as_tensor(arrays[name]).to(device) for name in ("windows", "dt_s"))
+    motion = torch.as_tensor(arrays["motion"]).to(device) if "motion" in arrays else None
     return windows, dt_s, motion
 
 
-def activity(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
+def activity(net: SteeringNet, arrays: Mapping[str, Array]) -> Tensor:
     """Return the recurrent network's state at each window's end [W,U]; arrays as of :func:`predict`."""
     state: Tensor = net.activity(*_inputs(net, arrays))
     return state
@@ -235,11 +234,11 @@ def wiring_of(line: Line) -> Wiring | None:
     return ncp(inputs, Sizes(**line["wiring"]))
 
 
-def recall(net: SteeringNet, features: Tensor, arrays: Mapping[str, np.ndarray]) -> Tensor:
+def recall(net: SteeringNet, features: Tensor, arrays: Mapping[str, Array]) -> Tensor:
     """Return the network's output [W] for frames that are encoded, and the arrays of :func:`predict` beside them."""
     return net.recall(features, *_windows(net, arrays))
 
 
-def encode(net: SteeringNet, arrays: Mapping[str, np.ndarray]) -> Tensor:
+def encode(net: SteeringNet, arrays: Mapping[str, Array]) -> Tensor:
     """Return the spatial features [B,F] of a batch of arrays."""
     return net.encode(of_arrays(arrays).to(next(net.parameters()).device))

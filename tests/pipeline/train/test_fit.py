@@ -1,9 +1,6 @@
-from typing import get_args
-
 import numpy as np
 import pytest
 
-from pipeline.sections.train import Train
 from pipeline.train import fit, windows
 from tests import artefacts
 
@@ -26,37 +23,3 @@ def test_a_large_alpha_leaves_the_loss_to_a_few_frames(drives):
     assert counts[2] == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
     assert counts == sorted(counts, reverse=True)
     assert counts[3] == pytest.approx(1, abs=0.1)  # the sharpest bend alone, without overflow
-
-
-def curve(*val_nmse):
-    return [fit.Epoch(number, 0.1, 0.1, 0.1, nmse) for number, nmse in enumerate(val_nmse, start=1)]
-
-
-def test_each_rule_keeps_its_epoch():
-    lucky_second = curve(0.9, 0.3, 0.8, 0.5, 0.4, 0.41, 0.7)
-    assert fit.kept_epoch(lucky_second, "best") == 2
-    assert fit.kept_epoch(lucky_second, "smoothed") == 6
-    assert fit.kept_epoch(lucky_second, "last") == 7
-
-
-def test_patience_counts_epochs_since_the_kept_one():
-    rows = curve(0.9, 0.5, 0.6, 0.7)
-    assert fit.out_of_patience(rows, "best", patience=2)
-    assert not fit.out_of_patience(rows, "best", patience=3)
-    assert not fit.out_of_patience(rows, "last", patience=1)
-
-
-@pytest.mark.parametrize("keep", get_args(Train.model_fields["keep"].annotation))
-def test_an_epoch_whose_validation_says_nothing_is_not_the_best(keep):
-    nothing = float("nan")
-    assert fit.kept_epoch(curve(0.9, 0.8, nothing), keep) == (3 if keep == "last" else 2)
-    assert fit.kept_epoch(curve(nothing, nothing), keep) == 2
-    assert fit.kept_epoch([], keep) == 0
-
-
-def test_curve_leaves_empty_what_was_not_measured(tmp_path):
-    nothing = float("nan")
-    fit.write_curve(tmp_path / "curve.csv", [fit.Epoch(1, 0.003, 0.5, nothing, nothing)])
-    assert (tmp_path / "curve.csv").read_text() == (
-        "epoch,learning_rate,train_loss,val_mse_rad2,val_nmse\n1,0.003,0.5,,\n"
-    )

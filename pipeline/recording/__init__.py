@@ -1,0 +1,1 @@
+"""Somebody's own recording becomes a drive in KITTI raw's layout."""

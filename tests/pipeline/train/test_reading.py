@@ -1,0 +1,71 @@
+"""Batches are the same whoever reads them: this process, a thread, or processes that live for several epochs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.base.errors import InputError
+from pipeline.sections.train import Noise
+from pipeline.train import noise, windows
+from pipeline.train.augment import Change
+from pipeline.train.reading import Reader, Step, Steps
+from tests import artefacts
+
+DISTURB = Noise(depth_scale=0.2, speed=0.1)
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> list[windows.Drive]:
+    splits = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
+    artefacts.write_dataset(tmp_path, splits, frames=30, points=40)
+    return windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(splits), 4)
+
+
+def planned(seed: int) -> list[Step]:
+    rng = np.random.default_rng(seed)
+    steps = []
+    for number in range(6):
+        runs = tuple(windows.Span(drive, start, start + 9) for drive, start in ((number % 2, number), (1, 2 * number)))
+        change = Change(rng.random(2) < 0.5, rng.uniform(0.8, 1.2, 2).astype(np.float32))
+        steps.append(Step(runs, change, ((seed, number, 0), (seed, number, 1))))
+    return steps
+
+
+def by_hand(drives: Sequence[windows.Drive], step: Step) -> dict[str, np.ndarray]:
+    (batch,) = windows.examples(drives, [step.runs], 4)
+    batch = step.change.apply(batch, [9, 9])
+    return noise.disturbed(batch, [9, 9], [np.random.default_rng(seed) for seed in step.seeds], DISTURB)
+
+
+def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
+    assert read.keys() == expected.keys()
+    for name, tensor in read.items():
+        assert isinstance(tensor, torch.Tensor)
+        np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_batches_are_those_made_by_hand(drives: list[windows.Drive], workers: int) -> None:
+    with Reader(Steps(drives, 4, DISTURB), torch.device("cpu"), workers) as reader:
+        for epoch in range(2):  # the same processes read on
+            steps = planned(epoch)
+            for step, batch in zip(steps, reader.batches(steps), strict=True):
+                same(batch, by_hand(drives, step))
+            assert reader.waited_s > 0
+
+
+def test_an_epoch_may_end_early_and_a_missing_file_is_named(drives: list[windows.Drive]) -> None:
+    with Reader(Steps(drives, 4, DISTURB), torch.device("cpu")) as reader:
+        read = reader.batches(planned(0))
+        next(read)
+        read.close()
+    drives[1].graphs.unlink()
+    with (
+        Reader(Steps(drives, 4, DISTURB), torch.device("cpu")) as reader,
+        pytest.raises(InputError, match=r"graphs/semantic/2026_01_01_drive_0002\.h5 is missing"),
+    ):
+        list(reader.batches(planned(0)))

@@ -3,9 +3,9 @@
 Measured are speed and time; steered is as predicted. Where the driver decides (decisions.py), and where predictions
 begin anew, the predicted path starts again from the true one: what a model cannot know is no error.
 
-A frame's speed and angle are those of the step that led to it. In every drive of KITTI, oxts' rates lag half a step
-behind its poses: taken so, paths of true angles follow the recorded track two to three times as closely as when a
-frame's rates are held until the next (tests/pipeline/report/judge/test_paths.py).
+A frame's speed and angle are those of the step that led to it: in KITTI, oxts' rates lag half a step behind its poses.
+Taken so, paths of true angles stay within 1 m per 100 m of the recorded track in 23 of 30 drives; with rates that hold
+until the next frame, in 12 (tests/pipeline/report/judge/test_paths.py).
 """
 
 from collections.abc import Sequence

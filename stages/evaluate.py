@@ -59,6 +59,7 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
         "drives": {of: list(known) for of, known in cases.items()},
         "parameters": config["parameters"],
         "wheelbase_m": of_splits["test"][0].drive.car.wheelbase_m,
+        "path": settings.path,
         "encode_ms_per_frame": config["encode_ms_per_frame"],
         "variant": split.variant(of_splits["test"][0].drive),
         **split.sizes([case.drive for case in of_splits["test"]]),

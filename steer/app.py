@@ -5,7 +5,7 @@ from collections.abc import Callable
 import typer
 
 from pipeline.base.console import guarded
-from steer import import_recording, predict
+from steer import diff, export, import_recording, predict
 
 app = typer.Typer(
     help="Steering angles from a trained model, your own recordings as KITTI raw, and what an artefact holds.",
@@ -26,4 +26,6 @@ def _add(name: str, command: Callable[..., object], kept: str) -> None:
 
 
 _add("predict", predict.predict, "what is written is whole")
+_add("export", export.export, "nothing is written")
+_add("diff", diff.diff, "nothing is written")
 _add("import", import_recording.import_recording, "no drive is written; run the same command again")

@@ -4,6 +4,7 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -28,10 +29,10 @@ class Steering:
         """Which frames [F] have both angles."""
         return ~np.isnan(self.driven_deg) & ~np.isnan(self.predicted_deg)
 
-    def track(self, wheelbase_m: float) -> Track:
+    def track(self, wheelbase_m: float, formula: Literal["bicycle", "paper"]) -> Track:
         """Return what the drive's path is made of."""
         steering_rad = np.deg2rad(np.nan_to_num(self.recorded_deg))
-        return Track(self.time_s, self.speed_mps, steering_rad, np.flatnonzero(self.onset), wheelbase_m)
+        return Track(self.time_s, self.speed_mps, steering_rad, np.flatnonzero(self.onset), wheelbase_m, formula)
 
 
 def read(model: Path) -> dict[str, Steering]:

@@ -12,7 +12,9 @@ from tests.pipeline.report.tables.results import result
 
 
 def run(folder: Path, *models: str) -> str:
-    settings = "evaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, curvature_bins_1pm: [0.1], seed: 0}"
+    settings = (
+        "evaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, curvature_bins_1pm: [0.1], path: bicycle, seed: 0}"
+    )
     content = f"models: {{{', '.join(f'{model}: {{}}' for model in models)}}}\n{settings}\n"
     (folder / "params.yaml").write_text(content)
     out = report.main(folder, folder / "report", folder / "params.yaml")

@@ -15,6 +15,7 @@ from pipeline.report.tables import comparison
 from pipeline.report.tables.comparison import Result
 
 MOST_MODELS = 4  # whose paths are drawn: the best
+PATHS = {"bicycle": "bicycle model", "paper": "the paper's formula, which takes the angle for the heading"}
 Frames = dict[str, tuple[str, int]]
 """Kind of bend → drive and KITTI frame number."""
 
@@ -108,9 +109,9 @@ def _pruning(path: Path, variant: dict[str, Any], shown: dict[str, Any]) -> str:
 
 def _paths(path: Path, results: Sequence[Result], sources: Sources) -> str:
     of_models = {result["model"]: predicted.read(sources.evaluate / result["model"]) for result in results}
-    drives = dict.fromkeys(drive for of in of_models.values() for drive in of)
+    drives, formula = dict.fromkeys(drive for of in of_models.values() for drive in of), results[0]["path"]
     tracks = {
-        drive: next(of[drive] for of in of_models.values() if drive in of).track(results[0]["wheelbase_m"])
+        drive: next(of[drive] for of in of_models.values() if drive in of).track(results[0]["wheelbase_m"], formula)
         for drive in drives
     }
     angles = {
@@ -124,7 +125,7 @@ def _paths(path: Path, results: Sequence[Result], sources: Sources) -> str:
         if result["test"]["drift_m_per_100m"] is not None
     )
     return (
-        "Figure 5. Paths from measured speed and predicted steering (bicycle model). Dots: there a path starts again "
-        "from the true one, where predictions begin or the driver begins a turn. Off at the end of such a piece, per "
-        f"100 m: {off}."
+        f"Figure 5. Paths from measured speed and predicted steering ({PATHS[formula]}). Dots: there a path starts "
+        "again from the true one, where predictions begin or the driver begins a turn. Off at the end of such a piece, "
+        f"per 100 m: {off}."
     )

@@ -2,11 +2,16 @@
 
 Measured are speed and time; steered is as predicted. Where the driver decides (decisions.py), and where predictions
 begin anew, the predicted path starts again from the true one: what a model cannot know is no error.
+
+A frame's speed and angle are those of the step that led to it: in KITTI, oxts' rates lag half a step behind its poses.
+Taken so, paths of true angles stay within 1 m per 100 m of the recorded track in 23 of 30 drives; with rates that hold
+until the next frame, in 12 (tests/pipeline/report/judge/test_paths.py).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -22,25 +27,28 @@ class Track:
     steering_rad: np.ndarray  # recorded
     onsets: np.ndarray  # rows at which the driver decides
     wheelbase_m: float
+    formula: Literal["bicycle", "paper"] = "bicycle"  # of label.path
 
     def path(self, steering_rad: np.ndarray, first: int, last: int) -> np.ndarray:
         """Return the positions [last - first, 2] in metres of steering so from where the car was at frame `first`.
 
         x is ahead, y to the left of where the drive starts.
         """
-        rows = slice(first, last)
-        own = label.path(steering_rad[rows], self.speed_mps[rows], self.time_s[rows], wheelbase_m=self.wheelbase_m)
-        turned, start = self._heading()[first], self._true()[first]
+        own = self._path(steering_rad, slice(first, last))
+        turned, start = self._heading()[first], self._path(self.steering_rad)[first]
         turn = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
         return own @ turn.T + start
 
-    def _true(self) -> np.ndarray:
-        return label.path(self.steering_rad, self.speed_mps, self.time_s, wheelbase_m=self.wheelbase_m)
+    def _path(self, steering_rad: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+        # label.path holds what it is given of a frame until the next one: it is given what that one has.
+        angle, speed = (np.roll(values[rows], -1) for values in (steering_rad, self.speed_mps))
+        return label.path(angle, speed, self.time_s[rows], wheelbase_m=self.wheelbase_m, model=self.formula)
 
     def _heading(self) -> np.ndarray:
-        dt = np.diff(self.time_s)
-        rate = self.speed_mps[:-1] / self.wheelbase_m * np.tan(self.steering_rad[:-1])
-        return np.concatenate([[0.0], np.cumsum(rate * dt)])
+        if self.formula == "paper":  # every angle is a heading of its own: nothing adds up that a path could start with
+            return np.zeros(len(self.time_s))
+        rate = self.speed_mps[1:] / self.wheelbase_m * np.tan(self.steering_rad[1:])
+        return np.concatenate([[0.0], np.cumsum(rate * np.diff(self.time_s))])
 
 
 def segments(track: Track, predicted_rad: np.ndarray) -> list[tuple[int, int]]:

@@ -46,15 +46,15 @@ def figures(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
         "by_curvature": by_curvature(steering, predicted, columns.curvature, settings.curvature_bins_1pm),
         "by_drive": {name: columns.scores(np.array(names)[columns.number] == name) for name in dict.fromkeys(names)},
         "without_decisions": columns.scores(~columns.near),
-        "drift_m_per_100m": _drift(cases),
+        "drift_m_per_100m": _drift(cases, settings),
     }
 
 
-def _drift(cases: Sequence[Case]) -> float | None:
+def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:
     """Return the mean over seeds of :func:`paths.drift`; None of angles that are not of the frame itself."""
     if any(case.drive.horizon for case in cases):
         return None
-    tracks = [_track(case.drive) for case in cases]
+    tracks = [_track(case.drive, settings) for case in cases]
     of_seeds = [
         paths.drift([(track, case.predicted[seed]) for track, case in zip(tracks, cases, strict=True)])
         for seed in range(len(cases[0].predicted))
@@ -63,9 +63,16 @@ def _drift(cases: Sequence[Case]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _track(drive: Drive) -> paths.Track:
+def _track(drive: Drive, settings: Evaluate) -> paths.Track:
     onsets = np.flatnonzero(np.isin(drive.frame, decisions.frames(drive)))
-    return paths.Track(drive.time_s, drive.speed_mps, np.nan_to_num(drive.steering_rad), onsets, drive.car.wheelbase_m)
+    return paths.Track(
+        time_s=drive.time_s,
+        speed_mps=drive.speed_mps,
+        steering_rad=np.nan_to_num(drive.steering_rad),
+        onsets=onsets,
+        wheelbase_m=drive.car.wheelbase_m,
+        formula=settings.path,
+    )
 
 
 class _Columns:

@@ -111,3 +111,15 @@ def test_sizes_are_means_and_none_of_what_there_is_not(tmp_path: Path) -> None:
     assert 0 < sizes["edges_per_frame"] < sizes["edges_per_frame_unpruned"]
     of_images = split.sizes(drives(tmp_path / "images", artefacts.write_images))
     assert set(of_images.values()) == {None}
+
+
+def test_paths_are_integrated_as_the_params_say(tmp_path: Path) -> None:
+    cases = [split.Case(drive, drive.steering_rad[None] + 0.03, 0.0) for drive in drives(tmp_path)]
+    settings = load(Evaluate, PARAMS)
+    assert settings.path == "bicycle"
+    of_car, of_paper = (
+        split.figures(cases, settings.model_copy(update={"path": path}))["drift_m_per_100m"]
+        for path in ("bicycle", "paper")
+    )
+    assert of_paper == pytest.approx(100 * 2 * np.sin(0.03 / 2), rel=0.01)  # where the way is all but straight
+    assert of_car > 2 * of_paper

@@ -50,6 +50,7 @@ def result(model: str, nmse: float = 0.2, odometry: dict[str, float] | None = No
         "parameters": 9259,
         "encode_ms_per_frame": 0.7,
         "wheelbase_m": 2.71,
+        "path": "bicycle",
         "variant": {"k": 6, "keep_inter_class": 0.2, "accumulate": None},
         "points_per_frame": 1000.0,
         "edges_per_frame": 5160.0,

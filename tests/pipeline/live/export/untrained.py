@@ -1,0 +1,44 @@
+"""A model of small size with weights as they are drawn, and graph files of its kind."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from models.steering.core import steering_net
+from pipeline.fitting import checkpoint
+from pipeline.train import frames, predict
+from pipeline.train.predict import Target, Trained
+from tests import artefacts
+
+DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test"}
+WRITERS = {"pointnet2": artefacts.write_sets, "cnn": artefacts.write_images}
+SMALL: dict[str, dict[str, Any]] = {"pointnet2": {"width": 0.125}, "cnn": {}, "blind": {}}
+WINDOW = 3
+WAVE = 0.1 * torch.linspace(0, 6, 12).sin().numpy()
+
+
+def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings: Any) -> Trained:
+    """Write drives to folder/graphs/semantic and folder/labels, and return an untrained model of them."""
+    write: Callable[..., None] = WRITERS.get(spatial, artefacts.write_graphs)
+    artefacts.write_dataset(folder, DRIVES, frames=12, points=40, write=write)
+    for drive in DRIVES:
+        artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", "visual", WAVE)
+    line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": WINDOW, "features": 8}
+    line |= {"equivariant": False, "motion": "none", "horizon": 0, "learning_rate": None, "alpha": 0.0}
+    line |= {"fit_to": "train", "roads": None}
+    line |= SMALL.get(spatial, {"layers": [16, 8], "semantics": 1.0}) | settings
+    contents = frames.contents(folder / f"graphs/semantic/{next(iter(DRIVES))}.h5")
+    torch.manual_seed(0)
+    net = steering_net.build(line, **contents).eval()
+    target = Target(0.0, 0.1, artefacts.WHEELBASE_M, 1.0)
+    return Trained("net", 0, None, steering_net.resolved(line), contents, target, net)
+
+
+def save(trained: Trained, folder: Path) -> Path:
+    """Write the model as training does, and return its folder."""
+    about = {name: getattr(trained, name) for name in ("name", "seed", "fold", "contents")}
+    about |= {"model": trained.line, "target": vars(trained.target), "net": trained.net.state_dict()}
+    checkpoint.write(folder / trained.name / "best.pt", {**about, "kind": predict.KIND})
+    return folder / trained.name

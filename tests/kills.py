@@ -23,7 +23,7 @@ STAGES = (
     "town", "ingest", "labels", "encoder", "perception", "motion", "scores", "clouds", "pictures", "graphs", "train",
     "evaluate", "report",
 )  # fmt: skip
-LONGEST_S = 9.0  # until a kill; DVC needs some two seconds to start a stage
+SHARE = (0.02, 0.3)  # of the time that an undisturbed run takes: when it is killed
 
 
 class Killed(NamedTuple):
@@ -67,7 +67,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def kill_and_go_on(undisturbed: Path, folder: Path, kills: int, seed: int = 0) -> Killed:
-    """Run the chain in `folder`, a copy like `undisturbed`, with so many kills, and compare the two."""
+    """Run the chain in both folders, which are alike: whole in the one, with so many kills in the other; compare."""
+    started_s = time.monotonic()
+    scratch.run(undisturbed, "dvc", "repro")
+    whole_s = time.monotonic() - started_s
     rng, struck = random.Random(seed), dict.fromkeys((*STAGES, "between"), 0)
     environment = {
         **os.environ, "PYTHONPATH": str(folder), "DVC_NO_ANALYTICS": "1", "STEER_WORKERS": "2",
@@ -81,7 +84,7 @@ def kill_and_go_on(undisturbed: Path, folder: Path, kills: int, seed: int = 0) -
                 ["dvc", "repro"], cwd=folder, env=environment, stdout=output, stderr=output, start_new_session=True
             )
             try:
-                chain.wait(rng.uniform(1.5, LONGEST_S) if done < kills else None)
+                chain.wait(whole_s * rng.uniform(*SHARE) if done < kills else None)
             except subprocess.TimeoutExpired:
                 os.killpg(chain.pid, signal.SIGKILL)
                 chain.wait()
@@ -101,12 +104,14 @@ def kill_and_go_on(undisturbed: Path, folder: Path, kills: int, seed: int = 0) -
     _wait_for_the_end(folder)
     ours, theirs = contents(folder), contents(undisturbed)
     differing = sorted(name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name))
-    left_over = [
-        str(path.relative_to(folder))
-        for path in (folder / "data").rglob("*")
-        if re.search(r"\.tmp|\.resume/.", str(path))
-    ]
+    left_over = sorted(_waiting(folder) - _waiting(undisturbed))
     return Killed({stage: count for stage, count in struck.items() if count}, differing, left_over, kept)
+
+
+def _waiting(folder: Path) -> set[str]:
+    """Return what only a run in progress should have in data/."""
+    paths = (str(path.relative_to(folder)) for path in (folder / "data").rglob("*"))
+    return {path for path in paths if re.search(r"\.tmp|\.resume/.", path)}
 
 
 def _forget(folder: Path, stage: str) -> None:
@@ -140,8 +145,8 @@ def _working_folders() -> list[str]:
 def main(kills: int) -> None:
     """Kill the chain so many times and say what was lost."""
     with tempfile.TemporaryDirectory() as scratch_folder:
-        undisturbed, folder = (small(Path(scratch_folder) / name) for name in ("undisturbed", "killed"))
-        scratch.run(undisturbed, "dvc", "repro")
+        undisturbed, folder = Path(scratch_folder) / "undisturbed", Path(scratch_folder) / "killed"
+        shutil.copytree(small(undisturbed), folder)
         print(kill_and_go_on(undisturbed, folder, kills))
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import typer
 
 from pipeline.base.console import guarded
-from steer import predict
+from steer import predict, show
 
 app = typer.Typer(
     help="Steering angles from a trained model, your own recordings as KITTI raw, and what an artefact holds.",
@@ -26,3 +26,4 @@ def _add(name: str, command: Callable[..., object], kept: str) -> None:
 
 
 _add("predict", predict.predict, "what is written is whole")
+_add("show", show.show, "what is written is whole")

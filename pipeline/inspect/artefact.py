@@ -1,0 +1,195 @@
+"""What a file or folder is, of whichever stage, and what it holds: JSON-able."""
+
+import csv
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import InputError
+from pipeline.inspect import drive_file, raw_listing
+from pipeline.inspect.reading import damage_told, json_object, mapping, size_of, text
+
+Content = dict[str, Any]
+_OF_A_FOLDER = ("index.json", "config.json", "metrics.json")  # by which it is known
+
+
+def describe(path: Path) -> Content:
+    """Return what an artefact holds: ``kind``, ``path``, ``bytes`` and what is particular to its kind.
+
+    ``made_of`` names the drives that it is made of, where it says so.
+
+    Raises InputError if nothing is there, it is damaged, or nothing that a stage writes.
+    """
+    if not path.exists():
+        raise InputError(f"{path} is missing: give a file or folder that a stage wrote, or a KITTI raw drive's folder")
+    if path.is_file():
+        if path.name in _OF_A_FOLDER or path.suffix in (".pt", ".csv", ".md", ".html"):
+            return describe(path.parent)
+        return drive_file.describe(path)
+    for is_one, tell in _KINDS:
+        if is_one(path):
+            return {"path": str(path), "bytes": size_of(path), **tell(path)}
+    raise InputError(f"{path} holds nothing that a stage writes, and no KITTI raw drive: give one of the files in it")
+
+
+def _has(*names: str) -> Callable[[Path], bool]:
+    return lambda folder: all((folder / name).is_file() for name in names)
+
+
+def _drives(folder: Path) -> Content:
+    """Tell a folder with an index of drives: of each its split, frames and bytes."""
+    index = json_object(folder / "index.json")
+    if "kinds" in index:  # stage motion: a folder for each way of measuring
+        return _folders(folder)
+    splits = index.get("drives")
+    if not isinstance(splits, dict) or not all(Path(drive).name == drive for drive in splits):
+        raise InputError(f"{folder / 'index.json'} is damaged: it has no drives with their splits. dvc repro makes it")
+    drives, lacking, first = {}, [], None
+    for drive, split in splits.items():
+        path = folder / f"{drive}.h5"
+        if not path.is_file():
+            lacking.append(drive)
+            continue
+        with drive_file.opened(path) as file:
+            first = first or {"stage": str(file.attrs["stage"]), "settings": mapping(file.params)}
+            drives[drive] = {"split": str(split), "bytes": path.stat().st_size, **drive_file.frames(file)}
+    count = sum(drive["count"] for drive in drives.values())
+    return {
+        "kind": "folder of drives",
+        **(first or {}),
+        "frames": count,
+        "drives": drives,
+        "lacking": lacking,
+        "made_of": list(splits),
+    }
+
+
+def _model(folder: Path) -> Content:
+    """Tell a trained model: its line of params.yaml, size, how it was fitted, and how its curve ended."""
+    config = json_object(folder / "config.json")
+    splits = mapping(config.get("splits"))
+    return {
+        "kind": "model",
+        "stage": "train",
+        "name": config.get("name", folder.name),
+        "line": mapping(config.get("model")),
+        **{
+            key: config.get(key)
+            for key in ("parameters", "epochs", "best_epoch", "encode_ms_per_frame", "revision", "seeds", "target")
+        },
+        "drives": dict(Counter(str(split) for split in splits.values())),
+        "made_of": list(splits),
+        "settings": {"train": mapping(config.get("train"))},
+        "curve_end": _last_row(folder / "curve.csv"),
+        "networks": sorted(str(best.parent.relative_to(folder)) for best in folder.rglob("best.pt")),
+    }
+
+
+def _encoder(folder: Path) -> Content:
+    config = json_object(folder / "config.json")
+    per_drive = mapping(config.pop("frames_per_drive", None))
+    return {
+        "kind": "encoder",
+        "stage": "encoder",
+        "settings": {"encoder": config},
+        "drives": len(per_drive),
+        "made_of": list(per_drive),
+        "curve_end": _last_row(folder / "curve.csv"),
+    }
+
+
+def _evaluation(folder: Path) -> Content:
+    """Tell a model's errors: the headline of its metrics.json."""
+    metrics = json_object(folder / "metrics.json")
+    return {
+        "kind": "evaluation",
+        "stage": "evaluate",
+        "name": metrics.get("model", folder.name),
+        "line": mapping(metrics.get("line")),
+        "errors": {split: _headline(mapping(metrics.get(split))) for split in ("train", "val", "test")},
+        "made_of": _names(metrics.get("drives")),
+        **{key: metrics.get(key) for key in ("parameters", "points_per_frame", "edges_per_frame", "seeds")},
+    }
+
+
+def _names(drives: Any) -> list[str]:
+    lists = (names for names in mapping(drives).values() if isinstance(names, list))
+    return [str(name) for names in lists for name in names]
+
+
+def _headline(split: Content) -> Content:
+    keys = ("frames", "nmse", "nmse_ci95", "rmse_deg", "mae_deg", "drift_m_per_100m")
+    baselines = {name: mapping(value).get("nmse") for name, value in mapping(split.get("baselines")).items()}
+    return {key: split[key] for key in keys if key in split} | ({"baselines_nmse": baselines} if baselines else {})
+
+
+def _figures(folder: Path) -> Content:
+    """Tell another metrics.json, of scores or the report: its figures that are plain numbers."""
+    return {"kind": "figures", "figures": _numbers(json_object(folder / "metrics.json"))}
+
+
+def _numbers(tree: Content, prefix: str = "", depth: int = 0) -> Content:
+    result: Content = {}
+    for key, value in tree.items():
+        if isinstance(value, dict) and depth < 3:
+            result |= _numbers(value, f"{prefix}{key}.", depth + 1)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            result[f"{prefix}{key}"] = value
+    return result
+
+
+def _folders(folder: Path) -> Content:
+    """Tell a folder of artefacts, as data/clouds or data/: of each what it is, or what is wrong with it."""
+    parts: Content = {}
+    for part in _parts(folder):
+        try:
+            told = describe(part)
+        except InputError as error:
+            parts[part.name] = {"error": str(error)}
+            continue
+        inner = mapping(told.get("parts"))
+        parts |= {f"{part.name}/{name}": one for name, one in inner.items()} or {part.name: _in_short(told)}
+    return {"kind": "folder of artefacts", "parts": parts}
+
+
+def _in_short(told: Content) -> Content:
+    short = {key: told[key] for key in ("kind", "bytes", "frames", "parameters", "best_epoch") if key in told}
+    return short | ({"drives": len(told["drives"])} if told["kind"].startswith("folder of") else {})
+
+
+def _parts(folder: Path, levels: int = 2) -> list[Path]:
+    """Return the folders in `folder` that are artefacts or hold some: data/ holds graphs/, and that variants."""
+    hidden = (part for part in sorted(folder.iterdir()) if part.is_dir() and not part.name.startswith("."))
+    of_a_stage = [is_one for is_one, _ in _KINDS[:-1]]
+    return [
+        part
+        for part in hidden
+        if any(is_one(part) for is_one in of_a_stage) or (levels > 1 and _parts(part, levels - 1))
+    ]
+
+
+def _last_row(path: Path) -> Content:
+    """Return the last line of a curve, by its columns; nothing where there is no curve."""
+    if not path.is_file():
+        return {}
+    with damage_told(path):
+        rows = list(csv.DictReader(text(path).splitlines()))
+    return {str(key): value for key, value in rows[-1].items()} if rows else {}
+
+
+def _is_model(folder: Path) -> bool:
+    config = folder / "config.json"
+    return config.is_file() and (any(folder.rglob("best.pt")) or isinstance(json_object(config).get("model"), dict))
+
+
+_KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], Content]], ...] = (
+    (raw_listing.is_drive, raw_listing.drive),
+    (raw_listing.is_root, raw_listing.root),
+    (_has("index.json"), _drives),
+    (_is_model, _model),
+    (_has("config.json"), _encoder),
+    (_has("metrics.json", "predictions.csv"), _evaluation),
+    (_has("metrics.json"), _figures),
+    (lambda folder: bool(_parts(folder)), _folders),
+)

@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.base.errors import InputError
 from pipeline.inspect import drive_file, raw_listing
+from pipeline.inspect.apart import apart
 from pipeline.inspect.reading import damage_told, json_object, mapping, size_of, text
 
 Content = dict[str, Any]
@@ -26,7 +27,7 @@ def describe(path: Path) -> Content:
     if path.is_file():
         if path.name in _OF_A_FOLDER or path.suffix in (".pt", ".csv", ".md", ".html"):
             return describe(path.parent)
-        return drive_file.describe(path)
+        return apart(drive_file.describe, path)
     for is_one, tell in _KINDS:
         if is_one(path):
             return {"path": str(path), "bytes": size_of(path), **tell(path)}
@@ -51,9 +52,9 @@ def _drives(folder: Path) -> Content:
         if not path.is_file():
             lacking.append(drive)
             continue
-        with drive_file.opened(path) as file:
-            first = first or {"stage": str(file.attrs["stage"]), "settings": mapping(file.params)}
-            drives[drive] = {"split": str(split), "bytes": path.stat().st_size, **drive_file.frames(file)}
+        told = apart(drive_file.summary, path)
+        first = first or {"stage": told["stage"], "settings": told["settings"]}
+        drives[drive] = {"split": str(split), "bytes": told["bytes"], **told["frames"]}
     count = sum(drive["count"] for drive in drives.values())
     return {
         "kind": "folder of drives",

@@ -50,19 +50,21 @@ def _reader(path: Path) -> DriveReader:
 
 def describe(path: Path) -> dict[str, Any]:
     """Return what a drive's file holds: JSON-able. Raises InputError, one line, if it is damaged or not a drive's."""
+    told = summary(path)
     with opened(path) as file:
-        attributes = {name: _plain(value) for name, value in sorted(file.attrs.items()) if name not in _HEADER}
+        return {"kind": "drive file", "path": str(path), **told, "made_of": [told["drive"]], "datasets": datasets(file)}
+
+
+def summary(path: Path) -> dict[str, Any]:
+    """Return stage, drive, attributes, settings, bytes and frames of a drive's file. Raises as :func:`describe`."""
+    with opened(path) as file:
         return {
-            "kind": "drive file",
-            "path": str(path),
             "stage": str(file.attrs["stage"]),
             "drive": file.drive,
-            "made_of": [file.drive],
             "bytes": path.stat().st_size,
             "frames": frames(file),
             "settings": mapping(json.loads(str(file.attrs["params"]))),
-            "attributes": attributes,
-            "datasets": datasets(file),
+            "attributes": {name: _plain(value) for name, value in sorted(file.attrs.items()) if name not in _HEADER},
         }
 
 

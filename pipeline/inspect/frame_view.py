@@ -14,6 +14,7 @@ from pipeline.camera.images import to_metres
 from pipeline.camera.png import read_png
 from pipeline.graphs.cloud import Cloud, lidar_cloud
 from pipeline.inspect import drive_file, raw_listing
+from pipeline.inspect.apart import apart
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.raw import read_scan
 
@@ -52,6 +53,11 @@ def read(path: Path, frame: int | None) -> FrameView:
         if not raw_listing.is_drive(path):
             raise InputError(f"{path} holds several drives or none: give one drive's file, as {path}/DRIVE.h5")
         return _of_raw(path, frame)
+    return apart(of_file, path, frame)
+
+
+def of_file(path: Path, frame: int | None) -> FrameView:
+    """Read a frame of a drive's file, as :func:`read` does, but in this process."""
     with drive_file.opened(path) as file:
         numbers = drive_file.vector(file, "frame")
         number = _chosen(frame, [int(one) for one in numbers], path)

@@ -5,6 +5,7 @@ from typing import Any
 
 from pipeline.base.errors import InputError
 from pipeline.inspect import drive_file
+from pipeline.inspect.apart import apart
 from pipeline.inspect.reading import mapping
 from pipeline.kitti.raw import RawDrive
 
@@ -29,10 +30,10 @@ def _ingest_folder(path: Path) -> Path | None:
 
 def _of_drive(ingest: Path, drive: str, compare: bool) -> dict[str, Any]:
     try:
-        with drive_file.opened(ingest / f"{drive}.h5") as file:
-            attributes, settings = dict(file.attrs), mapping(mapping(file.params).get("ingest"))
+        made = apart(drive_file.summary, ingest / f"{drive}.h5")
     except InputError as error:
         return {"drive": drive, "error": str(error)}
+    attributes, settings = made["attributes"], mapping(made["settings"].get("ingest"))
     source, fingerprint = str(attributes.get("source")), str(attributes.get("fingerprint", "unknown"))
     folder = ingest.parent / _FOLDERS.get(source, source) / drive[:10] / f"{drive}_sync"
     told = {"drive": drive, "raw": str(folder), "fingerprint": fingerprint}

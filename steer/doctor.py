@@ -1,7 +1,7 @@
 """steer doctor: what is there, what is missing or damaged, and what a run will take."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -51,12 +51,14 @@ def doctor(
     lacking = checkup.not_there(project, root, drives) if project else []
     if project:
         checkup.plan(project, drives)
-    must = [f"{drive}: {one}" for drive, faults in due.items() for one in faults] + lacking
+    advice = {one.drive: one.advice() for one in drives if one.drive in due and one.extract}
+    must = [f"{drive}: {fault}" for drive, faults in due.items() for fault in faults] + lacking
     must += project.must if project else []
-    advice = [one.advice() for one in drives if one.drive in due and one.extract]
     if project and project.due:
         must.append(f"{len(project.due)} stages have to run: dvc repro check pictures report")
-    for line in _lines(root, drives, set(due), project, must, advice):
+    for line in _lines(root, drives, set(due), project):
+        voice.line(line)
+    for line in _to_do(must, advice):
         voice.line(line)
     voice.result(_as_json(root, drives, project, must, advice))
     if must:
@@ -81,12 +83,7 @@ def _check(root: Path, project: "Project | None", deep: bool, voice: Voice) -> "
 
 
 def _lines(
-    root: Path | None,
-    drives: "Sequence[DriveCheck]",
-    due: set[str],
-    project: "Project | None",
-    must: Sequence[str],
-    advice: Sequence[str],
+    root: Path | None, drives: "Sequence[DriveCheck]", due: set[str], project: "Project | None"
 ) -> Iterator[str]:
     from pipeline.inspect.words import table
 
@@ -111,11 +108,14 @@ def _lines(
         yield from ("worth knowing:", *(f"  {note}" for note in notes))
     if project:
         yield from _run(project)
-    if must:
-        yield from ("to do:", *(f"  {one}" for one in must))
-        yield from (f"    {command}" for command in advice)
-    else:
-        yield "all is well"
+
+
+def _to_do(must: Sequence[str], advice: Mapping[str, str]) -> Iterator[str]:
+    yield "to do:" if must else "all is well"
+    yield from (f"  {one}" for one in must)
+    if advice:
+        yield "by (from where the archives lie; -o: over what is damaged):"
+        yield from (f"  {command}" for command in advice.values())
 
 
 def _run(project: "Project") -> Iterator[str]:
@@ -143,10 +143,10 @@ def _as_json(
     drives: "Sequence[DriveCheck]",
     project: "Project | None",
     must: Sequence[str],
-    advice: Sequence[str],
+    advice: Mapping[str, str],
 ) -> dict[str, Any]:
     told: dict[str, Any] = {"root": str(root) if root else None, "well": not must, "to_do": list(must)}
-    told["commands"] = list(advice)
+    told["commands"] = dict(advice)
     told["drives"] = {
         one.drive: {"modalities": one.modalities, "to_do": one.must, "notes": one.notes} for one in drives
     }

@@ -13,6 +13,9 @@ _PNG_HEAD = b"\x89PNG\r\n\x1a\n\x00\x00\x00\x0dIHDR"
 _PNG_TAIL = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 _LEAST_PNG = len(_PNG_HEAD) + 8 + len(_PNG_TAIL)
 _POINT_BYTES = 16
+# What is larger is none of KITTI's: packets have some 500 B, images 1 MB, scans 2 MB.
+_MOST_BYTES = {".txt": 1 << 16, ".png": 1 << 28, ".bin": 1 << 28}
+_MOST_PIXELS = 1 << 26
 _THIN = 0.5  # share of the drive's median scan below which one is worth a look
 
 
@@ -25,7 +28,17 @@ def damaged(listed: Files, size: Size | None, deep: bool) -> dict[int, str]:
         deep: decode each file as stage ingest would, instead of looking at its ends.
     """
     check = _checker(listed, size, deep)
-    return {frame: fault for frame in listed.sizes if (fault := check(frame))}
+    return {
+        frame: fault
+        for frame, count in listed.sizes.items()
+        if (fault := _by_size(count, _MOST_BYTES[listed.suffix]) or check(frame))
+    }
+
+
+def _by_size(count: int, most: int) -> str:
+    if count < 0:
+        return "is no plain file"  # a pipe would be waited for, a device read without end
+    return "is empty" if not count else f"has {count} bytes, far too many" if count > most else ""
 
 
 def thin(listed: Files) -> list[int]:
@@ -41,7 +54,7 @@ def _checker(listed: Files, size: Size | None, deep: bool) -> Callable[[int], st
 
     def of_scan(frame: int) -> str:
         count = listed.sizes[frame]
-        return "is empty" if not count else f"has {count} bytes, no whole number of points" * bool(count % _POINT_BYTES)
+        return f"has {count} bytes, no whole number of points" if count % _POINT_BYTES else ""
 
     if listed.suffix == ".txt":
         return lambda frame: _fault(oxts.read_row, listed.path(frame))
@@ -74,10 +87,8 @@ def _fault(read: Callable[[Path], object], path: Path) -> str:
 
 
 def _image(path: Path, count: int, size: Size | None) -> str:
-    if not path.is_file():  # a pipe or device would be waited for
-        return "is no plain file"
     if count < _LEAST_PNG:
-        return "is empty" if not count else f"is cut short at {count} bytes"
+        return f"is cut short at {count} bytes"
     try:
         with path.open("rb", buffering=0) as file:
             head = file.read(len(_PNG_HEAD) + 8)
@@ -90,6 +101,8 @@ def _image(path: Path, count: int, size: Size | None) -> str:
     if tail != _PNG_TAIL:
         return f"is cut short at {count} bytes, or has something behind its end"
     width, height = struct.unpack(">II", head[len(_PNG_HEAD) :])
+    if width * height > _MOST_PIXELS:
+        return f"says that it has {width} x {height} pixels"
     if size and (height, width) != size:
         return f"is {width} x {height} pixels, the calibration says {size[1]} x {size[0]}"
     return ""

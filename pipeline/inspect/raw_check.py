@@ -17,6 +17,9 @@ from pipeline.kitti.calibration import cameras_in, read_camera
 HALF_EXTRACTED = 0.1  # share of missing frames from which an archive was not extracted; KITTI itself lacks single ones
 
 
+_MOST_CALIBRATION_BYTES = 1 << 20
+
+
 @dataclass
 class DriveCheck:
     """What was found of one drive: ``modalities`` as JSON, what must be done, and what is worth knowing."""
@@ -53,19 +56,25 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> Driv
     listed = {name: raw_listing.files(folder, name) for name in raw_listing.MODALITIES}
     expected = _expected(folder, listed)
     found.frames = len(listed["oxts"].sizes)
+    with_images = [camera for camera in cameras if listed[_images(camera)].sizes]
+    wanted = {"oxts", *(_images(camera) for camera in with_images[:1] or cameras)}
+    wanted |= {"velodyne_points"} if lidar else set()
     for name, files in listed.items():
         if files.present or name == "oxts":
-            _of_modality(found, name, files, expected, deep)
+            _of_modality(found, name, files, expected, deep, name in wanted)
     _of_oxts(found, listed["oxts"])
-    with_images = [camera for camera in range(4) if listed[f"image_{camera:02d}"].sizes]
-    scans = bool(listed["velodyne_points"].sizes)
-    _of_calibration(found, with_images, scans and lidar)
-    if not with_images and not scans and not found.extract & {*raw_listing.MODALITIES} - {"oxts"}:
+    scans = lidar and bool(listed["velodyne_points"].sizes)
+    _of_calibration(found, with_images[:1], scans)
+    others = [camera for camera in range(4) if listed[_images(camera)].sizes]
+    if others and not with_images:
+        found.must.append(f"has images of cameras {others} alone, and ingest.cameras takes {list(cameras)}")
+    elif not others and not scans and not found.extract - {"oxts"}:
         found.notes.append("has neither images nor scans: labels alone can be made of it")
-    elif with_images and not set(with_images) & set(cameras):
-        numbers = ", ".join(map(str, with_images))
-        found.must.append(f"has images of camera {numbers} alone, and ingest.cameras takes {list(cameras)}")
     return found
+
+
+def _images(camera: int) -> str:
+    return f"image_{camera:02d}"
 
 
 def _expected(folder: Path, listed: dict[str, Files]) -> list[int]:
@@ -81,33 +90,34 @@ def _expected(folder: Path, listed: dict[str, Files]) -> list[int]:
     return list(range(min(known) if lines <= last else 0, last + 1))
 
 
-def _of_modality(found: DriveCheck, name: str, files: Files, expected: list[int], deep: bool) -> None:
+def _of_modality(found: DriveCheck, name: str, files: Files, expected: list[int], deep: bool, wanted: bool) -> None:
+    """Check one modality. What is wrong with one that is not `wanted` is worth knowing, no more."""
     missing = [frame for frame in expected if frame not in files.sizes]
-    size = _size(found.folder.parent, name)
-    faults = file_check.damaged(files, size, deep)
+    faults = file_check.damaged(files, _size(found.folder.parent, name), deep)
     found.modalities[name] = {
         "files": len(files.sizes),
         "bytes": sum(files.sizes.values()),
         "missing": runs(missing),
         "damaged": dict(sorted(faults.items())),
     }
+    wrong = [f"frame {_frames(frames)} {fault}" for fault, frames in file_check.by_fault(faults).items()]
     if not files.sizes:
-        found.must.append(f"{name} is empty: {'nothing was extracted' if files.present else 'its folder is missing'}")
-        found.extract.add(name)
+        wrong.append("nothing was extracted" if files.present else "its folder is missing")
     elif missing:
-        text = f"{name} lacks {len(missing)} of {len(expected)} frames: {spans(runs(missing))}"
-        if len(missing) > HALF_EXTRACTED * len(expected):
-            found.must.append(text)
-            found.extract.add(name)
-        else:
-            found.notes.append(text)
-    for fault, frames in file_check.by_fault(faults).items():
-        more = f", and {len(frames) - 1} more: {spans(runs(frames[1:]))}" if len(frames) > 1 else ""
-        found.must.append(f"{name}: frame {frames[0]} {fault}{more}")
+        text = f"lacks {len(missing)} of {len(expected)} frames: {spans(runs(missing))}"
+        (wrong if len(missing) > HALF_EXTRACTED * len(expected) else found.notes).append(f"{name} {text}")
+    if wanted and wrong:
         found.extract.add(name)
+    if files.odd:
+        wrong.append(f"{files.odd[0]} is not named as KITTI names frames ({len(files.odd)} such): rename or remove it")
+    (found.must if wanted else found.notes).extend(one if one.startswith(name) else f"{name}: {one}" for one in wrong)
     thin = file_check.thin(files) if files.suffix == ".bin" else []
     if thin:
         found.notes.append(f"{name}: scans of less than half the usual size: {spans(runs(thin))}")
+
+
+def _frames(frames: list[int]) -> str:
+    return f"{frames[0]} (and {len(frames) - 1} more: {spans(runs(frames[1:]))})" if len(frames) > 1 else str(frames[0])
 
 
 def runs(frames: list[int]) -> list[list[int]]:
@@ -137,6 +147,7 @@ def _of_oxts(found: DriveCheck, files: Files) -> None:
     numbers = list(files.sizes)
     rows = np.array([oxts.read_row(files.path(numbers[row])) for row in sound]).reshape(-1, len(oxts.COLUMNS))
     found.modalities["oxts"] |= label_check.summary(rows)
+    found.must += [f"labels: it {why}; extract it again, or leave it out" for why in label_check.impossible(rows)]
     said = label_check.implausible(rows, None if times is None else times[sound])
     found.notes += [f"labels: it {why}" for why in said]
 
@@ -149,13 +160,16 @@ def _of_calibration(found: DriveCheck, cameras: list[int], scans: bool) -> None:
     try:
         for name in lacking:
             raise InputError(f"{date / name} is missing")
+        for name in needed:
+            if (date / name).stat().st_size > _MOST_CALIBRATION_BYTES:
+                raise InputError(f"{date / name} is no calibration file: it has {(date / name).stat().st_size} bytes")
         for camera in cameras:
             if camera in cameras_in(date):
                 read_camera(date, camera)
         if cameras and not set(cameras) & set(cameras_in(date)):
             raise InputError(f"{date}/calib_cam_to_cam.txt has none of its cameras ({cameras})")
     except (InputError, ValueError, np.linalg.LinAlgError) as error:
-        found.must.append(f"calibration: {error}")
+        found.must.append(f"calibration of {date.name} cannot be used: {error}")
         found.extract.add("calib")
 
 

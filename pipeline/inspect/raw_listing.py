@@ -2,13 +2,14 @@
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 _DRIVE = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}_sync")
+_FRAME = re.compile(r"\d{10}", re.ASCII)
 _DATE = re.compile(r"\d{4}_\d\d_\d\d")
 MODALITIES = {
     "oxts": ("oxts/data", ".txt"),
@@ -20,12 +21,14 @@ CALIBRATION = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_ve
 
 
 class Files(NamedTuple):
-    """One modality's files: frame number → size in bytes, ascending; whether its folder is there at all."""
+    """One modality's files: frame number → size in bytes, ascending, -1 of what is no plain file; whether its folder is
+    there at all; names that are numbers, but not as KITTI writes them."""
 
     folder: Path
     suffix: str
     sizes: Mapping[int, int]
     present: bool
+    odd: Sequence[str] = ()
 
     def path(self, frame: int) -> Path:
         return self.folder / f"{frame:010d}{self.suffix}"
@@ -51,18 +54,28 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def files(drive: Path, modality: str) -> Files:
-    """List one modality of a drive. Names that are not frame numbers are left alone, as stage ingest does."""
+    """List one modality of a drive. Names that are no numbers are left alone, as stage ingest does."""
     where, suffix = MODALITIES[modality]
     folder = drive / where
     if not folder.is_dir():
-        return Files(folder, suffix, {}, False)
+        return Files(folder, suffix, {}, folder.parent.is_dir())
+    sizes, odd = {}, []
     with os.scandir(folder) as entries:
-        sizes = {
-            int(entry.name.removesuffix(suffix)): entry.stat().st_size
-            for entry in entries
-            if entry.name.endswith(suffix) and entry.name.removesuffix(suffix).isdecimal()
-        }
-    return Files(folder, suffix, dict(sorted(sizes.items())), True)
+        for entry in entries:
+            stem = entry.name.removesuffix(suffix)
+            if _FRAME.fullmatch(stem) and stem != entry.name:
+                sizes[int(stem)] = _size(entry)
+            elif stem.isdigit() and stem != entry.name:
+                odd.append(entry.name)
+    return Files(folder, suffix, dict(sorted(sizes.items())), True, sorted(odd))
+
+
+def _size(entry: "os.DirEntry[str]") -> int:
+    """Return the bytes of a plain file, or of one that a link leads to; -1 of anything else."""
+    try:
+        return entry.stat().st_size if entry.is_file() else -1
+    except OSError:  # gone just now
+        return -1
 
 
 def gaps_between(numbers: list[int]) -> list[list[int]]:

@@ -12,6 +12,7 @@ from pipeline.inspect.apart import apart
 from pipeline.inspect.reading import damage_told, json_object, mapping, size_of, text
 
 Content = dict[str, Any]
+_MOST = 1e300  # of a figure; JSON may hold whole numbers that are no float
 _OF_A_FOLDER = ("index.json", "config.json", "metrics.json")  # by which it is known
 
 
@@ -135,7 +136,7 @@ def _numbers(tree: Content, prefix: str = "", depth: int = 0) -> Content:
     for key, value in tree.items():
         if isinstance(value, dict) and depth < 3:
             result |= _numbers(value, f"{prefix}{key}.", depth + 1)
-        elif isinstance(value, int | float) and not isinstance(value, bool):
+        elif isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _MOST:
             result[f"{prefix}{key}"] = value
     return result
 

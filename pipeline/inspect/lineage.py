@@ -29,8 +29,8 @@ def chain(path: Path) -> dict[str, Any]:
     Returns: ``project``, and ``stages``, each with its ``name``, ``cmd``, ``settings`` (of dvc.lock), which of them
     stand otherwise in params.yaml now (``settings_now``), ``inputs`` (path → hash, of data), ``remade`` (inputs that
     were made again since, so that what follows is not what this was made of), ``code`` (path → same, changed or
-    missing) and ``outputs``. ``altered``: outputs of the last stages that have other sizes than dvc.lock says. No
-    stages where no dvc.lock knows the path; ``why`` says so.
+    missing) and ``outputs``. ``unread`` says why params.yaml could not be compared. ``altered``: outputs of the last
+    stages that have other sizes than dvc.lock says. No stages where no dvc.lock knows the path; ``why`` says so.
     """
     project = project_of(path)
     if project is None:
@@ -42,10 +42,12 @@ def chain(path: Path) -> dict[str, Any]:
     last = [name for name, stage in stages.items() if any(_meet(place, out) for out in _paths(stage, "outs"))]
     if place is None or not last:
         return {"project": str(project), "stages": [], "why": f"{project / LOCK} knows no stage that made this"}
-    now, code = _yaml(project / PARAMS) if (project / PARAMS).is_file() else {}, CodeHashes(project)
+    now, unread = _settings_now(project / PARAMS)
+    code = CodeHashes(project)
     made = {out: md5 for stage in stages.values() for out, md5 in _paths(stage, "outs").items()}
     return {
         "project": str(project),
+        "unread": unread,
         "stages": [_told(name, stages[name], made, now, code) for name in _upstream(last, stages)],
         "altered": [out for name in last for out in _altered(project, stages[name])],
     }
@@ -61,11 +63,27 @@ def _stages(lock: Path) -> dict[str, Stage]:
     return whole
 
 
+def _settings_now(params: Path) -> tuple[dict[str, Any], str]:
+    """Return what params.yaml holds, and why that cannot be compared, if it cannot."""
+    try:
+        return _yaml(params), ""
+    except (InputError, FileNotFoundError) as error:
+        return {}, " ".join(str(error).split())
+
+
 def _yaml(path: Path) -> dict[str, Any]:
     content = text(path)
     with damage_told(path, hint=f"Bring it back: git checkout {path.name}"):
-        # The C parser: a lock of a table of models has thousands of lines.
-        return mapping(yaml.load(content, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)))
+        return mapping(yaml.load(content, Loader=_Plain))  # the C parser is quicker, and crashes on "[[[[…"
+
+
+class _Plain(yaml.SafeLoader):
+    """YAML without aliases, which nest to sizes that nobody can print; DVC writes none."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise ValueError("it has YAML aliases")
+        return super().compose_node(parent, index)
 
 
 def _place(path: Path, project: Path) -> str | None:

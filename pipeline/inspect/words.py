@@ -112,6 +112,8 @@ def provenance(chain: Content, raw: list[dict[str, Any]]) -> Iterator[str]:
         yield f"  by {chain['project']}/dvc.lock, the last stage first"
     else:
         yield f"  not known stage by stage: {chain['why']}"
+    if chain.get("unread"):
+        yield f"  not compared with params.yaml: {chain['unread']}"
     for out in chain.get("altered", []):
         yield f"  {out} has other sizes than dvc.lock says: written since, or not whole"
     for stage in chain["stages"]:

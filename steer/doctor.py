@@ -55,7 +55,8 @@ def doctor(
     must = [f"{drive}: {fault}" for drive, faults in due.items() for fault in faults] + lacking
     must += project.must if project else []
     if project and project.due:
-        must.append(f"{len(project.due)} stages have to run: dvc repro check pictures report")
+        count = len(project.due)
+        must.append(f"{count} stage{' has' if count == 1 else 's have'} to run: dvc repro check pictures report")
     for line in _lines(root, drives, set(due), project):
         voice.line(line)
     for line in _to_do(must, advice):
@@ -85,10 +86,10 @@ def _check(root: Path, project: "Project | None", deep: bool, voice: Voice) -> "
 def _lines(
     root: Path | None, drives: "Sequence[DriveCheck]", due: set[str], project: "Project | None"
 ) -> Iterator[str]:
-    from pipeline.inspect.words import table
+    from pipeline.inspect.words import many, table
 
     if root:
-        yield f"{root}: {len(drives)} drives, {sum(one.frames for one in drives)} packets"
+        yield f"{root}: {many(len(drives), 'drive')}, {sum(one.frames for one in drives)} packets"
         names = list(dict.fromkeys(name for one in drives for name in one.modalities))
         rows = [("drive", *names, "")]
         for one in drives:
@@ -119,7 +120,7 @@ def _to_do(must: Sequence[str], advice: Mapping[str, str]) -> Iterator[str]:
 
 
 def _run(project: "Project") -> Iterator[str]:
-    from pipeline.inspect.words import size
+    from pipeline.inspect.words import many, size
 
     yield f"project {project.folder}: {size(project.free)} free"
     for stage, why in project.due.items():
@@ -127,9 +128,9 @@ def _run(project: "Project") -> Iterator[str]:
     if project.beyond:
         yield f"  not needed by a model of params.yaml: {', '.join(project.beyond)}"
     if project.due:
-        cores = f"{project.cores} core{'' if project.cores == 1 else 's'}"
         yield (
-            f"  estimate, good to a factor of two: {_duration(project.hours)} on {cores} without a GPU, "
+            f"  estimate, good to a factor of two: {_duration(project.hours)} on {many(project.cores, 'core')} "
+            "without a GPU, "
             f"{size(project.written)} in data/, as much again in DVC's cache unless it links"
         )
 

@@ -22,7 +22,7 @@ def apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
     global _reader
     _reader = _reader or _Reader()
     try:
-        good, answer = _reader.answer((read, path, arguments))
+        good, answer = _reader.answer(read, (path, *arguments))
     except (EOFError, ConnectionError, TimeoutError) as error:
         _reader.close()
         _reader = None
@@ -44,10 +44,11 @@ class _Reader:
         self._process = context.Process(target=_serve, args=(there,), daemon=True)
         self._process.start()
         there.close()
-        self._here.recv()  # imports, on a busy machine, take longer than files
 
-    def answer(self, question: tuple[Any, ...]) -> tuple[bool, Any]:
-        self._here.send(question)
+    def answer(self, read: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any]:
+        self._here.send(read)
+        self._here.recv()  # it has imported it, which on a busy machine takes longer than to read a file
+        self._here.send(arguments)
         if not self._here.poll(LIMIT_S):
             raise TimeoutError
         good, answer = self._here.recv()
@@ -60,16 +61,16 @@ class _Reader:
 
 
 def _serve(there: Connection) -> None:
-    from pipeline.inspect import frame_view  # noqa: F401  and all that it imports, before questions come
-
-    there.send("up")
+    """Answer questions, each a function and then its arguments, until nobody asks."""
     while True:
         try:
-            read, path, arguments = there.recv()
+            read = there.recv()
+            there.send("ready")
+            arguments = there.recv()
         except (EOFError, KeyboardInterrupt):
             return
         try:
-            answer = True, read(path, *arguments)
+            answer = True, read(*arguments)
         except Exception as error:
             answer = False, error
         there.send(answer)

@@ -29,6 +29,8 @@ def describe(path: Path) -> Content:
         if path.name in _OF_A_FOLDER or path.suffix in (".pt", ".csv", ".md", ".html"):
             return describe(path.parent)
         return apart(drive_file.describe, path)
+    if not path.is_dir():
+        raise InputError(f"{path} is no plain file and no folder: give an artefact of a stage")
     for is_one, tell in _KINDS:
         if is_one(path):
             return {"path": str(path), "bytes": size_of(path), **tell(path)}
@@ -181,8 +183,8 @@ def _last_row(path: Path) -> Content:
 
 
 def _is_model(folder: Path) -> bool:
-    config = folder / "config.json"
-    return config.is_file() and (any(folder.rglob("best.pt")) or isinstance(json_object(config).get("model"), dict))
+    networks = (found for name in ("best.pt", "last.pt") for found in folder.rglob(name))
+    return (folder / "config.json").is_file() and any(networks)
 
 
 _KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], Content]], ...] = (

@@ -13,7 +13,7 @@ from pipeline.camera.geometry import transform
 from pipeline.camera.images import to_metres
 from pipeline.camera.png import read_png
 from pipeline.graphs.cloud import Cloud, lidar_cloud
-from pipeline.inspect import drive_file, raw_listing
+from pipeline.inspect import drive_file, file_check, raw_listing
 from pipeline.inspect.apart import apart
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.raw import read_scan
@@ -147,6 +147,8 @@ def _of_raw(folder: Path, frame: int | None) -> FrameView:
     number = _chosen(frame, known, folder)
     camera = next((camera for camera in cameras if number in images[camera].sizes), None)
     view = FrameView(number)
+    for files in (scans, *([images[camera]] if camera is not None else [])):
+        _check_raw(files, number)
     if camera is not None:
         pixels = read_png(images[camera].path(number))
         view.rgb = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=-1)
@@ -154,6 +156,13 @@ def _of_raw(folder: Path, frame: int | None) -> FrameView:
         xyz = transform(_extrinsics(folder, camera), read_scan(scans.path(number))[:, :3].astype(np.float64))
         view.cloud = (xyz.astype(np.float32), np.full(len(xyz), VOID, np.uint8))
     return view
+
+
+def _check_raw(files: raw_listing.Files, number: int) -> None:
+    """Raise InputError if the frame's file is damaged, or one that would be read without end."""
+    alone = files._replace(sizes={frame: size for frame, size in files.sizes.items() if frame == number})
+    for fault in file_check.damaged(alone, None, deep=False).values():
+        raise InputError(f"{files.path(number)} {fault}. Extract it again: steer doctor says how")
 
 
 def _extrinsics(folder: Path, camera: int | None) -> np.ndarray:

@@ -30,7 +30,7 @@ def _drive_file(told: Content) -> Iterator[str]:
 
 def _drives(told: Content) -> Iterator[str]:
     count = len(told["drives"])
-    yield f"  stage {told.get('stage', 'unknown')}: {told['frames']} frames of {_many(count, 'drive')}"
+    yield f"  stage {told.get('stage', 'unknown')}: {told['frames']} frames of {many(count, 'drive')}"
     rows = [("drive", "split", "frames", "size", "gaps")]
     for drive, one in told["drives"].items():
         rows.append((drive, one["split"], str(one["count"]), size(one["bytes"]), spans(one["gaps"]) or "none"))
@@ -51,7 +51,7 @@ def _model(told: Content) -> Iterator[str]:
 
 
 def _encoder(told: Content) -> Iterator[str]:
-    yield f"  fitted to frames of {_many(told['drives'], 'drive')}; curve's end: {_short(told['curve_end'])}"
+    yield f"  fitted to frames of {many(told['drives'], 'drive')}; curve's end: {_short(told['curve_end'])}"
 
 
 def _evaluation(told: Content) -> Iterator[str]:
@@ -172,7 +172,8 @@ def table(rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
         yield "  " + "  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip()
 
 
-def _many(count: int, what: str) -> str:
+def many(count: int, what: str) -> str:
+    """Return a count with its noun, as 1 drive, 2 drives."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 

@@ -1,7 +1,9 @@
 """A library that crashes or runs in circles ends its own process, and nothing else."""
 
+import multiprocessing
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -35,3 +37,18 @@ def test_no_answer_is_damage_and_the_next_file_is_read(monkeypatch: pytest.Monke
         apart(time.sleep, 600)  # type: ignore[arg-type]
     monkeypatch.undo()
     assert apart(os.fspath, Path("/a/b")) == "/a/b"
+
+
+def test_what_runs_apart_answers_until_nobody_asks() -> None:
+    here, there = multiprocessing.Pipe()
+    for message in (os.fspath, (Path("/a/b"),), os.stat, (Path("/nowhere"),)):
+        here.send(message)
+    thread = threading.Thread(target=module._serve, args=(there,))
+    thread.start()
+    assert [here.recv(), here.recv(), here.recv()] == ["ready", (True, "/a/b"), "ready"]
+    good, error = here.recv()
+    assert not good
+    assert isinstance(error, FileNotFoundError)
+    here.close()
+    thread.join(10)
+    assert not thread.is_alive()

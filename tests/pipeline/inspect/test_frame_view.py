@@ -155,3 +155,12 @@ def test_the_viewer_gets_the_points_where_there_is_a_display(monkeypatch: pytest
     monkeypatch.setenv("DISPLAY", ":0")
     points.view("title", cloud)
     assert len(shown[0].points) == 4
+
+
+@pytest.mark.parametrize("name", ["image_02/data/0000000001.png", "velodyne_points/data/0000000001.bin"])
+def test_a_raw_file_that_has_no_end_is_not_read(tmp_path: Path, name: str) -> None:
+    folder = kitti_drive.write_drive(tmp_path, frames=[0, 1])
+    (folder / name).unlink()
+    (folder / name).symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="is no plain file"):
+        frame_view.read(folder, 1)

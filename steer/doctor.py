@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def doctor(
     root: Annotated[
-        Path | None, typer.Argument(metavar="[KITTI_ROOT]", help="a KITTI raw folder; default: data/raw of the project")
+        Path | None, typer.Argument(metavar="KITTI_ROOT", help="a KITTI raw folder; default: data/raw of the project")
     ] = None,
     deep: Annotated[
         bool, typer.Option("--deep", help="decode every image and scan: minutes instead of seconds")
@@ -27,8 +27,8 @@ def doctor(
 ) -> None:
     """What is missing or damaged, which labels are implausible, which stage has to run, and how long that takes.
 
-    Ends with status 0 if all is well, with 1 if something must be done. What params.yaml does not name must not be
-    mended. Times and sizes to come are estimates from measured rates.
+    Ends with status 0 if all is well, with 1 if something must be done; what is wrong with drives that params.yaml
+    does not name is only told. Times and sizes to come are estimates from measured rates.
 
         steer doctor
 
@@ -127,7 +127,7 @@ def _run(project: "Project") -> Iterator[str]:
         yield f"  {stage} has to run: {why}"
     if project.beyond:
         yield f"  not needed by a model of params.yaml: {', '.join(project.beyond)}"
-    if project.due:
+    if project.hours:
         yield (
             f"  estimate, good to a factor of two: {_duration(project.hours)} on {many(project.cores, 'core')} "
             "without a GPU, "

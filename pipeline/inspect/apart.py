@@ -1,6 +1,7 @@
 """Reading in a process of its own: HDF5 runs in circles, or crashes, on some files with flipped bits."""
 
 import multiprocessing
+import signal
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -41,7 +42,7 @@ class _Reader:
         # "spawn", as for all workers: see pipeline/base/processes.py. It ends when this end of the pipe does.
         context = multiprocessing.get_context("spawn")
         self._here, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there,), daemon=True)
+        self._process = context.Process(target=_start, args=(there,), daemon=True)
         self._process.start()
         there.close()
 
@@ -60,6 +61,11 @@ class _Reader:
         self._here.close()
 
 
+def _start(there: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the command, which takes this process with it
+    _serve(there)
+
+
 def _serve(there: Connection) -> None:
     """Answer questions, each a function and then its arguments, until nobody asks."""
     while True:
@@ -67,7 +73,7 @@ def _serve(there: Connection) -> None:
             read = there.recv()
             there.send("ready")
             arguments = there.recv()
-        except (EOFError, KeyboardInterrupt):
+        except EOFError:
             return
         try:
             answer = True, read(*arguments)

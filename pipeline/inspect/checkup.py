@@ -1,6 +1,6 @@
 """What is there, what is missing, and what to do: of a KITTI raw folder and of the project that reads it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -105,20 +105,26 @@ def plan(project: Project, drives: Sequence[DriveCheck]) -> None:
     except InputError as error:
         project.must += [str(error)] * (str(error) not in project.must)
         return
+    at_work = stages_due.busy(project.folder)
+    if at_work:
+        project.notes.append(f"DVC runs a stage here now ({at_work}): ask again when it is done which stage has to run")
+        return
     try:
         due = stages_due.due(project.folder)
     except InputError as error:
-        project.notes.append(f"{error}. What follows is of a run from the start")
-        due = dict.fromkeys(foreseen.seconds, "unknown")
+        project.must.append(str(error))
+        _foresee(project, foreseen, foreseen.seconds)
+        return
     project.due = {stage: why for stage, why in due.items() if stage in foreseen.seconds}
     project.beyond = [stage for stage in due if stage not in foreseen.seconds]
-    _foresee(project, foreseen)
+    _foresee(project, foreseen, project.due)
 
 
-def _foresee(project: Project, foreseen: Forecast) -> None:
-    project.hours = foreseen.hours(project.due, project.cores)
-    project.written = sum(foreseen.bytes.get(stage, 0.0) for stage in project.due)
-    needed = project.written - forecast.present_bytes(project.folder / "data", project.due)
+def _foresee(project: Project, foreseen: Forecast, stages: Iterable[str]) -> None:
+    stages = list(stages)
+    project.hours = foreseen.hours(stages, project.cores)
+    project.written = sum(foreseen.bytes.get(stage, 0.0) for stage in stages)
+    needed = project.written - forecast.present_bytes(project.folder / "data", stages)
     if project.free < needed:
         project.must.append(
             f"the disk under {project.folder} has {size(project.free)} free, and the run needs some {size(needed)} "

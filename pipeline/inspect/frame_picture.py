@@ -88,4 +88,6 @@ def _draw_points(panel: Axes, view: FrameView) -> None:
         x, z = xyz[view.centres][:, [0, 2]].T
         panel.scatter(x, z, s=24, facecolors="none", edgecolors="black", linewidths=0.6)
         name += f", {len(view.centres):,} centres (circles)"
+    if (cls == classes.VOID).any():
+        name += "; black: no class"
     panel.set_title(name, fontsize="small", loc="left")

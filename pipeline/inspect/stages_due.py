@@ -1,9 +1,34 @@
 """Which stages of a project have to run, as DVC sees it."""
 
+import os
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
+from pipeline.inspect.reading import json_object, mapping
+
+
+def busy(project: Path) -> str:
+    """Return the command of a DVC that runs a stage here now; nothing if none does.
+
+    To ask DVC for its status then is to compete for its locks, at which a run of many hours could end.
+    """
+    try:
+        lock = json_object(project / ".dvc" / "tmp" / "rwlock")
+    except (InputError, FileNotFoundError):
+        return ""
+    writers = (mapping(writer) for writer in mapping(lock.get("write")).values())
+    return next((str(writer.get("cmd")) for writer in writers if _alive(writer.get("pid"))), "")
+
+
+def _alive(pid: Any) -> bool:
+    try:
+        os.kill(int(pid), 0)
+    except PermissionError:  # another user's
+        return True
+    except (OSError, ValueError, TypeError, OverflowError):
+        return False
+    return True
 
 
 def due(project: Path) -> dict[str, str]:

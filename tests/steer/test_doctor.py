@@ -1,6 +1,7 @@
 """steer doctor as a user types it."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -117,7 +118,23 @@ def test_where_dvc_cannot_say_the_run_is_told_from_the_start(root: Path) -> None
         shutil.copyfile(provenance.ROOT / name, here / name)
     text = say(root, status=1)  # no `dvc init`
     assert "DVC cannot say which stage has to run" in text
-    assert "town has to run: unknown" in text
+    assert "town has to run" not in text
+    assert "  estimate, good to a factor of two: " in text
+
+
+@pytest.mark.parametrize(("pid", "busy"), [(os.getpid(), True), (2**22 + 1, False), ("x", False)])
+def test_a_run_in_progress_is_left_alone(
+    project: Path, monkeypatch: pytest.MonkeyPatch, pid: object, busy: bool
+) -> None:
+    def due(folder: Path) -> dict[str, str]:
+        assert not busy, "DVC is asked"
+        return {}
+
+    monkeypatch.setattr(stages_due, "due", due)
+    (project / ".dvc/tmp").mkdir(parents=True)
+    writer = {"pid": pid, "cmd": "dvc repro"}
+    (project / ".dvc/tmp/rwlock").write_text(json.dumps({"write": {"data/train": writer}}))
+    assert ("DVC runs a stage here now (dvc repro)" in say(status=0)) == busy
 
 
 def test_errors_are_one_line(root: Path) -> None:

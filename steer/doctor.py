@@ -91,11 +91,12 @@ def _lines(
     if root:
         yield f"{root}: {many(len(drives), 'drive')}, {sum(one.frames for one in drives)} packets"
         names = list(dict.fromkeys(name for one in drives for name in one.modalities))
-        rows = [("drive", *names, "")]
+        rows = [("drive", *names, "timestamps", "calibration", "")]
         for one in drives:
             counts = (str(one.modalities[name]["files"]) if name in one.modalities else "-" for name in names)
             state = "to do, see below" if one.drive in due else "not named, damaged" if one.must else "well"
-            rows.append((one.drive, *counts, state))
+            stamps = one.modalities["oxts"]["stamps"] or "-"
+            rows.append((one.drive, *counts, str(stamps), _in_short(one.calibration), state))
         yield from table(rows)
     notes = [f"{one.drive}: {note}" for one in drives for note in one.notes]
     notes += [
@@ -111,11 +112,15 @@ def _lines(
         yield from _run(project)
 
 
+def _in_short(calibration: Sequence[str]) -> str:
+    return ", ".join(name.removeprefix("calib_").removesuffix(".txt") for name in calibration) or "-"
+
+
 def _to_do(must: Sequence[str], advice: Mapping[str, str]) -> Iterator[str]:
     yield "to do:" if must else "all is well"
     yield from (f"  {one}" for one in must)
     if advice:
-        yield "by (from where the archives lie; -o: over what is damaged):"
+        yield "by, where the archives lie (ingest.on_damaged: skip would leave out what stays damaged):"
         yield from (f"  {command}" for command in advice.values())
 
 
@@ -149,7 +154,8 @@ def _as_json(
     told: dict[str, Any] = {"root": str(root) if root else None, "well": not must, "to_do": list(must)}
     told["commands"] = dict(advice)
     told["drives"] = {
-        one.drive: {"modalities": one.modalities, "to_do": one.must, "notes": one.notes} for one in drives
+        one.drive: {"modalities": one.modalities, "to_do": one.must, "notes": one.notes, "calibration": one.calibration}
+        for one in drives
     }
     if project:
         told["project"] = {

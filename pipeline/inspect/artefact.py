@@ -13,7 +13,11 @@ from pipeline.inspect.reading import damage_told, json_object, mapping, size_of,
 
 Content = dict[str, Any]
 _MOST = 1e300  # of a figure; JSON may hold whole numbers that are no float
-_OF_A_FOLDER = ("index.json", "config.json", "metrics.json")  # by which it is known
+# Files that are told with their folder.
+_OF_A_FOLDER = (
+    "index.json", "summary.json", "config.json", "metrics.json", "best.pt", "last.pt", "encoder.pt", "curve.csv",
+    "predictions.csv", "structure.json", "neurons.json", "table.md", "table.csv", "index.html",
+)  # fmt: skip
 
 
 def describe(path: Path) -> Content:
@@ -26,8 +30,10 @@ def describe(path: Path) -> Content:
     if not path.exists():
         raise InputError(f"{path} is missing: give a file or folder that a stage wrote, or a KITTI raw drive's folder")
     if path.is_file():
-        if path.name in _OF_A_FOLDER or path.suffix in (".pt", ".csv", ".md", ".html"):
-            return describe(path.parent)
+        if path.name in _OF_A_FOLDER:
+            return describe(path.absolute().parent)
+        if path.suffix not in (".h5", ".hdf5"):
+            raise InputError(f"{path} is no artefact of a stage: give a drive's .h5 file, or a folder")
         return apart(drive_file.describe, path)
     if not path.is_dir():
         raise InputError(f"{path} is no plain file and no folder: give an artefact of a stage")
@@ -182,6 +188,11 @@ def _last_row(path: Path) -> Content:
     return {str(key): value for key, value in rows[-1].items()} if rows else {}
 
 
+def _drawn(folder: Path) -> list[str]:
+    """Return the drives of which stage pictures drew something into a folder."""
+    return sorted(path.stem for path in folder.glob("????_??_??_drive_????.png"))
+
+
 def _is_model(folder: Path) -> bool:
     networks = (found for name in ("best.pt", "last.pt") for found in folder.rglob(name))
     return (folder / "config.json").is_file() and any(networks)
@@ -195,5 +206,6 @@ _KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], Content]], ...] = (
     (_has("config.json"), _encoder),
     (_has("metrics.json", "predictions.csv"), _evaluation),
     (_has("metrics.json"), _figures),
+    (lambda folder: bool(_drawn(folder)), lambda folder: {"kind": "pictures", "made_of": _drawn(folder)}),
     (lambda folder: bool(_parts(folder)), _folders),
 )

@@ -31,6 +31,7 @@ class DriveCheck:
     notes: list[str] = field(default_factory=list)
     extract: set[str] = field(default_factory=set)  # modalities that have to be extracted again
     frames: int = 0
+    calibration: list[str] = field(default_factory=list)
 
     def advice(self) -> str:
         """Return the command that extracts what is missing; nothing if nothing is."""
@@ -55,7 +56,7 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> Driv
     found = DriveCheck(folder.absolute().name.removesuffix("_sync"), folder)
     listed = {name: raw_listing.files(folder, name) for name in raw_listing.MODALITIES}
     expected = _expected(folder, listed)
-    found.frames = len(listed["oxts"].sizes)
+    found.frames, found.calibration = len(listed["oxts"].sizes), raw_listing.calibration(folder)
     with_images = [camera for camera in cameras if listed[_images(camera)].sizes]
     wanted = {"oxts", *(_images(camera) for camera in with_images[:1] or cameras)}
     wanted |= {"velodyne_points"} if lidar else set()
@@ -82,10 +83,11 @@ def _expected(folder: Path, listed: dict[str, Files]) -> list[int]:
     known = {frame for files in listed.values() for frame in files.sizes}
     if not known:
         return []
-    packets, stamps = listed["oxts"].sizes, folder / "oxts" / "timestamps.txt"
-    lines = len(stamps.read_bytes().split(b"\n")) - 1 if stamps.is_file() else 0
+    lines = raw_listing.stamps(folder, "oxts") or 0
     last = max(known)
-    if lines > last + 1 and lines != len(packets):  # as many as packets: a drive that was cut out of a longer one
+    if lines > last + 1 and lines != len(
+        listed["oxts"].sizes
+    ):  # as many as packets: a drive that was cut out of a longer one
         last = lines - 1
     return list(range(min(known) if lines <= last else 0, last + 1))
 
@@ -96,7 +98,8 @@ def _of_modality(found: DriveCheck, name: str, files: Files, expected: list[int]
     faults = file_check.damaged(files, _size(found.folder.parent, name), deep)
     found.modalities[name] = {
         "files": len(files.sizes),
-        "bytes": sum(files.sizes.values()),
+        "bytes": sum(max(size, 0) for size in files.sizes.values()),
+        "stamps": raw_listing.stamps(found.folder, name),
         "missing": runs(missing),
         "damaged": dict(sorted(faults.items())),
     }

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 _DRIVE = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}_sync")
+_MOST_STAMPS_BYTES = 1 << 26  # of a timestamps.txt: two million frames
 _FRAME = re.compile(r"\d{10}", re.ASCII)
 _DATE = re.compile(r"\d{4}_\d\d_\d\d")
 MODALITIES = {
@@ -84,6 +85,19 @@ def gaps_between(numbers: list[int]) -> list[list[int]]:
     return [[numbers[step] + 1, numbers[step + 1] - 1] for step in steps]
 
 
+def stamps(drive: Path, modality: str) -> int | None:
+    """Return how many lines a modality's timestamps.txt has; None if it is absent."""
+    path = drive / MODALITIES[modality][0].partition("/")[0] / "timestamps.txt"
+    if not path.is_file() or path.stat().st_size > _MOST_STAMPS_BYTES:
+        return None
+    return path.read_bytes().rstrip(b"\n").count(b"\n") + 1
+
+
+def calibration(drive: Path) -> list[str]:
+    """Return which calibration files the drive's date has."""
+    return [name for name in CALIBRATION if (drive.parent / name).is_file()]
+
+
 def drive(folder: Path) -> dict[str, Any]:
     """Tell a raw drive: of each modality how many files, from which to which, and gaps."""
     told = {}
@@ -92,10 +106,10 @@ def drive(folder: Path) -> dict[str, Any]:
         numbers = list(listed.sizes)
         if listed.present:
             span = {"first": numbers[0], "last": numbers[-1], "gaps": gaps_between(numbers)} if numbers else {}
-            told[modality] = {"files": len(numbers), "bytes": sum(listed.sizes.values()), **span}
-    present = [name for name in CALIBRATION if (folder.parent / name).is_file()]
+            counts = {"files": len(numbers), "bytes": sum(listed.sizes.values()), "stamps": stamps(folder, modality)}
+            told[modality] = counts | span
     name = folder.absolute().name.removesuffix("_sync")
-    return {"kind": "raw drive", "drive": name, "modalities": told, "calibration": present}
+    return {"kind": "raw drive", "drive": name, "modalities": told, "calibration": calibration(folder)}
 
 
 def root(folder: Path) -> dict[str, Any]:

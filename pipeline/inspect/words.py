@@ -77,10 +77,19 @@ def _folders(told: Content) -> Iterator[str]:
 
 
 def _raw_drive(told: Content) -> Iterator[str]:
-    rows = [("modality", "files", "frames", "missing between", "size")]
+    rows = [("modality", "files", "frames", "missing between", "size", "timestamps")]
     for name, one in told["modalities"].items():
         span = f"{one['first']} to {one['last']}" if one["files"] else "none"
-        rows.append((name, str(one["files"]), span, spans(one.get("gaps", [])) or "none", size(one["bytes"])))
+        rows.append(
+            (
+                name,
+                str(one["files"]),
+                span,
+                spans(one.get("gaps", [])) or "none",
+                size(one["bytes"]),
+                str(one["stamps"]),
+            )
+        )
     yield from table(rows)
     yield f"  calibration: {', '.join(told['calibration']) or 'none'}"
 
@@ -92,6 +101,10 @@ def _raw_root(told: Content) -> Iterator[str]:
     yield from table(rows)
 
 
+def _pictures(told: Content) -> Iterator[str]:
+    yield f"  of {many(len(told['made_of']), 'drive')}: {', '.join(told['made_of'])}"
+
+
 _KINDS = {
     "drive file": _drive_file,
     "folder of drives": _drives,
@@ -100,6 +113,7 @@ _KINDS = {
     "evaluation": _evaluation,
     "figures": _figures,
     "folder of artefacts": _folders,
+    "pictures": _pictures,
     "raw drive": _raw_drive,
     "folder of raw drives": _raw_root,
 }
@@ -120,7 +134,11 @@ def provenance(chain: Content, raw: list[dict[str, Any]]) -> Iterator[str]:
         yield from _stage(stage)
     if len(raw) > 1:
         roots = sorted({str(Path(one["raw"]).parents[1]) for one in raw if "raw" in one})
-        yield f"  {len(raw)} raw drives in {', '.join(roots) or 'unknown folders'}: steer show a drive's file says more"
+        unread = sum("error" in one for one in raw)
+        more = (
+            f"; of {unread} the ingest file cannot be read here" if unread else ": steer show a drive's file says more"
+        )
+        yield f"  {len(raw)} raw drives{' in ' + ', '.join(roots) if roots else ''}{more}"
     for one in raw[:1] if len(raw) == 1 else ():
         if "error" in one:
             yield f"  raw drive: {one['error']}"

@@ -51,6 +51,7 @@ def say(*words: object, status: int) -> str:
 def test_whole_drives_are_well(root: Path) -> None:
     text = say(root, status=0)
     assert "2 drives, 60 packets" in text
+    assert "30               30          cam_to_cam, velo_to_cam  well" in text
     assert text.endswith("all is well\n")
     assert say(root, "--deep", "--quiet", status=0) == ""
 

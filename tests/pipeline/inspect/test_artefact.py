@@ -94,6 +94,8 @@ def test_raw_drives_and_their_folder(tmp_path: Path) -> None:
     told = artefact.describe(folder)
     assert told["modalities"]["image_02"]["gaps"] == [[2, 3]]
     assert told["modalities"]["velodyne_points"]["files"] == 3
+    assert told["modalities"]["oxts"]["stamps"] == kitti_drive.LINES
+    assert told["modalities"]["image_02"]["stamps"] is None
     assert told["calibration"] == ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"]
     for root in (tmp_path, folder.parent):
         told_root = artefact.describe(root)
@@ -120,11 +122,21 @@ def test_a_config_of_another_shape_is_told_as_far_as_it_goes(tmp_path: Path, con
     assert list(words.artefact(artefact.describe(folder)))
 
 
+def test_pictures(tmp_path: Path) -> None:
+    write(tmp_path / "pictures/2011_09_26_drive_0001.png", "")
+    told = artefact.describe(tmp_path / "pictures")
+    assert (told["kind"], told["made_of"]) == ("pictures", ["2011_09_26_drive_0001"])
+    assert any("of 1 drive: 2011_09_26_drive_0001" in line for line in words.artefact(told))
+
+
 def test_what_no_stage_writes_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds nothing that a stage writes"):
         artefact.describe(tmp_path)
     with pytest.raises(InputError, match="is missing"):
         artefact.describe(tmp_path / "nothing")
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="no artefact of a stage"):
+        artefact.describe(tmp_path / "notes.txt")
     (tmp_path / "a.h5").write_bytes(np.zeros(100).tobytes())
     with pytest.raises(InputError, match=r"a\.h5 is damaged"):
         artefact.describe(tmp_path / "a.h5")

@@ -86,7 +86,7 @@ def _check(root: Path, project: "Project | None", deep: bool, voice: Voice) -> "
 def _lines(
     root: Path | None, drives: "Sequence[DriveCheck]", due: set[str], project: "Project | None"
 ) -> Iterator[str]:
-    from pipeline.inspect.words import many, table
+    from pipeline.inspect.phrases import many, table
 
     if root:
         yield f"{root}: {many(len(drives), 'drive')}, {sum(one.frames for one in drives)} packets"
@@ -125,7 +125,7 @@ def _to_do(must: Sequence[str], advice: Mapping[str, str]) -> Iterator[str]:
 
 
 def _run(project: "Project") -> Iterator[str]:
-    from pipeline.inspect.words import many, size
+    from pipeline.inspect.phrases import many, size
 
     yield f"project {project.folder}: {size(project.free)} free"
     for stage, why in project.due.items():

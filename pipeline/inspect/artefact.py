@@ -1,18 +1,15 @@
 """What a file or folder is, of whichever stage, and what it holds: JSON-able."""
 
-import csv
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
-from pipeline.inspect import drive_file, raw_listing
+from pipeline.inspect import drive_file, raw_listing, trained
 from pipeline.inspect.apart import apart
-from pipeline.inspect.reading import damage_told, json_object, mapping, size_of, text
+from pipeline.inspect.reading import json_object, mapping, size_of
 
 Content = dict[str, Any]
-_MOST = 1e300  # of a figure; JSON may hold whole numbers that are no float
 # Files that are told with their folder.
 _OF_A_FOLDER = (
     "index.json", "summary.json", "config.json", "metrics.json", "best.pt", "last.pt", "encoder.pt", "curve.csv",
@@ -75,80 +72,6 @@ def _drives(folder: Path) -> Content:
     }
 
 
-def _model(folder: Path) -> Content:
-    """Tell a trained model: its line of params.yaml, size, how it was fitted, and how its curve ended."""
-    config = json_object(folder / "config.json")
-    splits = mapping(config.get("splits"))
-    return {
-        "kind": "model",
-        "stage": "train",
-        "name": config.get("name", folder.name),
-        "line": mapping(config.get("model")),
-        **{
-            key: config.get(key)
-            for key in ("parameters", "epochs", "best_epoch", "encode_ms_per_frame", "revision", "seeds", "target")
-        },
-        "drives": dict(Counter(str(split) for split in splits.values())),
-        "made_of": list(splits),
-        "settings": {"train": mapping(config.get("train"))},
-        "curve_end": _last_row(folder / "curve.csv"),
-        "networks": sorted(str(best.parent.relative_to(folder)) for best in folder.rglob("best.pt")),
-    }
-
-
-def _encoder(folder: Path) -> Content:
-    config = json_object(folder / "config.json")
-    per_drive = mapping(config.pop("frames_per_drive", None))
-    return {
-        "kind": "encoder",
-        "stage": "encoder",
-        "settings": {"encoder": config},
-        "drives": len(per_drive),
-        "made_of": list(per_drive),
-        "curve_end": _last_row(folder / "curve.csv"),
-    }
-
-
-def _evaluation(folder: Path) -> Content:
-    """Tell a model's errors: the headline of its metrics.json."""
-    metrics = json_object(folder / "metrics.json")
-    return {
-        "kind": "evaluation",
-        "stage": "evaluate",
-        "name": metrics.get("model", folder.name),
-        "line": mapping(metrics.get("line")),
-        "errors": {split: _headline(mapping(metrics.get(split))) for split in ("train", "val", "test")},
-        "made_of": _names(metrics.get("drives")),
-        **{key: metrics.get(key) for key in ("parameters", "points_per_frame", "edges_per_frame", "seeds")},
-    }
-
-
-def _names(drives: Any) -> list[str]:
-    lists = (names for names in mapping(drives).values() if isinstance(names, list))
-    return [str(name) for names in lists for name in names]
-
-
-def _headline(split: Content) -> Content:
-    keys = ("frames", "nmse", "nmse_ci95", "rmse_deg", "mae_deg", "drift_m_per_100m")
-    baselines = {name: mapping(value).get("nmse") for name, value in mapping(split.get("baselines")).items()}
-    return {key: split[key] for key in keys if key in split} | ({"baselines_nmse": baselines} if baselines else {})
-
-
-def _figures(folder: Path) -> Content:
-    """Tell another metrics.json, of scores or the report: its figures that are plain numbers."""
-    return {"kind": "figures", "figures": _numbers(json_object(folder / "metrics.json"))}
-
-
-def _numbers(tree: Content, prefix: str = "", depth: int = 0) -> Content:
-    result: Content = {}
-    for key, value in tree.items():
-        if isinstance(value, dict) and depth < 3:
-            result |= _numbers(value, f"{prefix}{key}.", depth + 1)
-        elif isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _MOST:
-            result[f"{prefix}{key}"] = value
-    return result
-
-
 def _folders(folder: Path) -> Content:
     """Tell a folder of artefacts, as data/clouds or data/: of each what it is, or what is wrong with it."""
     parts: Content = {}
@@ -179,15 +102,6 @@ def _parts(folder: Path, levels: int = 2) -> list[Path]:
     ]
 
 
-def _last_row(path: Path) -> Content:
-    """Return the last line of a curve, by its columns; nothing where there is no curve."""
-    if not path.is_file():
-        return {}
-    with damage_told(path):
-        rows = list(csv.DictReader(text(path).splitlines()))
-    return {str(key): value for key, value in rows[-1].items()} if rows else {}
-
-
 def _drawn(folder: Path) -> list[str]:
     """Return the drives of which stage pictures drew something into a folder."""
     return sorted(path.stem for path in folder.glob("????_??_??_drive_????.png"))
@@ -202,10 +116,10 @@ _KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], Content]], ...] = (
     (raw_listing.is_drive, raw_listing.drive),
     (raw_listing.is_root, raw_listing.root),
     (_has("index.json"), _drives),
-    (_is_model, _model),
-    (_has("config.json"), _encoder),
-    (_has("metrics.json", "predictions.csv"), _evaluation),
-    (_has("metrics.json"), _figures),
+    (_is_model, trained.model),
+    (_has("config.json"), trained.encoder),
+    (_has("metrics.json", "predictions.csv"), trained.evaluation),
+    (_has("metrics.json"), trained.figures),
     (lambda folder: bool(_drawn(folder)), lambda folder: {"kind": "pictures", "made_of": _drawn(folder)}),
     (lambda folder: bool(_parts(folder)), _folders),
 )

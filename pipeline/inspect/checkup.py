@@ -10,8 +10,8 @@ from pipeline.base.errors import InputError, closest
 from pipeline.base.params import load
 from pipeline.inspect import forecast, raw_check, raw_listing, stages_due
 from pipeline.inspect.forecast import Forecast
+from pipeline.inspect.phrases import size
 from pipeline.inspect.raw_check import DriveCheck
-from pipeline.inspect.words import size
 from pipeline.sections.ingest import Ingest
 
 _ALL_CAMERAS = (2, 0, 3, 1)

@@ -9,8 +9,8 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.inspect import file_check, label_check, raw_listing
+from pipeline.inspect.phrases import spans
 from pipeline.inspect.raw_listing import Files, gaps_between
-from pipeline.inspect.words import spans
 from pipeline.kitti import oxts
 from pipeline.kitti.calibration import cameras_in, read_camera
 

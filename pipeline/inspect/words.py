@@ -1,12 +1,13 @@
 """What an artefact holds and where it came from, as lines for people."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pipeline.inspect.phrases import frames, many, size, spans, table
+
 Content = Mapping[str, Any]
-_MOST_GAPS = 8  # that are spelled out
 
 
 def artefact(told: Content) -> Iterator[str]:
@@ -157,42 +158,6 @@ def _stage(stage: Content) -> Iterator[str]:
         yield f"    from {path}, {md5}{', MADE AGAIN SINCE: below is the new one' if path in stage['remade'] else ''}"
     other = [f"{path} ({state})" for path, state in stage["code"].items() if state != "same"]
     yield f"    code: {'changed since it was made: ' + ', '.join(other) if other else 'still that which made it'}"
-
-
-def frames(one: Content) -> str:
-    """Return how many frames there are, from which to which, and what is missing between."""
-    if not one["count"]:
-        return "no frames"
-    missing = f"missing {spans(one['gaps'])}" if one["gaps"] else "no gaps"
-    return f"{one['count']} frames, {one['first']} to {one['last']} in {one['duration_s']:.1f} s, {missing}"
-
-
-def spans(gaps: list[list[int]]) -> str:
-    """Return runs of frame numbers, as 3, 7-9."""
-    words = [str(first) if first == last else f"{first}-{last}" for first, last in gaps[:_MOST_GAPS]]
-    return ", ".join([*words, f"… ({len(gaps)} gaps)"] if len(gaps) > _MOST_GAPS else words)
-
-
-def size(count: float) -> str:
-    """Return bytes as people read them."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 1000:
-            return f"{count:.0f} B" if unit == "B" else f"{count:.1f} {unit}"
-        count /= 1000
-    return f"{count:.1f} TB"
-
-
-def table(rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
-    """Yield rows as lines whose columns stand below each other."""
-    rows = list(rows)
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))] if rows else []
-    for row in rows:
-        yield "  " + "  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip()
-
-
-def many(count: int, what: str) -> str:
-    """Return a count with its noun, as 1 drive, 2 drives."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _short(value: Any) -> str:

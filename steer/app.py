@@ -5,7 +5,7 @@ from collections.abc import Callable
 import typer
 
 from pipeline.base.console import guarded
-from steer import diff, export, import_recording, predict
+from steer import diff, doctor, export, import_recording, predict, show
 
 app = typer.Typer(
     help="Steering angles from a trained model, your own recordings as KITTI raw, and what an artefact holds.",
@@ -21,11 +21,13 @@ def _steer() -> None:
     """Have verbs even while there is one."""
 
 
-def _add(name: str, command: Callable[..., object], kept: str) -> None:
-    app.command(name, no_args_is_help=True)(guarded(command, kept))
+def _add(name: str, command: Callable[..., object], kept: str, needs_arguments: bool = True) -> None:
+    app.command(name, no_args_is_help=needs_arguments)(guarded(command, kept))
 
 
 _add("predict", predict.predict, "what is written is whole")
-_add("export", export.export, "nothing is written")
-_add("diff", diff.diff, "nothing is written")
 _add("import", import_recording.import_recording, "no drive is written; run the same command again")
+_add("show", show.show, "what is written is whole")
+_add("diff", diff.diff, "nothing is written")
+_add("doctor", doctor.doctor, "nothing is written", needs_arguments=False)
+_add("export", export.export, "nothing is written")

@@ -16,11 +16,6 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def _steer() -> None:
-    """Have verbs even while there is one."""
-
-
 def _add(name: str, command: Callable[..., object], kept: str, needs_arguments: bool = True) -> None:
     app.command(name, no_args_is_help=needs_arguments)(guarded(command, kept))
 

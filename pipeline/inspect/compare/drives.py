@@ -11,25 +11,14 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.inspect.compare.difference import Difference, Tally
 from pipeline.inspect.compare.values import of_values
+from pipeline.inspect.drive_file import opened
 
-STAGES = ("ingest", "labels", "perception", "motion", "clouds", "graphs")
-"""That write a file per drive."""
 _WHOLE_BYTES = 16 << 20  # datasets up to this size are read at once
 
 
 def compare(a: Path, b: Path, name: str, tolerance: float) -> Iterator[Difference]:
     """Yield where two files of drives differ. Raises InputError if one is damaged or no stage's."""
-    try:
-        yield from _compare(a, b, name, tolerance)
-    except (InputError, OSError):
-        raise
-    except Exception as error:  # of damaged files HDF5 raises a dozen kinds, and pointers lead anywhere
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{a} or {b} is damaged ({said}): make it again, or dvc pull") from error
-
-
-def _compare(a: Path, b: Path, name: str, tolerance: float) -> Iterator[Difference]:
-    with _opened(a) as one, _opened(b) as other:
+    with opened(a) as one, opened(b) as other:
         yield from of_values(_about(one), _about(other), name, tolerance)
         names, others = _names(one), _names(other)
         for dataset in sorted(names ^ others):
@@ -46,17 +35,6 @@ def _compare(a: Path, b: Path, name: str, tolerance: float) -> Iterator[Differen
             difference = found.difference(name, dataset, _form(*sides), drive=one.drive, unit=sides[0].unit)
             if difference:
                 yield difference
-
-
-def _opened(path: Path) -> DriveReader:
-    # Its folder mostly says whose it is, and the error of that stage's reader is the one worth reading.
-    errors = []
-    for stage in sorted(STAGES, key=lambda stage: stage not in path.absolute().parts[:-1]):
-        try:
-            return DriveReader(path, stage=stage)
-        except InputError as error:
-            errors.append(error)
-    raise errors[0]
 
 
 def _names(file: DriveReader) -> set[str]:

@@ -1,6 +1,5 @@
 """steer predict: the steering of a drive, a folder of images or a video, frame by frame."""
 
-import csv
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,8 +12,6 @@ from steer.options import Debug, Json, Quiet, Voice
 if TYPE_CHECKING:
     from pipeline.live.chain import Chain
     from pipeline.live.source import Source
-
-COLUMNS = ("drive", "frame", "time_s", "predicted_rad", "steering_rad", "latency_ms")
 
 
 def predict(
@@ -82,52 +79,32 @@ def _data(model: Path, encoder: Path | None, params: Path | None) -> Path:
 def _write(chain: "Chain", stream: "Source", out: Path, voice: Voice, *, video: bool) -> None:
     from tqdm import tqdm
 
-    from pipeline.live.latency import Latency
     from pipeline.live.overlay import Overlay
+    from pipeline.live.steering_csv import writing
 
-    model, latency = chain.model, Latency(warm_up=chain.model.window)
-    frames = predicted = gaps = 0
-    last: int | None = None
+    model, to, film = chain.model, out / "steering.csv", out / "overlay.mp4"
     with ExitStack() as stack:
-        file = stack.enter_context((out / "steering.csv").open("w", newline="", encoding="utf-8"))
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(COLUMNS)
+        rows = stack.enter_context(writing(to, stream.view.name, warm_up=model.window))
         overlay = None
         if video:
-            to = out / "overlay.mp4"
-            overlay = stack.enter_context(
-                Overlay(to, stream.view, stream.fps, chain.camera_height_m, model.target.wheelbase_m)
-            )
+            overlay = Overlay(film, stream.view, stream.fps, chain.camera_height_m, model.target.wheelbase_m)
+            stack.enter_context(overlay)
         bar = stack.enter_context(tqdm(total=stream.count, unit=" frames", disable=None if voice.talks else True))
         for moment in stack.enter_context(closing(chain.angles(stream.moments))):
-            if last is not None and moment.number != last + 1:
-                gaps += 1
-                voice.line(f"frame {moment.number} comes after {last}: the window starts again")
-            last = moment.number
-            latency.note(moment.latency_s)
-            known = [_angle(moment.predicted_rad, 6), _angle(moment.driven_rad, 9)]
-            rows.writerow(
-                [stream.view.name, moment.number, f"{moment.time_s:.6f}", *known, f"{moment.latency_s * 1e3:.1f}"]
-            )
-            file.flush()  # whatever comes, what is written is whole
-            frames, predicted = frames + 1, predicted + (moment.predicted_rad is not None)
+            rows.add(moment)
             if overlay:
                 overlay.add(moment)
             bar.update()
-            if frames % 20 == 0:
-                bar.set_postfix_str(str(latency.summary()))
+            if rows.frames % 20 == 0:
+                bar.set_postfix_str(str(rows.latency.summary()))
+    for before, after in rows.gaps:
+        voice.line(f"frame {after} comes after {before}: the window starts again")
     for note in stream.notes:
         voice.line(note)
-    measured = latency.summary()
     ahead = f", each {model.horizon} frames ahead" if model.horizon else ""
-    voice.line(f"{model.name}: {predicted} angles of {frames} frames{ahead}; {measured} from file to angle")
-    voice.line(f"{out / 'steering.csv'}" + (f", {out / 'overlay.mp4'}" if video else ""))
+    voice.line(f"{model.name}: {rows.predicted} angles of {rows.frames} frames{ahead}; {rows.latency.summary()}")
+    voice.line(f"{to}, {film}" if video else str(to))
     voice.result({
-        "model": model.name, "source": stream.view.name, "frames": frames, "predicted": predicted, "gaps": gaps,
-        "horizon": model.horizon, "notes": stream.notes, **measured._asdict(),
-        "csv": str(out / "steering.csv"), "video": str(out / "overlay.mp4") if video else None,
+        "model": model.name, "source": stream.view.name, "horizon": model.horizon, **rows.summary(),
+        "notes": stream.notes, "csv": str(to), "video": str(film) if video else None,
     })  # fmt: skip
-
-
-def _angle(rad: float | None, digits: int) -> str:
-    return "" if rad is None else f"{rad:.{digits}f}"

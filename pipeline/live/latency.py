@@ -17,7 +17,7 @@ class Summary(NamedTuple):
     hz: float
 
     def __str__(self) -> str:
-        return f"{self.hz:.1f} Hz, p50 {self.p50_ms:.0f} ms, p95 {self.p95_ms:.0f} ms"
+        return f"{self.hz:.1f} Hz, from file to angle p50 {self.p50_ms:.0f} ms, p95 {self.p95_ms:.0f} ms"
 
 
 class Latency:

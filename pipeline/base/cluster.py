@@ -6,6 +6,7 @@ the job of a worker that died to another.
 """
 
 import io
+import logging
 import os
 import pickle
 import pkgutil
@@ -41,7 +42,11 @@ class Cluster:
 
     @property
     def count(self) -> int:
-        return len(self._client.nthreads())  # a thread each; they come and go
+        """How many workers there are, of a thread each; they come and go."""
+        try:
+            return len(self._client.nthreads())
+        except OSError as error:
+            raise self._gone() from error
 
     def submit(self, job: Job) -> Future[Any]:
         call = _Call(cluster_job.do, self._run, _pickled(job.call))
@@ -60,11 +65,14 @@ class Cluster:
                 f"{error.last_worker.address}: see its log, start fewer on a machine, {KEPT}"
             ) from error
         except CancelledError as error:
-            raise InputError(f"the scheduler {self._address} is gone: start it again, {KEPT}") from error
+            raise self._gone() from error
         except ImportError as error:
             raise InputError(f"a worker of {self._address} lacks what it needs, {error}: {self._run.hint}") from error
         self.done_frames += frames
         return result
+
+    def _gone(self) -> InputError:
+        return InputError(f"the scheduler {self._address} is gone: start it again, {KEPT}")
 
 
 def scheduler() -> str | None:
@@ -106,6 +114,7 @@ def _connected(address: str) -> "Client":
         from distributed.comm.addressing import parse_address, parse_host_port
     except ModuleNotFoundError as error:
         raise InputError(f"{VARIABLE} is set, but {error}: pip install '.[cluster]'") from error
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors here are one line, told once
     try:
         _, place = parse_address(address, strict=True)
         with socket.create_connection(parse_host_port(place), CONNECT_S):

@@ -93,7 +93,7 @@ def run_by(workers: Workers, makers: Mapping[str, Steps], finish: Finish, bar: t
             go_on(drive, [])
 
     def submit() -> None:
-        most = 2 * max(1, workers.count)  # one more each, so that nobody waits for this process
+        most = 0 if failures else 2 * max(1, workers.count)  # one more each, so that nobody waits for this process
         while len(pending) < most and not failures:
             while not queue and (drive := next(unstarted, None)) is not None:
                 go_on(drive, None)

@@ -21,7 +21,7 @@ from pipeline.base import cluster, progress, store
 from pipeline.base.blocks import BlockWriter
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.pool import run_over_frames, run_side_by_side
-from tests import street
+from tests import artefacts, small_model, street
 from tests.kitti_drive import contents
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -220,6 +220,19 @@ def test_a_stage_as_dvc_starts_it(tmp_path: Path, address: str) -> None:
         assert (done.returncode, done.stderr) == (0, "")
         files.append(contents(tmp_path / "data/clouds"))
     assert files[0] == files[1]
+
+
+@pytest.mark.slow
+def test_seeds_are_trained_as_here(tmp_path: Path, two_workers: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    artefacts.write_dataset(tmp_path, small_model.SPLITS, frames=60, points=80)
+    small_model.write_params(tmp_path, epochs=1, seeds=[0, 1])
+    networks = []
+    for scheduler in ("", two_workers):
+        monkeypatch.setenv(cluster.VARIABLE, scheduler)
+        made = small_model.run_train(tmp_path)
+        networks.append({name: content for name, content in contents(made).items() if name.endswith("best.pt")})
+    assert networks[0].keys() == {"best.pt", "seed-1/best.pt"}
+    assert networks[0] == networks[1]
 
 
 @pytest.mark.slow

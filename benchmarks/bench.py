@@ -103,6 +103,7 @@ def rows() -> dict[str, Callable[[Given], Row]]:
         "sample_load": lambda given: files.load(given.sample, "cpu"),
         "table2_side_by_side": lambda given: chain.side_by_side(given.made),
         "blocks": lambda given: chain.blocks(given.made),
+        "cluster": lambda given: chain.cluster(given.made),
         "demo": lambda given: chain.demo(CODE),
     }
     if torch.cuda.is_available():

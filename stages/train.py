@@ -54,7 +54,7 @@ def main(
     drives = {drive for fold in folds for drive in fold.train + fold.val}
     files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in drives}
     job = Job(name, where, line, settings, variant, labels, splits, files, kept)
-    with distributed.joined() as (world, device), held(out / name, kept) if world.leads else nullcontext():
+    with distributed.joined() as (world, device), held(out / name, kept) if world.leads else nullcontext(kept) as lock:
         if world.size > settings.batch_runs:
             raise InputError(
                 f"{params}: train.batch_runs = {settings.batch_runs}: the runs of a step cannot be spread over "
@@ -63,7 +63,8 @@ def main(
         if not folds[0].val and world.leads:
             print(f"{name}: no validation drives, so no early stopping: the last epoch counts as the best", flush=True)
         if len(todo) > 1 and world.size == 1 and device.type == "cpu":
-            run_side_by_side(partial(fit_run, job=job), todo)
+            modules = ["stages.train", *steering_net.modules(line)]
+            run_side_by_side(partial(fit_run, job=job), todo, module=modules, mark=lock)
         else:
             for run in todo:
                 fit_run(run, job, world, device)

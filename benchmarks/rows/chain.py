@@ -5,12 +5,11 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -30,22 +29,60 @@ def blocks(data: Path) -> Row:
     """Perception, clouds and graphs of one long drive."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        content = merged("table2")
-        content["models"] = {}
-        params = folder / "params.yaml"
-        params.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        params = _params(folder)
         drive = next(iter(store.read_index(data / "ingest", stage="ingest")))
         repeated(data / f"ingest/{drive}.h5", folder / f"ingest/{drive}.h5", drive, LONG)
         store.write_index(folder / "ingest", {drive: "train"})
         kinds.write(folder / "motion", [])
 
         def chain(workers: int) -> None:
-            perception.main(folder / "ingest", data / "encoder", folder / "perception", params, workers=workers)
-            clouds.main(folder / "ingest", folder / "perception", folder / "clouds", params, workers=workers)
-            graphs.main("semantic", folder, folder / "graphs", params, workers=workers)
+            _chain(folder, data / "encoder", params, workers)
 
         text = f"perception, clouds, graphs of one drive of {LONG} frames: 2 workers / 1"
         return compare(_s(partial(chain, 2)), _s(partial(chain, 1)), "s", text)
+
+
+def _params(folder: Path) -> Path:
+    """Write the settings of the chain to `folder`, with no model to train."""
+    path = folder / "params.yaml"
+    path.write_text(yaml.safe_dump(merged("table2") | {"models": {}}, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def _chain(folder: Path, encoder: Path, params: Path, workers: int | None = None) -> None:
+    perception.main(folder / "ingest", encoder, folder / "perception", params, workers=workers)
+    clouds.main(folder / "ingest", folder / "perception", folder / "clouds", params, workers=workers)
+    graphs.main("semantic", folder, folder / "graphs", params, workers=workers)
+
+
+def cluster(data: Path) -> Row:
+    """Perception, clouds and graphs of some drives of the sample, by a Dask cluster of this machine."""
+    import distributed
+
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        params = _params(folder)
+        splits = store.read_index(data / "ingest", stage="ingest")
+        kept = {drive: split for drive, split in splits.items() if drive in list(splits)[::5]}
+        (folder / "ingest").mkdir()
+        for drive in kept:
+            (folder / f"ingest/{drive}.h5").symlink_to((data / f"ingest/{drive}.h5").resolve())
+        store.write_index(folder / "ingest", kept)
+        kinds.write(folder / "motion", [])
+
+        def chain(address: str) -> None:
+            with _environment(STEER_SCHEDULER=address):
+                _chain(folder, data / "encoder", params)
+
+        with ExitStack() as clusters:
+            one, two = (
+                clusters.enter_context(
+                    distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+                ).scheduler_address
+                for workers in (1, 2)
+            )
+            text = f"perception, clouds, graphs of {len(kept)} drives of the sample: 2 Dask workers / 1"
+            return compare(_s(partial(chain, two)), _s(partial(chain, one)), "s", text)
 
 
 def side_by_side(data: Path) -> Row:
@@ -67,7 +104,7 @@ def side_by_side(data: Path) -> Row:
         store.write_index(folder / "graphs/semantic", {drive: splits[drive] for drive in kept})
 
         def fit(workers: int) -> None:
-            with _workers(workers):
+            with _environment(STEER_WORKERS=str(workers)):
                 train.main("sa-gnn-ncp", folder / "graphs", data / "labels", folder / "train", params)
             shutil.rmtree(folder / "train")
 
@@ -122,16 +159,14 @@ def _s(work: Callable[[], None]) -> Callable[[], float]:
 
 
 @contextmanager
-def _workers(count: int) -> Any:
-    before = os.environ.get("STEER_WORKERS")
-    os.environ["STEER_WORKERS"] = str(count)
+def _environment(**variables: str) -> Iterator[None]:
+    before = dict(os.environ)
+    os.environ.update(variables)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["STEER_WORKERS"]
-        else:
-            os.environ["STEER_WORKERS"] = before
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def _run(command: list[str], folder: Path) -> None:

@@ -1,16 +1,13 @@
-"""Jobs that make drives, in this process or in several: what each drive needs next is known by a generator."""
+"""Jobs that make drives, in this process or by others: what each drive needs next is known by a generator."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from tqdm import tqdm
 
-from pipeline.base.console import default_workers
 from pipeline.base.errors import InputError
-from pipeline.base.processes import BROKEN, processes, with_work
 
 REFRESH_S = 0.5  # of the bar, while workers count
 Summary = dict[str, Any]
@@ -21,6 +18,24 @@ class Job(NamedTuple):
 
     where: str
     call: Callable[[Any], Any]
+
+
+class Workers(Protocol):
+    """Who does jobs: processes of this machine, or of others. Each has a copy of the work."""
+
+    @property
+    def count(self) -> int:
+        """How many jobs they do at a time."""
+
+    @property
+    def done_frames(self) -> int:
+        """How many frames their jobs have told of."""
+
+    def submit(self, job: Job) -> Future[Any]:
+        """Have a job done. Raises InputError if there is nobody left."""
+
+    def result(self, future: Future[Any], where: str) -> Any:
+        """Return what a job that has ended returned, or raise what it raised; InputError if who did it is gone."""
 
 
 Steps = Generator[list[Job], list[Any], tuple[Summary, float]]
@@ -57,10 +72,8 @@ class _Step:
         return len(self.results) == len(self.jobs)
 
 
-def run_in_processes(
-    makers: Mapping[str, Steps], work: Any, workers: int, finish: Finish, bar: tqdm, by_frame: bool
-) -> None:
-    """Do the jobs in so many processes; each has a copy of `work`.
+def run_by(workers: Workers, makers: Mapping[str, Steps], finish: Finish, bar: tqdm, by_frame: bool) -> None:
+    """Have the jobs done by others.
 
     Raises the first error of a job after those that run are done; the jobs that wait are left out.
     """
@@ -80,44 +93,41 @@ def run_in_processes(
             go_on(drive, [])
 
     def submit() -> None:
-        while len(pending) < 2 * workers and not failures:  # one more each, so that nobody waits for this process
+        most = 0 if failures else 2 * max(1, workers.count)  # one more each, so that nobody waits for this process
+        while len(pending) < most and not failures:
             while not queue and (drive := next(unstarted, None)) is not None:
                 go_on(drive, None)
             if not queue:
                 break
             step, number = queue.popleft()
-            job = step.jobs[number]
             try:
-                pending[pool.submit(with_work, job.call)] = step, number
-            except BrokenProcessPool:  # just now, before any job says so
-                failures.append(InputError(BROKEN.format(where=job.where)))
+                pending[workers.submit(step.jobs[number])] = step, number
+            except InputError as error:
+                failures.append(error)
 
     def settle(job: Future[Any]) -> None:
         step, number = pending.pop(job)
         try:
-            step.results[number] = job.result()
+            step.results[number] = workers.result(job, step.jobs[number].where)
             if step.is_done:
                 go_on(step.drive, [step.results[number] for number in range(len(step.jobs))])
-        except BrokenProcessPool:
-            failures.append(InputError(BROKEN.format(where=step.jobs[number].where)))
         except Exception as error:  # whatever it is, the other work is worth keeping
             failures.append(error)
 
-    with processes(workers, max(1, default_workers() // workers), work) as (pool, done_frames):
-        try:
+    try:
+        submit()
+        while pending:
+            done, _ = wait(pending, None if bar.disable else REFRESH_S, return_when=FIRST_COMPLETED)
+            for job in done:
+                settle(job)
+            if by_frame:
+                bar.update(workers.done_frames - bar.n)
+            if failures:
+                for job in [job for job in pending if job.cancel()]:
+                    del pending[job]
             submit()
-            while pending:
-                done, _ = wait(pending, None if bar.disable else REFRESH_S, return_when=FIRST_COMPLETED)
-                if by_frame:
-                    bar.update(done_frames.value - bar.n)
-                for job in done:
-                    settle(job)
-                if failures:
-                    for job in [job for job in pending if job.cancel()]:
-                        del pending[job]
-                submit()
-        finally:  # after Ctrl-C too: leaving the pool waits for what is not cancelled
-            for job in pending:
-                job.cancel()
+    finally:  # after Ctrl-C too: leaving the workers waits for what is not cancelled
+        for job in pending:
+            job.cancel()
     if failures:
         raise failures[0]

@@ -16,13 +16,15 @@ _UNSUPPORTED = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # some network fi
 
 
 @contextmanager
-def held(folder: Path, kept: Path) -> Iterator[None]:
+def held(folder: Path, kept: Path) -> Iterator[Path]:
     """Be the only process that writes the stage folder `folder`, as long as the block lasts.
 
     Args:
         folder: where results end up, for instance ``data/train/gnn``.
         kept: where finished parts wait for the next run, for instance ``data/.resume/train-gnn``; made if absent. The
             lock is the file ``<kept>.lock``, outside of what DVC tracks. The system releases it when this process dies.
+
+    Yields the lock's file, which says who holds it.
 
     What killed runs left half-written in either folder is removed.
 
@@ -34,7 +36,7 @@ def held(folder: Path, kept: Path) -> Iterator[None]:
     try:
         for place in (folder, kept):
             sweep(place)
-        yield
+        yield path
     finally:
         path.unlink(missing_ok=True)  # before it is released: see _lock
         file.close()

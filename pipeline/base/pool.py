@@ -1,4 +1,4 @@
-"""Run a function over drives, or over blocks of their frames: worker processes, progress, going on after a kill.
+"""Run a function over drives, or over blocks of their frames: by whom, progress, going on after a kill.
 
 DVC deletes a stage's outputs before it runs the stage, so finished drives and blocks wait in ``data/.resume/<stage>/``
 under a key that hashes all that determines their drive; drives are moved into the stage's folder when all are done.
@@ -8,23 +8,22 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from tqdm import tqdm
 
-from pipeline.base import making, progress
+from pipeline.base import cluster, making, progress
 from pipeline.base.atomic import replacing, sweep
 from pipeline.base.blocks import BlockWriter
 from pipeline.base.console import default_workers
-from pipeline.base.errors import InputError
-from pipeline.base.jobs import Steps, run_alone, run_in_processes
+from pipeline.base.jobs import Job, Steps, Workers, run_alone, run_by
 from pipeline.base.jobs import Summary as Summary
 from pipeline.base.lock import held
 from pipeline.base.making import Blocks, Total
-from pipeline.base.processes import BROKEN, processes
+from pipeline.base.processes import processes
 from pipeline.base.resume import resume_key
 from pipeline.base.store import indexed, write_json
 
@@ -62,7 +61,8 @@ def run_over_drives(
         out: the stage's folder, for instance ``data/clouds/pseudo``.
         inputs: drive → what it is made from: files, whose contents are part of the key, or strings that stand for some.
         settings: JSON-able parameters that determine the files; part of the key.
-        workers: processes; None means :func:`pipeline.base.console.default_workers`. Never changes a result.
+        workers: processes; None means :func:`pipeline.base.console.default_workers`. Never changes a result. With
+            ``STEER_SCHEDULER``, those of a cluster do the work: :mod:`pipeline.base.cluster`.
         resume: where finished drives wait, locked; default ``.resume/<name of out>`` beside `out`. Never inside a DVC
             output.
         target: drive → where its file or folder ends up; default ``out/<drive>.h5``.
@@ -174,7 +174,7 @@ def _make_all(
     describe: Callable[[Summary], str],
 ) -> dict[str, Summary]:
     kept = resume or out.parent / ".resume" / out.name
-    with held(out, kept):
+    with held(out, kept) as lock:
         paths = {
             drive: kept / (resume_key(module, {"drive": drive, **settings}, inputs(drive)) + target(drive).suffix)
             for drive in drives
@@ -182,7 +182,8 @@ def _make_all(
         todo = {drive: path for drive, path in paths.items() if not path.exists() or not _sidecar(path).is_file()}
         if len(todo) < len(drives):
             print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
-        _run(plan(todo), work, todo, workers or default_workers(), describe)
+        hire = partial(_hired, work, module, lock)
+        _run(plan(todo), work, hire, todo, workers or default_workers(), describe)
         summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
         _move({path: target(drive) for drive, path in paths.items()}, out)
         shutil.rmtree(kept)
@@ -204,7 +205,21 @@ def _move(targets: Mapping[Path, Path], out: Path) -> None:
         stale.unlink(missing_ok=True)
 
 
-def _run(plan: _Plan, work: Any, paths: Mapping[str, Path], workers: int, describe: Callable[[Summary], str]) -> None:
+Hire = Callable[[int, int], AbstractContextManager[Workers]]
+
+
+def _hired(
+    work: Any, module: str | Sequence[str], mark: Path, workers: int, threads: int
+) -> AbstractContextManager[Workers]:
+    """Return who does the work: a cluster's workers if the user has one, else so many processes of so many threads."""
+    if address := cluster.scheduler():
+        return cluster.joined(address, work, module, mark)
+    return processes(workers, threads, work)
+
+
+def _run(
+    plan: _Plan, work: Any, hire: Hire, paths: Mapping[str, Path], workers: int, describe: Callable[[Summary], str]
+) -> None:
     """Make drives as planned, and keep each with its summary beside its `paths`."""
     by_frame = plan.frames is not None
 
@@ -225,32 +240,45 @@ def _run(plan: _Plan, work: Any, paths: Mapping[str, Path], workers: int, descri
         disable=not sys.stderr.isatty(),
     ) as bar:
         workers = min(workers, plan.jobs)
-        if workers > 1:
-            run_in_processes(plan.makers, work, workers, finish, bar, by_frame)
+        if workers > 1 or (workers and cluster.scheduler()):
+            with hire(workers, max(1, default_workers() // workers)) as team:
+                run_by(team, plan.makers, finish, bar, by_frame)
             return
         progress.listen(bar.update if by_frame else progress.nobody)
         run_alone(plan.makers, work, finish)
 
 
-def run_side_by_side(work: Callable[[J], object], jobs: Sequence[J], workers: int | None = None) -> None:
+def run_side_by_side(
+    work: Callable[[J], object],
+    jobs: Sequence[J],
+    *,
+    module: str | Sequence[str],
+    mark: Path,
+    workers: int | None = None,
+) -> None:
     """Call ``work(job)`` for each of `jobs` in processes of one thread each: their number never changes a result.
 
     Args:
         work: a picklable function, which keeps its own results.
-        workers: processes; None means :func:`pipeline.base.console.default_workers`.
+        module: dotted names of what does the work, which a cluster's workers must have as this process has it.
+        mark: a file of this run, by which a cluster's workers find out whether they see the same files.
+        workers: as in :func:`run_over_drives`.
 
     Raises the first error of a worker after what runs is done; the jobs that wait are left out.
     """
-    with processes(min(workers or default_workers(), len(jobs)), threads=1) as (pool, _):
-        waiting = [pool.submit(work, job) for job in jobs]
-        try:
-            for job in as_completed(waiting):
-                job.result()
-        except BrokenProcessPool as error:
-            raise InputError(BROKEN.format(where=jobs[waiting.index(job)])) from error
-        finally:
-            for job in waiting:
-                job.cancel()
+    makers = {str(number): _lone(job) for number, job in enumerate(jobs)}
+    count = min(workers or default_workers(), len(jobs))
+    with tqdm(disable=True) as bar, _hired(work, module, mark, count, threads=1) as team:
+        run_by(team, makers, lambda *_: None, bar, by_frame=False)
+
+
+def _lone(job: Any) -> Steps:
+    yield [Job(str(job), partial(_call_with, job))]
+    return {}, 0.0
+
+
+def _call_with(job: J, work: Callable[[J], object]) -> None:
+    work(job)
 
 
 def _sidecar(path: Path) -> Path:

@@ -6,12 +6,16 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
 from pipeline.base import progress
+from pipeline.base.errors import InputError
+from pipeline.base.jobs import Job
 
 BROKEN = (
     "a worker process died (out of memory?) at or near {where}: use fewer workers (STEER_WORKERS=1) "
@@ -20,26 +24,45 @@ BROKEN = (
 _work: Any = None
 
 
-@contextmanager
-def processes(
-    workers: int, threads: int, work: Any = None
-) -> "Iterator[tuple[ProcessPoolExecutor, Synchronized[int]]]":
-    """Yield worker processes whose libraries use so many threads, and the counter of the frames that they have done.
+@dataclass(frozen=True)
+class Processes:
+    """The :class:`pipeline.base.jobs.Workers` of this machine."""
 
-    Each has `work`, picklable, as long as it lives: :func:`with_work`.
-    """
+    count: int
+    pool: ProcessPoolExecutor
+    counter: "Synchronized[int]"
+
+    @property
+    def done_frames(self) -> int:
+        return self.counter.value
+
+    def submit(self, job: Job) -> Future[Any]:
+        try:
+            return self.pool.submit(_with_work, job.call)
+        except BrokenProcessPool as error:  # just now, before any job says so
+            raise InputError(BROKEN.format(where=job.where)) from error
+
+    def result(self, future: Future[Any], where: str) -> Any:
+        try:
+            return future.result()
+        except BrokenProcessPool as error:
+            raise InputError(BROKEN.format(where=where)) from error
+
+
+@contextmanager
+def processes(workers: int, threads: int, work: Any) -> Iterator[Processes]:
+    """Yield worker processes whose libraries use so many threads. Each has `work`, picklable, as long as it lives."""
     # "spawn": a forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
     context = multiprocessing.get_context("spawn")
     done_frames = context.Value("q", 0)
     with _Environment(OMP_NUM_THREADS=str(threads)), ProcessPoolExecutor(
         workers, mp_context=context, initializer=_start_worker, initargs=(threads, done_frames, work)
     ) as pool:  # fmt: skip
-        yield pool, done_frames
+        yield Processes(workers, pool, done_frames)
 
 
-def with_work(job: Callable[[Any], Any]) -> Any:
-    """In a worker process, return ``job(work)``."""
-    return job(_work)
+def _with_work(call: Callable[[Any], Any]) -> Any:
+    return call(_work)
 
 
 def _start_worker(threads: int, done_frames: "Synchronized[int]", work: Any) -> None:

@@ -79,9 +79,12 @@ class Fit:
         goes on from there, to the same result. Raises InputError if the loss is no longer finite.
         """
         epochs = self.settings.epochs
-        if kept.is_file():
-            with explained(hint=f"Delete {kept} to start again"):
-                self._load(checkpoint.read(kept, predict.KIND))
+        with explained(hint=f"Delete {kept} to start again"):
+            own = checkpoint.read(kept, predict.KIND) if self.world.leads and kept.is_file() else None
+            state = self.world.gather(own)[0]  # the others may be on machines that do not see the file
+            if state:
+                self._load(state)
+        if state:
             self._say(f"{title}: {len(self.curve)} of {epochs} epochs kept from the run before")
         if self.alpha:
             count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)

@@ -10,7 +10,7 @@ import torch
 
 from models.steering.core import steering_net
 from pipeline.base import provenance, store
-from pipeline.base.errors import explained
+from pipeline.base.errors import InputError, explained
 from pipeline.base.resume import resume_key
 from pipeline.fitting import checkpoint
 from pipeline.sections.train import Train
@@ -40,7 +40,8 @@ class Job:
 def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu") -> None:
     """Fit one network, going on from what a killed process kept of it, and write its folder.
 
-    Raises InputError: the network is not made for these graphs, or its loss is no longer finite.
+    Raises InputError: the network is not made for these graphs, or its loss is no longer finite; processes that share
+    the run have not the same code, settings or files.
     """
     line, settings, fold = job.line, job.settings, run.fold
     train, val = (
@@ -54,7 +55,6 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     with explained(where=job.where):
         net = steering_net.build(line, **contents)
     net.to(device, torch.float64 if settings.precision == "float64" else None)
-    fitting = fit.Fit(net, steering_net.predict, line["window"], line["alpha"], settings, run.seed, world)
     determined_by = {
         "model": line,
         "train": settings.model_dump(exclude={"seeds"}),
@@ -63,7 +63,14 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "fold": fold.name,
     }
     files = [digest for drive in fold.train + fold.val for digest in job.files[drive]]
-    state = job.kept / f"{resume_key(['stages.train', *steering_net.modules(line)], determined_by, files)}.pt"
+    key = resume_key(["stages.train", *steering_net.modules(line)], determined_by, files)
+    if world.gather(key) != [key] * world.size:
+        raise InputError(
+            f"{job.name}: the processes have not all the same code, settings, graphs and labels: bring the clones on "
+            "all machines to one state (git pull, dvc pull), and start again"
+        )
+    state = job.kept / f"{key}.pt"
+    fitting = fit.Fit(net, steering_net.predict, line["window"], line["alpha"], settings, run.seed, world)
     about = {
         "name": job.name,
         "contents": contents,

@@ -2,6 +2,7 @@ import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -200,6 +201,76 @@ def test_two_processes_train_as_one(folder: Path) -> None:
         len(windows.random_spans(drives, 4, 24, np.random.default_rng([seed, epoch]))) for epoch in range(1, epochs + 1)
     ]
     assert any(count % 2 for count in spans)
+
+
+def on_two_machines(clones: list[Path]) -> list[tuple[int, str, str]]:
+    """Train by a process each, started in clones of their own; return exit status, output and errors of each."""
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        port = server.getsockname()[1]
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--nnodes=2", "--nproc-per-node=1"]
+    place = ["--master-addr=127.0.0.1", f"--master-port={port}", "-m", "stages.train", "net"]
+    processes = [
+        subprocess.Popen(
+            [*torchrun, f"--node-rank={rank}", *place], cwd=clone, env=os.environ | {"PYTHONPATH": str(clone)},
+            text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )
+        for rank, clone in enumerate(clones)
+    ]  # fmt: skip
+    outputs = [process.communicate(timeout=240) for process in processes]
+    return [(process.returncode, *output) for process, output in zip(processes, outputs, strict=True)]
+
+
+def cloned(folder: Path, to: Path) -> Path:
+    """Make a clone of this code with a copy of the graphs and labels in `folder`."""
+    for name in ("pipeline", "models", "stages"):
+        shutil.copytree(PARAMS.parent / name, to / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("graphs", "labels"):
+        shutil.copytree(folder / name, to / "data" / name)
+    shutil.copy(folder / "params.yaml", to)
+    return to
+
+
+@pytest.mark.slow
+def test_two_machines_with_clones_of_their_own_train_as_one(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first alone writes, and after a kill it tells the second where to go on."""
+    write_params(folder, precision="float64", epochs=2, run_windows=24, batch_runs=2)
+    first, second = clones = [cloned(folder, tmp_path / name) for name in ("first", "second")]
+    write = checkpoint.write
+
+    def killed(path: Path, content: dict[str, object]) -> None:
+        write(path, content)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoint, "write", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run_train(folder)
+    monkeypatch.setattr(checkpoint, "write", write)
+    shutil.copytree(folder / ".resume", first / "data/.resume")
+    (status, said, _), (other_status, other_said, errors) = on_two_machines(clones)
+    assert (status, other_status, other_said) == (0, 0, ""), errors
+    assert "1 of 2 epochs kept from the run before" in said
+    alone = torch.load(run_train(folder) / "last.pt", weights_only=True)
+    two = torch.load(first / "data/train/net/last.pt", weights_only=True)
+    for name, tensor in alone["net"].items():
+        torch.testing.assert_close(two["net"][name], tensor, rtol=1e-7, atol=1e-9)
+    assert not list((first / "data/.resume").iterdir())
+    assert {path.name for path in (second / "data").iterdir()} == {"graphs", "labels"}
+
+
+@pytest.mark.slow
+def test_a_clone_that_is_behind_is_refused(folder: Path, tmp_path: Path) -> None:
+    clones = [cloned(folder, tmp_path / name) for name in ("first", "second")]
+    with (clones[1] / "pipeline/train/fit.py").open("a") as code:
+        code.write("# an edit\n")
+    write_params(folder, batch_runs=2)
+    for clone in clones:
+        shutil.copy(folder / "params.yaml", clone)
+    for status, _, errors in on_two_machines(clones):
+        assert status == 1
+        assert "error: net: the processes have not all the same code, settings, graphs and labels: bring" in errors
 
 
 def test_more_processes_than_runs_in_a_step_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -152,10 +152,15 @@ def note(job: str, folder: Path, trouble: dict[str, str]) -> None:
     (folder / job).write_text(os.environ["OMP_NUM_THREADS"])
 
 
+def side_by_side(folder: Path, trouble: dict[str, str], workers: int) -> None:
+    work = partial(note, folder=folder, trouble=trouble)
+    run_side_by_side(work, DRIVES, module="pipeline.base.store", mark=folder, workers=workers)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 3])
 def test_side_by_side_each_has_one_thread_however_many_there_are(tmp_path: Path, workers: int) -> None:
-    run_side_by_side(partial(note, folder=tmp_path, trouble={}), DRIVES, workers)
+    side_by_side(tmp_path, {}, workers)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(DRIVES, "1")
 
 
@@ -165,7 +170,7 @@ def test_side_by_side_each_has_one_thread_however_many_there_are(tmp_path: Path,
 )
 def test_side_by_side_the_first_error_is_told(tmp_path: Path, trouble: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        run_side_by_side(partial(note, folder=tmp_path, trouble={"b": trouble}), DRIVES, 1)
+        side_by_side(tmp_path, {"b": trouble}, 1)
     assert not (tmp_path / "b").exists()
 
 

@@ -19,8 +19,8 @@ LAYOUT = "DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/
 def named_in(encoder: Path) -> Path | None:
     """Return the folder that stage encoder was told to take depth and classes from, if so; `encoder` is its own."""
     config = encoder / "config.json"
-    content = store.read_json(config, stage="encoder") if config.is_file() else {}
-    return Path(content["weights"]) if content.get("backbone") == BACKBONE else None
+    content = store.read_json(config, stage="encoder", keys=("backbone", "weights")) if config.is_file() else {}
+    return Path(str(content["weights"])) if content.get("backbone") == BACKBONE else None
 
 
 def find(folder: Path) -> list[Path]:

@@ -13,7 +13,7 @@ is changed when they are complete.
 import io
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import Any, NoReturn, Self
 import h5py
 import hdf5plugin
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
 from pipeline.base import sound
 from pipeline.base.atomic import replacing
@@ -32,6 +33,8 @@ from pipeline.base.params import SPLITS
 
 SCHEMA = 2  # 1: gzip
 _MOST_JSON = 256 * MiB  # a metrics.json has some kB, a structure.json some MB
+# What comes out of h5py for bytes that are not what they were.
+_OF_H5PY = (RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
 _NAMES = {list: "a list", type(None): "null"}
 _CHUNK_ROWS = 32768  # of ragged data
 _CHECKED_ROWS = 1024  # of what is not compressed, under one checksum
@@ -227,7 +230,7 @@ class DriveReader:
         with self._blamed():
             self.attrs: dict[str, Any] = dict(self._file.attrs)
             writer, schema = self.attrs.get("stage"), self.attrs.get("schema")
-            same = isinstance(writer, str) and np.ndim(schema) == 0 and (writer, schema) == (self._stage, SCHEMA)
+            same = isinstance(writer, str) and np.shape(schema or 0) == () and (writer, schema) == (self._stage, SCHEMA)
         if not same:
             raise InputError(
                 f"{self.path} has stage {writer!r}, schema {schema}; this code reads stage {self._stage!r}, schema "
@@ -247,8 +250,8 @@ class DriveReader:
             if error.errno and error.filename:
                 raise
             self._blame(error, name)
-        except (RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError) as error:
-            self._blame(error, name)  # all of these come out of h5py for bytes that are not what they were
+        except _OF_H5PY as error:
+            self._blame(error, name)
 
     def _blame(self, error: Exception, name: str | None) -> NoReturn:
         where = f" in dataset {name!r}" if name else ""
@@ -331,8 +334,8 @@ def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
         tmp.write_text(json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_json(path: Path, *, stage: str, keys: Sequence[str] = ()) -> dict[str, Any]:
-    """Read a JSON object written by `stage`. Raises InputError if it is missing, not valid, or lacks one of `keys`."""
+def read_json(path: Path, *, stage: str, form: type[BaseModel] | None = None) -> dict[str, Any]:
+    """Read a JSON object written by `stage`. Raises InputError if it is missing, not valid, or not of a `form`."""
     if not path.is_file():
         raise InputError(_MISSING.format(path=path, stage=stage))
     again = _AGAIN.format(stage=stage)
@@ -344,8 +347,13 @@ def read_json(path: Path, *, stage: str, keys: Sequence[str] = ()) -> dict[str, 
             raise ValueError("it is nested too deep") from error
     if not isinstance(content, dict):
         raise InputError(f"{path} holds {_NAMES.get(type(content), 'one value')}, and not names with values. {again}")
-    if missing := [key for key in keys if key not in content]:
-        raise InputError(f"{path} lacks {', '.join(missing)}: it is incomplete, or of another version. {again}")
+    try:
+        if form:
+            form.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path} is incomplete, or of another version: {key}: {first['msg']}. {again}") from error
     return content
 
 

@@ -2,9 +2,17 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
+
+
+class Index(BaseModel):
+    """The index."""
+
+    kinds: list[Literal["visual", "lidar"]]
 
 
 def write(folder: Path, kinds: Iterable[str]) -> None:
@@ -14,9 +22,7 @@ def write(folder: Path, kinds: Iterable[str]) -> None:
 
 def read(folder: Path) -> dict[str, Path]:
     """Return kind → its folder. Raises InputError if there is no index, or a drive of one has no file."""
-    kinds = store.read_json(folder / "index.json", stage="motion", keys=("kinds",))["kinds"]
-    if not isinstance(kinds, list) or not set(map(str, kinds)) <= {"visual", "lidar"}:
-        raise InputError(f"{folder / 'index.json'} names kinds of motion that there are not: dvc repro --force motion")
+    kinds = store.read_json(folder / "index.json", stage="motion", form=Index)["kinds"]
     for kind in kinds:
         store.read_index(folder / kind, stage="motion")
     return {kind: folder / kind for kind in kinds}

@@ -94,13 +94,15 @@ class Graphs:
                 try:
                     rows = _counted_on(rows, ptr - ptr[0], first - first[0], _WIDE.get(name, np.int64))
                 except IndexError as error:
-                    raise self._damaged(f"{name}, frames {self.frame[start]} to {self.frame[stop - 1]}: {error}") from error
+                    raise self._damaged(
+                        f"{name}, frames {self.frame[start]} to {self.frame[stop - 1]}: {error}"
+                    ) from error
             arrays[name] = rows
             if name in _POINTERS or name.startswith("centres_"):
                 arrays[_POINTERS.get(name, f"{name}_ptr")] = ptr - ptr[0]
         if "degree" in arrays:
             counts = [int(part.sum()) for part in np.split(arrays["degree"], arrays["ptr"][1:-1])]
-            if counts != np.diff(arrays["indices_ptr"]).tolist():
+            if counts != np.diff(self._ptr["indices"][start : stop + 1]).tolist():
                 raise self._damaged("degree does not count the neighbours that indices names")
         return arrays
 

@@ -145,7 +145,8 @@ class DriveWriter:
             return
         with self._stack:
             for name, value in self.attrs.items():
-                self._file.attrs[name] = value
+                # HDF5 keeps texts of any length in a heap without checksums, in which a flipped bit hangs it for good.
+                self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
 
 
 class _Sink(io.FileIO):
@@ -228,7 +229,9 @@ class DriveReader:
 
     def _check(self) -> None:
         with self._blamed():
-            self.attrs: dict[str, Any] = dict(self._file.attrs)
+            self.attrs: dict[str, Any] = {
+                name: value.decode() if isinstance(value, bytes) else value for name, value in self._file.attrs.items()
+            }
             writer, schema = self.attrs.get("stage"), self.attrs.get("schema")
             same = isinstance(writer, str) and np.shape(schema or 0) == () and (writer, schema) == (self._stage, SCHEMA)
         if not same:
@@ -283,6 +286,11 @@ class DriveReader:
         if not len(rows):
             raise InputError(f"{self.path} has no frame {number}")
         return int(rows[0])
+
+    @property
+    def names(self) -> list[str]:
+        """The datasets that it holds."""
+        return list(self._datasets)
 
     def __contains__(self, name: str) -> bool:
         return name in self._datasets

@@ -45,7 +45,7 @@ def read_camera(folder: Path, number: int) -> Camera:
         P, size = projection(entries, number, path)
         K = P[:, :3]
         T_cam_velo = None
-        if velo.is_file():
+        if velo.exists():
             # P_rect projects points of the reference camera's frame: P = K [I | t], so t is where this camera sees
             # them. All three components of t: with x alone (as pykitti has it) depths are off by t_z, 3 mm.
             shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))

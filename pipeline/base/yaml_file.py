@@ -22,10 +22,13 @@ def read(path: Path) -> Any:
     Raises InputError, with the line where there is one, if it is not UTF-8, not YAML, holds tags or a key twice, or is
     out of all proportion.
     """
+    return parse(read_text(path), path)
+
+
+def parse(text: str, path: Path) -> Any:
+    """Return what a text holds, which :func:`read_text` read, or what was made of it; an error names `path`."""
     with _explained(path):
-        loader = yaml.SafeLoader(read_text(path))
-        node = loader.get_single_node()
-        return loader.construct_document(node) if node else None
+        return yaml.safe_load(text)
 
 
 def read_text(path: Path) -> str:

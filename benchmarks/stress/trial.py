@@ -5,6 +5,7 @@ import os
 import resource
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -63,6 +64,7 @@ def outcomes(work: Work, trials: range, path: Path) -> Iterator[Outcome]:
 def _work(work: Work, trials: list[int], path: Path, results: Connection) -> None:
     silence = os.open(os.devnull, os.O_WRONLY)  # decoders print what they think of a file
     os.dup2(silence, 1), os.dup2(silence, 2)
+    warnings.simplefilter("error")  # users would see it
     mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (mapped + MOST_BYTES, mapped + MOST_BYTES))
     for trial in trials:

@@ -56,7 +56,7 @@ def projection(entries: Mapping[str, np.ndarray], number: int, path: Path) -> tu
 def rotation(entries: Mapping[str, np.ndarray], name: str, path: Path) -> np.ndarray:
     """Return entry `name` [3,3]. Raises InputError if it is not a rotation."""
     R = matrix(entries, name, (3, 3), path)
-    if np.abs(R @ R.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(R) < 0:
+    if np.abs(R).max() > 2 or np.abs(R @ R.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(R) < 0:
         raise InputError(f"{path}: {name} is not a rotation: its rows are not of length 1 and at right angles")
     return R
 

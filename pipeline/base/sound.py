@@ -15,6 +15,7 @@ import numpy as np
 _MOST_BYTES = 1 << 28  # of a chunk, and of the rows of one frame
 _MOST_FRAMES = 1 << 24
 _FILTERS = {h5py.h5z.FILTER_FLETCHER32, 32026}  # 32026: Blosc2; others' decoders may make any size of a few bytes
+_OF_FRAMES = {"frame": "i", "time_s": "f"}  # kind of number
 _OF_DRIVE = {"K": (3, 3), "T_cam_velo": (4, 4)}  # what has no row for each frame
 _DRIVE = re.compile(r"[0-9]{4}_[0-9]{2}_[0-9]{2}_drive_[0-9]{4}")
 
@@ -81,9 +82,10 @@ def check_form(name: str, file: Datasets) -> None:
 
 def _check_rows(name: str, dataset: h5py.Dataset, file: Datasets) -> None:
     """Check that it has a row for each frame; of pointers one more; those that pointers count are checked with them."""
+    if name in _OF_FRAMES:
+        if dataset.ndim != 1 or dataset.dtype.kind != _OF_FRAMES[name] or len(dataset) > _MOST_FRAMES:
+            raise ValueError(f"it holds {dataset.dtype} of shape {dataset.shape}, and not a number of each frame")
     if name == "frame" or "frame" not in file:
-        if name == "frame" and (dataset.ndim != 1 or dataset.dtype.kind != "i" or len(dataset) > _MOST_FRAMES):
-            raise ValueError(f"it holds {dataset.dtype} of shape {dataset.shape}, and not frame numbers")
         return
     frames = file["frame"].shape
     if is_pointer(name):

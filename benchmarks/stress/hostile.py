@@ -11,15 +11,19 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.stress import originals
 from benchmarks.stress.mutated import Tried
 from benchmarks.stress.readers import Read
 from benchmarks.stress.trial import Outcome, outcomes
 from pipeline.camera.images import read_image
 from pipeline.encoder import perceive
+from pipeline.fitting import checkpoint
 from pipeline.kitti import oxts
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.train import predict
 
+TENSOR = "temporal.leak"  # of the network of `originals`
 Write = Callable[[Path], object]
 
 
@@ -66,6 +70,22 @@ def _sparse(path: Path) -> None:
     """6 GB that take no room on the disk."""
     with path.open("wb") as file:
         file.truncate(6 << 30)
+
+
+def _trained(keys: tuple[str, ...], value: Any) -> Write:
+    """Return a writer of a checkpoint that holds another value under `keys`."""
+
+    def write(path: Path) -> None:
+        originals.write_networks(path.parent)
+        content = checkpoint.load(path)
+        *outer, last = keys
+        inner = content
+        for key in outer:
+            inner = inner[key]
+        inner[last] = value
+        checkpoint.write(path, content)
+
+    return write
 
 
 def _text(text: str) -> Write:
@@ -181,6 +201,28 @@ FILES: dict[str, tuple[Read, dict[str, Write]]] = {
             "3.txt beside 0000000003.txt": _folder("3.txt", "0000000003.txt"),
             "a number of 20 digits": _folder("00000000000000000003.txt", "9" * 20 + ".txt"),
             "beyond 32 bits": _folder("4294967296.txt"),
+        },
+    ),
+    "best.pt": (
+        lambda path: predict.load(path.parent, "cpu"),
+        {
+            f"{'.'.join(keys)} = {value!r}": _trained(keys, value)
+            for keys in (
+                ("name",),
+                ("seed",),
+                ("contents",),
+                ("contents", "kind"),
+                ("model",),
+                ("model", "spatial"),
+                ("model", "features"),
+                ("model", "layers"),
+                ("model", "window"),
+                ("target",),
+                ("target", "std_rad"),
+                ("net",),
+                ("net", TENSOR),
+            )
+            for value in (None, float("nan"), [10**9], 0.5)
         },
     ),
     "encoder.pt": (

@@ -35,7 +35,7 @@ def write_all(folder: Path, kitti: Path | None) -> None:
         _copy_raw(folder, kitti)
     _write_hdf5(folder, rng)
     _write_graphs(folder, rng)
-    _write_networks(folder)
+    write_networks(folder)
     _write_video(folder / "video.mp4", rng)
     shutil.copy(ROOT / "params.yaml", folder / "params.yaml")
     shutil.copy(ROOT / "presets/kitti.yaml", folder / "preset.yaml")
@@ -141,7 +141,8 @@ def _write_graphs(folder: Path, rng: np.random.Generator) -> None:
         graph_file.write_images(file, frame, time_s, images, SIZE)
 
 
-def _write_networks(folder: Path) -> None:
+def write_networks(folder: Path) -> None:
+    """Write a steering network and an encoder with their first weights."""
     torch.manual_seed(0)
     line = steering_net.resolved(LINE)
     target = {"mean_rad": 0.01, "std_rad": 0.05, "wheelbase_m": 2.71, "min_speed_mps": 1.0}

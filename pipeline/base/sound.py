@@ -82,9 +82,9 @@ def check_form(name: str, file: Datasets) -> None:
 
 def _check_rows(name: str, dataset: h5py.Dataset, file: Datasets) -> None:
     """Check that it has a row for each frame; of pointers one more; those that pointers count are checked with them."""
-    if name in _OF_FRAMES:
-        if dataset.ndim != 1 or dataset.dtype.kind != _OF_FRAMES[name] or len(dataset) > _MOST_FRAMES:
-            raise ValueError(f"it holds {dataset.dtype} of shape {dataset.shape}, and not a number of each frame")
+    form = (dataset.ndim, dataset.dtype.kind)
+    if name in _OF_FRAMES and (form != (1, _OF_FRAMES[name]) or len(dataset) > _MOST_FRAMES):
+        raise ValueError(f"it holds {dataset.dtype} of shape {dataset.shape}, and not a number of each frame")
     if name == "frame" or "frame" not in file:
         return
     frames = file["frame"].shape

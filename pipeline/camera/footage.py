@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.files import check_file
 from pipeline.camera.images import Size
 from pipeline.camera.jpeg import read_jpeg
 from pipeline.camera.png import read_png
 
+_MOST_BYTES = 1 << 40  # of a video
 _READERS: dict[str, Callable[[Path], np.ndarray]] = {".png": read_png, ".jpg": read_jpeg, ".jpeg": read_jpeg}
 
 
@@ -166,6 +168,7 @@ def _open(path: Path) -> Any:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once, as the first video is opened
     import cv2
 
+    check_file(path, _MOST_BYTES)
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)

@@ -86,11 +86,13 @@ def load_state(module: Any, state: Mapping[str, Any], path: Path) -> None:
     Raises InputError unless names and shapes agree one by one, and all numbers are finite.
     """
     own = module.state_dict()
-    for name in sorted(own.keys() | state.keys()):
+    for name in sorted(own.keys() | set(map(str, state))):
         if name not in state:
             fault = f"lacks {name}"
         elif name not in own:
             fault = f"has {name}, which the network lacks"
+        elif not hasattr(state[name], "isfinite"):
+            fault = f"has {type(state[name]).__name__} as {name}, and not a tensor"
         elif state[name].shape != own[name].shape:
             fault = f"has {name} of shape {list(state[name].shape)}, the network {list(own[name].shape)}"
         elif not state[name].isfinite().all():

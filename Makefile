@@ -1,4 +1,4 @@
-# make demo · make PRESET · make params PRESET=… · make test · make bench · make lint: each sets up what it needs (Debian,
+# make demo · make PRESET · make params PRESET=… · make test · make bench · make stress · make lint: each sets up what it needs (Debian,
 # Python 3.11 or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make replay · make studies.
 
 PYTHON ?= python3
@@ -10,7 +10,7 @@ export DVC_NO_ANALYTICS := 1
 
 PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
 
-.PHONY: demo $(PRESETS) params test bench lint format setup system
+.PHONY: demo $(PRESETS) params test bench stress lint format setup system
 
 # dvc repro, but without the graph variants that no model of params.yaml takes.
 demo: setup            ## the whole chain on the embedded sample, then its table
@@ -43,6 +43,10 @@ ROWS ?=
 bench: setup           ## beside what a user would pick instead: a table, and benchmarks/results.json; ROWS="ltc load" prints these
 	@STEER_KITTI="$${STEER_KITTI:-$(wildcard ../shared/kitti)}"; [ -n "$$STEER_KITTI" ] && export STEER_KITTI || unset STEER_KITTI; \
 	python -m benchmarks.bench $(ROWS) $(if $(ROWS),,--out benchmarks/results.json)
+
+# Recorded files too, of STEER_KITTI=/path/to/kitti, or ../shared/kitti where it lies.
+stress: setup          ## every reader on some 13,000 damaged and hostile files: docs/robustness.md; 10 min
+	@kitti="$${STEER_KITTI:-$(wildcard ../shared/kitti)}"; OMP_NUM_THREADS=1 python -m benchmarks.stress $${kitti:+--kitti "$$kitti"} --trials 400
 
 lint: setup
 	ruff check .

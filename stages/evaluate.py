@@ -36,7 +36,7 @@ def main(
 
 
 def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, settings: Evaluate) -> Path:
-    config = store.read_json(train / name / "config.json", stage=f"train@{name}")
+    config = store.read_json(train / name / "config.json", stage=f"train@{name}", form=runs.Config)
     line, seeds = config["model"], config["seeds"]
     variant = graphs / line["input"]
     folds = judged(runs.folds(store.read_index(variant, stage="graphs"), line), variant, labels, line)

@@ -12,6 +12,7 @@ from pipeline.base.lock import held
 from pipeline.base.params import load, names
 from pipeline.report.figures import figures
 from pipeline.report.page.page import write_page
+from pipeline.report.result import Result
 from pipeline.report.sources import Sources
 from pipeline.report.studies import claims, figure, study, tables
 from pipeline.report.tables import (
@@ -41,7 +42,10 @@ def main(
     sources, models = Sources(data), names("models", params)
     here = [model for model in models if (sources.evaluate / model / "metrics.json").is_file()]
     results = comparison.in_order(
-        [store.read_json(sources.evaluate / model / "metrics.json", stage=f"evaluate@{model}") for model in here]
+        [
+            store.read_json(sources.evaluate / model / "metrics.json", stage=f"evaluate@{model}", form=Result)
+            for model in here
+        ]
     )
     # A machine that only trains may have no scores of the encoder.
     known = (sources.scores / "metrics.json").is_file()

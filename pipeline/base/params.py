@@ -5,24 +5,34 @@ Units stand in names or descriptions; a value out of range, an unknown key or a 
 """
 
 import re
+from datetime import date
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from pipeline.base import yaml_file
 from pipeline.base.errors import InputError, closest, explained
 
-_DRIVE = r"^\d{4}_(0[1-9]|1[0-2])_(0[1-9]|[12]\d|3[01])_drive_\d{4}$"
-Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052")]
-Positive = Annotated[float, Field(gt=0)]
-Count = Annotated[int, Field(ge=1)]
-Seed = Annotated[int, Field(ge=0)]
+_DRIVE = "^[0-9]{4}_(0[1-9]|1[0-2])_(0[1-9]|[12][0-9]|3[01])_drive_[0-9]{4}$"
+
+
+def _on_a_day(drive: str) -> str:
+    date(*map(int, drive[:10].split("_")))  # its ValueError says which part is out of range
+    return drive
+
+
+Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052"), AfterValidator(_on_a_day)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+Rate = Annotated[float, Field(gt=0, le=10, description="of learning")]
+Count = Annotated[int, Field(ge=1, le=10**9)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=32, le=4096)]
 ImageSize = Annotated[tuple[Side, Side], Field(description="[H, W] in pixels")]
+_QUOTED = 80  # characters of a wrong value
 NAME = re.compile("[A-Za-z0-9][A-Za-z0-9_-]*")  # what DVC can address in a stage's name, and no shell misreads
 SPLITS = ("train", "val", "test")
 
@@ -83,11 +93,7 @@ def _check_name(name: Any, mapping: str, path: Path) -> None:
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path} is missing: run from the repository's root, or: git checkout {path.name}")
-    try:
-        with explained(f"{path} is not valid YAML"):  # text that is not UTF-8
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise InputError(f"{path} is not valid YAML: {error}") from error
+    content = yaml_file.read(path)
     if not isinstance(content, dict):
         raise InputError(f"{path} holds no sections")
     for name in content:
@@ -113,8 +119,14 @@ def parse(kind: type[S], value: Any, where: str) -> S:
         if first["type"] == "missing":
             raise InputError(f"{key} is missing: take it from the project's own params.yaml") from error
         # A rule on a whole section would print all of it.
-        value = "" if isinstance(first["input"], dict) else f" = {first['input']!r}"
+        value = "" if isinstance(first["input"], dict) else f" = {_shortened(first['input'])}"
         raise InputError(f"{key}{value}: {first['msg'].removeprefix('Value error, ')}") from error
+
+
+def _shortened(value: Any) -> str:
+    """Return a value as a message quotes it."""
+    text = repr(value)
+    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}…"
 
 
 def fault(error: ValidationError) -> ErrorDetails:

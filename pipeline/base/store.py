@@ -1,4 +1,5 @@
-"""The HDF5 files and indexes that stages exchange. The only module that imports h5py.
+"""The HDF5 files and indexes that stages exchange. With :mod:`pipeline.base.sound`, which
+checks what is read, the only module that imports h5py.
 
 One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON of the sections that made
 the file), and whatever the stage adds; every dataset has an attribute ``unit``. ``frame`` int32 [F] holds KITTI frame
@@ -17,17 +18,26 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import h5py
 import hdf5plugin
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
+from pipeline.base import sound
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, explained
+from pipeline.base.files import MiB, check_file
+from pipeline.base.params import SPLITS
 
 SCHEMA = 2  # 1: gzip
+_MOST_JSON = 256 * MiB  # a metrics.json has some kB, a structure.json some MB
+# What comes out of h5py for bytes that are not what they were.
+_OF_H5PY = (RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
+_NAMES = {list: "a list", type(None): "null"}
 _CHUNK_ROWS = 32768  # of ragged data
+_CHECKED_ROWS = 1024  # of what is not compressed, under one checksum
 # A checksum, as Blosc2 takes a changed bit for good. Sizes and speeds of this and others: docs/files.md.
 _ENCODED = {**hdf5plugin.Blosc2(cname="lz4", filters=hdf5plugin.Blosc2.BITSHUFFLE), "fletcher32": True}
 _CACHE_BYTES = 1 << 20  # of chunks last read, for each dataset of a file that stays open
@@ -54,6 +64,8 @@ class DriveWriter:
         options: dict[str, Any] = {}
         if array.ndim >= 3 and array.size:
             options = {"chunks": (1, *array.shape[1:]), **_ENCODED}
+        elif array.ndim and array.size:  # a checksum for all: a flipped bit of a label would teach something wrong
+            options = {"chunks": (min(len(array), _CHECKED_ROWS), *array.shape[1:]), "fletcher32": True}
         self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
         self._sink.check()
 
@@ -133,7 +145,8 @@ class DriveWriter:
             return
         with self._stack:
             for name, value in self.attrs.items():
-                self._file.attrs[name] = value
+                # HDF5 keeps texts of any length in a heap without checksums, in which a flipped bit hangs it for good.
+                self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
 
 
 class _Sink(io.FileIO):
@@ -190,35 +203,71 @@ class _Sink(io.FileIO):
 class DriveReader:
     """Read one drive's file; a context manager.
 
-    Raises InputError if the file is missing, is not an HDF5 file, or was written by another stage or schema.
+    Raises InputError if the file is missing, is not an HDF5 file, was written by another stage or schema, or is of
+    another drive than its name says; and whenever what is read of it is not what a stage can have written, as
+    :mod:`pipeline.base.sound` tells.
     """
 
     def __init__(self, path: Path, *, stage: str) -> None:
         if not path.is_file():
             raise InputError(_MISSING.format(path=path, stage=stage))
-        try:
-            self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
-        except OSError as error:
-            if error.errno:  # the system's, as without permission; h5py leaves out the name
-                raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
-            raise InputError(f"{path} is damaged ({error}). {_AGAIN.format(stage=stage)}") from error
         self.path = path
         self._stage = stage
-        self._datasets: dict[str, h5py.Dataset] = {}  # to find one in the file takes longer than to read a small one
-        self.attrs: dict[str, Any] = dict(self._file.attrs)
-        writer, schema = self.attrs.get("stage"), self.attrs.get("schema")
-        if (writer, schema) != (stage, SCHEMA):
+        self._checked: set[str] = set()
+        with self._blamed():
+            try:
+                self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
+            except OSError as error:
+                if error.errno:  # the system's, as without permission; h5py leaves out the name
+                    raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
+                raise
+        try:
+            self._check()
+        except BaseException:
             self._file.close()
+            raise
+
+    def _check(self) -> None:
+        with self._blamed():
+            self.attrs: dict[str, Any] = {
+                name: value.decode() if isinstance(value, bytes) else value for name, value in self._file.attrs.items()
+            }
+            writer, schema = self.attrs.get("stage"), self.attrs.get("schema")
+            same = isinstance(writer, str) and np.shape(schema or 0) == () and (writer, schema) == (self._stage, SCHEMA)
+        if not same:
             raise InputError(
-                f"{path} has stage {writer!r}, schema {schema}; this code reads stage {stage!r}, schema {SCHEMA}. "
-                + _AGAIN.format(stage=stage)
+                f"{self.path} has stage {writer!r}, schema {schema}; this code reads stage {self._stage!r}, schema "
+                f"{SCHEMA}. " + _AGAIN.format(stage=self._stage)
             )
-        self.drive = str(self.attrs["drive"])
+        with self._blamed():
+            self.drive = str(self.attrs.get("drive"))
+            sound.check_attributes(self.path, self.attrs.get("drive"))
+            self._datasets = sound.datasets(self._file)
+
+    @contextmanager
+    def _blamed(self, name: str | None = None) -> Iterator[None]:
+        """Make of what goes wrong in reading a line that names the file, and its dataset `name`."""
+        try:
+            yield
+        except OSError as error:
+            if error.errno and error.filename:
+                raise
+            self._blame(error, name)
+        except _OF_H5PY as error:
+            self._blame(error, name)
+
+    def _blame(self, error: Exception, name: str | None) -> NoReturn:
+        where = f" in dataset {name!r}" if name else ""
+        again = _AGAIN.format(stage=self._stage)
+        raise InputError(f"{self.path} is damaged{where} ({error}). {again}") from error
 
     @cached_property
     def params(self) -> dict[str, Any]:
         """What made the file: section of params.yaml → its content."""
-        sections: dict[str, Any] = json.loads(self.attrs["params"])
+        with self._blamed():
+            sections: dict[str, Any] = json.loads(self.attrs["params"])
+            if not isinstance(sections, dict):
+                raise ValueError("its params are not the sections of a params file")
         return sections
 
     @cached_property
@@ -238,8 +287,13 @@ class DriveReader:
             raise InputError(f"{self.path} has no frame {number}")
         return int(rows[0])
 
+    @property
+    def names(self) -> list[str]:
+        """The datasets that it holds."""
+        return list(self._datasets)
+
     def __contains__(self, name: str) -> bool:
-        return name in self._file
+        return name in self._datasets
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a whole dataset."""
@@ -257,18 +311,22 @@ class DriveReader:
         return self.dataset(name).shape
 
     def _read(self, name: str, rows: int | slice | tuple[()]) -> Any:
-        try:
-            return self.dataset(name)[rows]
-        except OSError as error:
-            again = _AGAIN.format(stage=self._stage)
-            raise InputError(f"{self.path} is damaged in dataset {name!r} ({error}). {again}") from error
+        dataset = self.dataset(name)
+        with self._blamed(name):
+            values = dataset[rows]
+            sound.check_values(name, values)
+            if rows == () and sound.is_pointer(name):
+                sound.check_pointers(name, values, self._datasets)
+        return values
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return the h5py dataset; raises InputError, naming the file, if it has none of that name."""
-        if name not in self._datasets:
-            if name not in self._file:
-                raise InputError(f"{self.path} has no dataset {name!r} (it has {', '.join(self._file)})")
-            self._datasets[name] = self._file[name]
+        if name not in self._checked:
+            if name not in self._datasets:
+                raise InputError(f"{self.path} has no dataset {name!r} (it has {', '.join(self._datasets)})")
+            with self._blamed(name):
+                sound.check_form(name, self._datasets)
+            self._checked.add(name)
         return self._datasets[name]
 
     def __enter__(self) -> Self:
@@ -284,12 +342,31 @@ def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
         tmp.write_text(json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_json(path: Path, *, stage: str) -> Any:
-    """Read JSON written by `stage`. Raises InputError if it is missing or not valid JSON."""
+def read_json(path: Path, *, stage: str, form: type[BaseModel] | None = None) -> dict[str, Any]:
+    """Read a JSON object written by `stage`. Raises InputError if it is missing, not valid, or not of a `form`."""
     if not path.is_file():
         raise InputError(_MISSING.format(path=path, stage=stage))
-    with explained(f"{path} is not valid JSON", hint=_AGAIN.format(stage=stage)):
-        return json.loads(path.read_text(encoding="utf-8"))
+    again = _AGAIN.format(stage=stage)
+    with explained(f"{path} is not valid JSON", hint=again):
+        check_file(path, _MOST_JSON)
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refused)
+        except RecursionError as error:
+            raise ValueError("it is nested too deep") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path} holds {_NAMES.get(type(content), 'one value')}, and not names with values. {again}")
+    try:
+        if form:
+            form.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path} is incomplete, or of another version: {key}: {first['msg']}. {again}") from error
+    return content
+
+
+def _refused(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is not a number of JSON")
 
 
 def write_index(folder: Path, splits: Mapping[str, str]) -> None:
@@ -311,7 +388,12 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
             f"{folder / 'index.json'} has schema {index.get('schema')}, this code reads {SCHEMA}. "
             + _AGAIN.format(stage=stage)
         )
-    drives: dict[str, str] = index["drives"]
+    drives = index.get("drives")
+    if not isinstance(drives, dict) or not all(_is_drive(name) and split in SPLITS for name, split in drives.items()):
+        raise InputError(
+            f"{folder / 'index.json'} does not say of each drive whether it is of {', '.join(SPLITS)}. "
+            + _AGAIN.format(stage=stage)
+        )
     missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
     if missing:
         raise InputError(f"{folder} lacks {', '.join(missing)}, named in its index.json. Get them: dvc pull {stage}")
@@ -322,9 +404,14 @@ def indexed(folder: Path) -> list[str]:
     """Return the drives that the folder's index.json names, whatever its schema; none if there is no sound one."""
     try:
         drives = json.loads((folder / "index.json").read_text(encoding="utf-8"))["drives"]
-        return [drive for drive in drives if Path(drive).name == drive]
-    except (OSError, ValueError, KeyError, TypeError):
+        return [drive for drive in drives if _is_drive(drive)]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
+
+
+def _is_drive(name: str) -> bool:
+    """Say whether a name of an index stays in its folder."""
+    return Path(name).name == name
 
 
 def of_split(splits: Mapping[str, str], *names: str) -> list[str]:

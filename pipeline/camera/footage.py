@@ -11,11 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.files import check_file
 from pipeline.camera.images import Size
 from pipeline.camera.jpeg import read_jpeg
 from pipeline.camera.png import read_png
 from pipeline.camera.video_clock import VideoClock
 
+_MOST_BYTES = 1 << 40  # of a video
 _READERS: dict[str, Callable[[Path], np.ndarray]] = {".png": read_png, ".jpg": read_jpeg, ".jpeg": read_jpeg}
 
 
@@ -144,6 +146,7 @@ def _open(path: Path) -> Any:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once, as the first video is opened
     import cv2
 
+    check_file(path, _MOST_BYTES)
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError, explained
-from pipeline.camera.calib_file import matrix, read_entries
+from pipeline.camera.calib_file import projection, read_entries
 from pipeline.camera.geometry import scale_K
 from pipeline.camera.images import Size
 
@@ -41,15 +41,14 @@ def _of_file(path: Path, size: Size) -> np.ndarray:
     with explained(hint="--calib wants a KITTI calib_cam_to_cam.txt, with P_rect and S_rect of a camera"):
         entries = read_entries(path)
         number = next((number for number in _CAMERAS if f"P_rect_{number:02d}" in entries), _CAMERAS[0])
-        K = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)[:, :3]
-        width, height = (round(side) for side in matrix(entries, f"S_rect_{number:02d}", (2,), path))
+        P, (height, width) = projection(entries, number, path)
     scale = size[1] / width
     if abs(height * scale - size[0]) > max(1.0, scale):  # a pixel of either, which rounding may cost
         raise InputError(
             f"{path} is for images of {width} x {height} pixels, these are {size[1]} x {size[0]}: of another shape, so "
             "they were cropped or are another camera's"
         )
-    return scale_K(K, (height, width), size)
+    return scale_K(P[:, :3], (height, width), size)
 
 
 def _of_angle(fov_deg: float, size: Size) -> np.ndarray:

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from pydantic import BaseModel
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
@@ -16,11 +17,18 @@ BACKBONE = "precomputed"
 LAYOUT = "DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/cls/0000000000.png (8 bit, trainIds)"
 
 
+class Config(BaseModel):
+    """What config.json of stage encoder says, as far as it is read again."""
+
+    backbone: str
+    weights: str | dict[str, str] | None
+
+
 def named_in(encoder: Path) -> Path | None:
     """Return the folder that stage encoder was told to take depth and classes from, if so; `encoder` is its own."""
     config = encoder / "config.json"
-    content = store.read_json(config, stage="encoder") if config.is_file() else {}
-    return Path(content["weights"]) if content.get("backbone") == BACKBONE else None
+    content = store.read_json(config, stage="encoder", form=Config) if config.is_file() else {}
+    return Path(str(content["weights"])) if content.get("backbone") == BACKBONE else None
 
 
 def find(folder: Path) -> list[Path]:

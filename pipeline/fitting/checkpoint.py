@@ -1,5 +1,6 @@
 """Files of tensors: written in one step, read without running anything they hold, loaded only if all fits."""
 
+import errno
 import io
 import zipfile
 from collections.abc import Mapping
@@ -62,8 +63,9 @@ def load(path: Path) -> Any:
     except InputError:
         raise
     except Exception as error:  # torch raises half a dozen kinds for a damaged file, OSError to UnpicklingError
-        if isinstance(error, OSError) and error.errno:  # of the system: no permission, a bad disk
-            raise
+        # EINVAL: its index points before its beginning. Other numbers are of the system: no permission, a bad disk.
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise InputError(f"{path} is cut short, or holds more than tensors and plain values") from error
 
 
@@ -71,6 +73,8 @@ def _check(path: Path) -> None:
     """Verify the checksums of an archive, which torch does not: it would load flipped bits. Old files have none."""
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+                raise InputError(f"{path} is not a file of torch.save, which compresses nothing")
             damaged = archive.testzip()
         if damaged:
             raise InputError(f"{path} is damaged: the checksum of {damaged} in it is wrong")
@@ -82,11 +86,13 @@ def load_state(module: Any, state: Mapping[str, Any], path: Path) -> None:
     Raises InputError unless names and shapes agree one by one, and all numbers are finite.
     """
     own = module.state_dict()
-    for name in sorted(own.keys() | state.keys()):
+    for name in sorted(own.keys() | set(map(str, state))):
         if name not in state:
             fault = f"lacks {name}"
         elif name not in own:
             fault = f"has {name}, which the network lacks"
+        elif not hasattr(state[name], "isfinite"):
+            fault = f"has {type(state[name]).__name__} as {name}, and not a tensor"
         elif state[name].shape != own[name].shape:
             fault = f"has {name} of shape {list(state[name].shape)}, the network {list(own[name].shape)}"
         elif not state[name].isfinite().all():

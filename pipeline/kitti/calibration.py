@@ -3,15 +3,17 @@
 What pykitti's ``raw`` class makes of them is not used: it needs all four cameras, and users have files with only some.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import explained
-from pipeline.camera.calib_file import matrix, read_entries
+from pipeline.base.errors import InputError, explained
+from pipeline.camera.calib_file import matrix, projection, read_entries, rotation
 
 _AGAIN = "Extract the date's calibration archive (…_calib.zip) again"
+_FARTHEST_M = 20.0  # of LiDAR and camera on a car
 
 
 @dataclass(frozen=True)
@@ -40,19 +42,25 @@ def read_camera(folder: Path, number: int) -> Camera:
     path, velo = folder / "calib_cam_to_cam.txt", folder / "calib_velo_to_cam.txt"
     with explained(hint=_AGAIN):
         entries = read_entries(path)
-        P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
-        width, height = matrix(entries, f"S_rect_{number:02d}", (2,), path)
+        P, size = projection(entries, number, path)
         K = P[:, :3]
         T_cam_velo = None
-        if velo.is_file():
+        if velo.exists():
             # P_rect projects points of the reference camera's frame: P = K [I | t], so t is where this camera sees
             # them. All three components of t: with x alone (as pykitti has it) depths are off by t_z, 3 mm.
             shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
-            rectify = _rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
+            rectify = _rigid(rotation(entries, "R_rect_00", path), np.zeros(3))
             entries = read_entries(velo)
-            T_ref_velo = _rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
+            T_ref_velo = _rigid(rotation(entries, "R", velo), _place(entries, velo))
             T_cam_velo = shift @ rectify @ T_ref_velo
-    return Camera(number, (int(height), int(width)), K, T_cam_velo)
+    return Camera(number, size, K, T_cam_velo)
+
+
+def _place(entries: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
+    T = matrix(entries, "T", (3,), path)
+    if np.abs(T).max() > _FARTHEST_M:
+        raise InputError(f"{path}: T puts the LiDAR {np.abs(T).max():g} m away from the camera")
+    return T
 
 
 def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -5,18 +5,23 @@
 """
 
 import hashlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.base.files import MiB, check_file, read_bytes
 from pipeline.kitti.calibration import Camera, cameras_in, read_camera
 
 # The lowest laser of the HDL-64E looks 24.8 degrees down and sees the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so one that was cut short lacks the low ones.
 _LOWEST_DEG = -20.0
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
+_FEWEST = 100  # points; KITTI's scans have 100,000
+_MOST_BYTES = 256 * MiB
+_LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored
 
 
 class RawDrive:
@@ -57,7 +62,7 @@ class RawDrive:
             digest.update(f"{path.relative_to(self.folder)} {path.stat().st_size}\n".encode())
         small = [*self.oxts.values(), self.oxts_times, *sorted(self.calibration.glob("calib_*.txt"))]
         for path in (path for path in small if path.is_file()):
-            content = path.read_bytes()
+            content = read_bytes(path, _MOST_BYTES)
             digest.update(f"{path.relative_to(self.calibration)} {len(content)}\n".encode() + content)
         return digest.hexdigest()
 
@@ -95,12 +100,17 @@ def read_scan(path: Path) -> np.ndarray:
     """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance. Raises DamagedFile."""
     from pykitti.utils import load_velo_scan  # takes a second to import
 
-    size = path.stat().st_size
+    size = check_file(path, _MOST_BYTES)
     if size == 0 or size % 16 != 0:
         raise DamagedFile(f"{path} is cut short: {size} bytes are not a whole number of points of 16 bytes")
     scan: np.ndarray = load_velo_scan(path)
     if not np.isfinite(scan).all() or np.abs(scan[:, :3]).max() > _MAX_RANGE_M:
         raise DamagedFile(f"{path} is damaged: it holds points that are not finite or beyond {_MAX_RANGE_M:.0f} m")
+    none = int(np.count_nonzero(~scan[:, :3].any(axis=1)))  # KITTI's files hold returns alone
+    if none or len(scan) < _FEWEST:
+        raise DamagedFile(f"{path} is damaged: of its {len(scan)} points, {none} lie in the sensor itself")
+    if scan[:, 3].min() < 0 or scan[:, 3].max() > 1:
+        raise DamagedFile(f"{path} is damaged: it holds reflectances that are not from 0 to 1")
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
     if lowest > _LOWEST_DEG:
         raise DamagedFile(
@@ -114,5 +124,13 @@ def _frames(folder: Path, suffix: str) -> dict[int, Path]:
     if not folder.is_dir():
         return {}
     # Names that are not numbers are left alone: macOS adds "._0000000000.png", half-finished downloads ".part".
-    paths = [path for path in folder.iterdir() if path.suffix == suffix and path.stem.isdigit()]
-    return dict(sorted((int(path.stem), path) for path in paths))
+    names = [path for path in folder.iterdir() if path.suffix == suffix and re.fullmatch("[0-9]+", path.stem)]
+    paths: dict[int, Path] = {}
+    for path in sorted(names):
+        number = int(path.stem) if len(path.stem) <= 10 else _LAST_FRAME + 1
+        if number > _LAST_FRAME:
+            raise InputError(f"{path}: KITTI numbers frames by ten digits, to {_LAST_FRAME} here: rename or remove it")
+        if number in paths:
+            raise InputError(f"{path} and {paths[number].name} are both frame {number}: remove the one that is wrong")
+        paths[number] = path
+    return dict(sorted(paths.items()))

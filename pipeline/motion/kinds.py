@@ -2,8 +2,17 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel
 
 from pipeline.base import store
+
+
+class Index(BaseModel):
+    """The index."""
+
+    kinds: list[Literal["visual", "lidar"]]
 
 
 def write(folder: Path, kinds: Iterable[str]) -> None:
@@ -13,7 +22,7 @@ def write(folder: Path, kinds: Iterable[str]) -> None:
 
 def read(folder: Path) -> dict[str, Path]:
     """Return kind → its folder. Raises InputError if there is no index, or a drive of one has no file."""
-    kinds = store.read_json(folder / "index.json", stage="motion")["kinds"]
+    kinds = store.read_json(folder / "index.json", stage="motion", form=Index)["kinds"]
     for kind in kinds:
         store.read_index(folder / kind, stage="motion")
     return {kind: folder / kind for kind in kinds}

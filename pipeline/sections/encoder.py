@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from pipeline.base.params import SPLITS, Count, Positive, Section, Seed
+from pipeline.base.params import SPLITS, Count, Rate, Section, Seed
 from pipeline.encoder import precomputed
 
 PARTS = ("backbone", "depth_head", "class_head")
@@ -53,7 +53,7 @@ class Encoder(Section):
     epochs: Annotated[int, Field(ge=0)]
     frames: Count
     batch: Count
-    learning_rate: Positive
+    learning_rate: Rate
     seed: Seed
 
     @property

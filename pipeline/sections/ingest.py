@@ -9,7 +9,7 @@ from pipeline.base.params import SPLITS, Drive, ImageSize, Section
 
 SAMPLE = "2026_"
 """How the names of the embedded sample's drives begin; KITTI's begin with 2011_."""
-_RANGE = re.compile(r"(\d{4}_\d{2}_\d{2}_drive_)(\d{4})\.\.(\d{4})")
+_RANGE = re.compile(r"([0-9]{4}_[0-9]{2}_[0-9]{2}_drive_)([0-9]{4})\.\.([0-9]{4})")
 
 
 class Drives(Section):

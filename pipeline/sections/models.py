@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from pipeline.base.params import Count, Positive, Section
+from pipeline.base.params import Count, Rate, Section
 
 
 class Model(Section):
@@ -21,10 +21,12 @@ class Model(Section):
     temporal: str
     window: Annotated[int, Field(ge=1, le=256, description="frames that a prediction sees")]
     equivariant: Annotated[bool, Field(description="a mirrored world steers exactly the other way")] = False
-    learning_rate: Annotated[Positive | None, Field(description="instead of train.learning_rate")] = None
+    learning_rate: Annotated[Rate | None, Field(description="instead of train.learning_rate")] = None
     alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
-    features: Annotated[Count, Field(description="numbers per frame from the spatial network to the temporal")] = 32
-    horizon: Annotated[int, Field(ge=0, description="frames after the last one seen whose steering is predicted")] = 0
+    features: Annotated[int, Field(ge=1, le=1024, description="numbers per frame between the two networks")] = 32
+    horizon: Annotated[
+        int, Field(ge=0, le=10_000, description="how many frames after the last one seen steering is predicted")
+    ] = 0
     motion: Annotated[
         Literal["none", "visual", "lidar"],
         Field(description="what the car did since the frame before, by images or scans, beside what a frame shows"),

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
-from pipeline.base import console
+from pipeline.base import console, yaml_file
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import NAME, Section, fault, parse, without_none
@@ -101,7 +101,7 @@ def text(name: str, params: Path = PARAMS) -> str:
     result = _dump(content)
     files = {source: changes, params: base}
     try:
-        whole = parse(Params, yaml.safe_load(result), "")
+        whole = parse(Params, yaml_file.parse(result, _shown(source)), "")
     except InputError as error:
         cause = error.__cause__
         place = fault(cause)["loc"] if isinstance(cause, ValidationError) else ()
@@ -184,11 +184,13 @@ def _read(path: Path) -> CommentedMap:
     if not path.is_file():
         raise InputError(f"{path} is missing: run from the repository's root, or: git checkout {path.name}")
     try:
-        content = YAML().load(path.read_text(encoding="utf-8"))
+        text = yaml_file.read_text(path)
+        yaml_file.parse(text, _shown(path))  # ruamel keeps tags and what else params.yaml cannot hold
+        content = YAML().load(text)
     except MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
         raise InputError(f"{_shown(path)}{line} is not valid YAML: {error.problem}") from error
-    except (YAMLError, UnicodeDecodeError) as error:
+    except (YAMLError, ValueError) as error:
         raise InputError(f"{_shown(path)} is not valid YAML: {error}") from error
     if not isinstance(content, CommentedMap):
         raise InputError(f"{_shown(path)} holds no sections")

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.base.params import Count, Fraction, Positive, Section, Seed
+from pipeline.base.params import Count, Fraction, Positive, Rate, Section, Seed
 
 
 class Noise(Section):
@@ -26,8 +26,8 @@ class Train(Section):
     epochs: Count
     patience: Count
     seeds: list[Seed] = Field(min_length=1)
-    learning_rate: Positive
-    weight_decay: Annotated[float, Field(ge=0)]
+    learning_rate: Rate
+    weight_decay: Annotated[float, Field(ge=0, le=100)]
     clip_norm: Positive
     run_windows: Count
     batch_runs: Count

@@ -81,18 +81,33 @@ class Graphs:
         return {"xyz": ptr, "cls": ptr, **of_levels}
 
     def read(self, start: int, stop: int) -> Arrays:
-        """Return the arrays of frames [start, stop)."""
+        """Return the arrays of frames [start, stop). Raises InputError if one of them is not what a graph can be."""
         arrays = {}
         for name, starts in self._ptr.items():
             ptr = starts[start : stop + 1]
             rows = self._file.rows(name, ptr[0], ptr[-1])
+            form = _FORMS[name.partition("_")[0]]
+            if (rows.dtype.kind, rows.ndim) != form[:2] or rows.shape[1:][: len(form[2])] != form[2]:
+                raise self._damaged(f"{name} holds {rows.dtype} of shape {rows.shape}")
             if (numbered := _numbered(name)) is not None:
-                first = self._ptr[numbered][start:stop]  # of the rows that are numbered, each frame's first
-                rows = _counted_on(rows, ptr - ptr[0], first - first[0], _WIDE.get(name, np.int64))
+                first = self._ptr[numbered][start : stop + 1]  # of the rows that are numbered, each frame's first
+                try:
+                    rows = _counted_on(rows, ptr - ptr[0], first - first[0], _WIDE.get(name, np.int64))
+                except IndexError as error:
+                    raise self._damaged(
+                        f"{name}, frames {self.frame[start]} to {self.frame[stop - 1]}: {error}"
+                    ) from error
             arrays[name] = rows
             if name in _POINTERS or name.startswith("centres_"):
                 arrays[_POINTERS.get(name, f"{name}_ptr")] = ptr - ptr[0]
+        if "degree" in arrays:
+            counts = [int(part.sum()) for part in np.split(arrays["degree"], arrays["ptr"][1:-1])]
+            if counts != np.diff(self._ptr["indices"][start : stop + 1]).tolist():
+                raise self._damaged("degree does not count the neighbours that indices names")
         return arrays
+
+    def _damaged(self, fault: str) -> InputError:
+        return InputError(f"{self.path} is damaged ({fault}). Make it again: dvc repro --force graphs")
 
 
 @contextmanager
@@ -136,13 +151,25 @@ def concatenate(parts: Sequence[Arrays]) -> Arrays:
 
 
 def _counted_on(rows: np.ndarray, ptr: np.ndarray, first: np.ndarray, dtype: type[np.integer]) -> np.ndarray:
-    """Return the numbers in `rows` plus `first` [B], that of each frame; its rows begin at `ptr` [B+1]."""
+    """Return the numbers in `rows` plus `first`, that of each frame.
+
+    Both pointers are [B+1]: where each frame's rows begin, and those that its numbers count.
+
+    Raises IndexError if a number is beyond its frame.
+    """
     numbers = np.empty(rows.shape, dtype)
-    for (start, stop), shift in zip(pairwise(ptr.tolist()), first.tolist(), strict=True):
+    for (start, stop), (shift, end) in zip(pairwise(ptr.tolist()), pairwise(first.tolist()), strict=True):
+        largest = int(rows[start:stop].max(initial=0))
+        if largest >= end - shift and stop > start:
+            raise IndexError(f"there is number {largest} in a frame that has {end - shift}")
         np.add(rows[start:stop], shift, out=numbers[start:stop], dtype=dtype, casting="same_kind")
     return numbers
 
 
+_FORMS: dict[str, tuple[str, int, tuple[int, ...]]] = {  # kind of numbers, axes, and how long those after the first are
+    "xyz": ("f", 2, (3,)), "cls": ("u", 1, ()), "degree": ("u", 1, ()), "indices": ("u", 1, ()),
+    "centres": ("u", 1, ()), "neighbours": ("u", 2, ()), "image": ("u", 4, ()),
+}  # fmt: skip
 _WIDE = {"indices": np.int32}  # as wide as sparse matrices want them; what indexes tensors is int64
 _POINTERS = {"xyz": "ptr"}  # the others are called as what they point into
 

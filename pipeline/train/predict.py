@@ -7,6 +7,7 @@ with frames.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as grap
     steering_rad = model.predict(graphs, [60, 61, 200])
 """
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -16,8 +17,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import InputError, explained
+from pipeline.base.params import parse
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
+from pipeline.sections.models import Model
 from pipeline.train import frames, runs, windows
 from pipeline.train.distributed import World
 
@@ -61,6 +64,7 @@ class Target:
 
 
 TARGET = tuple(field.name for field in fields(Target))
+_KINDS: dict[str, type] = {"name": str, "seed": int, "contents": dict, "model": dict, "target": dict, "net": dict}
 
 
 @dataclass(frozen=True)
@@ -171,11 +175,16 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
     with explained(hint=f"Train it again: dvc repro --force train@{name}"):
         content = checkpoint.read(path, KIND)
         whole = ("name", "seed", "fold", "contents", "net")
+        for key, kind in _KINDS.items():
+            if key in content and not isinstance(content[key], kind):
+                raise InputError(f"{path} holds {type(content[key]).__name__} as {key}, and not what was trained")
         missing = _missing(content, *whole, model=steering_net.GENERAL, target=TARGET)
         if missing:
             raise InputError(f"{path} lacks {', '.join(sorted(missing))}: an older version of this project wrote it")
         with explained(where=str(path)):
-            net = steering_net.build(content["model"], **content["contents"])
+            if not all(isinstance(value, float) and math.isfinite(value) for value in content["target"].values()):
+                raise InputError(f"target = {content['target']} are not numbers")
+            net = _built(content)
         checkpoint.load_state(net, content["net"], path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
     return Trained(
@@ -184,9 +193,20 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         fold=content["fold"],
         line=content["model"],
         contents=content["contents"],
-        target=Target(**content["target"]),
+        target=Target(**{key: content["target"][key] for key in TARGET}),
         net=net,
     )
+
+
+def _built(content: Mapping[str, Any]) -> "SteeringNet":
+    """Build the network of a checkpoint. Raises InputError or ValueError."""
+    from models.steering.core import steering_net
+
+    line = parse(Model, content["model"], "model")
+    try:
+        return steering_net.build(line.model_dump(), **content["contents"])
+    except (TypeError, KeyError, AttributeError, IndexError) as error:
+        raise ValueError(f"its model is not a line of params.yaml, or its contents no graphs': {error}") from error
 
 
 def _missing(content: Mapping[str, Any], *keys: str, **within: Sequence[str]) -> list[str]:

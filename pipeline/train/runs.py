@@ -8,12 +8,31 @@ validation drives either: they are of training's world, and would choose the epo
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
 
 _SEED, _FOLD = "seed-", "fold-"
+
+
+class Line(BaseModel):
+    """What a model's line must say before its checkpoint is read."""
+
+    input: str
+    horizon: int
+    motion: str
+
+
+class Config(BaseModel):
+    """What config.json of a trained model says, as far as it is read again."""
+
+    model: Line
+    seeds: Annotated[list[int], Field(min_length=1)]
+    parameters: int
+    encode_ms_per_frame: float
 
 
 @dataclass(frozen=True)

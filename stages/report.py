@@ -12,7 +12,6 @@ from pipeline.base.lock import held
 from pipeline.base.params import load, names
 from pipeline.report.figures import figures
 from pipeline.report.page.page import write_page
-from pipeline.report.result import Result
 from pipeline.report.sources import Sources
 from pipeline.report.studies import claims, figure, study, tables
 from pipeline.report.tables import (
@@ -25,6 +24,7 @@ from pipeline.report.tables import (
     steering_rows,
     steering_table,
 )  # fmt: skip
+from pipeline.report.tables.result import Result
 from pipeline.sections.evaluate import Evaluate
 
 

@@ -222,7 +222,7 @@ FILES: dict[str, tuple[Read, dict[str, Write]]] = {
                 ("net",),
                 ("net", TENSOR),
             )
-            for value in (None, float("nan"), [10**9], 0.5)
+            for value in (None, float("nan"), [10**9], -0.5)
         },
     ),
     "encoder.pt": (

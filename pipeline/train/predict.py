@@ -20,7 +20,6 @@ from pipeline.base.errors import InputError, explained
 from pipeline.base.params import parse
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
-from pipeline.sections.models import Model
 from pipeline.train import frames, runs, windows
 from pipeline.train.distributed import World
 
@@ -184,6 +183,8 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         with explained(where=str(path)):
             if not all(isinstance(value, float) and math.isfinite(value) for value in content["target"].values()):
                 raise InputError(f"target = {content['target']} are not numbers")
+            if content["target"]["std_rad"] <= 0:
+                raise InputError(f"target.std_rad = {content['target']['std_rad']} is no deviation")
             net = _built(content)
         checkpoint.load_state(net, content["net"], path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
@@ -202,9 +203,9 @@ def _built(content: Mapping[str, Any]) -> "SteeringNet":
     """Build the network of a checkpoint. Raises InputError or ValueError."""
     from models.steering.core import steering_net
 
-    line = parse(Model, content["model"], "model")
+    parse(runs.Line, content["model"], "model")
     try:
-        return steering_net.build(line.model_dump(), **content["contents"])
+        return steering_net.build(content["model"], **content["contents"])
     except (TypeError, KeyError, AttributeError, IndexError) as error:
         raise ValueError(f"its model is not a line of params.yaml, or its contents no graphs': {error}") from error
 

@@ -10,19 +10,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.base.params import Count, Section
 
 _SEED, _FOLD = "seed-", "fold-"
 
 
-class Line(BaseModel):
-    """What a model's line must say before its checkpoint is read."""
+class Line(Section):
+    """What a trained model's line must say; the knobs of its networks, steering_net.build checks."""
+
+    model_config = ConfigDict(extra="allow")
 
     input: str
-    horizon: int
+    window: Count
+    features: Count
+    horizon: Annotated[int, Field(ge=0)]
     motion: str
 
 

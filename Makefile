@@ -1,5 +1,6 @@
-# make demo · make PRESET · make params PRESET=… · make test · make bench · make stress · make lint: each sets up what it needs (Debian,
-# Python 3.11 or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make replay · make studies.
+# make demo · make PRESET · make params PRESET=… · make test · make bench · make stress · make lint: each sets up what it
+# needs (Debian, Python 3.11 or 3.12). A preset is a file of presets/: make kitti · make real · make table2 · make replay ·
+# make studies.
 
 PYTHON ?= python3
 VENV ?= .venv

@@ -219,7 +219,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "no camera calibration": (
         lambda folder: (folder.parent / "calib_cam_to_cam.txt").unlink(),
-        r"calib_cam_to_cam.txt is missing: extract",
+        r"calib_cam_to_cam.txt is missing",
     ),
     "camera not calibrated": (lambda folder: forget_calibration(folder, "P_rect_02"), r"has no P_rect_02"),
     "scans not calibrated": (

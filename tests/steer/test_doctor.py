@@ -123,7 +123,9 @@ def test_where_dvc_cannot_say_the_run_is_told_from_the_start(root: Path) -> None
     assert "  estimate, good to a factor of two: " in text
 
 
-@pytest.mark.parametrize(("pid", "busy"), [(os.getpid(), True), (2**22 + 1, False), ("x", False)])
+@pytest.mark.parametrize(
+    ("pid", "busy"), [(os.getpid(), True), (2**22 + 1, False), ("x", False)], ids=["it runs", "it ended", "no number"]
+)
 def test_a_run_in_progress_is_left_alone(
     project: Path, monkeypatch: pytest.MonkeyPatch, pid: object, busy: bool
 ) -> None:

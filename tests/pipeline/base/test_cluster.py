@@ -257,7 +257,11 @@ def free_port() -> int:
     return port
 
 
-@pytest.mark.parametrize("address", [f"tcp://127.0.0.1:{free_port()}", "tcp://127.0.0.1", "here:8786", "tcp://x:y"])
+@pytest.mark.parametrize(
+    "address",
+    [f"tcp://127.0.0.1:{free_port()}", "tcp://127.0.0.1", "here:8786", "tcp://x:y"],
+    ids=["a port where nobody listens", "no port", "no scheme", "no number"],
+)
 def test_a_scheduler_that_nobody_reaches_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:

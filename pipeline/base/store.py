@@ -315,7 +315,7 @@ class DriveReader:
         with self._blamed(name):
             values = dataset[rows]
             sound.check_values(name, values)
-            if rows == () and sound.is_pointer(name):
+            if isinstance(rows, tuple) and sound.is_pointer(name):
                 sound.check_pointers(name, values, self._datasets)
         return values
 

@@ -105,7 +105,7 @@ def test_a_disk_that_is_too_small(project: Path, monkeypatch: pytest.MonkeyPatch
 def test_damaged_params_are_one_of_the_things_to_do(project: Path) -> None:
     (project / "params.yaml").write_text("ingest: [")
     text = say(status=1)
-    assert "params.yaml is not valid YAML" in text
+    assert "params.yaml:1 is not valid YAML" in text
     content = yaml.safe_load((provenance.ROOT / "params.yaml").read_text())
     content["train"]["epochs"] = -1
     (project / "params.yaml").write_text(yaml.safe_dump(content))

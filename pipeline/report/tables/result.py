@@ -45,7 +45,7 @@ class Result(BaseModel):
     variant: dict[str, object]
     parameters: int
     encode_ms_per_frame: float
-    points_per_frame: float
+    points_per_frame: Number  # images have none
     train: Scores
     val: Scores | None
     test: Scores

@@ -36,6 +36,7 @@ def work(drive: str, rows: range, file: DriveWriter, log: Path, trouble: dict[st
             case "bug":
                 raise ZeroDivisionError
         file.append("xyz", np.random.default_rng(row).normal(size=(3000 * (row % 3), 3)).astype(np.float32))
+    file.put_pointers("ptr", [3000 * (row % 3) for row in rows], "row")
     if trouble.get(drive) == "late":
         raise InputError("the drive is too long")
     return {"frames": len(rows), "points": 3000 * sum(row % 3 for row in rows)}

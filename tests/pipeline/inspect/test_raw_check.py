@@ -141,7 +141,7 @@ def test_scans_of_odd_size_or_too_few_points(folder: Path) -> None:
         "velodyne_points: frame 2 has 1601 bytes, no whole number of points", "velodyne_points: frame 6 is empty",
     ]  # fmt: skip
     assert found.notes == ["velodyne_points: scans of less than half the usual size: 5"]
-    assert "frame 5 is cut short: its 50 points" in check(folder, deep=True).must[1]
+    assert "frame 5 is damaged: of its 50 points" in check(folder, deep=True).must[1]
 
 
 def test_half_an_archive_must_be_extracted_and_a_single_gap_is_kittis_own(folder: Path) -> None:
@@ -180,7 +180,7 @@ def test_a_drive_that_was_cut_out_of_a_longer_one_is_whole(tmp_path: Path) -> No
 
 def test_without_packets_or_their_times_there_are_no_labels(folder: Path) -> None:
     (folder / "oxts/timestamps.txt").write_text("now\n" * FRAMES)
-    assert "it must increase" in check(folder).must[0]
+    assert "holds 'now', not a time, at line 1" in check(folder).must[0]
     (folder / "oxts/timestamps.txt").unlink()
     assert check(folder).must == [
         "oxts/timestamps.txt is missing: extract the drive's oxts folder with its timestamps.txt"

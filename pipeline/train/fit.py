@@ -89,39 +89,28 @@ class Fit:
         if self.alpha:
             count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
             self._say(f"{title}: weighted by alpha {self.alpha:g}, {count} frames count as {effective:.0f}")
+        target, keep = predict.Target.of(train), self.settings.keep
         steps = reading.Steps(train, self.window, self.settings.noise)
         with reading.Reader(steps, self.device) as reader:
-            self._run_epochs(reader, train, val, kept, about, title)
-
-    def _run_epochs(
-        self,
-        reader: reading.Reader,
-        train: Sequence[windows.Drive],
-        val: Sequence[windows.Drive],
-        kept: Path,
-        about: Mapping[str, Any],
-        title: str,
-    ) -> None:
-        target, epochs, keep = predict.Target.of(train), self.settings.epochs, self.settings.keep
-        started, before = time.perf_counter(), len(self.curve)
-        while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
-            epoch, began = len(self.curve) + 1, time.perf_counter()
-            loss, rate = self._train(reader, train, target, epoch)
-            waited = reader.waited_s / (time.perf_counter() - began)
-            if not math.isfinite(loss):
-                raise InputError(
-                    f"{title}: the loss of epoch {epoch} is {loss}: lower train.learning_rate or clip_norm"
-                )
-            self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
-            better = kept_epoch(self.curve, keep) == epoch
-            if better:
-                self.best = copy_of(self.average.module)
-            if self.world.leads:
-                checkpoint.write(kept, {**about, **self._state(), "kind": predict.KIND, "epoch": epoch})
-            eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
-            nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (kept)' if better else ''}" if val else ""
-            reads = f", {waited:.0%} of it waiting for data" if waited > SHOWN else ""
-            self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go{reads}")
+            started, before = time.perf_counter(), len(self.curve)
+            while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
+                epoch, began = len(self.curve) + 1, time.perf_counter()
+                loss, rate = self._train(reader, train, target, epoch)
+                waited = reader.waited_s / (time.perf_counter() - began)
+                if not math.isfinite(loss):
+                    raise InputError(
+                        f"{title}: the loss of epoch {epoch} is {loss}: lower train.learning_rate or clip_norm"
+                    )
+                self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
+                better = kept_epoch(self.curve, keep) == epoch
+                if better:
+                    self.best = copy_of(self.average.module)
+                if self.world.leads:
+                    checkpoint.write(kept, {**about, **self._state(), "kind": predict.KIND, "epoch": epoch})
+                eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
+                nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (kept)' if better else ''}" if val else ""
+                reads = f", {waited:.0%} of it waiting for data" if waited > SHOWN else ""
+                self._say(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse}, {eta:.0f} s to go{reads}")
 
     def _say(self, line: str) -> None:
         if self.world.leads:

@@ -41,9 +41,9 @@ test: setup            ## all tests on all cores, with coverage of all that runs
 
 # Scans: STEER_KITTI=/path/to/kitti, or ../shared/kitti where it lies; else the sample's clouds, of make demo.
 ROWS ?=
-bench: setup           ## beside what a user would pick instead: a table, and benchmarks/results.json; ROWS="ltc load" prints these
+bench: setup           ## beside what a user would pick instead: a table, and benchmarks/results.json; ROWS="cluster demo": these
 	@STEER_KITTI="$${STEER_KITTI:-$(wildcard ../shared/kitti)}"; [ -n "$$STEER_KITTI" ] && export STEER_KITTI || unset STEER_KITTI; \
-	python -m benchmarks.bench $(ROWS) $(if $(ROWS),,--out benchmarks/results.json)
+	python -m benchmarks.bench $(ROWS) --out benchmarks/results.json
 
 # Recorded files too, of STEER_KITTI=/path/to/kitti, or ../shared/kitti where it lies.
 stress: setup          ## every reader on some 13,000 damaged and hostile files: docs/robustness.md; 10 min

@@ -40,6 +40,17 @@ def test_rows_are_printed_and_written(tmp_path: Path, monkeypatch: pytest.Monkey
     assert content["rows"]["alone"]["ratio"] is None
 
 
+def test_a_row_measured_by_name_joins_those_that_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = {
+        "fast": lambda given: Row(2.0, 6.0, "ms", 3.0, "a / b"),
+        "demo": lambda given: Row(300.0, None, "s", None, "c"),
+    }
+    monkeypatch.setattr(bench, "rows", lambda: rows)
+    for names, written in (None, ["fast"]), (["demo"], ["fast", "demo"]), (None, ["fast"]):
+        bench.main(names, data=tmp_path, out=tmp_path / "results.json")
+        assert list(json.loads((tmp_path / "results.json").read_text())["rows"]) == written
+
+
 def test_a_row_that_fails_is_named_and_the_others_are_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:

@@ -1,6 +1,6 @@
 """Each stage on a disk with too little space, and on a read-only one: for a test, and longer by hand.
 
-$(python -c "from tests import disks; print(*disks.COMMAND)") 0 0.2 0.5 0.8 0.97      # shares of the space that it takes
+unshare --map-root-user --mount python -m tests.disks 0 0.2 0.5 0.8 0.97    # shares of the space that a stage takes
 """
 
 import os
@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -83,7 +84,7 @@ class Disk:
         )  # fmt: skip
 
     def meet(self, stage: str, share: float | None) -> Trial:
-        """Run a stage with a share of the space that it takes, without `share` on a read-only disk; then with plenty."""
+        """Run a stage with a share of the space that it takes, or on a read-only disk (None); then with plenty."""
         before = self.used()
         for path in self.data.glob(f"{stage}/*" if stage != "clouds" else "clouds/*/*"):  # as DVC does
             shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -116,14 +117,14 @@ def main(shares: Sequence[float]) -> int:
         folder = kills.small(Path(scratch_folder) / "copy")
         scratch.run(folder, "dvc", "repro")
         disk = Disk(folder)
-        trials = [disk.meet(stage, share) for stage in kills.STAGES for share in (None, *shares)]
+        trials, failed = 0, 0
+        for stage, share in product(kills.STAGES, (None, *shares)):
+            trial = disk.meet(stage, share)
+            line = f"{stage:<11} {trial.disk:<9} {trial.free / 1024:>8.0f} KiB free"
+            print(line, *trial.faults or ["as it should"], *([trial.said] if trial.faults else []), flush=True)
+            trials, failed = trials + 1, failed + bool(trial.faults)
         subprocess.run(["umount", str(disk.data)], check=True)
-    for trial in trials:
-        print(f"{trial.stage:<11}{trial.disk:<10} {trial.free / 1024:>8.0f} KiB  {trial.faults or 'as it should'}")
-        if trial.faults:
-            print(trial.said, file=sys.stderr)
-    failed = sum(bool(trial.faults) for trial in trials)
-    print(f"{len(trials)} trials, {failed} failed")
+    print(f"{trials} trials, {failed} failed")
     return failed
 
 

@@ -22,7 +22,7 @@ from pipeline.sections.preset import merged
 from stages import clouds, graphs, perception, train
 
 LONG = 400  # frames of the drive that two workers share
-ENLARGED = 2  # times, of its images: those of the paper's CNN, 192 x 640. The sample's own are done before workers have begun
+ENLARGED = 2  # times, its images: to the paper's 192 x 640. The sample's own are seen before a worker has begun
 POINTS = 10_000  # of its graphs
 NETWORKS = 2  # that are trained side by side
 

@@ -3,6 +3,7 @@
 import hashlib
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from http.client import HTTPException
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -21,10 +22,8 @@ class Answers(BaseHTTPRequestHandler):
     over: threading.Event
 
     def do_GET(self) -> None:
-        try:
+        with suppress(OSError):  # who asked has left
             getattr(self, self.path.strip("/"))()
-        except OSError:  # who asked has left
-            pass
 
     def say(self, content: bytes, length: int | None) -> None:
         self.send_response(200)

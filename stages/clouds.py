@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base import console, progress, store
+from pipeline.base.errors import explained
 from pipeline.base.params import load
 from pipeline.base.pool import Summary, run_over_frames
 from pipeline.camera.images import to_metres
@@ -42,6 +43,9 @@ def main(
         describe=lambda summary: f"{summary['frames']} frames, {summary['points']} points",
     )
     for kind in KINDS:
+        hint = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or see what they hold: steer show {perception}"
+        with explained(f"{params}: clouds/{kind}", hint=hint):
+            cloud.check_any({drive: summaries[f"{kind}/{drive}"] for drive in splits}, splits)
         store.write_index(out / kind, splits)
         empty = [drive for drive in splits if not summaries[f"{kind}/{drive}"]["frames"]]
         if empty:

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from pipeline.base import console, progress, store
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, explained
 from pipeline.base.params import load_entry
 from pipeline.base.pool import Summary, run_over_frames
 from pipeline.graphs import accumulate, cloud, graph_file
@@ -51,6 +51,10 @@ def main(
         workers=workers,
         describe=lambda summary: ", ".join(f"{number} {what}" for what, number in summary.items()),
     )
+    if settings.kind != "image":
+        crop = settings.crop_m and f"Widen crop_m = {list(settings.crop_m)}: left, near, right, far in metres"
+        with explained(f"{params}: graphs.{name}", hint=crop or f"{source} has none: dvc repro --force clouds"):
+            cloud.check_any(summaries, splits)
     store.write_index(out / name, splits)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("kNN edges", "kept"))
     if before:

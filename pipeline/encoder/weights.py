@@ -5,9 +5,6 @@ A file is looked for on this machine first, fetched once, and verified always.
 
 import http.client
 import re
-import socket
-import sys
-import urllib.request
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +12,12 @@ from typing import Any
 
 from pipeline.base.errors import InputError, explained
 from pipeline.base.resume import file_hash
+from pipeline.encoder import download
 from pipeline.fitting import checkpoint
 
 SHA256 = re.compile(r"[0-9a-fA-F]{64}")
 SETTING = re.compile(r"(.*?)(?:#as=(.*?)(?=#|&|$))?(?:[#&]sha256=(.*))?", re.DOTALL)
 CACHE = Path("weights")
-TIMEOUT_S = 30
 Setting = str | Mapping[str, str] | None
 """A checkpoint of this project, or a published file for each of some parts, or nothing."""
 WRAPPERS = ("state_dict", "model")  # what published files call their tensors, where they hold more than these
@@ -99,24 +96,14 @@ def find(file: str, key: str) -> tuple[Path, str]:
 
 
 def _fetch(url: str, path: Path, wanted: str, key: str) -> None:
-    from torch.hub import download_url_to_file
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unlimited = socket.getdefaulttimeout()
-    socket.setdefaulttimeout(TIMEOUT_S)  # torch sets none, and would wait for a silent server for ever
     try:
-        urllib.request.Request(url)  # a bad address would leave torch's temporary file
-        download_url_to_file(url, str(path), hash_prefix=wanted, progress=sys.stderr.isatty())
-    # A wrong hash is a RuntimeError; URLError and timeouts are OSErrors; bad addresses and lengths are ValueErrors or
-    # HTTPExceptions.
-    except (RuntimeError, OSError, ValueError, http.client.HTTPException) as error:
+        download.download(url, path, wanted)
+    except (OSError, ValueError, http.client.HTTPException) as error:
         reason = " ".join(str(error).split())
         raise InputError(
             f"{key}: {path} is missing and {url} cannot be fetched ({reason}). "
-            "Correct address or hash, or get it elsewhere and put it there"
+            f"Correct address or hash, or put the file there: curl --create-dirs -L -o {path} {url}"
         ) from error
-    finally:
-        socket.setdefaulttimeout(unlimited)
 
 
 def read_published(path: Path) -> dict[str, Any]:

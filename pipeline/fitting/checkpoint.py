@@ -2,6 +2,7 @@
 
 import errno
 import io
+import sys
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,14 +13,29 @@ from pipeline.base.errors import InputError
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
-    """Write tensors and plain values under their names; nobody ever reads a half-written file."""
+    """Write tensors and plain values under their names; nobody ever reads a half-written file.
+
+    Equal content gives equal bytes, be it made in this process or read from a file.
+    """
     import torch
 
     # By way of memory: on a full disk torch's own writer raises RuntimeError, a plain file an OSError that says so.
     buffer = io.BytesIO()
-    torch.save(dict(content), buffer)
+    torch.save(_plain(content), buffer)
     with replacing(path) as tmp:
         tmp.write_bytes(buffer.getbuffer())
+
+
+def _plain(value: Any) -> Any:
+    """Return a copy in which equal texts are one object, and nothing else is: pickle writes an object once.
+
+    Otherwise a run that went on from a file would write other bytes, for it has its texts from there.
+    """
+    if isinstance(value, Mapping):
+        return {_plain(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(map(_plain, value))
+    return sys.intern(value) if isinstance(value, str) else value
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:

@@ -5,10 +5,11 @@ setting (`semantics`), so clouds always carry the class.
 """
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from pipeline.base.errors import InputError
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
 
@@ -87,6 +88,22 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iter
         counts.append(len(xyz))
     file.put_pointers("ptr", counts, unit="row")
     return {"frames": len(counts), "points": sum(counts)}
+
+
+def check_any(summaries: Mapping[str, Mapping[str, int]], splits: Mapping[str, str]) -> None:
+    """Raise InputError if all frames of a split's drives together hold no point: nothing to learn of, or to judge by.
+
+    A frame without points is one in which nothing was seen; a drive without frames was recorded without what they take.
+
+    Args:
+        summaries: drive → what :func:`write`, or a writer of graphs, returned.
+        splits: drive → its split.
+    """
+    for split in dict.fromkeys(splits.values()):
+        of_split = [summary for drive, summary in summaries.items() if splits[drive] == split]
+        frames = sum(summary["frames"] for summary in of_split)
+        if frames and not sum(summary["points"] for summary in of_split):
+            raise InputError(f"no point in any of the {frames} frames of the {split} drives")
 
 
 def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:

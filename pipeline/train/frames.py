@@ -52,6 +52,11 @@ class Graphs:
         """The mean over its frames; 0 of images, and of a file without frames."""
         return int(self._ptr["xyz"][-1]) / max(len(self.frame), 1) if "xyz" in self._ptr else 0.0
 
+    @property
+    def empty(self) -> bool:
+        """Whether all its frames together hold nothing: no point, or no image."""
+        return not any(starts[-1] for starts in self._ptr.values())
+
     @cached_property
     def motions(self) -> tuple[str, ...]:
         """The kinds of measured motion that the file carries: visual, lidar."""

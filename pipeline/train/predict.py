@@ -159,7 +159,8 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         folder: its best.pt holds all that is needed; neither params.yaml nor graphs are read.
         device: where to compute; None: a GPU if there is one.
     Raises:
-        InputError: `folder` is not a trained model, or one that this code cannot rebuild.
+        InputError: `folder` is not a trained model, or one that this code cannot rebuild; its best.pt is of another run
+            than the config.json beside it.
     """
     import torch
 
@@ -187,6 +188,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
                 raise InputError(f"target.std_rad = {content['target']['std_rad']} is no deviation")
             net = _built(content)
         checkpoint.load_state(net, content["net"], path)
+    runs.check_pair(path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
     return Trained(
         name=content["name"],

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.params import Count, Section
+from pipeline.base.resume import file_hash
 
 _SEED, _FOLD = "seed-", "fold-"
 
@@ -95,6 +96,22 @@ def runs(model: Path, seeds: Sequence[int], folds: Sequence[Fold]) -> list[Run]:
 def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
     """Return the folder of each seed: the first one's files are the model's own, further ones get a folder in it."""
     return {seed: model / f"{_SEED}{seed}" if position else model for position, seed in enumerate(seeds)}
+
+
+def check_pair(best: Path) -> None:
+    """Raise InputError if a best.pt is not that of the config.json beside it, as where one of them was copied there.
+
+    A best.pt alone is all that its network needs; an older config.json does not tell its hash.
+    """
+    config, name = best.with_name("config.json"), model_name(best.parent)
+    if not config.is_file():
+        return
+    told = store.read_json(config, stage=f"train@{name}").get("best_sha256")
+    if told not in (None, file_hash(best)):
+        raise InputError(
+            f"{best} is not the one that {config} was written for (its SHA-256 is another): one of them is of another "
+            f"run. Train it again: dvc repro --force train@{name}"
+        )
 
 
 def model_name(folder: Path) -> str:

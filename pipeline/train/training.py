@@ -10,8 +10,9 @@ import torch
 
 from models.steering.core import steering_net
 from pipeline.base import provenance, store
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, explained
-from pipeline.base.resume import resume_key
+from pipeline.base.resume import file_hash, resume_key
 from pipeline.fitting import checkpoint
 from pipeline.sections.train import Train
 from pipeline.train import fit, frames, predict, windows
@@ -111,8 +112,10 @@ def ms_per_frame(run: Run, job: Job, device: torch.device | str) -> float:
 def _write(folder: Path, fitting: fit.Fit, state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
     """Write a finished run's files; `state` is what its last epoch left."""
     best = kept_epoch(fitting.curve, fitting.settings.keep)
-    folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(state, folder / "last.pt")
+    with replacing(folder / "last.pt") as tmp:
+        shutil.copyfile(state, tmp)
     checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "epoch": best, "net": fitting.best})
     write_curve(folder / "curve.csv", fitting.curve)
-    store.write_json(folder / "config.json", {**about, "best_epoch": best, "epochs": len(fitting.curve), **more})
+    # Last: a run that is killed before it leaves a pair that is refused, and mended as it goes on.
+    figures = {"best_epoch": best, "best_sha256": file_hash(folder / "best.pt"), "epochs": len(fitting.curve)}
+    store.write_json(folder / "config.json", {**about, **figures, **more})

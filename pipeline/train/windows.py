@@ -93,6 +93,7 @@ class Drive(Timeline):
     """A drive's frames with what is to be predicted there, of the frame `horizon` after each, [G] each."""
 
     name: str
+    empty: bool  # no frame of it holds a point
     labels: Path
     horizon: int
     car: Car
@@ -129,9 +130,12 @@ def read_drives(
 
 
 def fault(drives: Sequence[Drive], window: int) -> str | None:
-    """Return why nothing can be learned of `drives`, or judged by them: no whole window with a target, or no bend."""
+    """Return why nothing can be learned of `drives`, or judged by them: no point, no window with a target, no bend."""
     names = ", ".join(drive.name for drive in drives)
-    if not any(_has_target(drive, window) for drive in drives):
+    seen = [drive for drive in drives if not drive.empty]
+    if not seen and any(len(drive.frame) for drive in drives):
+        return f"{drives[0].graphs.parent}: no point in any frame of {names}: widen the variant's crop_m, or add drives"
+    if not any(_has_target(drive, window) for drive in seen):
         runs = [stop - start for drive in drives for start, stop in drive.runs]
         where = f"{drives[0].horizon} frames after its end" if drives[0].horizon else "at its end"
         return (
@@ -167,6 +171,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
         return Drive(
             **vars(Timeline.of(file, motion, car)),
             name=name,
+            empty=file.empty,
             labels=labels,
             horizon=horizon,
             car=car,

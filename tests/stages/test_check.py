@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 import yaml
 
 from models.steering.core import steering_net
 from pipeline.base import provenance
 from pipeline.base.errors import InputError
-from pipeline.encoder import weights
+from pipeline.encoder import download, weights
 from pipeline.report.tables import paper
 from pipeline.report.tables.paper import PAPER
 from pipeline.sections import preset
@@ -32,7 +31,7 @@ def test_the_projects_own_files_are_right(name: str | None, tmp_path: Path, monk
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(weights, "find", never)
-    monkeypatch.setattr(torch.hub, "download_url_to_file", never)
+    monkeypatch.setattr(download, "download", never)
     (tmp_path / "weights").mkdir()
     params = tmp_path / "params.yaml"
     params.write_text(preset.text(name) if name else (ROOT / "params.yaml").read_text())

@@ -148,17 +148,32 @@ def test_a_crop_keeps_what_lies_in_it(data: Path, tmp_path: Path) -> None:
 
 
 def test_a_crop_without_a_point_gives_an_empty_frame(data: Path, tmp_path: Path) -> None:
-    nowhere = {"source": "clouds/lidar", "points": 100, "k": 6, "crop_m": [900, 900, 901, 901]}
-    params = _params(tmp_path / "params.yaml", graphs={"nowhere": nowhere})
-    with store.DriveReader(_graphs(data, tmp_path, "nowhere", params) / f"{FULL}.h5", stage="graphs") as file:
-        assert not file["ptr"].any()
-        assert len(file["ptr"]) == len(file.frame) + 1 > 1
+    beside = {"source": "clouds/lidar", "points": 100, "k": 6, "crop_m": [5, 0, 10, 60]}  # between walls that come near
+    params = _params(tmp_path / "params.yaml", graphs={"beside": beside})
+    with store.DriveReader(_graphs(data, tmp_path, "beside", params) / f"{FULL}.h5", stage="graphs") as file:
+        assert (np.diff(file["ptr"]) > 0).tolist() == [False, True, True, False]
 
 
 SETS = {
     "source": "clouds/pseudo", "points": 300, "neighbourhood": "pointnet2", "centres": [20, 6], "radius_m": [4, 9],
     "neighbours": [8, 5],
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("more", [{"k": 6, "source": "clouds/lidar"}, SETS], ids=["lidar", "sets"])
+def test_what_leaves_no_point_in_any_frame_is_refused(data: Path, tmp_path: Path, more: dict[str, object]) -> None:
+    params = _params(tmp_path / "params.yaml", graphs={"far": {"points": 100, **more, "crop_m": [900, 900, 901, 901]}})
+    message = r"params\.yaml: graphs\.far: no point in any of the \d frames of the train drives\. Widen crop_m = \[900"
+    with pytest.raises(InputError, match=message):
+        _graphs(data, tmp_path, "far", params)
+    assert not (tmp_path / "far/index.json").exists()  # so that nobody trains on it
+
+
+def test_depths_that_leave_no_point_in_any_frame_are_refused(data: Path, tmp_path: Path) -> None:
+    params = _params(tmp_path / "params.yaml", clouds={"max_depth_m": 0.5})
+    message = r"clouds/pseudo: no point in any of the 4 frames of the train drives\. Raise clouds\.max_depth_m = 0\.5"
+    with pytest.raises(InputError, match=message):
+        _clouds(data, tmp_path / "clouds", params)
 
 
 def test_pointnet2_neighbours_lie_in_the_balls_of_the_variant(data: Path, tmp_path: Path) -> None:

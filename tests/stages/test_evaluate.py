@@ -123,8 +123,30 @@ def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
     assert not (folder / "evaluate").exists()
 
 
+def test_a_checkpoint_of_another_run_is_refused(folder: Path) -> None:
+    """Of the same model, seed and drives; beside its own config.json, an older one or none, it is as good as any."""
+    write_params(folder, learning_rate=0.02, epochs=1)
+    made = run_train(folder)
+    best, config = (made / "best.pt").read_bytes(), json.loads((made / "config.json").read_text())
+    write_params(folder, epochs=1)
+    run_train(folder)
+    (made / "best.pt").write_bytes(best)
+    with pytest.raises(InputError, match=r"net/best\.pt is not the one that .*/config\.json was .* --force train@net$"):
+        run_evaluate(folder)
+    assert not (folder / "evaluate").exists()
+    older = {key: value for key, value in config.items() if key != "best_sha256"}
+    for beside in (config, older):
+        store.write_json(made / "config.json", beside)
+        assert predict.load(made).name == "net"
+    (made / "config.json").unlink()
+    assert predict.load(made).name == "net"
+
+
 def test_a_checkpoint_of_another_model_is_refused(folder: Path) -> None:
     made = run_train(folder)
+    config = json.loads((made / "config.json").read_text())
+    del config["best_sha256"]
+    store.write_json(made / "config.json", config)
     content = torch.load(made / "best.pt", weights_only=True)
     checkpoint.write(made / "best.pt", content | {"name": "other"})
     with pytest.raises(InputError, match=r"best\.pt is of model other, seed 0, .*Train it again"):

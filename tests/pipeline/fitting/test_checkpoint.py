@@ -91,3 +91,20 @@ def test_state_must_fit_exactly(change: object, fault: str) -> None:
     with pytest.raises(InputError, match=fault):
         checkpoint.load_state(net, state, Path("x.pt"))
     assert torch.equal(net.weight, before)
+
+
+def test_content_that_was_read_is_written_as_what_was_made(tmp_path: Path) -> None:
+    net = torch.nn.Sequential(torch.nn.Linear(3, 2), torch.nn.Linear(2, 1))
+    optimiser = torch.optim.AdamW(
+        [{"params": [parameter], "weight_decay": 0.1} for parameter in net.parameters()], lr=0.1
+    )
+    net(torch.ones(1, 3)).sum().backward()
+    optimiser.step()
+    content = {"kind": "thing", "lr": 0.1, "weight_decay": [("lr", None)], "optimiser": optimiser.state_dict()}
+    checkpoint.write(tmp_path / "made.pt", content)
+    read = checkpoint.read(tmp_path / "made.pt", "thing")
+    optimiser.load_state_dict(read["optimiser"])
+    checkpoint.write(tmp_path / "read.pt", {**read, "optimiser": optimiser.state_dict()})
+    checkpoint.write(tmp_path / "mixed.pt", {**content, "optimiser": optimiser.state_dict()})
+    made, *others = (path.read_bytes() for path in sorted(tmp_path.iterdir()))
+    assert [other == made for other in others] == [True, True]

@@ -75,6 +75,19 @@ def test_random_spans_differ_between_epochs_and_repeat_by_seed(folder: Path) -> 
     assert first == again != other
 
 
+def test_drives_without_any_point_teach_nothing(folder: Path) -> None:
+    rng = np.random.default_rng(0)
+    first, second = (folder / f"graphs/semantic/{name}.h5" for name in DRIVES)
+    artefacts.write_graphs(first, first.stem, np.full(23, 0.1), np.arange(23), 0, rng)
+    assert [drive.empty for drive in _read(folder)] == [True, False]
+    artefacts.write_graphs(second, second.stem, np.full(23, 0.1), np.arange(23), 0, rng)
+    with pytest.raises(InputError, match=r"semantic: no point in any frame of .*_0001, .*_0002: widen .* crop_m"):
+        _read(folder)
+    artefacts.write_graphs(second, second.stem, np.full(7, 0.1), np.arange(7), 40, rng)
+    with pytest.raises(InputError, match="no window of 8 consecutive frames"):  # that holds a point
+        _read(folder)
+
+
 def test_runs_shorter_than_a_window_give_no_span(folder: Path) -> None:
     gaps = replace(_read(folder)[0], runs=((0, 5), (5, 13), (13, 23)))
     spans = windows.spans([gaps], 8, 100)

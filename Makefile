@@ -46,8 +46,10 @@ bench: setup           ## beside what a user would pick instead: a table, and be
 	python -m benchmarks.bench $(ROWS) --out benchmarks/results.json
 
 # Recorded files too, of STEER_KITTI=/path/to/kitti, or ../shared/kitti where it lies.
-stress: setup          ## every reader on some 13,000 damaged and hostile files: docs/robustness.md; 10 min
+stress: setup          ## damaged files, kills, full disks, as in docs/robustness.md: 30 min
 	@kitti="$${STEER_KITTI:-$(wildcard ../shared/kitti)}"; OMP_NUM_THREADS=1 python -m benchmarks.stress $${kitti:+--kitti "$$kitti"} --trials 400
+	OMP_NUM_THREADS=1 python -m tests.kills 50
+	OMP_NUM_THREADS=1 unshare --map-root-user --mount python -m tests.disks 0 0.2 0.5 0.8 0.97
 
 lint: setup
 	ruff check .

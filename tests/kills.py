@@ -142,13 +142,15 @@ def _working_folders() -> list[str]:
     return folders
 
 
-def main(kills: int) -> None:
-    """Kill the chain so many times and say what was lost."""
+def main(kills: int) -> int:
+    """Kill the chain so many times and say what was lost. Return the exit status."""
     with tempfile.TemporaryDirectory() as scratch_folder:
         undisturbed, folder = Path(scratch_folder) / "undisturbed", Path(scratch_folder) / "killed"
         shutil.copytree(small(undisturbed), folder)
-        print(kill_and_go_on(undisturbed, folder, kills))
+        killed = kill_and_go_on(undisturbed, folder, kills)
+    print(f"{sum(killed.stages.values())} kills: {killed}")
+    return int(bool(killed.differing or killed.left_over))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    sys.exit(main(int(sys.argv[1])))

@@ -10,8 +10,9 @@ export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
 
 PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
+RUNS := $(PRESETS:%=run-of-%)
 
-.PHONY: demo $(PRESETS) params test bench stress lint format setup system
+.PHONY: demo $(PRESETS) $(RUNS) params test bench stress lint format setup system
 
 # dvc repro, but without the graph variants that no model of params.yaml takes.
 demo: setup            ## the whole chain on the embedded sample, then its table
@@ -19,17 +20,23 @@ demo: setup            ## the whole chain on the embedded sample, then its table
 	@cat data/report/table.md && echo "Open data/report/index.html in a browser."
 
 # The same chain with a preset laid over params.yaml, in a copy of the code under runs/NAME: params.yaml and data/ stay as
-# they are. What is there already, here or from an earlier run, comes from the one cache.
+# they are. What is there already, here or from an earlier run, comes from the one cache. One at a time: a second run of the
+# same preset would exchange the code under the first.
 $(PRESETS): setup
-	@mkdir -p "runs/$@/data" data/report weights
-	@python -m pipeline.sections.preset "$@" --out "runs/$@/params.yaml"
-	@rm -rf "runs/$@/pipeline" "runs/$@/models" "runs/$@/stages"
-	@cp -R pipeline models stages dvc.yaml .dvcignore "runs/$@/" && cp data/.gitignore "runs/$@/data/"
-	@ln -sfn ../../../data/raw "runs/$@/data/raw" && ln -sfn ../../weights "runs/$@/weights"
-	@cd "runs/$@" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
-	@rm -rf "data/report/$@"; [ ! -e "runs/$@/data/report/settings/studies.md" ] || cp -RL "runs/$@/data/report/settings" "data/report/$@"
-	@for kind in md csv; do cp "runs/$@/data/report/table.$$kind" "data/report/$@.$$kind"; done
-	@cp "runs/$@/data/report/index.html" "data/report/$@.html" && cat "data/report/$@.md"
+	@mkdir -p runs
+	@flock --nonblock --conflict-exit-code 99 "runs/$@.lock" $(MAKE) --no-print-directory "run-of-$@" || \
+	{ [ $$? -ne 99 ] || echo "error: another make $@ is at work in runs/$@: wait for it to end" >&2; exit 1; }
+
+$(RUNS): run-of-%:
+	@mkdir -p "runs/$*/data" data/report weights
+	@python -m pipeline.sections.preset "$*" --out "runs/$*/params.yaml"
+	@rm -rf "runs/$*/pipeline" "runs/$*/models" "runs/$*/stages"
+	@cp -R pipeline models stages dvc.yaml .dvcignore "runs/$*/" && cp data/.gitignore "runs/$*/data/"
+	@ln -sfn ../../../data/raw "runs/$*/data/raw" && ln -sfn ../../weights "runs/$*/weights"
+	@cd "runs/$*" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc cache dir ../../.dvc/cache && dvc repro
+	@rm -rf "data/report/$*"; [ ! -e "runs/$*/data/report/settings/studies.md" ] || cp -RL "runs/$*/data/report/settings" "data/report/$*"
+	@for kind in md csv; do cp "runs/$*/data/report/table.$$kind" "data/report/$*.$$kind"; done
+	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md"
 
 PRESET ?=
 params: setup          ## a preset's changes written into params.yaml: make params PRESET=kitti, or a file of your own

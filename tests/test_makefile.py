@@ -1,5 +1,6 @@
 """What ``make PRESET`` prepares; in place of DVC stands a command that notes how it was called."""
 
+import fcntl
 import os
 import shutil
 import subprocess
@@ -73,6 +74,25 @@ def test_presets_run_in_copies_of_the_code_and_leave_ones_own_files_alone(checko
     assert not (checkout / "runs/kitti/pipeline/gone.py").exists()
     first = ["init --quiet --no-scm", "cache dir ../../.dvc/cache", "repro"]
     assert (checkout / "calls").read_text().splitlines() == [*first, *first, *first[1:]]
+
+
+@pytest.mark.slow
+def test_a_second_run_of_a_preset_touches_nothing_under_the_first(checkout: Path) -> None:
+    (checkout / "runs/kitti/stages").mkdir(parents=True)
+    (checkout / "runs/kitti/stages/check.py").write_text("# of the run at work\n")
+    with (checkout / "runs/kitti.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        refused = make(checkout, "kitti")
+        assert refused.returncode != 0
+        assert "error: another make kitti is at work in runs/kitti: wait for it to end\n" in refused.stderr
+        assert make(checkout, "table2").returncode == 0
+        assert (checkout / "runs/kitti/stages/check.py").read_text() == "# of the run at work\n"
+        assert [path.name for path in (checkout / "runs/kitti").iterdir()] == ["stages"]
+    assert make(checkout, "kitti").returncode == 0
+    (checkout / "fake/bin/dvc").write_text("#!/bin/sh\nexit 3\n")
+    failed = make(checkout, "kitti")
+    assert failed.returncode != 0
+    assert "another make" not in failed.stderr
 
 
 @pytest.mark.slow

@@ -337,7 +337,8 @@ class DriveReader:
 
 def again(path: Path, stage: str) -> str:
     """Return how to get a whole file for one that is damaged."""
-    return f"Delete it and fetch it: dvc pull {path}. Or make it again: dvc repro --force --single-item {stage}"
+    fetch = f"Delete it and fetch it: dvc pull {path} (as damaged? docs/robustness.md, Sharing)"
+    return f"{fetch}. Or make it again: dvc repro --force --single-item {stage}"
 
 
 def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:

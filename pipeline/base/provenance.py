@@ -41,12 +41,19 @@ def fingerprint(*modules: str) -> str:
 
 
 def revision() -> str:
-    """Return git's name of the commit that is checked out, with "-dirty" if files differ; "unknown" outside of git."""
-    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    """Return git's name of the code's newest commit, with "-dirty" if the code differs; "unknown" outside of git.
+
+    Commits of other files change nothing: who gets dvc.lock and trains makes the bytes that the first one made.
+    """
+    code = ["--", *(f":/{package}" for package in PACKAGES)]  # from the top, also for a copy in runs/
     try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        commit, changes = (
+            subprocess.run(["git", "-C", str(ROOT), *command, *code], capture_output=True, text=True, check=True).stdout
+            for command in (["log", "-1", "--format=%H"], ["status", "--porcelain"])
+        )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
+    return (commit.strip() or "unknown") + ("-dirty" if changes else "")
 
 
 def _source(name: str) -> Path | None:

@@ -42,7 +42,7 @@ _CHECKED_ROWS = 1024  # of what is not compressed, under one checksum
 _ENCODED = {**hdf5plugin.Blosc2(cname="lz4", filters=hdf5plugin.Blosc2.BITSHUFFLE), "fletcher32": True}
 _CACHE_BYTES = 1 << 20  # of chunks last read, for each dataset of a file that stays open
 _MISSING = "{path} is missing. Make it: dvc repro {stage}. Bring it from another machine: dvc pull {stage}"
-_AGAIN = "Make it again: dvc repro --force {stage}"
+_OTHER = "Make it with this code: dvc repro {stage}. Or fetch what this code made: git pull, dvc pull {stage}"
 
 
 class DriveWriter:
@@ -237,7 +237,7 @@ class DriveReader:
         if not same:
             raise InputError(
                 f"{self.path} has stage {writer!r}, schema {schema}; this code reads stage {self._stage!r}, schema "
-                f"{SCHEMA}. " + _AGAIN.format(stage=self._stage)
+                f"{SCHEMA}. " + _OTHER.format(stage=self._stage)
             )
         with self._blamed():
             self.drive = str(self.attrs.get("drive"))
@@ -258,8 +258,7 @@ class DriveReader:
 
     def _blame(self, error: Exception, name: str | None) -> NoReturn:
         where = f" in dataset {name!r}" if name else ""
-        again = _AGAIN.format(stage=self._stage)
-        raise InputError(f"{self.path} is damaged{where} ({error}). {again}") from error
+        raise InputError(f"{self.path} is damaged{where} ({error}). {again(self.path, self._stage)}") from error
 
     @cached_property
     def params(self) -> dict[str, Any]:
@@ -336,6 +335,12 @@ class DriveReader:
         self._file.close()
 
 
+def again(path: Path, stage: str) -> str:
+    """Return how to get a whole file for one that is damaged."""
+    fetch = f"Delete it and fetch it: dvc pull {path} (as damaged? docs/robustness.md, Sharing)"
+    return f"{fetch}. Or make it again: dvc repro --force --single-item {stage}"
+
+
 def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
     """Write JSON in one step: nobody ever reads a half-written file."""
     with replacing(path) as tmp:
@@ -346,22 +351,22 @@ def read_json(path: Path, *, stage: str, form: type[BaseModel] | None = None) ->
     """Read a JSON object written by `stage`. Raises InputError if it is missing, not valid, or not of a `form`."""
     if not path.is_file():
         raise InputError(_MISSING.format(path=path, stage=stage))
-    again = _AGAIN.format(stage=stage)
-    with explained(f"{path} is not valid JSON", hint=again):
+    hint = again(path, stage)
+    with explained(f"{path} is not valid JSON", hint=hint):
         check_file(path, _MOST_JSON)
         try:
             content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refused)
         except RecursionError as error:
             raise ValueError("it is nested too deep") from error
     if not isinstance(content, dict):
-        raise InputError(f"{path} holds {_NAMES.get(type(content), 'one value')}, and not names with values. {again}")
+        raise InputError(f"{path} holds {_NAMES.get(type(content), 'one value')}, and not names with values. {hint}")
     try:
         if form:
             form.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path} is incomplete, or of another version: {key}: {first['msg']}. {again}") from error
+        raise InputError(f"{path} is incomplete, or of another version: {key}: {first['msg']}. {hint}") from error
     return content
 
 
@@ -386,13 +391,13 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     if index.get("schema") != SCHEMA:
         raise InputError(
             f"{folder / 'index.json'} has schema {index.get('schema')}, this code reads {SCHEMA}. "
-            + _AGAIN.format(stage=stage)
+            + _OTHER.format(stage=stage)
         )
     drives = index.get("drives")
     if not isinstance(drives, dict) or not all(_is_drive(name) and split in SPLITS for name, split in drives.items()):
         raise InputError(
             f"{folder / 'index.json'} does not say of each drive whether it is of {', '.join(SPLITS)}. "
-            + _AGAIN.format(stage=stage)
+            + again(folder / "index.json", stage)
         )
     missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
     if missing:

@@ -92,5 +92,5 @@ def test_the_same_again_is_the_same_bytes(tmp_path: Path) -> None:
 def test_damaged_scores_are_one_error(tmp_path: Path) -> None:
     (tmp_path / "scores").mkdir()
     (tmp_path / "scores/metrics.json").write_text("{")
-    with pytest.raises(InputError, match="dvc repro --force scores"):
+    with pytest.raises(InputError, match="dvc repro --force --single-item scores"):
         run(tmp_path, "lonely")

@@ -108,13 +108,27 @@ def test_fingerprint_changes_with_the_closure_only(project: Path) -> None:
     provenance.fingerprint.cache_clear()
 
 
-def test_revision_is_git_s_name_of_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_revision_is_git_s_name_of_the_code_s_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     monkeypatch.setattr(provenance, "ROOT", tmp_path)
     assert provenance.revision() == "unknown"
-    for arguments in (
-        ["init", "-q"],
-        ["-c", "user.name=a", "-c", "user.email=b", "commit", "-qm", "c", "--allow-empty"],
-    ):
-        subprocess.run(["git", "-C", str(tmp_path), *arguments], check=True)
+
+    def commit(name: str) -> None:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("")
+        who = ["-c", "user.name=a", "-c", "user.email=b"]
+        for arguments in (["init", "-q"], ["add", "-A"], [*who, "commit", "-qm", name]):
+            subprocess.run(["git", "-C", str(tmp_path), *arguments], check=True)
+
+    commit("stages/train.py")
+    first = provenance.revision()
+    assert re.fullmatch("[0-9a-f]{40}", first)
+    commit("dvc.lock")
+    (tmp_path / "params.yaml").write_text("")
+    assert provenance.revision() == first  # results that are shared make no other code
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models/mine.py").write_text("")
+    assert provenance.revision() == f"{first}-dirty"
+    commit("models/mine.py")
     assert re.fullmatch("[0-9a-f]{40}", provenance.revision())
+    assert provenance.revision() != first

@@ -68,7 +68,8 @@ def test_what_no_stage_writes_is_refused(tmp_path: Path, what: str) -> None:
     change, message = CHANGES[what]
     with h5py.File(path, "r+") as file:
         change(file)
-    with pytest.raises(InputError, match=f"^{path} is damaged.*{message}.*Make it again: dvc repro --force clouds$"):
+    hint = "Delete it and fetch it: dvc pull .*make it again: dvc repro --force --single-item clouds"
+    with pytest.raises(InputError, match=f"^{path} is damaged.*{message}.*{hint}$"):
         read(path)
 
 

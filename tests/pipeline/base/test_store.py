@@ -204,14 +204,14 @@ def test_damage_within_a_file_is_named_with_file_and_dataset(tmp_path: Path, dam
     with DriveReader(path, stage="clouds") as file:
         file.row("image", 0)
         for read in (lambda: file["image"], lambda: file.row("image", 1), lambda: file.rows("image", 0, 2)):
-            with pytest.raises(InputError, match=r"a.h5 is damaged in dataset 'image'.*dvc repro --force clouds"):
+            with pytest.raises(InputError, match=r"a.h5 is damaged in dataset 'image'.*--force --single-item clouds"):
                 read()
 
 
 def test_reader_refuses_what_it_cannot_read(tmp_path: Path) -> None:
     path = write(tmp_path / "a.h5")
     with pytest.raises(
-        InputError, match=r"has stage 'clouds', schema 2; this code reads stage 'ingest'.*dvc repro --force"
+        InputError, match=r"has stage 'clouds', schema 2; this code reads stage 'ingest'.*dvc repro ingest"
     ):
         DriveReader(path, stage="ingest")
     with h5py.File(path, "r+") as file:
@@ -243,10 +243,10 @@ def test_index_round_trip_and_faults(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"lacks c, named in its index.json. Get them: dvc pull clouds"):
         store.read_index(tmp_path, stage="clouds")
     store.write_json(tmp_path / "index.json", {"schema": 0, "drives": {}})
-    with pytest.raises(InputError, match=r"has schema 0, this code reads 2.*dvc repro --force"):
+    with pytest.raises(InputError, match=r"has schema 0, this code reads 2.*dvc repro clouds"):
         store.read_index(tmp_path, stage="clouds")
     (tmp_path / "index.json").write_text('{"schema": 2, ')
-    with pytest.raises(InputError, match=r"index.json is not valid JSON.*dvc repro --force clouds"):
+    with pytest.raises(InputError, match=r"index.json is not valid JSON.*dvc pull .*dvc repro .* clouds"):
         store.read_index(tmp_path, stage="clouds")
     with pytest.raises(InputError, match=r"index.json is missing. Make it: dvc repro clouds"):
         store.read_index(tmp_path / "nowhere", stage="clouds")

@@ -10,7 +10,6 @@ Files are deterministic: written once, in a fixed order, with no clock, host or 
 is changed when they are complete.
 """
 
-import io
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,6 +29,7 @@ from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, explained
 from pipeline.base.files import MiB, check_file
 from pipeline.base.params import SPLITS
+from pipeline.base.sink import Sink
 
 SCHEMA = 2  # 1: gzip
 _MOST_JSON = 256 * MiB  # a metrics.json has some kB, a structure.json some MB
@@ -131,7 +131,7 @@ class DriveWriter:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._sink = stack.enter_context(_Sink(stack.enter_context(replacing(self.path)), self.path))
+            self._sink = stack.enter_context(Sink(stack.enter_context(replacing(self.path)), self.path))
             stack.enter_context(self._sink.to_blame())
             self._file = stack.enter_context(h5py.File(self._sink, "w", libver="v110"))
             self._stack = stack.pop_all()
@@ -147,57 +147,6 @@ class DriveWriter:
             for name, value in self.attrs.items():
                 # HDF5 keeps texts of any length in a heap without checksums, in which a flipped bit hangs it for good.
                 self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
-
-
-class _Sink(io.FileIO):
-    """The file below an HDF5 file. It remembers a failure and goes on.
-
-    HDF5 writes much of a file as it closes it, where h5py loses errors: on a full disk, it would leave an incomplete
-    file that looks complete, and crash as the process ends.
-    """
-
-    def __init__(self, tmp: Path, path: Path) -> None:
-        """Write to `tmp`; errors name `path`, which it becomes."""
-        super().__init__(tmp, "w+")
-        self._path = str(path)
-        self._error: OSError | None = None
-
-    def write(self, data: Any) -> int:
-        left = memoryview(data).cast("B")
-        size = len(left)
-        try:
-            while left:  # the system may take a part only
-                left = left[super().write(left) :]
-        except OSError as error:
-            self._remember(error)
-        return size
-
-    def truncate(self, size: int | None = None) -> int:
-        try:
-            return super().truncate(size)
-        except OSError as error:
-            self._remember(error)
-        return size or 0
-
-    def _remember(self, error: OSError) -> None:
-        error.filename = self._path
-        self._error = self._error or error
-
-    def check(self) -> None:
-        """Raise the first error there was."""
-        if self._error:
-            raise self._error
-
-    @contextmanager
-    def to_blame(self) -> Iterator[None]:
-        """Raise the first error there was in place of what HDF5 says of a file that lacks what it believes written."""
-        try:
-            yield
-        except Exception as error:
-            if self._error and error is not self._error:
-                raise self._error from error
-            raise
-        self.check()
 
 
 class DriveReader:

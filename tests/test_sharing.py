@@ -48,7 +48,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     scratch.edit_params(first, train=params["train"] | {"epochs": 3, "seeds": [0]})
     with pytest.MonkeyPatch.context() as patch, sftp_server.serving(root / "served", root / "home") as port:
         patch.setenv("HOME", str(root / "home"))
-        scratch.run(first, "dvc", "repro", "labels", "graphs@semantic", "scores")
+        scratch.run(first, "dvc", "repro", "labels", "graphs@semantic", "scores", "pictures")
         share(first, f"ssh://127.0.0.1:{port}/steering")
         early = clone(first, root / "early")
         scratch.run(first, "dvc", "repro")

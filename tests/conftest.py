@@ -38,5 +38,5 @@ def _shared(name: str) -> Path:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the files that take minutes: beside them the others find room."""
-    longest = ("test_chain.py", "test_small_copy.py", "test_edit_cost.py")
-    items.sort(key=lambda item: item.path.name not in longest)
+    longest = ("chain", "small_copy", "edit_cost", "sharing", "disks", "kills")
+    items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in longest)

@@ -1,4 +1,4 @@
-"""The chain killed at random moments, again and again, until it ends by itself: for a test, and longer by hand.
+"""The chain killed at random moments of its stages, until it ends by itself: for a test, and longer by hand.
 
 python -m tests.kills 60        # so many kills, then what was lost
 """
@@ -24,7 +24,7 @@ STAGES = (
     "evaluate", "report",
 )  # fmt: skip
 RWLOCK = ".dvc/tmp/rwlock"  # DVC does not write it in one step
-SHARE = (0.02, 0.3)  # of the time that an undisturbed run takes: when it is killed
+KEPT = "kept from the run before"  # what a stage says of what it takes over
 
 
 class Killed(NamedTuple):
@@ -69,48 +69,59 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def kill_and_go_on(undisturbed: Path, folder: Path, kills: int, seed: int = 0) -> Killed:
-    """Run the chain in both folders, which are alike: whole in the one, with so many kills in the other; compare."""
-    started_s = time.monotonic()
-    scratch.run(undisturbed, "dvc", "repro")
-    whole_s = time.monotonic() - started_s
-    rng, struck = random.Random(seed), dict.fromkeys((*STAGES, "between"), 0)
-    environment = {
-        **os.environ, "PYTHONPATH": str(folder), "DVC_NO_ANALYTICS": "1", "STEER_WORKERS": "2",
-        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-    }  # fmt: skip
-    kept, mended, done = 0, 0, 0
-    while True:
-        log = folder / "chain.log"
-        with log.open("w") as output:
-            chain = subprocess.Popen(
-                ["dvc", "repro"], cwd=folder, env=environment, stdout=output, stderr=output, start_new_session=True
-            )
-            try:
-                chain.wait(whole_s * rng.uniform(*SHARE) if done < kills else None)
-            except subprocess.TimeoutExpired:
-                os.killpg(chain.pid, signal.SIGKILL)
-                chain.wait()
-        said = log.read_text()
-        kept += said.count("kept from the run before")
-        if chain.returncode == -signal.SIGKILL:
-            done += 1
-            ran = scratch.stages_run(said)
-            struck[ran[-1].split("@")[0] if ran and ran[-1].split("@")[0] in struck else "between"] += 1
-        elif chain.returncode != 0 and "RWLock-file" in said and mended < done:
-            (folder / RWLOCK).unlink()
-            mended += 1
-        elif chain.returncode != 0:
-            raise AssertionError(f"after {done} kills, the same command failed:\n{said}")
-        elif done >= kills:
-            break
-        else:  # it ended before enough kills: begin anew with a stage that is still to be struck
-            again = rng.choice([stage for stage in STAGES if struck[stage] == min(struck[s] for s in STAGES)])
-            _forget(folder, again)
+    """Run the chain in both folders, which are alike: whole in the one, with so many kills in the other; compare.
+
+    The chain is killed once in each of some stages, at a random moment; then in others, or in the same ones again.
+    """
+    status, said, took_s = _run(undisturbed)
+    assert status == 0, said
+    rng, struck, kept, mended, ended = random.Random(seed), dict.fromkeys(STAGES, 0), 0, 0, False
+    while sum(struck.values()) < kills:
+        chosen = rng.sample(STAGES, min(len(STAGES), kills - sum(struck.values())))
+        for stage in sorted(chosen, key=STAGES.index):
+            if ended:
+                _forget_from(folder, stage)
+            status, said, _ = _run(folder, stage, rng.random() * took_s[stage])
+            kept, struck[stage] = kept + said.count(KEPT), struck[stage] + (status == -signal.SIGKILL)
+            if status > 0 and "RWLock-file" in said:  # of the kill before
+                (folder / RWLOCK).unlink()
+                mended += 1
+            elif status > 0:
+                raise AssertionError(f"after {sum(struck.values())} kills, the same command failed:\n{said}")
+            ended = status == 0  # before its moment came
+    status, said, _ = _run(folder)
+    assert status == 0, said
     _wait_for_the_end(folder)
     ours, theirs = contents(folder), contents(undisturbed)
     differing = sorted(name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name))
     left_over = sorted(_waiting(folder) - _waiting(undisturbed))
-    return Killed({stage: count for stage, count in struck.items() if count}, differing, left_over, kept, mended)
+    return Killed(struck, differing, left_over, kept + said.count(KEPT), mended)
+
+
+def _run(folder: Path, stage: str | None = None, after_s: float = 0.0) -> tuple[int, str, dict[str, float]]:
+    """Run the chain, and kill it with all its processes `after_s` after a stage has begun.
+
+    Returns: its status, what it said, and how long each stage took.
+    """
+    environment = {
+        **os.environ, "PYTHONPATH": str(folder), "DVC_NO_ANALYTICS": "1", "STEER_WORKERS": "2",
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+    }  # fmt: skip
+    log, began = folder / "chain.log", dict[str, float]()
+    with log.open("w") as output:
+        chain = subprocess.Popen(
+            ["dvc", "repro"], cwd=folder, env=environment, stdout=output, stderr=output, start_new_session=True
+        )
+        while chain.poll() is None:
+            time.sleep(0.02)
+            for name in scratch.stages_run(log.read_text(errors="replace")):
+                began.setdefault(name.partition("@")[0], time.monotonic())
+            if stage in began and time.monotonic() - began[stage] >= after_s:
+                os.killpg(chain.pid, signal.SIGKILL)
+                chain.wait()
+    ends = [*list(began.values())[1:], time.monotonic()]
+    took_s = {name: end - start for (name, start), end in zip(began.items(), ends, strict=True)}
+    return chain.returncode, log.read_text(errors="replace"), took_s
 
 
 def _waiting(folder: Path) -> set[str]:
@@ -119,12 +130,14 @@ def _waiting(folder: Path) -> set[str]:
     return {path for path in paths if re.search(r"\.tmp|\.resume/.", path)}
 
 
-def _forget(folder: Path, stage: str) -> None:
-    """Have DVC make a stage's outs, and what follows, once more: they and its memory of them go."""
-    shutil.rmtree(folder / "data" / stage, ignore_errors=True)
+def _forget_from(folder: Path, stage: str) -> None:
+    """Have DVC run a stage, and all after it, once more: their outs and its memory of them go."""
+    later = STAGES[STAGES.index(stage) :]
+    for name in later:
+        shutil.rmtree(folder / "data" / name, ignore_errors=True)
     shutil.rmtree(folder / ".dvc/cache", ignore_errors=True)
     lock = yaml.safe_load((folder / "dvc.lock").read_text())
-    lock["stages"] = {name: entry for name, entry in lock["stages"].items() if name.split("@")[0] != stage}
+    lock["stages"] = {name: entry for name, entry in lock["stages"].items() if name.split("@")[0] not in later}
     (folder / "dvc.lock").write_text(yaml.safe_dump(lock, sort_keys=False))
 
 

@@ -1,6 +1,6 @@
 """Each stage on a disk with too little space, and on a read-only one: for a test, and longer by hand.
 
-unshare --map-root-user --mount python -m tests.disks 0 0.2 0.5 0.8 0.97    # shares of the space that a stage takes
+unshare --map-root-user --mount python -m tests.disks 0 0.5 0.9    # shares of the space that a stage takes
 """
 
 import os

@@ -61,11 +61,20 @@ def _lock(path: Path, folder: Path) -> TextIO:
                 f"note: {path.parent} cannot be locked ({error.strerror}): run one process only on {folder}", flush=True
             )
         if _is_current(file, path):
-            file.truncate(0)
-            file.write(f"{os.getpid()} {socket.gethostname()}\n")
-            file.flush()
+            _sign(file, path)
             return file
         file.close()  # its holder removed it between open and flock
+
+
+def _sign(file: TextIO, path: Path) -> None:
+    """Say whose the lock is. Raises OSError, naming `path`, on a full disk; the lock is free then."""
+    try:
+        file.truncate(0)
+        os.write(file.fileno(), f"{os.getpid()} {socket.gethostname()}\n".encode())
+    except OSError as error:
+        file.close()
+        error.filename = str(path)
+        raise
 
 
 def _is_current(file: TextIO, path: Path) -> bool:

@@ -136,3 +136,15 @@ def test_a_file_system_without_locks_is_noted(
     monkeypatch.setattr(fcntl, "flock", refuse(errno.EIO))
     with pytest.raises(OSError, match="Input/output error"):
         take(tmp_path)
+
+
+def test_a_full_disk_is_named_and_leaves_the_folder_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(OSError, match=r"No space left on device: .*\.resume/stage\.lock"):
+            held(tmp_path / "stage", tmp_path / ".resume/stage").__enter__()
+    with held(tmp_path / "stage", tmp_path / ".resume/stage"):
+        pass

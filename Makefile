@@ -23,8 +23,7 @@ demo: setup            ## the whole chain on the embedded sample, then its table
 # they are. What is there already, here or from an earlier run, comes from the one cache. One at a time: a second run of the
 # same preset would exchange the code under the first.
 $(PRESETS): setup
-	@mkdir -p runs
-	@flock --nonblock --conflict-exit-code 99 "runs/$@.lock" $(MAKE) --no-print-directory "run-of-$@" || \
+	@mkdir -p runs && flock --nonblock --conflict-exit-code 99 "runs/$@.lock" $(MAKE) --no-print-directory "run-of-$@" || \
 	{ [ $$? -ne 99 ] || echo "error: another make $@ is at work in runs/$@: wait for it to end" >&2; exit 1; }
 
 $(RUNS): run-of-%:

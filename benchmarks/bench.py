@@ -143,8 +143,9 @@ def main(
     print(f"\n{device()}")
     if out:
         content = results(measured)
-        if names and out.is_file():
-            content["rows"] = json.loads(out.read_text(encoding="utf-8"))["rows"] | content["rows"]
+        before = json.loads(out.read_text(encoding="utf-8")) if names and out.is_file() else {}
+        if before.get("device") == content["device"]:  # figures of another machine are no neighbours
+            content["rows"] = before["rows"] | content["rows"]
         with replacing(out) as tmp:
             tmp.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     if any(isinstance(row, str) and not row.startswith(ModuleNotFoundError.__name__) for row in measured.values()):

@@ -83,7 +83,7 @@ def _load(run: runs.Run, name: str, config: Mapping[str, Any]) -> predict.Traine
     if (model.name, model.line, model.seed, model.fold) != (name, config["model"], run.seed, run.fold.name):
         raise InputError(
             f"{run.folder / 'best.pt'} is of model {model.name}, seed {model.seed}, and not what config.json "
-            f"says. Train it again: dvc repro --force train@{name}"
+            f"says. Train it again: dvc repro --force --single-item train@{name}"
         )
     return model
 

@@ -53,7 +53,9 @@ def main(
     )
     if settings.kind != "image":
         crop = settings.crop_m and f"Widen crop_m = {list(settings.crop_m)}: left, near, right, far in metres"
-        with explained(f"{params}: graphs.{name}", hint=crop or f"{source} has none: dvc repro --force clouds"):
+        with explained(
+            f"{params}: graphs.{name}", hint=crop or f"{source} has none: dvc repro --force --single-item clouds"
+        ):
             cloud.check_any(summaries, splits)
     store.write_index(out / name, splits)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("kNN edges", "kept"))

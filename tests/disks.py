@@ -118,12 +118,14 @@ def main(shares: Sequence[float]) -> int:
         scratch.run(folder, "dvc", "repro")
         disk = Disk(folder)
         trials, failed = 0, 0
-        for stage, share in product(kills.STAGES, (None, *shares)):
-            trial = disk.meet(stage, share)
-            line = f"{stage:<11} {trial.disk:<9} {trial.free / 1024:>8.0f} KiB free"
-            print(line, *trial.faults or ["as it should"], *([trial.said] if trial.faults else []), flush=True)
-            trials, failed = trials + 1, failed + bool(trial.faults)
-        subprocess.run(["umount", str(disk.data)], check=True)
+        try:
+            for stage, share in product(kills.STAGES, (None, *shares)):
+                trial = disk.meet(stage, share)
+                line = f"{stage:<11} {trial.disk:<9} {trial.free / 1024:>8.0f} KiB free"
+                print(line, *trial.faults or ["as it should"], *([trial.said] if trial.faults else []), flush=True)
+                trials, failed = trials + 1, failed + bool(trial.faults)
+        finally:
+            subprocess.run(["umount", str(disk.data)], check=True)
     print(f"{trials} trials, {failed} failed")
     return failed
 

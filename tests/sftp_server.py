@@ -24,7 +24,7 @@ def serving(folder: Path, home: Path) -> Iterator[int]:
         yield ports.get(timeout=60)
     finally:
         end.set()
-        thread.join()
+        thread.join(timeout=10)
 
 
 async def _serve(folder: Path, key: asyncssh.SSHKey, ports: Queue[int], end: Event) -> None:

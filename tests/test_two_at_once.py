@@ -50,6 +50,9 @@ def halted(running: subprocess.Popen[str], stage: str, lock: Path) -> Iterator[N
     os.kill(pid, signal.SIGSTOP)
     try:
         yield
+    except BaseException:
+        running.kill()
+        raise
     finally:
         os.kill(pid, signal.SIGCONT)
 
@@ -113,7 +116,7 @@ def test_two_clones_on_one_cache(tmp_path: Path) -> None:
 
 def test_two_runs_of_a_stage_by_hand(tmp_path: Path) -> None:
     artefacts.write_dataset(tmp_path, SPLITS, frames=30, points=40)
-    write_params(tmp_path, epochs=2)
+    write_params(tmp_path, epochs=12)  # so long that it is still at work when it is to be halted
     undisturbed = read(run_train(tmp_path))
     shutil.rmtree(tmp_path / "train")
     places = {"graphs": "graphs", "labels": "labels", "out": "train", "params": "params.yaml"}
@@ -154,9 +157,9 @@ def versions(file: store.DriveReader) -> set[int]:
 
 
 def read_again_and_again(path: Path) -> list[set[int]]:
-    """Read the file until several versions were met; return which versions each reading met."""
+    """Read the file until several versions were met, or in vain; return which versions each reading met."""
     met: list[set[int]] = []
-    while len({*map(frozenset, met)}) < VERSIONS:
+    while len({*map(frozenset, met)}) < VERSIONS and len(met) < 100_000:
         with store.DriveReader(path, stage="labels") as file:
             met.append(versions(file))
     return met
@@ -183,3 +186,4 @@ def test_readers_of_a_file_that_is_replaced(tmp_path: Path) -> None:
         assert all(len(versions) == 1 for versions in met)
         order = [version for versions in met for version in versions]
         assert order == sorted(order)
+        assert len(set(order)) == VERSIONS

@@ -20,7 +20,7 @@ def download(url: str, path: Path, sha256: str) -> None:
     """Write what is at a URL to `path`, which appears only if it is whole and has this SHA-256.
 
     Raises OSError (as URLError and TimeoutError are), HTTPException, or ValueError: the address is not one, the file is
-    cut short, another one, larger than MOST_BYTES, or slower than SLOWEST.
+    cut short, another one, larger than MOST_BYTES, or its content comes slower than SLOWEST.
     """
     request = urllib.request.Request(url, headers={"User-Agent": "semantic-steering"})  # some refuse Python's own
     digest, size, started = hashlib.sha256(), 0, time.monotonic()

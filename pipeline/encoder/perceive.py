@@ -62,7 +62,7 @@ def load(folder: Path) -> UnifiedEncoder:
     Raises InputError if its file is missing, damaged or does not fit this code, or if its backbone needs a package that
     is not installed.
     """
-    path, hint = folder / FILE, "Make it again: dvc repro --force encoder"
+    path, hint = folder / FILE, "Make it again: dvc repro --force --single-item encoder"
     with explained(hint=hint):
         backbone, state = read(path)
         if backbone not in BACKBONES:

@@ -33,9 +33,9 @@ def _plain(value: Any) -> Any:
     """
     if isinstance(value, Mapping):
         return {_plain(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    if type(value) in (list, tuple):
         return type(value)(map(_plain, value))
-    return sys.intern(value) if isinstance(value, str) else value
+    return sys.intern(value) if type(value) is str else value
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:

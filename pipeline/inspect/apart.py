@@ -13,7 +13,7 @@ T = TypeVar("T")
 LIMIT_S = (
     5.0  # of CPU time, however busy the machine; a sound file's contents are listed in some hundredths of a second
 )
-_HINT = "Make it again: dvc repro --force its stage, or dvc pull"
+_HINT = "Make it again: dvc repro --force --single-item its stage, or dvc pull"
 _reader: "_Reader | None" = None
 
 

@@ -25,7 +25,10 @@ def opened(path: Path) -> Iterator[DriveReader]:
 
     The block reads: what libraries raise in it is told as damage of the file.
     """
-    with damage_told(path, hint="Make it again: dvc repro --force its stage, or dvc pull"), _reader(path) as file:
+    with (
+        damage_told(path, hint="Make it again: dvc repro --force --single-item its stage, or dvc pull"),
+        _reader(path) as file,
+    ):
         if not same_file(file, path):
             raise InputError(f"{path} is damaged: its datasets are links into another file")
         yield file

@@ -40,7 +40,7 @@ def read(model: Path) -> dict[str, Steering]:
     path = model / "predictions.csv"
     rows: dict[str, list[tuple[float, ...]]] = {}
     with (
-        explained(str(path), hint=f"Make it again: dvc repro --force evaluate@{model.name}"),
+        explained(str(path), hint=f"Make it again: dvc repro --force --single-item evaluate@{model.name}"),
         path.open(newline="", encoding="utf-8") as file,
     ):
         try:

@@ -108,7 +108,7 @@ class Trained:
             raise InputError(
                 f"model {self.name} expects {frames.described(self.contents)}, but {graphs.path} holds "
                 f"{frames.described(graphs.contents)}: give it graphs of input: {self.line['input']} as it was trained "
-                f"on, or train it again: dvc repro --force train@{self.name}"
+                f"on, or train it again: dvc repro --force --single-item train@{self.name}"
             )
         with explained(where=f"model {self.name}"):
             timeline = windows.Timeline.of(graphs, self.line["motion"], self.target.car)
@@ -172,7 +172,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         models = sorted(best.parent.name for best in folder.glob("*/best.pt"))
         hint = f"name one of those in it: {', '.join(models)}" if models else f"train it: dvc repro train@{name}"
         raise InputError(f"{folder} is not a trained model, best.pt is missing: {hint}")
-    with explained(hint=f"Train it again: dvc repro --force train@{name}"):
+    with explained(hint=f"Train it again: dvc repro --force --single-item train@{name}"):
         content = checkpoint.read(path, KIND)
         whole = ("name", "seed", "fold", "contents", "net")
         for key, kind in _KINDS.items():

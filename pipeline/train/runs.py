@@ -110,7 +110,7 @@ def check_pair(best: Path) -> None:
     if told not in (None, file_hash(best)):
         raise InputError(
             f"{best} is not the one that {config} was written for (its SHA-256 is another): one of them is of another "
-            f"run. Train it again: dvc repro --force train@{name}"
+            f"run. Train it again: dvc repro --force --single-item train@{name}"
         )
 
 

@@ -118,7 +118,7 @@ def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
     content = torch.load(made / "best.pt", weights_only=True)
     content["model"]["features"] = 9
     checkpoint.write(made / "best.pt", content)
-    with pytest.raises(InputError, match=r"best\.pt does not fit .* dvc repro --force train@net"):
+    with pytest.raises(InputError, match=r"best\.pt does not fit .* dvc repro --force --single-item train@net"):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()
 
@@ -152,7 +152,7 @@ def test_a_checkpoint_of_another_model_is_refused(folder: Path) -> None:
     with pytest.raises(InputError, match=r"best\.pt is of model other, seed 0, .*Train it again"):
         run_evaluate(folder)
     (made / "best.pt").write_bytes((made / "last.pt").read_bytes()[:-100])
-    with pytest.raises(InputError, match=r"best\.pt is cut short.* dvc repro --force train@net"):
+    with pytest.raises(InputError, match=r"best\.pt is cut short.* dvc repro --force --single-item train@net"):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()
 

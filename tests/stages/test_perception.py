@@ -110,7 +110,7 @@ def test_a_bad_checkpoint_is_one_error_that_names_the_command(folder: Path, tmp_
     (tmp_path / "encoder").mkdir()
     (tmp_path / "encoder" / "encoder.pt").write_bytes(b"nothing")
     (tmp_path / "ingest").symlink_to(folder / "ingest")
-    with pytest.raises(InputError, match=r"cut short.*dvc repro --force encoder"):
+    with pytest.raises(InputError, match=r"cut short.*dvc repro --force --single-item encoder"):
         run(tmp_path, "perception", batch=1)
 
 

@@ -90,7 +90,7 @@ def picture(path: Path, caption: str) -> str:
     """Return a picture file as a JPEG in HTML, at most WIDEST pixels wide. Raises InputError if it is damaged."""
     image = cv2.imread(str(path))
     if image is None:
-        raise InputError(f"{path} is not a picture: make it again with dvc repro --force pictures")
+        raise InputError(f"{path} is not a picture: make it again with dvc repro --force --single-item pictures")
     height, width = image.shape[:2]
     if width > WIDEST:
         image = cv2.resize(image, (WIDEST, round(height * WIDEST / width)), interpolation=cv2.INTER_AREA)

@@ -109,8 +109,9 @@ def test_what_is_not_is_refused_and_leaves_nothing(
     server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str
 ) -> None:
     monkeypatch.setattr(download, "MOST_BYTES", 4000)
-    monkeypatch.setattr(download, "TIMEOUT_S", 0.3)
-    monkeypatch.setattr(download, "SLOWEST", 1e9)
+    if name in ("silent", "drops"):  # others are not to fail on a busy machine
+        monkeypatch.setattr(download, "TIMEOUT_S", 1.0)
+        monkeypatch.setattr(download, "SLOWEST", 1e9)
     (tmp_path / "net.pth").write_text("an earlier one")
     with pytest.raises((OSError, ValueError, HTTPException), match=message):
         download.download(f"{server}/{name}", tmp_path / "net.pth", SHA256)

@@ -33,12 +33,12 @@ def test_an_encoder_comes_back_bit_by_bit_and_its_file_is_deterministic(model: U
 
 def test_other_content_is_refused_with_the_command_that_mends_it(model: UnifiedEncoder, tmp_path: Path) -> None:
     path = tmp_path / "encoder.pt"
-    with pytest.raises(InputError, match=r"is missing\. .*dvc repro --force encoder$"):
+    with pytest.raises(InputError, match=r"is missing\. .*dvc repro --force --single-item encoder$"):
         load(tmp_path)
     save(tmp_path, "small", model.state_dict())
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 3])
-    with pytest.raises(InputError, match=r"cut short.*dvc repro --force encoder$"):
+    with pytest.raises(InputError, match=r"cut short.*dvc repro --force --single-item encoder$"):
         load(tmp_path)
     net = {"conv.weight": torch.zeros(3)}
     for other in (net, {"kind": "unified encoder"}, {"kind": "unified encoder", "net": net}):
@@ -49,10 +49,10 @@ def test_other_content_is_refused_with_the_command_that_mends_it(model: UnifiedE
     with pytest.raises(InputError, match="tensors"):
         read(path)
     save(tmp_path, "smal", {})
-    with pytest.raises(InputError, match=r"'smal'.*small.*dvc repro --force encoder$"):
+    with pytest.raises(InputError, match=r"'smal'.*small.*dvc repro --force --single-item encoder$"):
         load(tmp_path)
     save(tmp_path, "small", net)
-    with pytest.raises(InputError, match=r"does not fit.*dvc repro --force encoder$"):
+    with pytest.raises(InputError, match=r"does not fit.*dvc repro --force --single-item encoder$"):
         load(tmp_path)
 
 

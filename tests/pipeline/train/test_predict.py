@@ -137,7 +137,7 @@ def test_an_older_checkpoint_is_told_by_what_it_lacks(tmp_path: Path) -> None:
     content = checkpoint.read(path, predict.KIND)
     del content["target"]["wheelbase_m"], content["model"]["horizon"]
     checkpoint.write(path, content)
-    with pytest.raises(InputError, match=r"lacks model\.horizon, target\.wheelbase_m: an older .* --force train@net$"):
+    with pytest.raises(InputError, match=r"lacks model\.horizon, target\.wheelbase_m: an older .* --single-item train@net$"):
         predict.load(path.parent)
 
 
@@ -172,7 +172,7 @@ def test_a_file_that_does_not_rebuild_a_network_is_refused(tmp_path: Path, chang
     for key, value in change.items():
         content[key] = content[key] | value if isinstance(value, dict) else value
     checkpoint.write(path, {key: value for key, value in content.items() if change.get(key, True) is not None})
-    with pytest.raises(InputError, match=rf"best\.pt.*{fault}.* dvc repro --force train@net$"):
+    with pytest.raises(InputError, match=rf"best\.pt.*{fault}.* dvc repro --force --single-item train@net$"):
         predict.load(path.parent)
 
 

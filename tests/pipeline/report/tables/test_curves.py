@@ -61,6 +61,6 @@ def test_a_model_that_is_not_here_has_no_curve(tmp_path: Path) -> None:
 
 def test_a_damaged_file_is_one_line(tmp_path: Path) -> None:
     write(tmp_path / "train/net/curve.csv", "epoch,loss", "1,2")
-    with pytest.raises(InputError, match=r"net/curve\.csv.*train_loss.*dvc repro --force train@net"):
+    with pytest.raises(InputError, match=r"net/curve\.csv.*train_loss.*dvc repro --force --single-item train@net"):
         curves.write_learning(tmp_path / "train/net", tmp_path / "learning")
     assert not (tmp_path / "learning").exists()

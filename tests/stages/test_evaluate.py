@@ -113,7 +113,7 @@ def test_a_checkpoint_of_another_network_is_refused(folder: Path) -> None:
     made = run_train(folder)
     config = json.loads((made / "config.json").read_text())
     store.write_json(made / "config.json", config | {"model": config["model"] | {"alpha": 1.0}})
-    with pytest.raises(InputError, match=r"best\.pt is of model net, seed 0, .*config.* --force train@net"):
+    with pytest.raises(InputError, match=r"best\.pt is of model net, seed 0, .*config.* --single-item train@net"):
         run_evaluate(folder)
     content = torch.load(made / "best.pt", weights_only=True)
     content["model"]["features"] = 9
@@ -131,7 +131,7 @@ def test_a_checkpoint_of_another_run_is_refused(folder: Path) -> None:
     write_params(folder, epochs=1)
     run_train(folder)
     (made / "best.pt").write_bytes(best)
-    with pytest.raises(InputError, match=r"net/best\.pt is not the one that .*/config\.json was .* --force train@net$"):
+    with pytest.raises(InputError, match=r"net/best\.pt is not the one that .*/config\.json was .* --single-item train@net$"):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()
     older = {key: value for key, value in config.items() if key != "best_sha256"}

@@ -103,7 +103,7 @@ def test_a_checkpoint_for_other_inputs_is_refused(folder: Path) -> None:
     run_train(folder)
     artefacts.write_dataset(folder, SPLITS, frames=60, points=60, write=artefacts.write_images)
     with pytest.raises(
-        InputError, match=r"model net expects kNN graphs, but .*\.h5 holds images of 32 x 48 .*force train@net"
+        InputError, match=r"model net expects kNN graphs, but .*\.h5 holds images of 32 x 48 .*single-item train@net"
     ):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()

@@ -104,10 +104,10 @@ def test_without_the_other_stages_it_has_less(folder: Path) -> None:
 
 def test_a_damaged_source_is_named(folder: Path) -> None:
     (folder / f"pictures/{DRIVES[1]}.png").write_bytes(b"no picture")
-    with pytest.raises(InputError, match=r"drive_0003\.png is not a picture.*force pictures"):
+    with pytest.raises(InputError, match=r"drive_0003\.png is not a picture.*single-item pictures"):
         write(folder)
     (folder / "evaluate/net/predictions.csv").write_text("drive,frame\na,1\n")
-    with pytest.raises(InputError, match=r"net/predictions\.csv: has no column .*force evaluate@net"):
+    with pytest.raises(InputError, match=r"net/predictions\.csv: has no column .*single-item evaluate@net"):
         write(folder)
 
 

@@ -131,7 +131,7 @@ def test_a_checkpoint_of_another_run_is_refused(folder: Path) -> None:
     write_params(folder, epochs=1)
     run_train(folder)
     (made / "best.pt").write_bytes(best)
-    with pytest.raises(InputError, match=r"net/best\.pt is not the one that .*/config\.json was .* --single-item train@net$"):
+    with pytest.raises(InputError, match=r"net/best\.pt is not the one that .*/config\.json was .*-item train@net$"):
         run_evaluate(folder)
     assert not (folder / "evaluate").exists()
     older = {key: value for key, value in config.items() if key != "best_sha256"}

@@ -137,7 +137,7 @@ def test_an_older_checkpoint_is_told_by_what_it_lacks(tmp_path: Path) -> None:
     content = checkpoint.read(path, predict.KIND)
     del content["target"]["wheelbase_m"], content["model"]["horizon"]
     checkpoint.write(path, content)
-    with pytest.raises(InputError, match=r"lacks model\.horizon, target\.wheelbase_m: an older .* --single-item train@net$"):
+    with pytest.raises(InputError, match=r"lacks model\.horizon, target\.wheelbase_m: an older .*-item train@net$"):
         predict.load(path.parent)
 
 

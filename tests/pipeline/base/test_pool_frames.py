@@ -139,7 +139,9 @@ def test_a_dead_worker_names_the_frames_and_keeps_the_other_blocks(
 ) -> None:
     # The pool breaks for all jobs at once: which of them it tells of first is chance; drive `empty` has no frames.
     monkeypatch.setattr(pool, "BLOCK_FRAMES", 2)
-    with pytest.raises(InputError, match=r"a worker process died .* at or near ([ab], frames \d+ to \d+|empty): .*kept$"):
+    with pytest.raises(
+        InputError, match=r"a worker process died .* at or near ([ab], frames \d+ to \d+|empty): .*kept$"
+    ):
         run(tmp_path, {"a9": "die"}, workers=2)
     monkeypatch.setattr(pool, "BLOCK_FRAMES", 2)
     run(tmp_path, workers=2)

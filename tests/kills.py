@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -119,8 +120,8 @@ def _run(folder: Path, stage: str | None = None, after_s: float = 0.0) -> tuple[
             if stage in began and time.monotonic() - began[stage] >= after_s:
                 os.killpg(chain.pid, signal.SIGKILL)
                 chain.wait()
-    ends = [*list(began.values())[1:], time.monotonic()]
-    took_s = {name: end - start for (name, start), end in zip(began.items(), ends, strict=True)}
+    moments = pairwise([*began.values(), time.monotonic()])
+    took_s = {name: end - start for name, (start, end) in zip(began, moments, strict=True)}
     return chain.returncode, log.read_text(errors="replace"), took_s
 
 

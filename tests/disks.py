@@ -77,11 +77,9 @@ class Disk:
 
     def run(self, stage: str) -> subprocess.CompletedProcess[str]:
         """Run a stage as DVC does."""
-        environment = {**os.environ, "PYTHONPATH": str(self.folder), "STEER_WORKERS": "2"}
+        environment = scratch.environment(self.folder, STEER_WORKERS="2")
         command = [sys.executable, "-m", f"stages.{stage}", *([_OF[stage]] if stage in _OF else [])]
-        return subprocess.run(
-            command, cwd=self.folder, env=environment, capture_output=True, text=True, check=False
-        )  # fmt: skip
+        return subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True, check=False)
 
     def meet(self, stage: str, share: float | None) -> Trial:
         """Run a stage with a share of the space that it takes, or on a read-only disk (None); then with plenty."""

@@ -104,10 +104,7 @@ def _run(folder: Path, stage: str | None = None, after_s: float = 0.0) -> tuple[
 
     Returns: its status, what it said, and how long each stage took.
     """
-    environment = {
-        **os.environ, "PYTHONPATH": str(folder), "DVC_NO_ANALYTICS": "1", "STEER_WORKERS": "2",
-        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-    }  # fmt: skip
+    environment = scratch.environment(folder, STEER_WORKERS="2")
     log, began = folder / "chain.log", dict[str, float]()
     with log.open("w") as output:
         chain = subprocess.Popen(

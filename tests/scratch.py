@@ -35,11 +35,15 @@ def commit(folder: Path, message: str) -> None:
     subprocess.run(["git", *who, "commit", "-qm", message], cwd=folder, check=True)
 
 
+def environment(folder: Path, **more: str) -> dict[str, str]:
+    """Return the variables for commands of this environment that run the code of a folder."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder), **more}
+
+
 def run(folder: Path, *command: str, check: bool = True) -> str:
     """Run a command in a scratch copy, on its own code; return what it printed. With `check` off it must fail."""
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=folder, env=environment(folder), capture_output=True, text=True, check=False)
     output = done.stdout + done.stderr
     assert not check or done.returncode == 0, output
     assert check or done.returncode != 0, output

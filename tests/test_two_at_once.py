@@ -27,15 +27,11 @@ VERSIONS = 5  # of a file, that each reader is to see
 ROWS = 6000  # of a dataset: several chunks
 
 
-def environment(folder: Path) -> dict[str, str]:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    return {**os.environ, "PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder), "STEER_WORKERS": "1"}
-
-
 def start(folder: Path, *command: str) -> subprocess.Popen[str]:
     """Start a command in a folder of code; what it says is to be read."""
+    environment = scratch.environment(folder, STEER_WORKERS="1")
     return subprocess.Popen(
-        command, cwd=folder, env=environment(folder), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        command, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
 
 

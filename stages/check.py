@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from pipeline.base import console, provenance
-from pipeline.base.errors import InputError, closest, explained
+from pipeline.base import console, imports
+from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import load, load_entry, names
 from pipeline.encoder import precomputed, weights
 from pipeline.sections.clouds import Clouds
@@ -32,7 +32,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
     """
     for section in (Town, Ingest, Labels, Perception, Motion, Clouds, Pictures, Train, Evaluate):
         load(section, params)
-    with explained(str(params)):
+    with error_context(str(params)):
         check_encoder(load(Encoder, params))
     ingest, motion = load(Ingest, params), load(Motion, params)
     if "lidar" in motion.kinds and not ingest.lidar:
@@ -61,7 +61,7 @@ def check_encoder(encoder: Encoder) -> None:
         if network.backbone == precomputed.BACKBONE:
             precomputed.find(Path(str(network.weights)))
             continue
-        with explained(f"{network.key}.backbone = {network.backbone!r}"):
+        with error_context(f"{network.key}.backbone = {network.backbone!r}"):
             if network.backbone not in unified_encoder.BACKBONES:
                 known = [*unified_encoder.BACKBONES, precomputed.BACKBONE]
                 raise InputError(f"no such backbone: {closest(network.backbone, known)}")
@@ -89,7 +89,7 @@ def check_model(settings: Model, variants: dict[str, Variant], ingest: Ingest, m
     for module in steering_net.modules(line):
         *_, part, name = module.split(".")
         own = Path(*module.split(".")).with_suffix(".py")
-        if others := unwatched(provenance.import_closure(module), own):
+        if others := unwatched(imports.import_closure(module), own):
             raise ValueError(
                 f"{part} = {name!r}: {own} uses {', '.join(map(str, others))}, which could be edited without training "
                 "this model again: move what it needs from there to models/steering/core"

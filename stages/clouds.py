@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base import console, progress, store
-from pipeline.base.errors import explained
+from pipeline.base.errors import error_context
 from pipeline.base.params import load
-from pipeline.base.pool import Summary, run_over_frames
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.graphs import cloud
 from pipeline.sections.clouds import Clouds
@@ -30,21 +31,24 @@ def main(
     splits = store.read_index(ingest, stage="ingest")
     # One run for both kinds: a stage that is killed keeps what is finished of either.
     names = [f"{kind}/{drive}" for kind in KINDS for drive in splits]
-    summaries = run_over_frames(
+    dump = settings.model_dump(mode="json")
+
+    def key(name: str) -> str:
+        drive = Path(name).name
+        return stage_key("clouds", {"name": name, **dump}, [folder / f"{drive}.h5" for folder in (ingest, perception)])
+
+    summaries = run_over_drives(
         partial(_clouds, ingest=ingest, perception=perception, settings=settings),
         names,
-        stage="clouds",
-        params={"clouds": settings.model_dump()},
-        frames=lambda name: _numbers(name, ingest, perception),
         out=out,
-        inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
-        settings={"clouds": settings.model_dump()},
+        key=key,
+        frames=lambda name: _count(name, ingest, perception),
         workers=workers,
         describe=lambda summary: f"{summary['frames']} frames, {summary['points']} points",
     )
     for kind in KINDS:
         hint = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or see what they hold: steer show {perception}"
-        with explained(f"{params}: clouds/{kind}", hint=hint):
+        with error_context(f"{params}: clouds/{kind}", fix=hint):
             cloud.check_any({drive: summaries[f"{kind}/{drive}"] for drive in splits}, splits)
         store.write_index(out / kind, splits)
         empty = [drive for drive in splits if not summaries[f"{kind}/{drive}"]["frames"]]
@@ -53,32 +57,30 @@ def main(
     return out
 
 
-def _numbers(name: str, ingest: Path, perception: Path) -> list[int]:
-    """Return the numbers of the frames that have a cloud of a kind, named as in :func:`_clouds`."""
+def _count(name: str, ingest: Path, perception: Path) -> int:
+    """Return the number of frames that have a cloud of a kind, named as in :func:`_clouds`."""
     kind, drive = name.split("/")
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
-        numbers = raw.frame[raw["has_lidar"] > 0] if kind == "lidar" else perceived.frame
-        return [int(number) for number in numbers]
+        return int(raw["has_lidar"].sum()) if kind == "lidar" else len(perceived.frame)
 
 
-def _clouds(
-    name: str, rows: range, file: store.DriveWriter, ingest: Path, perception: Path, settings: Clouds
-) -> Summary:
-    """Write some frames' clouds of one drive and one kind, named as pseudo/2011_09_26_drive_0001."""
+def _clouds(name: str, path: Path, *, ingest: Path, perception: Path, settings: Clouds) -> Summary:
+    """Write one drive's clouds of one kind, named as pseudo/2011_09_26_drive_0001."""
     kind, drive = name.split("/")
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
+        store.DriveWriter(path, stage="clouds", drive=drive, params={"clouds": settings.model_dump()}) as file,
     ):
         frame, time_s, make = KINDS[kind](raw, perceived, settings)
         clouds = (
-            cloud.stored(make(row), settings.max_points, cloud.frame_rng(settings.seed, drive, int(frame[row])))
-            for row in rows
+            cloud.stored(make(row), settings.max_points, cloud.frame_rng(settings.seed, drive, int(number)))
+            for row, number in enumerate(progress.track(frame))
         )
-        return cloud.write(file, frame[rows], time_s[rows], progress.counted(clouds))
+        return cloud.write(file, frame, time_s, clouds)
 
 
 Frames = tuple[np.ndarray, np.ndarray, Callable[[int], cloud.Cloud]]

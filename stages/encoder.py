@@ -9,10 +9,10 @@ from typing import Any
 
 from pipeline.base import console, store
 from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError, explained
-from pipeline.base.lock import held
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.lock import exclusive
 from pipeline.base.params import load
-from pipeline.base.resume import resume_key
+from pipeline.base.resume import stage_key
 from pipeline.encoder import precomputed
 from pipeline.encoder.weights import Source, fill, unnamed
 from pipeline.sections.encoder import PARTS, Encoder
@@ -29,7 +29,7 @@ def main(
     settings = load(Encoder, params)
     kept = out.parent / ".resume" / out.name
     if settings.backbone == precomputed.BACKBONE:
-        with held(out, kept):
+        with exclusive(out, kept):
             return _take_precomputed(settings, out)
     splits = store.read_index(ingest, stage="ingest")
     drives = {drive: split for drive, split in splits.items() if split in settings.splits}
@@ -40,8 +40,8 @@ def main(
     from pipeline.encoder import perceive
 
     torch.manual_seed(settings.seed)
-    with explained(str(params)):
-        with explained("encoder.backbone"):
+    with error_context(str(params)):
+        with error_context("encoder.backbone"):
             model = UnifiedEncoder(settings.backbone)
         sources = fill(model, settings.backbone, settings.weights, "encoder.weights")
         part = unnamed(model, settings.weights, PARTS)
@@ -50,7 +50,7 @@ def main(
 
     curve: Sequence[Any] = []
     trained_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
-    with held(out, kept):
+    with exclusive(out, kept):
         if settings.epochs:
             curve, trained_on = _fit(model, settings, sources, ingest, drives, kept)
         perceive.save(out, settings.backbone, model.state_dict())
@@ -92,7 +92,7 @@ def _fit(
         teacher, taught_by = teach.load_teacher(given.backbone, given.weights, given.key)
     hashes = [source.sha256 for source in (*weights, *taught_by)]
     files = [ingest / f"{drive}.h5" for drive in drives]
-    key = resume_key("stages.encoder", settings.model_dump(), [*hashes, *files])
+    key = stage_key("encoder", settings.model_dump(mode="json"), [*hashes, *files])
     untold = [drive for drive, split in drives.items() if split != "train"]
     with Examples(ingest, list(drives), settings.frames, teacher, untold) as examples:
         lessons = teach.choose(model, settings.weights, examples.known, teacher=examples.taught, frozen=settings.frozen)

@@ -9,7 +9,7 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
-from pipeline.base.lock import held
+from pipeline.base.lock import exclusive
 from pipeline.base.params import SPLITS, load
 from pipeline.report.judge import neurons, predictions, split, steering_plot, structure
 from pipeline.sections.evaluate import Evaluate
@@ -31,7 +31,7 @@ def main(
     test drives judges the one that it has not seen; of the drives that several were fitted to, the first judges each.
     Returns the model's folder.
     """
-    with held(out / name, out.parent / ".resume" / f"{out.name}-{name}"):
+    with exclusive(out / name, out.parent / ".resume" / f"{out.name}-{name}"):
         return _evaluate(name, train, graphs, labels, out, load(Evaluate, params))
 
 

@@ -1,8 +1,6 @@
 """Read raw drives once, and write all that later stages need from them: one HDF5 file per drive."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,8 @@ import numpy as np
 from pipeline.base import console, progress, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.pool import run_over_frames
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.geometry import scale_K
 from pipeline.kitti import oxts
 from pipeline.kitti.ingest_file import PIXELS, put_camera, put_motion, put_pixels, put_scans
@@ -24,8 +23,6 @@ MISSING = {
     "town": "{root} is missing. Make it: dvc repro town",
     "kitti": "{root} is missing. Link it: ln -s /path/to/kitti {root}. Only training? dvc pull labels graphs",
 }
-
-NO_PACKETS = "{folder} holds no packets, and labels are made of them: extract it"
 
 
 def main(
@@ -58,18 +55,18 @@ def main(
         drive: {"split": splits[drive], "source": sources[drive], "fingerprint": files.fingerprint(settings.cameras)}
         for drive, files in drives.items()
     }
-    dump = settings.model_dump(exclude={"drives"})
-    summaries = run_over_frames(
-        Ingester(roots, attributes, settings),
+
+    def key(drive: str) -> str:
+        inputs = [*attributes[drive].values(), drives[drive].changes(settings.cameras)]
+        return stage_key("ingest", {"drive": drive, **settings.model_dump(mode="json", exclude={"drives"})}, inputs)
+
+    summaries = run_over_drives(
+        partial(_ingest, drives=drives, attributes=attributes, settings=settings),
         list(splits),
-        stage="ingest",
-        params={"ingest": dump},
-        frames=lambda drive: list(drives[drive].oxts),
         out=out,
-        inputs=lambda drive: [*attributes[drive].values(), drives[drive].changes(settings.cameras)],
-        settings=dump,
+        key=key,
+        frames=lambda drive: len(drives[drive].oxts),
         workers=workers,
-        total=total,
         describe=describe,
     )
     store.write_index(out, splits)
@@ -80,41 +77,40 @@ def main(
     return out
 
 
-@dataclass
-class Ingester:
-    """Writes frames of drives; it keeps the last drive's list of files from one block to the next."""
-
-    roots: Mapping[str, Path]
-    attributes: Mapping[str, Mapping[str, str]]
-    settings: Ingest
-    listed: dict[str, RawDrive] = field(default_factory=dict)
-
-    def __call__(self, drive: str, rows: range, file: store.DriveWriter) -> dict[str, Any]:
-        """Write some frames of a drive, `rows` of its oxts packets, and return what the log says of them."""
-        if drive not in self.listed:
-            self.listed = find_drives(self.roots[self.attributes[drive]["source"]], [drive])
-        return ingest(drive, rows, file, self.listed[drive], self.attributes[drive], self.settings)
+def _ingest(
+    drive: str,
+    path: Path,
+    *,
+    drives: Mapping[str, RawDrive],
+    attributes: Mapping[str, Mapping[str, str]],
+    settings: Ingest,
+) -> Summary:
+    params = {"ingest": settings.model_dump(exclude={"drives"})}
+    with store.DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
+        file.attrs |= attributes[drive]
+        return ingest(file, drives[drive], settings)
 
 
-def ingest(
-    drive: str, rows: range, file: store.DriveWriter, raw: RawDrive, attributes: Mapping[str, str], settings: Ingest
-) -> dict[str, Any]:
-    """Write some frames of a drive, `rows` of its oxts packets: a frame without one has no label."""
+def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
+    """Write a drive's frames, by their oxts packets: a frame without one has no label."""
     numbers, packets = list(raw.oxts), raw.folder / "oxts" / "data"
-    if not numbers:
-        raise InputError(NO_PACKETS.format(folder=packets))
     reader = TolerantReader(tolerant=settings.on_damaged == "skip")
-    sound = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers[rows.start : rows.stop]))
-    frames = [numbers[rows.start + row] for row in sound]
+    sound = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers))
+    if not sound:
+        raise InputError("no packets, which labels are made of", packets, "Extract it")
+    frames = [numbers[row] for row in sound]
     # Lines of timestamps.txt go with the packets that are there, damaged ones too.
-    time_s = oxts.read_times(raw.oxts_times, numbers)[rows.start : rows.stop][list(sound)]
+    time_s = oxts.read_times(raw.oxts_times, numbers)[list(sound)]
     scans = raw.scans if settings.lidar else {}
     camera = raw.camera(settings.cameras)
     if scans and (camera is None or camera.T_cam_velo is None):
-        raise InputError(f"{raw.calibration} lacks calib_cam_to_cam.txt or calib_velo_to_cam.txt: {drive} has scans")
+        raise InputError(
+            f"calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing, and {raw.folder.name} has scans",
+            raw.calibration,
+        )
     pictures = {"image": raw.images(camera.number), "depth": raw.truth_depth, "cls": raw.truth_cls} if camera else {}
 
-    file.attrs |= {**attributes, "camera": camera.number if camera else -1}
+    file.attrs["camera"] = camera.number if camera else -1
     put_motion(file, np.array(frames, np.int32), time_s, np.array(list(sound.values())).reshape(-1, len(oxts.COLUMNS)))
     if camera:
         put_camera(file, scale_K(camera.K, camera.size, settings.image_size), camera.T_cam_velo)
@@ -126,21 +122,13 @@ def ingest(
             made = reader.each(name, read, pictures[name], frames)
         counts[name] = put_pixels(file, name, len(frames), settings.image_size, made)
     counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
-    progress.advance(len(rows))  # all at once: images come first, then scans
+    progress.advance(len(numbers))  # all at once: images come first, then scans
     unlabelled = (set(pictures.get("image", {})) | set(scans)) - set(raw.oxts)
-    of_drive = {"camera": camera.number if camera else None, "without_oxts": len(unlabelled), "packets": str(packets)}
-    return {"counts": counts, "damaged": dict(reader.damaged), "of_drive": of_drive}
-
-
-def total(blocks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return a drive's summary from those of its blocks. Raises InputError if every packet is damaged."""
-    counts, damaged, of_drive = Counter[str](), Counter[str](), blocks[0]["of_drive"]
-    for block in blocks:
-        counts.update(block["counts"])  # keeps zeros
-        damaged.update(block["damaged"])
-    if not counts["frames"]:
-        raise InputError(NO_PACKETS.format(folder=of_drive["packets"]))
-    return {**counts, **of_drive, "damaged": damaged}
+    return counts | {
+        "camera": camera.number if camera else None,
+        "without_oxts": len(unlabelled),
+        "damaged": dict(reader.damaged),
+    }
 
 
 def describe(summary: Mapping[str, Any]) -> str:

@@ -8,7 +8,8 @@ from typing import Any
 from pipeline import label
 from pipeline.base import console, store
 from pipeline.base.params import load
-from pipeline.base.pool import run_over_drives
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import run_over_drives
 from pipeline.kitti.oxts import VF, VL, WU
 from pipeline.sections.labels import Labels
 
@@ -17,7 +18,6 @@ def main(
     ingest: Path = Path("data/ingest"),
     out: Path = Path("data/labels"),
     params: Path = Path("params.yaml"),
-    workers: int | None = None,
 ) -> Path:
     """Compute the steering angle of each frame (paper section 4.1) and say which frames have a usable one.
 
@@ -28,11 +28,11 @@ def main(
     summaries = run_over_drives(
         partial(label_drive, ingest=ingest, settings=settings),
         list(splits),
-        module="stages.labels",
         out=out,
-        inputs=lambda drive: [ingest / f"{drive}.h5"],
-        settings=settings.model_dump(),
-        workers=workers,
+        key=lambda drive: stage_key(
+            "labels", {"drive": drive, **settings.model_dump(mode="json")}, [ingest / f"{drive}.h5"]
+        ),
+        workers=1,  # less work than starting a process
         describe=describe,
     )
     store.write_json(out / "summary.json", summaries)

@@ -1,6 +1,5 @@
 """Measure what the car did since the frame before, without oxts: data/motion/<kind>/<drive>.h5."""
 
-import pickle
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -10,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import console, progress, store
-from pipeline.base.blocks import BlockWriter
 from pipeline.base.params import load
-from pipeline.base.pool import Summary, run_over_frames
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.motion import kinds, lidar, motion_file, visual
 from pipeline.sections.motion import Motion
@@ -32,16 +31,17 @@ def main(
     settings = load(Motion, params)
     splits = store.read_index(perception, stage="perception")
     names = [f"{kind}/{drive}" for kind in settings.kinds for drive in splits]
-    summaries = run_over_frames(
+
+    def key(name: str) -> str:
+        inputs = [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)]
+        return stage_key("motion", {"name": name, "road_scale": settings.road_scale}, inputs)
+
+    summaries = run_over_drives(
         partial(_measure, ingest=ingest, perception=perception, settings=settings),
         names,
-        frames=lambda name: _numbers(name, ingest, perception),
-        params={"motion": settings.model_dump()},
-        stage="motion",
-        chained=True,
         out=out,
-        inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
-        settings={"road_scale": settings.road_scale},
+        key=key,
+        frames=lambda name: _count(name, ingest, perception),
         workers=workers,
         describe=lambda summary: "{frames} frames, {valid} measured".format_map(summary),
     )
@@ -56,34 +56,28 @@ def main(
     return out
 
 
-def _numbers(name: str, ingest: Path, perception: Path) -> list[int]:
-    """Return the numbers of the frames whose motion is measured in a kind, named as in :func:`_measure`."""
+def _count(name: str, ingest: Path, perception: Path) -> int:
+    """Return the number of frames whose motion is measured in a kind, named as in :func:`_measure`."""
     kind, drive = name.split("/")
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
-        numbers = raw.frame[raw["has_lidar"] > 0] if kind == "lidar" else perceived.frame
-        return [int(number) for number in numbers]
+        return int(raw["has_lidar"].sum()) if kind == "lidar" else len(perceived.frame)
 
 
-def _measure(name: str, rows: range, file: BlockWriter, *, ingest: Path, perception: Path, settings: Motion) -> Summary:
-    """Write some frames' motion of one drive and one kind, named as visual/2011_09_26_drive_0001.
-
-    What is known of the drive goes from one block to the next: a step begins with the one before, and the road's slope
-    and height are those of all that was driven.
-    """
+def _measure(name: str, path: Path, *, ingest: Path, perception: Path, settings: Motion) -> Summary:
+    """Write one drive's motion of one kind, named as visual/2011_09_26_drive_0001."""
     kind, drive = name.split("/")
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
+        store.DriveWriter(path, stage="motion", drive=drive, params={"motion": settings.model_dump()}) as file,
     ):
         frame, time_s, begin, read = KINDS[kind](raw, perceived, settings)
-        odometry = pickle.loads(file.before) if file.before else begin()
-        steps = (odometry.step(read(row)) for row in rows)
-        valid = motion_file.write(file, kind, frame, time_s, rows, progress.counted(steps))
-        file.after = pickle.dumps(odometry)
-        return {"frames": len(rows), "valid": valid}
+        odometry = begin()
+        steps = (odometry.step(read(row)) for row, _ in enumerate(progress.track(frame)))
+        return {"frames": len(frame), "valid": motion_file.write(file, kind, frame, time_s, steps)}
 
 
 Frames = tuple[np.ndarray, np.ndarray, Callable[[], Any], Callable[[int], Any]]

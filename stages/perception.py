@@ -2,17 +2,17 @@
 
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.base import console, progress, store
-from pipeline.base.console import default_workers
+from pipeline.base.executors import default_workers
 from pipeline.base.params import load
-from pipeline.base.pool import Summary, run_over_frames
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.mount import camera_height
 from pipeline.encoder import precomputed
 from pipeline.perception import batches
@@ -24,7 +24,7 @@ from pipeline.sections.perception import Perception
 if TYPE_CHECKING:
     from models.encoder.unified_encoder import UnifiedEncoder
 
-See = Callable[[Batch], tuple[np.ndarray, np.ndarray]]
+Forward = Callable[[Batch], tuple[np.ndarray, np.ndarray]]
 
 
 def main(
@@ -39,19 +39,16 @@ def main(
 
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
-    _Perceive(ingest, encoder, settings).eye("")  # a bad checkpoint is one error here, not one in each worker
+    _forward(encoder, "", settings.precision)  # a bad checkpoint is one error here, not one in each worker
     weights = encoder / ("config.json" if precomputed.named_in(encoder) else "encoder.pt")
-    summaries = run_over_frames(
-        _Perceive(ingest, encoder, settings),
+    dump = settings.model_dump(mode="json")
+    summaries = run_over_drives(
+        partial(_perceive, ingest=ingest, encoder=encoder, settings=settings),
         list(splits),
-        stage="perception",
-        params={"perception": settings.model_dump()},
-        frames=lambda drive: _images(ingest / f"{drive}.h5"),
-        together=settings.batch,  # an image's last bits depend on those beside it
         out=out,
-        inputs=lambda drive: [ingest / f"{drive}.h5", weights],
-        settings=settings.model_dump(mode="json"),
-        # A GPU is kept busy by two processes: while one encodes what it has seen, the other looks.
+        key=lambda drive: stage_key("perception", {"drive": drive, **dump}, [ingest / f"{drive}.h5", weights]),
+        frames=lambda drive: len(_images(ingest / f"{drive}.h5")),
+        # A GPU is kept busy by two processes: one reads and writes while the other encodes.
         workers=min(2, workers or default_workers()) if torch.cuda.is_available() else workers,
         describe=lambda summary: f"{summary['frames']} frames",
     )
@@ -62,77 +59,54 @@ def main(
     return out
 
 
-@dataclass(frozen=True)
-class _Perceive:
-    """Writes depth and classes of a drive's images; it keeps the network from one block to the next."""
+def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:
+    """Write depth and classes of a drive's images."""
+    from pipeline.encoder.perceive import passes, stored_depth
 
-    ingest: Path
-    encoder: Path
-    settings: Perception
+    forward, mode = _forward(encoder, drive, settings.precision), MODES[settings.depth_scale]
+    params = {"perception": settings.model_dump()}
+    factor: float | None = None
+    with (
+        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
+        store.DriveWriter(path, stage="perception", drive=drive, params=params) as file,
+    ):
+        camera_height_m = settings.camera_height_m or camera_height(batches.calibration(source))
+        file.attrs["camera_height_m"] = camera_height_m
+        with_image, size = np.flatnonzero(source["has_image"]), source.shape("image")[1:3]
+        file.put("frame", source.frame[with_image])
+        file.put("time_s", source.time_s[with_image], "s")
+        file.append("depth_m", np.zeros((0, *size), np.uint16), f"{mode.unit}, 0 = none")
+        file.append("cls", np.zeros((0, *size), np.uint8), "Cityscapes trainId")
+        images = batches.read(source, with_image, settings.batch, scans=mode.needs_scan)
+        # One thread reads, others run the network, this one scales and writes.
+        with closing(passes(lambda batch: (batch, *forward(batch)), images)) as results:
+            for batch, depth, cls in results:
+                for frame in _frames(batch, depth, cls, camera_height_m):
+                    factor = mode.rescale(frame, mode.factor(frame) or 0.0 if factor is None else factor)
+                    if settings.reach:
+                        put_on_ground(frame.depth, frame.cls, batch.K, camera_height_m, settings.reach)
+                file.append("depth_m", stored_depth(depth, cls))
+                file.append("cls", cls)
+                progress.advance(len(cls))
+    return {"frames": len(with_image)}
 
-    def __call__(self, drive: str, rows: range, file: store.DriveWriter) -> Summary:
-        from pipeline.encoder.perceive import passes, stored_depth
 
-        see, mode = self.eye(drive), MODES[self.settings.depth_scale]
-        factor: float | None = None
-        with store.DriveReader(self.ingest / f"{drive}.h5", stage="ingest") as source:
-            camera_height_m = self.settings.camera_height_m or camera_height(batches.calibration(source))
-            file.attrs["camera_height_m"] = camera_height_m
-            with_image, size = np.flatnonzero(source["has_image"]), source.shape("image")[1:3]
-            chosen = with_image[rows.start : rows.stop]
-            file.put("frame", source.frame[chosen])
-            file.put("time_s", source.time_s[chosen], "s")
-            file.append("depth_m", np.zeros((0, *size), np.uint16), f"{mode.unit}, 0 = none")
-            file.append("cls", np.zeros((0, *size), np.uint8), "Cityscapes trainId")
-            images = batches.read(source, chosen, self.settings.batch, scans=mode.needs_scan)
-            # One thread reads, others run the network, this one scales and writes.
-            with closing(passes(lambda batch: (batch, *see(batch)), images)) as results:
-                progress.begin()
-                for batch, depth, cls in results:
-                    frames = _frames(batch, depth, cls, camera_height_m)
-                    for frame in frames:
-                        if factor is None:  # the first of the block
-                            earlier = with_image[: rows.start]
-                            factor = mode.factor(frame) or self._factor_of_last(source, earlier, see, camera_height_m)
-                        factor = mode.rescale(frame, factor)
-                        if self.settings.reach:
-                            put_on_ground(frame.depth, frame.cls, batch.K, camera_height_m, self.settings.reach)
-                    file.append("depth_m", stored_depth(depth, cls))
-                    file.append("cls", cls)
-                    progress.advance(len(cls))
-        return {"frames": len(chosen)}
+def _forward(encoder: Path, drive: str, precision: str) -> Forward:
+    """Return the function from a batch to depth [B,H,W] and trainIds [B,H,W]."""
+    if folder := precomputed.named_in(encoder):
+        return lambda batch: precomputed.read_all(folder, drive, batch.frames, batch.images.shape[1:3])
 
-    def eye(self, drive: str) -> See:
-        """Return what gives a batch's depth [B,H,W] and trainIds [B,H,W]."""
-        if folder := precomputed.named_in(self.encoder):
-            return lambda batch: precomputed.read_all(folder, drive, batch.frames, batch.images.shape[1:3])
+    from pipeline.encoder.perceive import perceive
 
-        from pipeline.encoder.perceive import perceive
+    network = _network(encoder)
+    return lambda batch: perceive(network, batch.images, batch.K, precision)
 
-        network = self._network
-        return lambda batch: perceive(network, batch.images, batch.K, self.settings.precision)
 
-    def _factor_of_last(self, source: store.DriveReader, rows: np.ndarray, see: See, camera_height_m: float) -> float:
-        """Return the factor of the last image in `rows`, those before a block, that tells one; 0.0 if none does.
+@cache  # one for all drives of a process
+def _network(encoder: Path) -> "UnifiedEncoder":
+    from pipeline.encoder.perceive import load
 
-        That block may not be made yet, so the network looks at them again, in the same batches.
-        """
-        mode, size = MODES[self.settings.depth_scale], self.settings.batch
-        for stop in range(len(rows), 0, -size):
-            chosen = rows[stop - size : stop]
-            if mode.needs_scan and not source["has_lidar"][chosen].any():
-                continue
-            for batch in batches.read(source, chosen, size, scans=mode.needs_scan):
-                for frame in reversed(_frames(batch, *see(batch), camera_height_m)):
-                    if factor := mode.factor(frame):
-                        return factor
-        return 0.0
-
-    @cached_property
-    def _network(self) -> "UnifiedEncoder":
-        from pipeline.encoder.perceive import load
-
-        return load(self.encoder)
+    return load(encoder)
 
 
 def _frames(batch: Batch, depth: np.ndarray, cls: np.ndarray, camera_height_m: float) -> list[Frame]:

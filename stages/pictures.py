@@ -5,7 +5,8 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.params import load
-from pipeline.base.pool import Summary, run_over_drives
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.sections.pictures import Pictures
 
 
@@ -24,13 +25,16 @@ def main(
     settings = load(Pictures, params)
     splits = store.read_index(clouds, stage="clouds")
     pictured = [drive for drive in splits if _frames(perception / f"{drive}.h5")]
+
+    def key(drive: str) -> str:
+        inputs: list[Path | str] = [splits[drive], *(folder / f"{drive}.h5" for folder in (ingest, perception, clouds))]
+        return stage_key("pictures", {"drive": drive, **settings.model_dump(mode="json")}, inputs)
+
     run_over_drives(
         partial(_draw, ingest=ingest, perception=perception, clouds=clouds, splits=splits, frames=settings.frames),
         pictured,
-        module="stages.pictures",
         out=out,
-        inputs=lambda drive: [splits[drive], *(folder / f"{drive}.h5" for folder in (ingest, perception, clouds))],
-        settings=settings.model_dump(),
+        key=key,
         workers=workers,
         target=lambda drive: out / f"{drive}.png",
         describe=lambda summary: f"frames {', '.join(map(str, summary['shown']))}",

@@ -8,7 +8,7 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.atomic import replacing
-from pipeline.base.lock import held
+from pipeline.base.lock import exclusive
 from pipeline.base.params import load, names
 from pipeline.report.figures import figures
 from pipeline.report.page.page import write_page
@@ -54,7 +54,7 @@ def main(
     steering = steering_table.markdown(results, absent=[model for model in models if model not in here])
     perceived = write_perception(encoder) if encoder else ""
     text = "\n".join(filter(None, [steering, perceived]))
-    with held(out, out.parent / ".resume" / out.name):
+    with exclusive(out, out.parent / ".resume" / out.name):
         with replacing(out / "table.md") as tmp:
             tmp.write_text(text, encoding="utf-8")
         csv_file.write(out / "table.csv", steering_rows.rows(results))

@@ -9,7 +9,8 @@ import numpy as np
 
 from pipeline.base import console, progress, store
 from pipeline.base.params import SPLITS, load
-from pipeline.base.pool import Summary, run_over_drives
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.encoder.truth import Truth, read_truth, visible
 from pipeline.kitti.oxts import VF, WU
@@ -41,13 +42,16 @@ def main(
     car = {"wheelbase_m": labels.wheelbase_m, "min_speed_mps": labels.min_speed_mps}
     splits = store.read_index(perception, stage="perception")
     measured = kinds.read(motion)
+
+    def key(drive: str) -> str:
+        inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, *measured.values())]
+        return stage_key("scores", {"drive": drive, "motion": list(measured), **car}, inputs)
+
     summaries = run_over_drives(
         partial(_score_drive, ingest=ingest, perception=perception, motion=measured, car=car),
         list(splits),
-        module="stages.scores",
         out=out,
-        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, perception, *measured.values())],
-        settings={"motion": list(measured), **car},
+        key=key,
         workers=workers,
         target=lambda drive: out / drive,
         frames=lambda drive: _frames(perception / f"{drive}.h5"),

@@ -4,14 +4,16 @@ With town.replay it is built along the tracks of real drives, of which only oxts
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pipeline.base import console
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.pool import run_over_frames
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.town import Town
@@ -19,8 +21,6 @@ from pipeline.town.contact_sheet import contact_sheet, write_rgb
 from pipeline.town.drive import Drive
 from pipeline.town.layout import read_views
 from pipeline.town.rig import make_rig, write_calibration
-
-BLOCK_FRAMES = 128  # more than elsewhere: a process lays out the drive's street before it renders the first
 
 
 def main(
@@ -44,21 +44,21 @@ def main(
         if folder.is_dir() and not (folder / "truth").is_dir():
             raise InputError(f"{folder} is there and is not of the sample: name another --out, or move it away")
     recorded = find_recorded(settings, list(splits))
-    frames: dict[str, Sequence[int]] = {drive: range(most(drive, splits, settings)) for drive in splits}
-    frames |= {drive: list(raw.oxts)[: len(frames[drive])] for drive, raw in recorded.items()}
-    run_over_frames(
-        Render(splits, settings),
+    frames = {drive: most(drive, splits, settings) for drive in splits}
+    frames |= {drive: min(len(raw.oxts), frames[drive]) for drive, raw in recorded.items()}
+
+    def key(drive: str) -> str:
+        inputs = [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])]
+        return stage_key("town", {"drive": drive, **settings.model_dump(mode="json")}, inputs)
+
+    run_over_drives(
+        partial(_render, splits=splits, settings=settings),
         list(splits),
-        frames=lambda drive: frames[drive] or range(1),  # without packets: it says so
-        params=None,
-        stage="town",
         out=out,
-        inputs=lambda drive: [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
-        settings=settings.model_dump(),
+        key=key,
+        frames=frames.__getitem__,
         workers=workers,
         target=folders.__getitem__,
-        block_frames=BLOCK_FRAMES,
-        total=lambda blocks: blocks[0],  # each tells of the whole drive
         describe=describe,
     )
     for date in sorted({folder.parent for folder in folders.values()}):
@@ -83,28 +83,19 @@ def most(drive: str, splits: Mapping[str, str], settings: Town) -> int:
     return frames
 
 
-@dataclass
-class Render:
-    """Renders frames of drives; it keeps the last drive's street from one block to the next."""
-
-    splits: Mapping[str, str]
-    settings: Town
-    laid_out: dict[str, Drive] = field(default_factory=dict)
-
-    def __call__(self, drive: str, rows: range, path: Path) -> dict[str, Any]:
-        """Write frames of a drive into the folder `path`, and return what the log says of the whole drive."""
-        if drive not in self.laid_out:
-            self.laid_out.clear()
-            self.laid_out[drive] = Drive(
-                drive,
-                frames=most(drive, self.splits, self.settings),
-                size=self.settings.image_size,
-                scan_rays=self.settings.scan_rays,
-                seed=self.settings.seed,
-                recorded=find_recorded(self.settings, [drive]).get(drive),
-            )
-        self.laid_out[drive].write(path, rows)
-        return self.laid_out[drive].summary()
+def _render(drive: str, path: Path, *, splits: Mapping[str, str], settings: Town) -> Summary:
+    """Write a drive into the folder `path`."""
+    laid_out = Drive(
+        drive,
+        frames=most(drive, splits, settings),
+        size=settings.image_size,
+        scan_rays=settings.scan_rays,
+        seed=settings.seed,
+        recorded=find_recorded(settings, [drive]).get(drive),
+    )
+    with replacing(path) as folder:
+        laid_out.write(folder)
+    return laid_out.summary()
 
 
 def describe(summary: Mapping[str, Any]) -> str:

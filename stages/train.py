@@ -12,11 +12,11 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.errors import InputError, explained
-from pipeline.base.lock import held
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.lock import exclusive
 from pipeline.base.params import load, load_entry
-from pipeline.base.pool import run_side_by_side
 from pipeline.base.resume import file_hash
+from pipeline.base.runner import run_jobs
 from pipeline.sections.models import Model
 from pipeline.sections.train import Train
 from pipeline.train import distributed, runs, windows
@@ -42,7 +42,7 @@ def main(
     settings = settings.model_copy(update={"learning_rate": model.learning_rate or settings.learning_rate})
     variant, where = graphs / model.input, f"{params}: models.{name}"
     splits = store.read_index(variant, stage="graphs")
-    with explained(where=where):
+    with error_context(where=where):
         line = steering_net.resolved(model.model_dump())
         folds = runs.folds(splits, line)
     folds = judged(folds, variant, labels, line)
@@ -54,7 +54,7 @@ def main(
     drives = {drive for fold in folds for drive in fold.train + fold.val}
     files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in drives}
     job = Job(name, where, line, settings, variant, labels, splits, files, kept)
-    with distributed.joined() as (world, device), held(out / name, kept) if world.leads else nullcontext(kept) as lock:
+    with distributed.joined() as (world, device), exclusive(out / name, kept) if world.leads else nullcontext():
         if world.size > settings.batch_runs:
             raise InputError(
                 f"{params}: train.batch_runs = {settings.batch_runs}: the runs of a step cannot be spread over "
@@ -63,8 +63,8 @@ def main(
         if not folds[0].val and world.leads:
             print(f"{name}: no validation drives, so no early stopping: the last epoch counts as the best", flush=True)
         if len(todo) > 1 and world.size == 1 and device.type == "cpu":
-            modules = ["stages.train", *steering_net.modules(line)]
-            run_side_by_side(partial(fit_run, job=job), todo, module=modules, mark=lock)
+            for _ in run_jobs(partial(fit_run, job=job), todo, threads=1):
+                pass
         else:
             for run in todo:
                 fit_run(run, job, world, device)

@@ -49,8 +49,8 @@ def import_recording(
     import numpy as np
 
     from pipeline.base.atomic import replacing
-    from pipeline.base.console import default_workers
     from pipeline.base.errors import InputError
+    from pipeline.base.executors import default_workers
     from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import intrinsics
     from pipeline.recording import clock, layout

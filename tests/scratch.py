@@ -10,19 +10,19 @@ from typing import Any
 
 import yaml
 
-from pipeline.base import provenance
+from pipeline.base import resume
 
 
 def copy(folder: Path) -> Path:
     """Copy the repository as git sees it, with edits that are not committed, into a repository of its own."""
     listed = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard"],
-        cwd=provenance.ROOT, capture_output=True, text=True, check=True,
+        cwd=resume.ROOT, capture_output=True, text=True, check=True,
     ).stdout.split()  # fmt: skip
     for name in listed:
-        if (provenance.ROOT / name).is_file():
+        if (resume.ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(provenance.ROOT / name, folder / name)
+            shutil.copyfile(resume.ROOT / name, folder / name)
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
     commit(folder, "scratch")
     return folder

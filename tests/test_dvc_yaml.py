@@ -8,10 +8,10 @@ from typing import Any, get_args
 import pytest
 import yaml
 
-from pipeline.base import provenance
+from pipeline.base import imports, resume
 from pipeline.sections.graphs import Variant
 
-CONFIG: dict[str, Any] = yaml.safe_load((provenance.ROOT / "dvc.yaml").read_text())
+CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
 NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
 # What a stage depends on without importing it, because it depends on the room; each is named once.
@@ -31,7 +31,7 @@ BEYOND: dict[str, set[str]] = {
 
 
 def test_one_name_four_places() -> None:
-    files = {path.stem for path in (provenance.ROOT / "stages").glob("*.py")} - {"__init__"}
+    files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")} - {"__init__"}
     assert files == set(STAGES)
     for name, stage in STAGES.items():
         argument = r' "\${DVC_STAGE#*@}"' if "foreach" in stage else ""
@@ -46,7 +46,7 @@ def test_what_a_stage_imports_is_covered_and_little_else(name: str) -> None:
     if any(network in dep for network in NETWORKS for dep in STAGES[name]["deps"]):
         folders = [*NETWORKS.values(), "models/steering/core/cell"]
         modules += [".".join(file.with_suffix("").parts) for folder in folders for file in _files(folder)]
-    imported = {path for path in provenance.import_closure(*modules) if not _is_empty(path)}
+    imported = {path for path in imports.import_closure(*modules) if not _is_empty(path)}
     covered = {path for dep in _code(name) for path in _files(dep)}
     assert imported <= covered
     for beyond in BEYOND.get(name, set()):
@@ -75,7 +75,7 @@ def test_deps_on_data_are_exactly_outs(name: str) -> None:
 
 @pytest.mark.parametrize("name", STAGES)
 def test_sections_that_a_stage_reads_are_its_params(name: str) -> None:
-    tree = ast.parse((provenance.ROOT / "stages" / f"{name}.py").read_text())
+    tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     read = {module.removeprefix("pipeline.sections.") for module in modules if module.startswith("pipeline.sections.")}
     listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
@@ -100,12 +100,12 @@ def _files(dep: str) -> set[Path]:
     for name, folder in NETWORKS.items():
         if name in dep:
             return _files(folder)
-    path = provenance.ROOT / dep
+    path = resume.ROOT / dep
     assert path.exists(), dep
     files = path.rglob("*.py") if path.is_dir() else [path]
-    return {file.relative_to(provenance.ROOT) for file in files if not _is_empty(file.relative_to(provenance.ROOT))}
+    return {file.relative_to(resume.ROOT) for file in files if not _is_empty(file.relative_to(resume.ROOT))}
 
 
 def _is_empty(path: Path) -> bool:
     """A package's __init__.py that only names it."""
-    return path.name == "__init__.py" and len(ast.parse((provenance.ROOT / path).read_text()).body) <= 1
+    return path.name == "__init__.py" and len(ast.parse((resume.ROOT / path).read_text()).body) <= 1

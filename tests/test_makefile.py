@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 from pipeline.sections import preset
 
 DVC = """#!/bin/sh

@@ -10,7 +10,7 @@ import h5py
 import pytest
 import yaml
 
-from pipeline.base import provenance, store
+from pipeline.base import resume, store
 from tests import kills, scratch, sftp_server
 
 pytestmark = pytest.mark.slow
@@ -21,7 +21,7 @@ DRIVE = "2026_01_01_drive_0001.h5"
 
 def commands(page: str, section: str) -> list[str]:
     """Return the commands of the first block in a section of a page."""
-    block = (provenance.ROOT / page).read_text().partition(section)[2].split("```")[1]
+    block = (resume.ROOT / page).read_text().partition(section)[2].split("```")[1]
     return [line.partition("  #")[0].strip() for line in block.strip().splitlines()]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base import provenance, store
+from pipeline.base import resume, store
 from pipeline.perception.scores import Scores
 from tests import artefacts, scratch
 
@@ -176,7 +176,7 @@ def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(train
 
 
 def test_the_lines_of_readme_give_the_numbers_of_evaluate(trained: Path) -> None:
-    (snippet,) = re.findall(r"```python\n(.*?)```", (provenance.ROOT / "README.md").read_text(), re.DOTALL)
+    (snippet,) = re.findall(r"```python\n(.*?)```", (resume.ROOT / "README.md").read_text(), re.DOTALL)
     assert len([line for line in snippet.splitlines() if line]) <= 6
     printed = scratch.run(trained, sys.executable, "-c", snippet + "\nprint(steering_rad.tolist(), graphs.path)")
     numbers, _, path = printed.partition("] ")

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.base import provenance, store
+from pipeline.base import resume, store
 from tests import artefacts, scratch
 from tests.small_model import SPLITS, run_train, write_params
 
@@ -118,9 +118,9 @@ def test_two_runs_of_a_stage_by_hand(tmp_path: Path) -> None:
     places = {"graphs": "graphs", "labels": "labels", "out": "train", "params": "params.yaml"}
     arguments = [f"--{name}={tmp_path / place}" for name, place in places.items()]
     command = [sys.executable, "-m", "stages.train", "net", *arguments]
-    first = start(provenance.ROOT, *command)
+    first = start(resume.ROOT, *command)
     with halted(first, "train", tmp_path / ".resume/train-net.lock"):
-        second = start(provenance.ROOT, *command)
+        second = start(resume.ROOT, *command)
         said, _ = second.communicate()
         assert second.returncode == 1
         assert said == (

@@ -9,7 +9,7 @@ import torch
 from models.encoder.unified_encoder import UnifiedEncoder
 from models.steering.core import steering_net
 from pipeline.base import store
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 from pipeline.camera.calib_file import write_entries
 from pipeline.encoder import perceive
 from pipeline.fitting import checkpoint

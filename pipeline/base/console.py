@@ -65,19 +65,6 @@ def guarded(
     return command
 
 
-def default_workers() -> int:
-    """Number of worker processes: ``STEER_WORKERS`` if set, else the cores this process may use.
-
-    Raises InputError if ``STEER_WORKERS`` is not a positive whole number.
-    """
-    text = os.environ.get("STEER_WORKERS", "")
-    if not text:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"STEER_WORKERS={text!r} is not a positive whole number: set it to a number of processes")
-    return int(text)
-
-
 def _stop(message: str, status: int = 1) -> None:
     print(f"error: {' '.join(message.split())}", file=sys.stderr, flush=True)
     sys.exit(status)

@@ -1,40 +1,46 @@
-"""The one exception that a user is meant to read."""
+"""Errors shown to the user as one line, without a traceback."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
 class InputError(Exception):
-    """Something outside the program is wrong: a file, a parameter, a machine.
+    """A fault in a file, a parameter or the machine, which the user can fix.
 
-    The message is one line: what is wrong, where, and what to do about it. :func:`pipeline.base.console.run`
-    prints it without a traceback and exits with status 1.
+    Rendered as ``<where>: <problem>. <fix>``. :func:`pipeline.base.console.run` prints it and exits with status 1.
     """
+
+    def __init__(self, problem: str, where: object = "", fix: str = "") -> None:
+        """`where` is a file, a parameter or a drive; `fix` is a sentence or a command for the user."""
+        super().__init__(problem, str(where), fix)  # positional, so that it can be pickled
+        self.problem, self.where, self.fix = problem, str(where), fix
+
+    def __str__(self) -> str:
+        message = f"{self.where}: {self.problem}" if self.where else self.problem
+        return f"{message.rstrip('.')}. {self.fix}" if self.fix else message
 
 
 class DamagedFile(InputError):
-    """One frame's file cannot be read. ``ingest.on_damaged`` decides whether that ends the stage."""
+    """One frame's file cannot be read. ``ingest.on_damaged`` decides whether the stage stops."""
 
 
 @contextmanager
-def explained(where: str = "", hint: str = "") -> Iterator[None]:
-    """Make what goes wrong in the block one InputError: where it went wrong, what it said, what to do about it.
-
-    Catches InputError and ValueError; a DamagedFile stays one.
-    """
+def error_context(where: object = "", fix: str = "") -> Iterator[None]:
+    """Re-raise an InputError or ValueError as an InputError with `where` in front of it and a `fix`, if it has none."""
     try:
         yield
     except (InputError, ValueError) as error:
         kind = DamagedFile if isinstance(error, DamagedFile) else InputError
-        message = f"{where}: {error}" if where else str(error)
-        raise kind(f"{message.rstrip('.')}. {hint}" if hint else message) from error
+        inner = error if isinstance(error, InputError) else InputError(str(error))
+        places = [str(place) for place in (where, inner.where) if str(place)]
+        raise kind(inner.problem, ": ".join(places), inner.fix or fix) from error
 
 
-def closest(name: str, known: Sequence[str]) -> str:
-    """Return a clause for an error message: what of `known` the user may have meant by `name`."""
+def closest(name: str, options: Sequence[str]) -> str:
+    """Return a clause for an error message: the options most similar to `name`, or all of them."""
     import difflib
 
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    near = difflib.get_close_matches(name, options, n=3, cutoff=0.6)
     if near:
         return f"did you mean {' or '.join(near)}?"
-    return f"known: {', '.join(known) if known else 'none'}"
+    return f"known: {', '.join(options) if options else 'none'}"

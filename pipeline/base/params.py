@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 
 from pipeline.base import yaml_file
-from pipeline.base.errors import InputError, closest, explained
+from pipeline.base.errors import InputError, closest, error_context
 
 _DRIVE = "^[0-9]{4}_(0[1-9]|1[0-2])_(0[1-9]|[12][0-9]|3[01])_drive_[0-9]{4}$"
 
@@ -55,7 +55,7 @@ def load(section: type[S], path: Path) -> S:
     content = _read(path)
     if section.key not in content:
         raise InputError(f"{path} has no section {section.key!r}: take it from the project's own params.yaml")
-    with explained(str(path)):
+    with error_context(str(path)):
         return parse(section, content[section.key], section.key)
 
 
@@ -67,7 +67,7 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     if not isinstance(entries, dict) or name not in entries:
         known = list(entries) if isinstance(entries, dict) else []
         raise InputError(f"{path}: {mapping} has no {name!r}: {closest(name, known)}")
-    with explained(str(path)):
+    with error_context(str(path)):
         return parse(kind, entries[name], f"{mapping}.{name}")
 
 

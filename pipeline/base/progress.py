@@ -1,58 +1,55 @@
-"""How far the functions that run over drives have come, told frame by frame, from worker processes too."""
+"""Count processed frames, in worker processes too, and remember the current one for error messages."""
 
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing.sharedctypes import Synchronized
-from typing import TypeVar
 
-T = TypeVar("T")
-
-
-def nobody(frames: int) -> None:
-    """Where no bar is shown, as in tests."""
+_frame: int | None = None
 
 
-_tell: Callable[[int], object] = nobody
-_row: int | None = None  # of the block in work; None: no frame is in work
+def _ignore(frames: int) -> object:
+    return None
+
+
+_report: Callable[[int], object] = _ignore
+
+
+def track(frames: Iterable[int]) -> Iterator[int]:
+    """Yield KITTI frame numbers; a frame counts as done when the next one is requested."""
+    global _frame
+    for frame in frames:
+        _frame = int(frame)
+        yield frame
+        advance(1)
+    _frame = None
 
 
 def advance(frames: int) -> None:
-    """Say that `frames` more of the drive in work are done."""
-    global _row
-    if _row is not None:
-        _row += frames
-    _tell(frames)
+    """Count `frames` more as done."""
+    _report(frames)
 
 
-def begin(row: int | None = 0) -> None:
-    """Say that frames are in work from now on, so that an error is one of a frame; None: that none is."""
-    global _row
-    _row = row
+def start() -> None:
+    """Forget the current frame: a new drive begins."""
+    global _frame
+    _frame = None
 
 
-def row() -> int | None:
-    """Return which of the frames since :func:`begin` is in work, numbered from 0."""
-    return _row
+def current_frame() -> int | None:
+    """Return the frame that :func:`track` yielded last; None outside of it."""
+    return _frame
 
 
-def counted(items: Iterable[T]) -> Iterator[T]:
-    """Yield the items, one for each frame; a frame is done when the next is asked for."""
-    begin()
-    for item in items:
-        yield item
-        advance(1)
+def report_to(report: Callable[[int], object] | None) -> None:
+    """Have :func:`advance` call `report` in this process; None: nobody."""
+    global _report
+    _report = report or _ignore
 
 
-def listen(tell: Callable[[int], object]) -> None:
-    """Have :func:`advance` call `tell` from now on, in this process."""
-    global _tell
-    _tell = tell
-
-
-def listen_with(counter: "Synchronized[int]") -> None:
-    """Have :func:`advance` add to a counter that processes share."""
+def report_to_counter(counter: "Synchronized[int]") -> None:
+    """Have :func:`advance` add to a counter shared between processes."""
 
     def add(frames: int) -> None:
         with counter.get_lock():
             counter.value += frames
 
-    listen(add)
+    report_to(add)

@@ -1,34 +1,78 @@
-"""What a result is known by, so that an interrupted run goes on from what it finished and from nothing else."""
+"""Keys of results, so that an interrupted run continues from what it finished and from nothing else."""
 
 import hashlib
 import json
+import re
+import subprocess
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pipeline.base import provenance
+import yaml
+
 from pipeline.base.errors import InputError
 
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("pipeline", "models", "stages")
 
-def resume_key(module: str | Sequence[str], settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
-    """Return a hash of all that determines a result: a module's code, parameters, input files.
+
+def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
+    """Return a hash of everything that determines a result of `stage`.
 
     Args:
-        module: dotted name; the code of all it imports counts. Several, where one is imported by a name in the params.
+        stage: its name in ``dvc.yaml``; the code that its entry depends on is part of the key.
         settings: JSON-able.
-        inputs: files, whose contents count, or strings that stand for some.
+        inputs: files, whose contents are part of the key, or strings that identify an input.
     """
-    modules = [module] if isinstance(module, str) else module
-    code = provenance.fingerprint(*modules)
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + code.encode())
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + _stage_code_hash(stage).encode())
     for item in inputs:
         digest.update((item if isinstance(item, str) else file_hash(item)).encode() + b"\0")
     return digest.hexdigest()[:32]
 
 
 def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file's contents, as hex. Raises InputError if it is missing."""
+    """Return the SHA-256 of a file as hex. Raises InputError if it is missing."""
     if not path.is_file():
-        raise InputError(f"{path} is missing: dvc repro makes it, dvc pull brings it from another machine")
+        raise InputError("file is missing", path, "Make it: dvc repro. Or fetch it from another machine: dvc pull")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@cache
+def _stage_code_hash(stage: str) -> str:
+    """Hash the code that the stage's entry in dvc.yaml names; of ``${…}``, all alternatives."""
+    entry = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))["stages"][stage]
+    dependencies = entry.get("do", entry)["deps"]
+    patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
+    return _hash_code(path for pattern in patterns for path in ROOT.glob(pattern))
+
+
+@cache
+def code_hash() -> str:
+    """Return a hash of all code, as it was when this process first asked."""
+    return _hash_code(ROOT / package for package in PACKAGES)
+
+
+def _hash_code(paths: Any) -> str:
+    files = {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        digest.update(f"{file.relative_to(ROOT)} {file_hash(file)}\n".encode())
+    return digest.hexdigest()
+
+
+def revision() -> str:
+    """Return git's name of the newest commit of the code, with "-dirty" if the code differs; "unknown" outside of git.
+
+    Commits of other files do not count, so that training after a commit of ``dvc.lock`` writes the same bytes.
+    """
+    code = ["--", *(f":/{package}" for package in PACKAGES)]  # from the top, also for a copy in runs/
+    try:
+        commit, changes = (
+            subprocess.run(["git", "-C", str(ROOT), *command, *code], capture_output=True, text=True, check=True).stdout
+            for command in (["log", "-1", "--format=%H"], ["status", "--porcelain"])
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return (commit.strip() or "unknown") + ("-dirty" if changes else "")

@@ -26,7 +26,7 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.base import sound
 from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.files import MiB, check_file
 from pipeline.base.params import SPLITS
 from pipeline.base.sink import Sink
@@ -207,7 +207,7 @@ class DriveReader:
 
     def _blame(self, error: Exception, name: str | None) -> NoReturn:
         where = f" in dataset {name!r}" if name else ""
-        raise InputError(f"{self.path} is damaged{where} ({error}). {again(self.path, self._stage)}") from error
+        raise InputError(f"{self.path} is damaged{where} ({error}). {fix_hint(self.path, self._stage)}") from error
 
     @cached_property
     def params(self) -> dict[str, Any]:
@@ -284,7 +284,7 @@ class DriveReader:
         self._file.close()
 
 
-def again(path: Path, stage: str) -> str:
+def fix_hint(path: Path, stage: str) -> str:
     """Return how to get a whole file for one that is damaged."""
     fetch = f"Delete it and fetch it: dvc pull {path} (as damaged? docs/robustness.md, Sharing)"
     return f"{fetch}. Or make it again: dvc repro --force --single-item {stage}"
@@ -300,8 +300,8 @@ def read_json(path: Path, *, stage: str, form: type[BaseModel] | None = None) ->
     """Read a JSON object written by `stage`. Raises InputError if it is missing, not valid, or not of a `form`."""
     if not path.is_file():
         raise InputError(_MISSING.format(path=path, stage=stage))
-    hint = again(path, stage)
-    with explained(f"{path} is not valid JSON", hint=hint):
+    hint = fix_hint(path, stage)
+    with error_context(f"{path} is not valid JSON", fix=hint):
         check_file(path, _MOST_JSON)
         try:
             content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refused)
@@ -346,7 +346,7 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     if not isinstance(drives, dict) or not all(_is_drive(name) and split in SPLITS for name, split in drives.items()):
         raise InputError(
             f"{folder / 'index.json'} does not say of each drive whether it is of {', '.join(SPLITS)}. "
-            + again(folder / "index.json", stage)
+            + fix_hint(folder / "index.json", stage)
         )
     missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
     if missing:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.files import MiB, check_file
 
 _LARGEST = 1 << 15  # pixels of a side
@@ -20,7 +20,7 @@ def read_entries(path: Path) -> dict[str, np.ndarray]:
     if not path.exists():
         raise InputError(f"{path} is missing")
     check_file(path, MiB)
-    with explained(f"{path} is not a calibration file"):
+    with error_context(f"{path} is not a calibration file"):
         return dict(read_calib_file(path))
 
 

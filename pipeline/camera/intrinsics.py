@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.camera.calib_file import projection, read_entries
 from pipeline.camera.geometry import scale_K
 from pipeline.camera.images import Size
@@ -38,7 +38,7 @@ def intrinsics(
 
 
 def _of_file(path: Path, size: Size) -> np.ndarray:
-    with explained(hint="--calib wants a KITTI calib_cam_to_cam.txt, with P_rect and S_rect of a camera"):
+    with error_context(fix="--calib wants a KITTI calib_cam_to_cam.txt, with P_rect and S_rect of a camera"):
         entries = read_entries(path)
         number = next((number for number in _CAMERAS if f"P_rect_{number:02d}" in entries), _CAMERAS[0])
         P, (height, width) = projection(entries, number, path)

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.camera import classes
 from pipeline.encoder.examples import Examples, augment
 from pipeline.fitting import checkpoint
@@ -57,7 +57,7 @@ def fit(
     optimiser = torch.optim.AdamW(fitted, weight_decay=WEIGHT_DECAY, fused=True)
     curve: list[EpochLoss] = []
     if kept.is_file():
-        with explained(hint=f"Delete {kept} to start again"):
+        with error_context(fix=f"Delete {kept} to start again"):
             state = checkpoint.read(kept, KIND)
         model.load_state_dict(state["net"])
         optimiser.load_state_dict(state["optimiser"])

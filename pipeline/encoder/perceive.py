@@ -11,8 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
-from pipeline.base.console import default_workers
-from pipeline.base.errors import InputError, closest, explained
+from pipeline.base.errors import InputError, closest, error_context
+from pipeline.base.executors import default_workers
 from pipeline.camera import classes
 from pipeline.camera.images import to_units
 from pipeline.fitting import checkpoint
@@ -63,15 +63,15 @@ def load(folder: Path) -> UnifiedEncoder:
     is not installed.
     """
     path, hint = folder / FILE, "Make it again: dvc repro --force --single-item encoder"
-    with explained(hint=hint):
+    with error_context(fix=hint):
         backbone, state = read(path)
         if backbone not in BACKBONES:
             raise InputError(
                 f"{path} holds backbone {backbone!r}, which this code lacks: {closest(backbone, list(BACKBONES))}"
             )
-    with explained(str(path)):
+    with error_context(str(path)):
         model = UnifiedEncoder(backbone)
-    with explained(hint=hint):
+    with error_context(fix=hint):
         checkpoint.load_state(model, state, path)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # 1.6x faster on a CPU, measured
     return model.to("cuda" if torch.cuda.is_available() else "cpu").eval()

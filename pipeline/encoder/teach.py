@@ -8,7 +8,7 @@ from torch import nn
 
 from models.encoder.ground_depth import GroundDepth
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.encoder.examples import Teacher
 from pipeline.encoder.perceive import perceive
 from pipeline.encoder.weights import Setting, Source, fill, unnamed
@@ -80,7 +80,7 @@ def load_teacher(backbone: str, weights: Setting, key: str) -> tuple[Teacher, li
 
     `key` is the setting's name in params.yaml. Raises InputError if a part is missing that classes need.
     """
-    with explained(f"{key}.backbone"):
+    with error_context(f"{key}.backbone"):
         model = UnifiedEncoder(backbone)
     part = unnamed(model, weights, ("backbone", "class_head"))
     if part:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
 from pipeline.encoder import download
 from pipeline.fitting import checkpoint
@@ -142,7 +142,7 @@ def fill(model: Any, backbone: str, setting: Setting, key: str) -> list[Source]:
     for name, file in (setting or {}).items():
         path, sha256 = find(file, f"{key}.{name}")
         part = getattr(model, name)
-        with explained(hint=hint):
+        with error_context(fix=hint):
             checkpoint.load_state(part, part.own_names(read_published(path)), path)
         sources.append(Source(name, str(path), sha256))
     return sources
@@ -152,9 +152,9 @@ def _fill_all(model: Any, backbone: str, file: str, key: str, hint: str) -> Sour
     from pipeline.encoder import perceive
 
     path, sha256 = find(file, key)
-    with explained(hint=f"{hint}; a published file is named by part: {key}: {{backbone: {path}}}"):
+    with error_context(fix=f"{hint}; a published file is named by part: {key}: {{backbone: {path}}}"):
         weights = perceive.read(path)
-    with explained(hint=hint):
+    with error_context(fix=hint):
         if weights.backbone != backbone:
             raise InputError(f"{path} holds backbone {weights.backbone!r}, expected {backbone!r}")
         checkpoint.load_state(model, weights.state, path)

@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.base.console import default_workers
 from pipeline.base.errors import InputError, closest
+from pipeline.base.executors import default_workers
 from pipeline.base.params import load
 from pipeline.inspect import forecast, raw_check, raw_listing, stages_due
 from pipeline.inspect.forecast import Forecast

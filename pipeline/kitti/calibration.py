@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.camera.calib_file import matrix, projection, read_entries, rotation
 
 _AGAIN = "Extract the date's calibration archive (…_calib.zip) again"
@@ -32,7 +32,7 @@ class Camera:
 def cameras_in(folder: Path) -> list[int]:
     """Return the numbers of the cameras that a date's ``calib_cam_to_cam.txt`` describes; none if it is absent."""
     path = folder / "calib_cam_to_cam.txt"
-    with explained(hint=_AGAIN):
+    with error_context(fix=_AGAIN):
         entries = read_entries(path) if path.is_file() else {}
     return [number for number in range(4) if f"P_rect_{number:02d}" in entries]
 
@@ -40,7 +40,7 @@ def cameras_in(folder: Path) -> list[int]:
 def read_camera(folder: Path, number: int) -> Camera:
     """Read camera `number` from a date folder's calibration files. Raises InputError if they lack what it needs."""
     path, velo = folder / "calib_cam_to_cam.txt", folder / "calib_velo_to_cam.txt"
-    with explained(hint=_AGAIN):
+    with error_context(fix=_AGAIN):
         entries = read_entries(path)
         P, size = projection(entries, number, path)
         K = P[:, :3]

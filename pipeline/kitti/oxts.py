@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, explained
+from pipeline.base.errors import DamagedFile, InputError, error_context
 from pipeline.base.files import MiB, read_bytes
 
 COLUMNS = (
@@ -81,7 +81,7 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         if not _TIME.fullmatch(text):  # numpy would take "today", and a year alone
             fault = f"holds {text[:40]!r}, not a time," if text else "is empty"
             raise InputError(f"{path} {fault} at line {number + 1}, of a frame that has a packet: extract it again")
-    with explained(f"{path} holds something that is not a time", hint="Extract it again"):
+    with error_context(f"{path} holds something that is not a time", fix="Extract it again"):
         stamps = np.array(texts, dtype="datetime64[ns]")
     steps = np.diff(stamps)
     if (steps > _LONGEST_STEP).any():

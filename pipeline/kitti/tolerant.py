@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, explained
+from pipeline.base.errors import DamagedFile, error_context
 
 Read = Callable[[Path], np.ndarray]
 
@@ -32,7 +32,7 @@ class TolerantReader:
 
     def _read(self, kind: str, read: Read, file: Path) -> np.ndarray | None:
         try:
-            with explained(hint="Extract it again, or set ingest.on_damaged: skip to leave it out"):
+            with error_context(fix="Extract it again, or set ingest.on_damaged: skip to leave it out"):
                 return read(file)
         except DamagedFile:
             if not self._tolerant:

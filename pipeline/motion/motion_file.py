@@ -10,19 +10,15 @@ from pipeline.motion.step import Step, durations, rates
 UNITS = {"visual": "px", "lidar": "m"}  # of the residual, by kind
 
 
-def write(
-    file: DriveWriter, kind: str, frame: np.ndarray, time_s: np.ndarray, rows: range, steps: Iterable[Step | None]
-) -> int:
-    """Write the frames in `rows` of a drive, and of each its step since the one before; None: not measured, all 0.
+def write(file: DriveWriter, kind: str, frame: np.ndarray, time_s: np.ndarray, steps: Iterable[Step | None]) -> int:
+    """Write each frame's step since the frame before; None: not measured, all 0. Return how many are measured.
 
     Args:
-        frame: numbers of all frames of the drive [F]; time_s: their times [F].
-        steps: of each of `rows`.
-
-    Returns how many are measured.
+        frame: KITTI frame numbers [F]; time_s: their times [F].
+        steps: one for each frame.
     """
-    dt_s = durations(frame, time_s)[rows.start : rows.stop]
-    frame, time_s = np.asarray(frame, np.int32)[rows.start : rows.stop], time_s[rows.start : rows.stop]
+    dt_s = durations(frame, time_s)
+    frame = np.asarray(frame, np.int32)
     count = len(frame)
     yaw_rate_radps, speed_mps, residual = np.zeros((3, count), np.float32)
     inliers, valid = np.zeros(count, np.int32), np.zeros(count, np.uint8)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.errors import explained
+from pipeline.base.errors import error_context
 from pipeline.report.judge.paths import Track
 
 
@@ -40,7 +40,7 @@ def read(model: Path) -> dict[str, Steering]:
     path = model / "predictions.csv"
     rows: dict[str, list[tuple[float, ...]]] = {}
     with (
-        explained(str(path), hint=f"Make it again: dvc repro --force --single-item evaluate@{model.name}"),
+        error_context(str(path), fix=f"Make it again: dvc repro --force --single-item evaluate@{model.name}"),
         path.open(newline="", encoding="utf-8") as file,
     ):
         try:

@@ -19,7 +19,7 @@ from pipeline.base import console, yaml_file
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import NAME, Section, fault, parse, without_none
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.encoder import Encoder
 from pipeline.sections.evaluate import Evaluate

@@ -66,18 +66,16 @@ class Drive:
         rig = make_rig(size, drive[:10])
         self._camera, self._scanner = Camera(rig), Scanner(rig, scan_rays)
 
-    def write(self, path: Path, rows: range) -> None:
-        """Render the frames in `rows`, numbered from 0, into the folder `path`; oxts files come with the first."""
+    def write(self, path: Path) -> None:
+        """Render all frames into the folder `path`, with their oxts files."""
         folder = DriveFolder(path)
-        if rows.start == 0:
-            folder.put_recording(self._recording)
-        numbers = list(self._recording.packets)
-        for i in progress.counted(rows):
+        folder.put_recording(self._recording)
+        for i, number in enumerate(progress.track(self._recording.packets)):
             self._world.set_traffic([vehicle.at(i) for vehicle, near_at in self._traffic if near_at[i]])
             pose = self._journey.pose(i)
-            noise = random_of(self._name, self._seed, numbers[i])
+            noise = random_of(self._name, self._seed, number)
             picture = self._camera.take(self._world, self._light, pose)
-            folder.put(numbers[i], *picture, self._scanner.take(self._world, pose, noise))
+            folder.put(number, *picture, self._scanner.take(self._world, pose, noise))
 
     def summary(self) -> dict[str, Any]:
         """Return what a log may say: frames, metres driven, mean squared steering angle of the road (WHEELBASE_M)."""

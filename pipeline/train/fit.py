@@ -16,7 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.fitting import checkpoint
 from pipeline.fitting.precision import autocast
 from pipeline.fitting.schedule import warm_up_cosine
@@ -79,7 +79,7 @@ class Fit:
         goes on from there, to the same result. Raises InputError if the loss is no longer finite.
         """
         epochs = self.settings.epochs
-        with explained(hint=f"Delete {kept} to start again"):
+        with error_context(fix=f"Delete {kept} to start again"):
             own = checkpoint.read(kept, predict.KIND) if self.world.leads and kept.is_file() else None
             state = self.world.gather(own)[0]  # the others may be on machines that do not see the file
             if state:

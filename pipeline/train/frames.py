@@ -112,7 +112,7 @@ class Graphs:
         return arrays
 
     def _damaged(self, fault: str) -> InputError:
-        return InputError(f"{self.path} is damaged ({fault}). {store.again(self.path, 'graphs')}")
+        return InputError(f"{self.path} is damaged ({fault}). {store.fix_hint(self.path, 'graphs')}")
 
 
 @contextmanager

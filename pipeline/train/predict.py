@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import parse
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
@@ -110,7 +110,7 @@ class Trained:
                 f"{frames.described(graphs.contents)}: give it graphs of input: {self.line['input']} as it was trained "
                 f"on, or train it again: dvc repro --force --single-item train@{self.name}"
             )
-        with explained(where=f"model {self.name}"):
+        with error_context(where=f"model {self.name}"):
             timeline = windows.Timeline.of(graphs, self.line["motion"], self.target.car)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows_of(numbers)
         (steering_rad,) = over_drives(
@@ -172,7 +172,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         models = sorted(best.parent.name for best in folder.glob("*/best.pt"))
         hint = f"name one of those in it: {', '.join(models)}" if models else f"train it: dvc repro train@{name}"
         raise InputError(f"{folder} is not a trained model, best.pt is missing: {hint}")
-    with explained(hint=f"Train it again: dvc repro --force --single-item train@{name}"):
+    with error_context(fix=f"Train it again: dvc repro --force --single-item train@{name}"):
         content = checkpoint.read(path, KIND)
         whole = ("name", "seed", "fold", "contents", "net")
         for key, kind in _KINDS.items():
@@ -181,7 +181,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         missing = _missing(content, *whole, model=steering_net.GENERAL, target=TARGET)
         if missing:
             raise InputError(f"{path} lacks {', '.join(sorted(missing))}: an older version of this project wrote it")
-        with explained(where=str(path)):
+        with error_context(where=str(path)):
             if not all(isinstance(value, float) and math.isfinite(value) for value in content["target"].values()):
                 raise InputError(f"target = {content['target']} are not numbers")
             if content["target"]["std_rad"] <= 0:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from pipeline.base.console import default_workers
+from pipeline.base.executors import default_workers
 from pipeline.fitting.prefetch import prefetch
 from pipeline.sections.train import Noise
 from pipeline.train import frames, noise, windows

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 
 from models.steering.core import steering_net
-from pipeline.base import provenance, store
+from pipeline.base import store
 from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError, explained
-from pipeline.base.resume import file_hash, resume_key
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.resume import file_hash, revision, stage_key
 from pipeline.fitting import checkpoint
 from pipeline.sections.train import Train
 from pipeline.train import fit, frames, predict, windows
@@ -53,7 +53,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     if torch.device(device).type == "cpu":
         torch.set_num_threads(threads(train[0].graphs))
     torch.manual_seed(run.seed)
-    with explained(where=job.where):
+    with error_context(where=job.where):
         net = steering_net.build(line, **contents)
     net.to(device, torch.float64 if settings.precision == "float64" else None)
     determined_by = {
@@ -64,7 +64,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "fold": fold.name,
     }
     files = [digest for drive in fold.train + fold.val for digest in job.files[drive]]
-    key = resume_key(["stages.train", *steering_net.modules(line)], determined_by, files)
+    key = stage_key("train", determined_by, files)
     if world.gather(key) != [key] * world.size:
         raise InputError(
             f"{job.name}: the processes have not all the same code, settings, graphs and labels: bring the clones on "
@@ -76,7 +76,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "name": job.name,
         "contents": contents,
         "target": vars(predict.Target.of(train)),
-        "revision": provenance.revision(),
+        "revision": revision(),
         **determined_by,
     }
     fitting.run(train, val, state, about, f"{job.name} {run}")

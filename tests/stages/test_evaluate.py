@@ -8,7 +8,7 @@ import pytest
 import torch
 import yaml
 
-from pipeline.base import provenance, store
+from pipeline.base import imports, store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
 from pipeline.train import frames, predict
@@ -257,7 +257,7 @@ def test_report_names_models_that_are_not_here(folder: Path) -> None:
 
 def test_no_edit_of_judging_trains_and_no_edit_of_the_run_is_judged() -> None:
     trained_by, judged_by = (
-        {str(path) for path in provenance.import_closure(f"stages.{stage}")} for stage in ("train", "evaluate")
+        {str(path) for path in imports.import_closure(f"stages.{stage}")} for stage in ("train", "evaluate")
     )
     assert not {path for path in trained_by if path.startswith("pipeline/report")}
     assert not {path for path in judged_by if Path(path).stem in ("fit", "augment", "schedule")}

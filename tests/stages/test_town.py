@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.base import provenance
+from pipeline.base import resume
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
 from pipeline.kitti.raw import find_drives
@@ -29,7 +29,7 @@ DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_08_drive_00
 
 
 def write_params(path: Path, source: str = "town", **settings: object) -> Path:
-    params = yaml.safe_load((provenance.ROOT / "params.yaml").read_text(encoding="utf-8"))
+    params = yaml.safe_load((resume.ROOT / "params.yaml").read_text(encoding="utf-8"))
     params["town"] |= {"image_size": [48, 160], "scan_rays": [16, 40], "frames": {"train": 2, "val": 1, "test": 3}}
     params["town"] |= settings
     params["ingest"] |= {"source": source, "drives": {"train": DRIVES[:2], "val": [], "test": DRIVES[2:]}}
@@ -38,7 +38,7 @@ def write_params(path: Path, source: str = "town", **settings: object) -> Path:
 
 
 def test_the_samples_drives_turn_as_much_as_streets_do_and_both_ways() -> None:
-    params = provenance.ROOT / "params.yaml"
+    params = resume.ROOT / "params.yaml"
     frames, splits = load(Town, params).frames, load(Ingest, params).drives.splits()
     angles: dict[str, list[np.ndarray]] = {split: [] for split in SPLITS}
     themes: dict[str, list[str]] = {split: [] for split in SPLITS}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm")
 

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from pipeline.base import provenance
+from pipeline.base import resume
 from pipeline.inspect import forecast, stages_due
 from steer.app import app
 from tests import kitti_drive
@@ -32,7 +32,7 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def project(root: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A project of the user's that reads these drives, and in which no stage is due."""
     here = Path.cwd()
-    content = yaml.safe_load((provenance.ROOT / "params.yaml").read_text())
+    content = yaml.safe_load((resume.ROOT / "params.yaml").read_text())
     content["ingest"] |= {"source": "kitti", "drives": {"train": [DRIVE], "val": [], "test": [OTHER]}}
     (here / "params.yaml").write_text(yaml.safe_dump(content))
     (here / "dvc.yaml").write_text("stages: {}\n")
@@ -106,7 +106,7 @@ def test_damaged_params_are_one_of_the_things_to_do(project: Path) -> None:
     (project / "params.yaml").write_text("ingest: [")
     text = say(status=1)
     assert "params.yaml:1 is not valid YAML" in text
-    content = yaml.safe_load((provenance.ROOT / "params.yaml").read_text())
+    content = yaml.safe_load((resume.ROOT / "params.yaml").read_text())
     content["train"]["epochs"] = -1
     (project / "params.yaml").write_text(yaml.safe_dump(content))
     assert "train.epochs = -1" in say(status=1)
@@ -116,7 +116,7 @@ def test_damaged_params_are_one_of_the_things_to_do(project: Path) -> None:
 def test_where_dvc_cannot_say_the_run_is_told_from_the_start(root: Path) -> None:
     here = Path.cwd()
     for name in ("params.yaml", "dvc.yaml"):
-        shutil.copyfile(provenance.ROOT / name, here / name)
+        shutil.copyfile(resume.ROOT / name, here / name)
     text = say(root, status=1)  # no `dvc init`
     assert "DVC cannot say which stage has to run" in text
     assert "town has to run" not in text

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.camera.png import read_png
 from pipeline.kitti.raw import RawDrive

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import yaml
 
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 from stages import clouds, encoder, evaluate, graphs, ingest, labels, motion, perception, town, train
 
 TEST = "2026_01_03_drive_0001"

@@ -5,7 +5,7 @@ import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.inspect.compare import drives, tables
 from pipeline.inspect.compare.difference import Difference
 from pipeline.inspect.compare.values import of_values
@@ -52,7 +52,7 @@ def compare(name: str, a: Path, b: Path, tolerance: float) -> Iterator[Differenc
 def _json(a: Path, b: Path, name: str, tolerance: float) -> Iterator[Difference]:
     values = []
     for path in (a, b):
-        with explained(f"{path} is not valid JSON"):
+        with error_context(f"{path} is not valid JSON"):
             values.append(json.loads(path.read_text(encoding="utf-8")))
     yield from of_values(values[0], values[1], name, tolerance)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.inspect.compare.difference import Difference, Tally
 
 Key = tuple[str, int]  # drive or "", frame or row
@@ -40,7 +40,7 @@ def compare(a: Path, b: Path, name: str, tolerance: float) -> Iterator[Differenc
 def _read(path: Path) -> tuple[list[str], Rows]:
     rows: Rows = {}
     numbers = count()
-    with explained(str(path)), path.open(newline="", encoding="utf-8") as file:
+    with error_context(str(path)), path.open(newline="", encoding="utf-8") as file:
         try:
             reader = csv.DictReader(file, restval="", strict=True)
             columns = list(reader.fieldnames or [])

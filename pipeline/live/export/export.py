@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError, explained
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.store import write_json
 from pipeline.live.export import cases as real
 from pipeline.live.export import parts, programs
@@ -56,7 +56,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
     with replacing(out) as tmp:
         tmp.mkdir()
         for name, part in both.items():
-            with explained(where=f"model {model.name}, spatial: {model.line['spatial']}"):
+            with error_context(where=f"model {model.name}, spatial: {model.line['spatial']}"):
                 program = programs.exported(part, examples[name])
             programs.write_pt2(program, tmp / f"{name}.pt2")
             why = programs.no_onnx() or programs.write_onnx(program, part, tmp / f"{name}.onnx")

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.base.errors import explained
+from pipeline.base.errors import error_context
 from pipeline.report.tables import csv_file
 
 Row = dict[str, str]  # of a CSV file: column → value
@@ -45,7 +45,7 @@ def write_steering(model: Path, out: Path) -> None:
 def _write(model: Path, name: str, row_of: Callable[[int, Row], Row], out: Path, stage: str) -> None:
     """Write what `row_of` makes of the rows of each run's file `name`, one file each; none of a model not here."""
     for path in sorted(model.rglob(name)):
-        with explained(str(path), hint=f"Make it again: dvc repro --force --single-item {stage}@{model.name}"):
+        with error_context(str(path), fix=f"Make it again: dvc repro --force --single-item {stage}@{model.name}"):
             rows = _read(path, row_of)
         made = ".".join([model.name, *path.relative_to(model).parts[:-1], "csv"])
         # DVC draws an empty field as 0, and nan as a gap.

@@ -13,15 +13,15 @@ import pytest
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
-from pipeline.base.lock import held
+from pipeline.base.lock import exclusive
 from tests.kitti_drive import contents
 
 ROOT = Path(__file__).resolve().parents[3]
 HOLDER = """
 import sys
 from pathlib import Path
-from pipeline.base.lock import held
-with held(Path("stage"), Path(".resume/stage")):
+from pipeline.base.lock import exclusive
+with exclusive(Path("stage"), Path(".resume/stage")):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -45,7 +45,7 @@ def holder(tmp_path: Path) -> Any:
 
 
 def take(tmp_path: Path) -> None:
-    with held(tmp_path / "stage", tmp_path / ".resume/stage"):
+    with exclusive(tmp_path / "stage", tmp_path / ".resume/stage"):
         assert (tmp_path / ".resume/stage.lock").read_text().split() == [str(os.getpid()), socket.gethostname()]
 
 
@@ -53,7 +53,7 @@ def test_free_is_taken_and_leaves_no_file(tmp_path: Path) -> None:
     for _ in range(2):
         take(tmp_path)
         assert [path.name for path in (tmp_path / ".resume").iterdir()] == ["stage"]
-    with pytest.raises(ZeroDivisionError), held(tmp_path / "stage", tmp_path / ".resume/stage"):
+    with pytest.raises(ZeroDivisionError), exclusive(tmp_path / "stage", tmp_path / ".resume/stage"):
         raise ZeroDivisionError
     take(tmp_path)
     assert not (tmp_path / "stage").exists(), "nothing is written into the stage's folder"
@@ -65,7 +65,7 @@ def test_held_is_refused_with_the_process_that_holds_it(tmp_path: Path, holder: 
     for words in (f"{tmp_path}/stage", f"process {holder.pid}:", "wait", f"kill {holder.pid}"):
         assert words in str(refused.value)
     assert (tmp_path / ".resume/stage.lock").read_text().split()[0] == str(holder.pid), "the refused one wrote nothing"
-    with held(tmp_path / "other", tmp_path / ".resume/other"):
+    with exclusive(tmp_path / "other", tmp_path / ".resume/other"):
         pass
     holder.communicate()
     assert holder.returncode == 0
@@ -145,6 +145,6 @@ def test_a_full_disk_is_named_and_leaves_the_folder_free(tmp_path: Path, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
         with pytest.raises(OSError, match=r"No space left on device: .*\.resume/stage\.lock"):
-            held(tmp_path / "stage", tmp_path / ".resume/stage").__enter__()
-    with held(tmp_path / "stage", tmp_path / ".resume/stage"):
+            exclusive(tmp_path / "stage", tmp_path / ".resume/stage").__enter__()
+    with exclusive(tmp_path / "stage", tmp_path / ".resume/stage"):
         pass

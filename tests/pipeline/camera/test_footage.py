@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 from pipeline.camera import footage
 from pipeline.camera.footage import ImageFolder, Video, open_footage
 from tests.footage import SIZE, pictures, write_folder, write_video

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pipeline.base import provenance
+from pipeline.base import resume
 from pipeline.inspect.forecast import Forecast, forecast, free_bytes, present_bytes
 from pipeline.sections import preset
 
-PARAMS = provenance.ROOT / "params.yaml"
+PARAMS = resume.ROOT / "params.yaml"
 
 
 def changed(tmp_path: Path, **changes: object) -> Path:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.params import load
-from pipeline.base.provenance import ROOT
+from pipeline.base.resume import ROOT
 from pipeline.report.judge.interval import difference_interval, nmse_interval
 from pipeline.report.studies import claims, figure, study, tables
 from pipeline.sections import preset

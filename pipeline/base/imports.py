@@ -1,14 +1,10 @@
-"""Which source files a module's behaviour depends on: used for resume keys and to check dvc.yaml."""
+"""Which source files a module imports, to compare with what dvc.yaml watches."""
 
 import ast
-import hashlib
-import subprocess
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("pipeline", "models", "stages")
+from pipeline.base.resume import PACKAGES, ROOT
 
 
 def import_closure(*modules: str) -> list[Path]:
@@ -29,31 +25,6 @@ def import_closure(*modules: str) -> list[Path]:
         package, _, _ = name.rpartition(".")
         todo += [package, *_imports(path, name if path.name == "__init__.py" else package)]
     return sorted({path.relative_to(ROOT) for path in paths.values()})
-
-
-@cache
-def fingerprint(*modules: str) -> str:
-    """Return a hash of the contents of :func:`import_closure` of `modules`."""
-    digest = hashlib.sha256()
-    for path in import_closure(*modules):
-        digest.update(str(path).encode() + b"\0" + (ROOT / path).read_bytes() + b"\0")
-    return digest.hexdigest()
-
-
-def revision() -> str:
-    """Return git's name of the code's newest commit, with "-dirty" if the code differs; "unknown" outside of git.
-
-    Commits of other files change nothing: who gets dvc.lock and trains makes the bytes that the first one made.
-    """
-    code = ["--", *(f":/{package}" for package in PACKAGES)]  # from the top, also for a copy in runs/
-    try:
-        commit, changes = (
-            subprocess.run(["git", "-C", str(ROOT), *command, *code], capture_output=True, text=True, check=True).stdout
-            for command in (["log", "-1", "--format=%H"], ["status", "--porcelain"])
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return (commit.strip() or "unknown") + ("-dirty" if changes else "")
 
 
 def _source(name: str) -> Path | None:

@@ -1,16 +1,14 @@
 """Import closures: on what a resume key and dvc.yaml's deps rest."""
 
-import re
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from pipeline.base import provenance
+from pipeline.base import imports
 
 
 def closure(*modules: str) -> set[str]:
-    paths = provenance.import_closure(*modules)
+    paths = imports.import_closure(*modules)
     assert paths == sorted(paths)
     return {str(path) for path in paths}
 
@@ -28,7 +26,7 @@ def test_closure_of_a_stage() -> None:
 
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(provenance, "ROOT", tmp_path)
+    monkeypatch.setattr(imports, "ROOT", tmp_path)
     for name, text in {
         "stages/a.py": "from pipeline.base import store\n\ndef f():\n    import pipeline.room.deep.d as x\n",
         "stages/b.py": "import importlib\nfrom typing import Any\nimport torch\n",
@@ -93,42 +91,3 @@ def test_what_is_imported_by_a_computed_name_is_given() -> None:
         "stages/b.py", "models/steering/spatial/gnn.py", "models/steering/spatial/cnn.py"
     }  # fmt: skip
     assert closure("numpy") == set()
-
-
-def test_fingerprint_changes_with_the_closure_only(project: Path) -> None:
-    def fingerprint() -> str:
-        provenance.fingerprint.cache_clear()
-        return provenance.fingerprint("stages.a")
-
-    first = fingerprint()
-    (project / "pipeline/unused.py").write_text("changed = True\n")
-    assert fingerprint() == first
-    (project / "pipeline/room/up.py").write_text("z = 2\n")
-    assert fingerprint() != first
-    provenance.fingerprint.cache_clear()
-
-
-def test_revision_is_git_s_name_of_the_code_s_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    monkeypatch.setattr(provenance, "ROOT", tmp_path)
-    assert provenance.revision() == "unknown"
-
-    def commit(name: str) -> None:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("")
-        who = ["-c", "user.name=a", "-c", "user.email=b"]
-        for arguments in (["init", "-q"], ["add", "-A"], [*who, "commit", "-qm", name]):
-            subprocess.run(["git", "-C", str(tmp_path), *arguments], check=True)
-
-    commit("stages/train.py")
-    first = provenance.revision()
-    assert re.fullmatch("[0-9a-f]{40}", first)
-    commit("dvc.lock")
-    (tmp_path / "params.yaml").write_text("")
-    assert provenance.revision() == first  # results that are shared make no other code
-    (tmp_path / "models").mkdir()
-    (tmp_path / "models/mine.py").write_text("")
-    assert provenance.revision() == f"{first}-dirty"
-    commit("models/mine.py")
-    assert re.fullmatch("[0-9a-f]{40}", provenance.revision())
-    assert provenance.revision() != first

@@ -1,4 +1,4 @@
-"""Files and folders that appear under their name only when they are complete."""
+"""Files and folders that appear under their name when they are complete."""
 
 import errno
 import re
@@ -15,14 +15,14 @@ _OLD = ".old"
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a unique temporary path beside `path`, which takes its place when the block ends well and goes otherwise.
+    """Yield a unique temporary path beside `path`, which replaces `path` when the block ends without error.
 
-    The block makes a file or a folder there. Two processes that write the same path do not meet: the temporary path is
-    ``.NAME.????????.tmp/NAME``, so that its suffix still tells writers the format, and a glob for ``*.h5`` beside
-    `path` never meets it. An OSError that names the temporary path, or a full disk that names none, names `path`.
+    The block creates a file or a folder there. The temporary path is ``.NAME.????????.tmp/NAME``, so that two processes
+    that write the same path do not collide, the suffix still gives the format, and a glob for ``*.h5`` does not match.
+    An OSError that names the temporary path, or a full disk that names none, names `path`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # A folder of its own, and not a file from mkstemp, which nobody else may read.
+    # A folder of its own, as a file from mkstemp is unreadable for other users.
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
     tmp = folder / path.name
     try:
@@ -43,9 +43,9 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed processes left of :func:`replacing` directly in `folder`, and nothing else.
+    """Remove what killed processes left of :func:`replacing` directly in `folder`.
 
-    Only for who knows that nobody writes there: :func:`pipeline.base.lock.held`.
+    Call it under the folder's lock, :func:`pipeline.base.lock.exclusive`.
     """
     for path in folder.glob(".*.tmp"):
         match = _LEFTOVER.fullmatch(path.name)
@@ -56,7 +56,7 @@ def sweep(folder: Path) -> None:
 
 
 def _swap(new: Path, path: Path, old: Path) -> None:
-    """Put `new` in the place of the folder `path`, which no system call does in one step for one that is not empty."""
+    """Replace the folder `path` with `new`. No system call replaces a folder that is not empty."""
     path.replace(old)
     try:
         new.replace(path)

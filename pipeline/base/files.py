@@ -1,35 +1,26 @@
-"""Files that others made, read with bounds: a pipe or a device would never end, and some files are a terabyte."""
+"""Read files of others with a limit on their size."""
 
-import stat
 from pathlib import Path
 
 from pipeline.base.errors import DamagedFile
 
-_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISSOCK, "a socket"),
-)
 MiB = 1 << 20
 
 
-def check_file(path: Path, most_bytes: int) -> int:
-    """Return the size of a file in bytes. Raises DamagedFile if it is no regular file, or larger than `most_bytes`.
+def check_file(path: Path, limit: int) -> int:
+    """Return the size of a file in bytes. Raises DamagedFile if it is not a regular file or larger than `limit`.
 
     Raises OSError if it is missing.
     """
-    status = path.stat()
-    for is_kind, kind in _KINDS:
-        if is_kind(status.st_mode):
-            raise DamagedFile(f"{path} is {kind}, where a file is expected")
-    if status.st_size > most_bytes:
-        raise DamagedFile(f"{path} has {status.st_size} bytes: a file of its kind has at most {most_bytes}")
-    return status.st_size
+    size = path.stat().st_size
+    if not path.is_file():
+        raise DamagedFile("expected a regular file", path)
+    if size > limit:
+        raise DamagedFile(f"expected at most {limit} bytes, got {size}", path)
+    return size
 
 
-def read_bytes(path: Path, most_bytes: int) -> bytes:
-    """Return what a file holds, once :func:`check_file` let it pass."""
-    check_file(path, most_bytes)
+def read_bytes(path: Path, limit: int) -> bytes:
+    """Return the content of a file after :func:`check_file`."""
+    check_file(path, limit)
     return path.read_bytes()

@@ -1,14 +1,13 @@
-"""Reading ``params.yaml``: each section is a typed class in ``pipeline/sections/``, and a stage loads only its own.
+"""Read ``params.yaml``: each section is a typed class in ``pipeline/sections/``, and a stage loads only its own.
 
-Units stand in names or descriptions; a value out of range, an unknown key or a wrong type is an
-:class:`~pipeline.base.errors.InputError` that names file, key, value and what is allowed.
+A value out of range, an unknown key or a wrong type is an :class:`~pipeline.base.errors.InputError` with file, key,
+value and what is expected. Units are in names or descriptions.
 """
 
 import re
 from datetime import date
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
@@ -19,124 +18,108 @@ from pipeline.base.errors import InputError, closest, error_context
 _DRIVE = "^[0-9]{4}_(0[1-9]|1[0-2])_(0[1-9]|[12][0-9]|3[01])_drive_[0-9]{4}$"
 
 
-def _on_a_day(drive: str) -> str:
-    date(*map(int, drive[:10].split("_")))  # its ValueError says which part is out of range
+def _has_valid_date(drive: str) -> str:
+    date(*map(int, drive[:10].split("_")))  # its ValueError names the part that is out of range
     return drive
 
 
-Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052"), AfterValidator(_on_a_day)]
+Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052"), AfterValidator(_has_valid_date)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
-Rate = Annotated[float, Field(gt=0, le=10, description="of learning")]
+Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=32, le=4096)]
 ImageSize = Annotated[tuple[Side, Side], Field(description="[H, W] in pixels")]
-_QUOTED = 80  # characters of a wrong value
-NAME = re.compile("[A-Za-z0-9][A-Za-z0-9_-]*")  # what DVC can address in a stage's name, and no shell misreads
+NAME = re.compile("[A-Za-z0-9][A-Za-z0-9_-]{,99}")  # safe in a stage's name, a folder's name and a shell
 SPLITS = ("train", "val", "test")
+SECTIONS = (
+    "town", "ingest", "labels", "encoder", "perception", "motion", "clouds", "pictures", "graphs", "models", "train",
+    "evaluate",
+)  # fmt: skip
+_COPY = "Copy it from the project's own params.yaml"
 
 
 class Section(BaseModel):
+    """One section of the params file, or one entry of a mapping section."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     key: ClassVar[str]
 
 
 S = TypeVar("S", bound=Section)
 
-SECTIONS = (
-    "town", "ingest", "labels", "encoder", "perception", "motion", "clouds", "pictures", "graphs", "models", "train",
-    "evaluate",
-)  # fmt: skip
-
 
 def load(section: type[S], path: Path) -> S:
-    """Read one section of the params file at `path`. Raises InputError as the module says."""
+    """Read one section of the params file at `path`. Raises InputError."""
     content = _read(path)
     if section.key not in content:
-        raise InputError(f"{path} has no section {section.key!r}: take it from the project's own params.yaml")
-    with error_context(str(path)):
+        raise InputError(f"no section {section.key!r}", path, _COPY)
+    with error_context(path):
         return parse(section, content[section.key], section.key)
 
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises InputError."""
-    content = _read(path)
-    _check_name(name, mapping, path)
-    entries = content.get(mapping)
-    if not isinstance(entries, dict) or name not in entries:
-        known = list(entries) if isinstance(entries, dict) else []
-        raise InputError(f"{path}: {mapping} has no {name!r}: {closest(name, known)}")
-    with error_context(str(path)):
+    entries = _mapping(mapping, path)
+    if name not in entries:
+        raise InputError(f"{mapping} has no entry {name!r}: {closest(name, list(entries))}", path)
+    with error_context(path):
         return parse(kind, entries[name], f"{mapping}.{name}")
 
 
 def names(mapping: str, path: Path) -> list[str]:
     """Return the names in a mapping section (``graphs`` or ``models``), in the file's order. Raises InputError."""
+    return list(_mapping(mapping, path))
+
+
+def _mapping(mapping: str, path: Path) -> dict[str, Any]:
     entries = _read(path).get(mapping)
     if not isinstance(entries, dict) or not entries:
-        raise InputError(f"{path}: section {mapping!r} is missing or empty: it needs at least one entry")
+        raise InputError(f"section {mapping!r} is missing or empty: it needs at least one entry", path)
     for name in entries:
-        _check_name(name, mapping, path)
-    return list(entries)
-
-
-def _check_name(name: Any, mapping: str, path: Path) -> None:
-    """It becomes part of folder names, stage names and commands. YAML reads 1 and on, without quotes, as no text."""
-    if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise InputError(
-            f"{path}: section {mapping!r}: the name {name!r} is not allowed: take letters A-Z and a-z, digits, _ and "
-            f"-, starting with a letter or digit{'' if isinstance(name, str) else ', and put it in quotes'}"
-        )
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            fix = "Use up to 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on"
+            raise InputError(f"section {mapping!r}: invalid name {_shorten(name)}", path, fix)
+    return entries
 
 
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise InputError(f"{path} is missing: run from the repository's root, or: git checkout {path.name}")
+        raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
     content = yaml_file.read(path)
     if not isinstance(content, dict):
-        raise InputError(f"{path} holds no sections")
+        raise InputError("expected sections", path)
     for name in content:
         if name not in SECTIONS:
-            raise InputError(f"{path}: unknown section {name!r}: {closest(str(name), SECTIONS)}")
+            raise InputError(f"unknown section {name!r}: {closest(str(name), SECTIONS)}", path)
     return content
 
 
 def parse(kind: type[S], value: Any, where: str) -> S:
-    """Return `value`, which stands at the dotted key `where`, as a `kind`. Raises InputError, caused by pydantic's."""
+    """Validate `value` at the dotted key `where` as a `kind`. Raises InputError, caused by pydantic's error."""
     try:
         return kind.model_validate(value)
     except ValidationError as error:
-        first = fault(error)
+        first = first_fault(error)
         key = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
         if first["type"] == "extra_forbidden":
-            section: Any = kind
-            for part in first["loc"][:-1]:
-                of_a_mapping = get_origin(section) is dict
-                section = get_args(section)[1] if of_a_mapping else without_none(section.model_fields[part].annotation)
-            known = list(section.model_fields)
-            raise InputError(f"unknown key {key}: {closest(str(first['loc'][-1]), known)}") from error
+            name = str(first["loc"][-1])
+            options = list(kind.model_fields) if len(first["loc"]) == 1 else []
+            raise InputError(f"unknown key{f': {closest(name, options)}' if options else ''}", key) from error
         if first["type"] == "missing":
-            raise InputError(f"{key} is missing: take it from the project's own params.yaml") from error
-        # A rule on a whole section would print all of it.
-        value = "" if isinstance(first["input"], dict) else f" = {_shortened(first['input'])}"
-        raise InputError(f"{key}{value}: {first['msg'].removeprefix('Value error, ')}") from error
+            raise InputError("key is missing", key, _COPY) from error
+        # A rule on a complete section would print all of it.
+        got = "" if isinstance(first["input"], dict) else f" (got {_shorten(first['input'])})"
+        raise InputError(f"{first['msg'].removeprefix('Value error, ')}{got}", key) from error
 
 
-def _shortened(value: Any) -> str:
-    """Return a value as a message quotes it."""
+def _shorten(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}…"
+    return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def fault(error: ValidationError) -> ErrorDetails:
-    """Return the one of its faults that is worth a line: an unknown key explains the one that is missing."""
+def first_fault(error: ValidationError) -> ErrorDetails:
+    """Return the fault to show: an unknown key before the key that is missing in its place."""
     faults = error.errors()
-    return next((one for one in faults if one["type"] == "extra_forbidden"), faults[0])
-
-
-def without_none(annotation: Any) -> Any:
-    """Return X of ``X | None``, and any other type as it is."""
-    if get_origin(annotation) not in (Union, UnionType):
-        return annotation
-    return next(kind for kind in get_args(annotation) if kind is not NoneType)
+    return next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])

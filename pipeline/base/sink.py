@@ -1,4 +1,4 @@
-"""Where HDF5 writes: a file that remembers what went wrong, which HDF5 and h5py lose."""
+"""File object that records write errors, which HDF5 and h5py lose."""
 
 import io
 from collections.abc import Iterator
@@ -8,14 +8,14 @@ from typing import Any
 
 
 class Sink(io.FileIO):
-    """The file below an HDF5 file. It remembers a failure and goes on.
+    """The file below an HDF5 file. It records the first error and continues.
 
-    HDF5 writes much of a file as it closes it, where h5py loses errors: on a full disk, it would leave an incomplete
-    file that looks complete, and crash as the process ends.
+    HDF5 writes much of a file while closing it, where h5py drops errors: on a full disk, an incomplete file would look
+    complete, and the process would crash at its end.
     """
 
     def __init__(self, tmp: Path, path: Path) -> None:
-        """Write to `tmp`; errors name `path`, which it becomes."""
+        """Write to `tmp`; errors name `path`, its final name."""
         super().__init__(tmp, "w+")
         self._path = str(path)
         self._error: OSError | None = None
@@ -24,31 +24,31 @@ class Sink(io.FileIO):
         left = memoryview(data).cast("B")
         size = len(left)
         try:
-            while left:  # the system may take a part only
+            while left:  # the system may write a part only
                 left = left[super().write(left) :]
         except OSError as error:
-            self._remember(error)
+            self._record(error)
         return size
 
     def truncate(self, size: int | None = None) -> int:
         try:
             return super().truncate(size)
         except OSError as error:
-            self._remember(error)
+            self._record(error)
         return size or 0
 
-    def _remember(self, error: OSError) -> None:
+    def _record(self, error: OSError) -> None:
         error.filename = self._path
         self._error = self._error or error
 
     def check(self) -> None:
-        """Raise the first error there was."""
+        """Raise the recorded error, if there is one."""
         if self._error:
             raise self._error
 
     @contextmanager
-    def to_blame(self) -> Iterator[None]:
-        """Raise the first error there was in place of what HDF5 says of a file that lacks what it believes written."""
+    def raising(self) -> Iterator[None]:
+        """Raise the recorded error at the end of the block, in place of what HDF5 raises as its consequence."""
         try:
             yield
         except Exception as error:

@@ -1,43 +1,49 @@
-"""What a user is meant to read says where, what, and what to do."""
+"""Errors with fields: rendering, context, pickling."""
+
+import pickle
 
 import pytest
 
 from pipeline.base.errors import DamagedFile, InputError, closest, error_context
 
 
-def test_explained_adds_where_and_a_hint() -> None:
-    for error in (InputError("is cut short"), ValueError("is cut short")):
-        with pytest.raises(InputError) as raised, error_context("a.png", fix="Extract it again"):
-            raise error
-        assert str(raised.value) == "a.png: is cut short. Extract it again"
-        assert type(raised.value) is InputError
-        assert raised.value.__cause__ is error
-
-
 @pytest.mark.parametrize(
-    ("where", "hint", "message"),
-    [("", "", "no end."), ("", "do b", "no end. do b"), ("a", "", "a: no end."), ("a", "do b", "a: no end. do b")],
+    ("where", "fix", "message"),
+    [
+        ("", "", "no end"),
+        ("", "Do b", "no end. Do b"),
+        ("a", "", "a: no end"),
+        ("a", "Do b", "a: no end. Do b"),
+    ],
 )
-def test_parts_that_are_left_out(where: str, hint: str, message: str) -> None:
-    with pytest.raises(InputError) as raised, error_context(where, fix=hint):
-        raise InputError("no end.")
-    assert str(raised.value) == message
+def test_rendering(where: str, fix: str, message: str) -> None:
+    error = InputError("no end", where, fix)
+    assert str(error) == message
+    copy = pickle.loads(pickle.dumps(error))
+    assert (type(copy), str(copy), copy.problem, copy.where, copy.fix) == (InputError, message, "no end", where, fix)
 
 
-def test_a_damaged_file_stays_one() -> None:
-    with pytest.raises(DamagedFile, match=r"a: is cut\. Extract"), error_context("a", fix="Extract"):
-        raise DamagedFile("is cut")
+@pytest.mark.parametrize("error", [InputError("cut short", "b"), ValueError("cut short"), DamagedFile("cut short")])
+def test_context_adds_where_and_fix(error: Exception) -> None:
+    with pytest.raises(InputError) as raised, error_context("a", "Extract it again"):
+        raise error
+    inner = ": b" if isinstance(error, InputError) and error.where else ""
+    assert str(raised.value) == f"a{inner}: cut short. Extract it again"
+    assert type(raised.value) is (DamagedFile if isinstance(error, DamagedFile) else InputError)
+    assert raised.value.__cause__ is error
 
 
-def test_other_errors_pass() -> None:
-    for error in (KeyError("a"), OSError("b"), KeyboardInterrupt()):
-        with pytest.raises(type(error)) as raised, error_context("where", fix="hint"):
-            raise error
-        assert raised.value is error
+def test_the_inner_fix_wins() -> None:
+    with pytest.raises(InputError) as raised, error_context("a", "outer"):
+        raise InputError("cut", fix="inner")
+    assert raised.value.fix == "inner"
 
 
-def test_an_input_error_is_not_caught_as_a_mistake_in_the_program() -> None:
-    assert not issubclass(InputError, ValueError)
+@pytest.mark.parametrize("error", [KeyError("a"), OSError("b"), KeyboardInterrupt()])
+def test_other_errors_pass(error: BaseException) -> None:
+    with pytest.raises(type(error)) as raised, error_context("where", "fix"):
+        raise error
+    assert raised.value is error
 
 
 def test_closest_names() -> None:

@@ -7,9 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.row import DEVICE, Row, compare, milliseconds
-from models.steering.core.recurrent import NOMINAL_STEP_S
-from models.steering.core.wiring import Sizes
-from models.steering.temporal import ncp
+from models.steering.core.cell.ltc import LTC
+from models.steering.core.wiring import ncp
 
 WINDOWS, WINDOW, FEATURES = 24, 8, 32
 REPEATS = 10
@@ -20,8 +19,8 @@ def ltc() -> Row:
     torch.manual_seed(0)
     x = torch.randn(WINDOWS + WINDOW - 1, FEATURES, device=DEVICE)
     windows = torch.arange(WINDOWS, device=DEVICE)[:, None] + torch.arange(WINDOW, device=DEVICE)
-    dt_s = torch.full((WINDOWS, WINDOW), NOMINAL_STEP_S, device=DEVICE)
-    ours, alternative = ncp.network(FEATURES).to(DEVICE), ncps_ltc(FEATURES).to(DEVICE)
+    dt_s = torch.full((WINDOWS, WINDOW), 0.1, device=DEVICE)
+    ours, alternative = LTC(ncp(FEATURES)).to(DEVICE), ncps_ltc(FEATURES).to(DEVICE)
 
     def forward_ours() -> Tensor:
         return ours(ours.sense(x)[windows], dt_s)[0]
@@ -41,12 +40,19 @@ def ncps_ltc(features: int) -> nn.Module:
     """Return the LTC network of ncps on a wiring of the same sizes."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        from ncps.torch import LTC
+        from ncps import torch as ncps_torch
         from ncps.wirings import NCP
 
-    sizes = Sizes()
-    fanouts = (sizes.sensory_fanout, sizes.inter_fanout, sizes.recurrent_command_synapses, sizes.motor_fanin)
-    net: nn.Module = LTC(features, NCP(sizes.inter, sizes.command, 1, *fanouts), batch_first=True)
+    wiring = NCP(
+        inter_neurons=12,
+        command_neurons=6,
+        motor_neurons=1,
+        sensory_fanout=6,
+        inter_fanout=4,
+        recurrent_command_synapses=6,
+        motor_fanin=6,
+    )
+    net: nn.Module = ncps_torch.LTC(features, wiring, batch_first=True)
     return net
 
 

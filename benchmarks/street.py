@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 import yaml
 
 from benchmarks.row import DEVICE
@@ -42,7 +43,9 @@ class Street:
 
     def batch(self, count: int, device: str = DEVICE) -> GraphBatch:
         """Return the first `count` frames as a batch of the graph network."""
-        return GraphBatch.of_arrays(self.arrays(count)).to(device)
+        arrays = {name: torch.as_tensor(array) for name, array in self.arrays(count).items()}
+        fields = {name: arrays[name] for name in ("xyz", "cls", "ptr", "degree", "indices")}
+        return GraphBatch(**fields).to(device)
 
     def clouds(self, count: int) -> list[cloud.Cloud]:
         """Return points [P,3] and trainIds [P] of the first `count` frames."""

@@ -8,7 +8,6 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -70,12 +69,12 @@ def shared_step(street: Street) -> Callable[[], None]:
     torch.manual_seed(0)
     net = steering_net.build(MODEL).to(DEVICE)
     optimiser = torch.optim.AdamW(net.parameters())
-    rows = np.arange(WINDOWS)[:, None] + np.arange(WINDOW)
-    targets = {"windows": rows, "dt_s": np.full(rows.shape, 0.1, np.float32)}
+    rows = torch.arange(WINDOWS, device=DEVICE)[:, None] + torch.arange(WINDOW, device=DEVICE)
+    dt_s = torch.full(rows.shape, 0.1, device=DEVICE)
 
     def work() -> None:
         optimiser.zero_grad()
-        steering_net.predict(net, street.arrays(FRAMES) | targets).square().sum().backward()  # type: ignore[no-untyped-call]
+        net(street.batch(FRAMES), rows, dt_s).square().sum().backward()
         optimiser.step()
 
     return work

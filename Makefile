@@ -43,7 +43,7 @@ params: setup          ## write the settings of a preset into params.yaml: make 
 
 PYTEST = OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder
 test: setup            ## run all tests but the soak tests, with coverage
-	$(PYTEST) -m "not soak" --cov --cov-report=term:skip-covered --cov-fail-under=95
+	$(PYTEST) --cov --cov-report=term:skip-covered --cov-fail-under=95
 
 soak: setup            ## run the long tests: kills in each stage, full disks, several machines
 	$(if $(KITTI),STEER_KITTI="$(KITTI)") $(PYTEST) -m soak

@@ -1,1 +1,1 @@
-"""What it costs: ``python -m benchmarks.<name>`` measures on this machine and prints a table."""
+"""Measure this project beside its alternatives: ``python -m benchmarks.bench`` (``make bench``)."""

@@ -1,89 +1,44 @@
-"""How clouds and graphs may lie on disk: bytes and reading time of a frame, by encoding. See docs/files.md."""
+"""Measure graph files beside PyTorch Geometric's Data, written by torch.save."""
 
-import statistics
 import tempfile
-import time
-from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
 
-import h5py
-import hdf5plugin
-import numpy as np
-import typer
+import torch
 
-from pipeline.base import console, store
-
-CHUNK_ROWS = 32768  # as pipeline/base/store.py
-ROUNDS = 7  # medians of so many
-SHUFFLE, BITSHUFFLE = hdf5plugin.Blosc2.SHUFFLE, hdf5plugin.Blosc2.BITSHUFFLE
-FILTERS: dict[str, Mapping[str, Any]] = {
-    "none": {},
-    "gzip 1, shuffle": {"compression": "gzip", "compression_opts": 1, "shuffle": True},
-    "lzf, shuffle": {"compression": "lzf", "shuffle": True},
-    "Bitshuffle lz4": hdf5plugin.Bitshuffle(cname="lz4"),
-    "Blosc2 lz4, shuffle": hdf5plugin.Blosc2(cname="lz4", filters=SHUFFLE),
-    "Blosc2 zstd 1, shuffle": hdf5plugin.Blosc2(cname="zstd", clevel=1, filters=SHUFFLE),
-    "Blosc2 lz4, bitshuffle": hdf5plugin.Blosc2(cname="lz4", filters=BITSHUFFLE),
-    "the same, checksum": {**hdf5plugin.Blosc2(cname="lz4", filters=BITSHUFFLE), "fletcher32": True},
-}
+from benchmarks.graph_network import edge_index
+from benchmarks.row import DEVICE, Row, compare, milliseconds, row
+from benchmarks.street import FRAMES, Street
+from pipeline.train import frames
 
 
-def main(
-    graphs: Annotated[Path, typer.Argument(help="a graph file of a kNN variant")],
-    frames: Annotated[int, typer.Option(min=1, help="of its first so many")] = 6,
-) -> None:
-    """Print a Markdown table: kB a frame, and ms of one core to read one alone, from what the system has in memory."""
-    with store.DriveReader(graphs, stage="graphs") as file:
-        ptr, indices_ptr = file["ptr"][: frames + 1], file["indices_ptr"][: frames + 1]
-        of_points = {name: file.rows(name, 0, ptr[-1]) for name in ("xyz", "degree", "cls")}
-        indices = file.rows("indices", 0, indices_ptr[-1])
-    columns = {name: (rows, ptr) for name, rows in encodings(of_points["xyz"]).items()}
-    columns |= {name: (rows, indices_ptr) for name, rows in differences(indices, of_points["degree"]).items()}
-    columns |= {name: (of_points[name], ptr) for name in ("degree", "cls")}
-    print(f"| filter | {' | '.join(columns)} |\n|---|{'--:|' * len(columns)}")
+def size(street: Street) -> Row:
+    """Compare bytes on disk."""
     with tempfile.TemporaryDirectory() as folder:
-        for name, options in FILTERS.items():
-            cells = [measured(Path(folder) / "a.h5", rows, ptr, options) for rows, ptr in columns.values()]
-            print(f"| {name} | {' | '.join(f'{kilobytes:.0f}, {ms:.2f}' for kilobytes, ms in cells)} |")
+        alternative = sum(path.stat().st_size for path in save(street, Path(folder), FRAMES)) / FRAMES
+    with frames.open_graphs(street.file) as file:
+        ours = street.file.stat().st_size / len(file.frame)
+    return row(ours / 1e6, alternative / 1e6, "MB/frame", f"{street.title}: graph file / PyG Data by torch.save")
 
 
-def encodings(xyz: np.ndarray) -> dict[str, np.ndarray]:
-    """Return points [N,3] in steps of 1/1024 m in the ways that they could be stored."""
-    steps = np.rint(xyz * 1024).astype(np.int32)
-    return {
-        "xyz float32": xyz,
-        "int32 steps": steps,
-        "int32 differences": np.diff(steps, axis=0, prepend=np.int32(0)),
-        "int16 of 4 mm": np.rint(xyz * 256).astype(np.int16),
-    }
+def load(street: Street) -> Row:
+    """Compare reading a run of frames, from files in the system's cache to a batch on the device."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = save(street, Path(folder), FRAMES)
+        return compare(
+            milliseconds(lambda: street.batch(FRAMES), FRAMES),
+            milliseconds(lambda: [torch.load(path, weights_only=False).to(DEVICE) for path in paths], FRAMES),
+            "ms/frame",
+            f"{street.title}: {FRAMES} frames of a graph file / torch.load of PyG Data",
+        )
 
 
-def differences(indices: np.ndarray, degree: np.ndarray) -> dict[str, np.ndarray]:
-    """Return neighbours [E] of all nodes as they are, less the one before, and less the node itself (modulo 2^16)."""
-    node = np.repeat(np.arange(len(degree)), degree)
-    return {
-        "indices uint16": indices,
-        "less the last": np.diff(indices, prepend=indices.dtype.type(0)),
-        "less the node": (indices - node).astype(indices.dtype),
-    }
+def save(street: Street, folder: Path, count: int) -> list[Path]:
+    """Write the first `count` frames, a file each: float32 points and int64 edges, as PyG's operators need them."""
+    from torch_geometric.data import Data
 
-
-def measured(path: Path, rows: np.ndarray, ptr: np.ndarray, options: Mapping[str, Any]) -> tuple[float, float]:
-    """Write the rows of all frames; return kB of a frame, and ms of CPU to read one, the median over all."""
-    with h5py.File(path, "w", libver="v110") as file:
-        chunks = (CHUNK_ROWS, *rows.shape[1:])
-        kilobytes = file.create_dataset("rows", data=rows, chunks=chunks, **options).id.get_storage_size() / 1000
-    out, times = np.zeros_like(rows), []
-    with h5py.File(path, rdcc_nbytes=0) as file:  # no chunk is remembered
-        dataset = file["rows"]
-        for frame in [*pairwise(ptr.tolist())] * ROUNDS:
-            start = time.process_time()
-            dataset.read_direct(out, np.s_[slice(*frame)], np.s_[slice(*frame)])
-            times.append(time.process_time() - start)
-    return kilobytes / (len(ptr) - 1), 1000 * statistics.median(times)
-
-
-if __name__ == "__main__":
-    console.run(main)
+    paths = []
+    for number, frame in enumerate(street.batch(count, "cpu").blocks(1)):
+        paths.append(folder / f"{number}.pt")
+        # Clones: a view would save the storage of all frames.
+        torch.save(Data(pos=frame.xyz.clone(), cls=frame.cls.long(), edge_index=edge_index(frame)), paths[-1])
+    return paths

@@ -1,4 +1,4 @@
-"""Draw README's pictures from what `make demo` left in data/: python docs/make_pictures.py [DRIVE FRAME]."""
+"""Draw the README's pictures from the output of `make demo`: python docs/make_pictures.py [DRIVE FRAME]."""
 
 import csv
 import shutil
@@ -20,15 +20,15 @@ MODEL = "sa-gnn-ncp"
 
 
 def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
-    """Draw one frame's way through the chain, and copy the sample's contact sheet."""
+    """Draw the steps of the chain for one frame, and copy the sample's contact sheet."""
     figure = Figure(figsize=(13, 6.2), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
     with (
         store.DriveReader(DATA / f"ingest/{drive}.h5", stage="ingest") as raw,
-        store.DriveReader(DATA / f"perception/{drive}.h5", stage="perception") as seen,
+        store.DriveReader(DATA / f"perception/{drive}.h5", stage="perception") as perceived,
         store.DriveReader(DATA / f"clouds/pseudo/{drive}.h5", stage="clouds") as file,
     ):
-        view = street_view.read_view(raw, seen, file, number)
+        view = street_view.read_view(raw, perceived, file, number)
     panels["a"].imshow(view.rgb)
     street_view.draw_depth(panels["b"], view.depth_m)
     panels["c"].imshow(classes.colourise(view.cls))
@@ -40,9 +40,9 @@ def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
     street_view.draw_cloud(panels["d"], xyz, cls)
     panels["d"].set_title(f"semantic cloud from above: {len(xyz):,} points")
     chosen = cloud.sample(len(xyz), 300, np.random.default_rng(0))
-    made = graph.build(xyz[chosen], cls[chosen], 6, 0.2, np.random.default_rng(0))
-    _draw_graph(panels["e"], xyz[chosen], classes.colourise(cls[chosen]) / 255, made)
-    panels["e"].set_title(f"300 points of it: {made.edges_knn:,} kNN edges pruned to {made.edges_kept:,}")
+    pruned = graph.build(xyz[chosen], cls[chosen], 6, 0.2, np.random.default_rng(0))
+    _draw_graph(panels["e"], xyz[chosen], classes.colourise(cls[chosen]) / 255, pruned)
+    panels["e"].set_title(f"300 points of it: {pruned.edges_knn:,} kNN edges pruned to {pruned.edges_kept:,}")
     street_view.look_from_above(panels["e"])
     _draw_steering(panels["f"], drive, number)
     figure.savefig(DOCS / "chain.png", dpi=85, metadata={"Software": None})
@@ -50,11 +50,11 @@ def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
     shutil.copyfile(DATA / "town/contact_sheet.png", DOCS / "town.png")
 
 
-def _draw_graph(panel: Axes, xyz: np.ndarray, colour: np.ndarray, made: graph.Graph) -> None:
-    source = np.repeat(np.arange(len(made.degree)), made.degree)
+def _draw_graph(panel: Axes, xyz: np.ndarray, colour: np.ndarray, pruned: graph.Graph) -> None:
+    source = np.repeat(np.arange(len(pruned.degree)), pruned.degree)
     ends = xyz[:, [0, 2]]
     panel.add_collection(
-        LineCollection(np.stack([ends[source], ends[made.indices]], axis=1), colors="0.6", linewidths=0.5)
+        LineCollection(np.stack([ends[source], ends[pruned.indices]], axis=1), colors="0.6", linewidths=0.5)
     )
     panel.scatter(*ends.T, s=12, c=colour, linewidths=0, zorder=2)
 
@@ -66,7 +66,7 @@ def _draw_steering(panel: Axes, drive: str, number: int) -> None:
     for key, colour, label in (("steering_rad", "tab:red", "driven"), ("predicted_rad", "tab:green", "predicted")):
         panel.plot(frame, np.rad2deg([float(row[key]) for row in rows]), color=colour, label=label)
     panel.axvline(number, color="0.7", linewidth=1)
-    panel.set(xlabel="frame of the test drive", ylabel="steering in deg, left +", title="steering from 8 such graphs")
+    panel.set(xlabel="frame of the test drive", ylabel="steering in deg, left +", title="steering from 8 graphs")
     panel.margins(x=0)
     panel.legend(frameon=False)
 

@@ -1,4 +1,4 @@
-"""Draw clouds of real drives from above, from what `make real` left in runs/real/data/clouds/.
+"""Draw clouds of real drives from above, from the output of `make real`.
 
 python docs/make_real_clouds.py runs/real/data
 """
@@ -14,7 +14,7 @@ from pipeline.camera import classes
 from pipeline.report import street_view
 
 DOCS = Path(__file__).resolve().parent
-ROWS = (  # clouds, drive, what it is, frames
+ROWS = (  # kind, drive, caption, frames
     ("pseudo", "2011_09_26_drive_0005", "from the image", (20, 65, 110)),
     ("lidar", "2011_09_26_drive_0005", "LiDAR, coloured by the image's classes", (20, 65, 110)),
     ("pseudo", "2011_10_03_drive_0042", "from the image, grey", (8, 25, 42)),
@@ -23,20 +23,20 @@ ROWS = (  # clouds, drive, what it is, frames
 
 
 def main(data: Path = Path("data")) -> None:
-    """Draw a row of clouds for each entry of ROWS. No picture of KITTI's, whose licence is non-commercial, is shown."""
+    """Draw a row of clouds for each entry of ROWS, without KITTI's images: their licence is non-commercial."""
     figure = Figure(figsize=(10, 15), layout="constrained")
-    seen = []
+    all_cls = []
     for strip, (kind, drive, what, frames) in zip(figure.subfigures(len(ROWS)), ROWS, strict=True):
         strip.suptitle(f"{drive}, {what}", fontsize="medium")
         with store.DriveReader(data / f"clouds/{kind}/{drive}.h5", stage="clouds") as file:
             for panel, frame in zip(strip.subplots(1, len(frames)), frames, strict=True):
                 start, stop = file.rows("ptr", file.row_of(frame), file.row_of(frame) + 2)
                 xyz, cls = file.rows("xyz", start, stop), file.rows("cls", start, stop)
-                shown = cls != classes.VOID  # a scan looks all around, the image says what lies ahead
+                shown = cls != classes.VOID  # points outside of the image have no class
                 street_view.draw_cloud(panel, xyz[shown], cls[shown])
                 panel.set_title(f"frame {frame}", fontsize="small", loc="left")
-                seen.append(cls)
-    street_view.class_legend(figure, np.concatenate(seen), columns=8)
+                all_cls.append(cls)
+    street_view.class_legend(figure, np.concatenate(all_cls), columns=8)
     figure.savefig(DOCS / "real_clouds.png", dpi=80, metadata={"Software": None})
 
 

@@ -1,4 +1,4 @@
-"""What ``make PRESET`` prepares; in place of DVC stands a command that notes how it was called."""
+"""Test the Makefile: presets with a DVC that only logs its calls, and set-up with a uv and a pip that do the same."""
 
 import fcntl
 import os
@@ -19,76 +19,103 @@ case "$1" in
 init) mkdir .dvc ;;
 repro)
   mkdir -p data/report/settings && touch data/report/index.html
-  echo "| of $(basename "$PWD") |" | tee data/report/table.csv > data/report/table.md
+  echo "| $(basename "$PWD") |" | tee data/report/table.csv > data/report/table.md
   case "$PWD" in */studies) touch data/report/settings/studies.md data/report/settings/roads.png ;; esac ;;
 esac
 """
-
 PYTHON = """#!/bin/sh
-exec "{python}" "$@"
+case "$*" in
+*"pip install"*) echo "pip $@" >> {log} ;;
+*"config list"*)
+  printf "%s\\n" "global.extra-index-url='\\\\nhttps://a\\\\nhttps://b'" "install.find-links='/w1 /w2'" ;;
+*) exec "{python}" "$@" ;;
+esac
+"""
+UV = """#!/bin/sh
+echo "uv $UV_FIND_LINKS $UV_EXTRA_INDEX_URL" >> {log}
+exit {status}
 """
 
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A copy of the project; its python is this one, and its dvc only pretends."""
+    """Return a copy of the project with this python and a dvc that only logs."""
     folder = tmp_path / "checkout"
-    ignore = shutil.ignore_patterns("__pycache__")
-    for room in ("pipeline", "models", "stages", "presets"):
-        shutil.copytree(ROOT / room, folder / room, ignore=ignore)
+    for name in ("pipeline", "models", "stages", "presets"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("Makefile", "params.yaml", "dvc.yaml", ".dvcignore", "data/.gitignore"):
         (folder / name).parent.mkdir(exist_ok=True)
         shutil.copyfile(ROOT / name, folder / name)
-    (folder / "fake/bin").mkdir(parents=True)
-    for name, text in {"python": PYTHON, "dvc": DVC}.items():
-        (folder / "fake/bin" / name).write_text(text.format(log=folder / "calls", python=sys.executable))
-        (folder / "fake/bin" / name).chmod(0o755)
+    write_programs(folder, python=PYTHON, dvc=DVC)
     return folder
 
 
-def make(checkout: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run make without its target `setup`, which would install."""
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS")}
-    command = ["make", "-o", "setup", "VENV=fake", *words]
+def write_programs(folder: Path, status: int = 0, **programs: str) -> None:
+    (folder / "fake/bin").mkdir(parents=True, exist_ok=True)
+    for name, text in programs.items():
+        path = folder / "fake/bin" / name
+        path.write_text(text.format(log=folder / "calls", python=sys.executable, status=status))
+        path.chmod(0o755)
+
+
+def make(checkout: Path, *words: str, skip: str = "setup") -> subprocess.CompletedProcess[str]:
+    """Run make without the target `skip`, which would install packages."""
+    variables = ("PYTHONPATH", "MAKEFLAGS", "UV_FIND_LINKS", "UV_EXTRA_INDEX_URL")
+    environment = {name: value for name, value in os.environ.items() if name not in variables}
+    command = ["make", "-o", skip, "VENV=fake", *words]
     return subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.parametrize("status", [0, 1])
+def test_setup_installs_with_uv_and_pips_settings_or_else_with_pip(tmp_path: Path, status: int) -> None:
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copyfile(ROOT / name, tmp_path / name)
+    write_programs(tmp_path, status, python=PYTHON, uv=UV)
+    for _ in range(2):  # the second finds the marker file
+        done = make(tmp_path, "setup", skip="system")
+        assert done.returncode == 0, done.stderr
+    bootstrap, uv, *pip = (tmp_path / "calls").read_text().splitlines()
+    assert bootstrap.endswith("--constraint constraints.txt uv")
+    assert uv.split() == ["uv", "/w1,/w2", "https://a", "https://b"]
+    assert [line.split()[-3:] for line in pip] == status * [["torch", "--editable", ".[dev]"]]
+
+
 @pytest.mark.slow
-def test_presets_run_in_copies_of_the_code_and_leave_ones_own_files_alone(checkout: Path) -> None:
-    own = (checkout / "params.yaml").read_text()
-    for name in ("kitti", "table2"):
-        made = make(checkout, name)
-        assert made.returncode == 0, made.stderr
+def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
+    params = (checkout / "params.yaml").read_text()
+    for name in ("kitti", "studies"):
+        done = make(checkout, name)
+        assert done.returncode == 0, done.stderr
         run = checkout / "runs" / name
         assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merged(name)
         for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/label.py"):
             assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
         assert (run / "data/raw").resolve() == checkout / "data/raw"
         assert (run / "weights").resolve() == checkout / "weights"
-        assert (checkout / f"data/report/{name}.md").read_text() == f"| of {name} |\n"
+        assert (checkout / f"data/report/{name}.md").read_text() == f"| {name} |\n"
         assert all((checkout / f"data/report/{name}.{kind}").is_file() for kind in ("csv", "html"))
-    assert (checkout / "params.yaml").read_text() == own
+    assert (checkout / "params.yaml").read_text() == params
     assert sorted(path.name for path in (checkout / "data").iterdir()) == [".gitignore", "report"]
-    (checkout / "runs/kitti/pipeline/gone.py").touch()
+    figures = [path for path in (checkout / "data/report").rglob("*") if path.parent != checkout / "data/report"]
+    assert sorted(path.name for path in figures) == ["roads.png", "studies.md"]
+    (checkout / "runs/kitti/pipeline/removed.py").touch()
     make(checkout, "kitti")
-    assert not (checkout / "runs/kitti/pipeline/gone.py").exists()
+    assert not (checkout / "runs/kitti/pipeline/removed.py").exists()
     first = ["init --quiet --no-scm", "cache dir ../../.dvc/cache", "repro"]
     assert (checkout / "calls").read_text().splitlines() == [*first, *first, *first[1:]]
 
 
 @pytest.mark.slow
-def test_a_second_run_of_a_preset_touches_nothing_under_the_first(checkout: Path) -> None:
+def test_a_second_run_of_a_preset_is_refused(checkout: Path) -> None:
     (checkout / "runs/kitti/stages").mkdir(parents=True)
-    (checkout / "runs/kitti/stages/check.py").write_text("# of the run at work\n")
+    (checkout / "runs/kitti/stages/check.py").write_text("# of the first run\n")
     with (checkout / "runs/kitti.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         refused = make(checkout, "kitti")
         assert refused.returncode != 0
-        assert "error: another make kitti is at work in runs/kitti: wait for it to end\n" in refused.stderr
-        assert make(checkout, "table2").returncode == 0
-        assert (checkout / "runs/kitti/stages/check.py").read_text() == "# of the run at work\n"
+        assert "error: runs/kitti: another make kitti is running" in refused.stderr
+        assert (checkout / "runs/kitti/stages/check.py").read_text() == "# of the first run\n"
         assert [path.name for path in (checkout / "runs/kitti").iterdir()] == ["stages"]
-    assert make(checkout, "kitti").returncode == 0
     (checkout / "fake/bin/dvc").write_text("#!/bin/sh\nexit 3\n")
     failed = make(checkout, "kitti")
     assert failed.returncode != 0
@@ -96,24 +123,14 @@ def test_a_second_run_of_a_preset_touches_nothing_under_the_first(checkout: Path
 
 
 @pytest.mark.slow
-def test_what_studies_draw_is_brought_here(checkout: Path) -> None:
-    for name in ("table2", "studies", "studies"):
-        made = make(checkout, name)
-        assert made.returncode == 0, made.stderr
-    folders = {path.name: path for path in (checkout / "data/report").iterdir() if path.is_dir()}
-    assert list(folders) == ["studies"]
-    assert sorted(path.name for path in folders["studies"].iterdir()) == ["roads.png", "studies.md"]
-
-
-@pytest.mark.slow
 def test_a_preset_is_written_over_params_yaml(checkout: Path) -> None:
-    asked = make(checkout, "params")
-    assert asked.returncode != 0
-    assert " ".join(sorted(path.stem for path in preset.PRESETS.glob("*.yaml"))) in asked.stderr
+    missing = make(checkout, "params")
+    assert missing.returncode != 0
+    assert " ".join(sorted(path.stem for path in preset.PRESETS.glob("*.yaml"))) in missing.stderr
     (checkout / "mine.yaml").write_text("train: {epochs: 3}\n")
-    made = make(checkout, "params", "PRESET=mine.yaml")
-    assert "mine.yaml" in made.stdout, made.stderr
+    done = make(checkout, "params", "PRESET=mine.yaml")
+    assert "mine.yaml" in done.stdout, done.stderr
     assert yaml.safe_load((checkout / "params.yaml").read_text())["train"]["epochs"] == 3
-    refused = make(checkout, "params", "PRESET=kiti")
-    assert refused.returncode != 0
-    assert "kitti" in refused.stderr
+    unknown = make(checkout, "params", "PRESET=kiti")
+    assert unknown.returncode != 0
+    assert "kitti" in unknown.stderr

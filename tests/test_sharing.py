@@ -25,8 +25,8 @@ def commands(page: str, section: str) -> list[str]:
     return [line.partition("  #")[0].strip() for line in block.strip().splitlines()]
 
 
-SHARE, TRAIN, GO_ON = commands("README.md", "## Share it")
-FIND, LOOK_AGAIN, PUSH = commands("docs/robustness.md", "## Sharing")  # how a remote is mended
+SHARE, TRAIN, GO_ON = commands("docs/sharing.md", "## Push and pull")
+FIND, LOOK_AGAIN, PUSH = commands("docs/sharing.md", "## Repair a damaged remote")  # how a remote is mended
 
 
 class Lab(NamedTuple):

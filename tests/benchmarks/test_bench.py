@@ -1,80 +1,80 @@
-"""make bench's command: its rows, its table and its file."""
+"""Test the command of `make bench`: its rows, its table and its file."""
 
 import json
 from pathlib import Path
 
 import pytest
+import typer
 
-from benchmarks import bench
-from benchmarks.rows.row import Row
+from benchmarks import bench, demo
+from benchmarks.row import Row
 from pipeline.base.errors import InputError
 
-ASKED = {
-    "gcn_vs_pyg_edge_index", "gcn_vs_pyg_csr", "gcn_vs_linear", "equivariant_vs_plain", "windows_vs_naive", "step_ms",
-    "peak_memory_gb", "graph_build", "graphs_stage_fps", "bytes", "load", "ltc", "pointnet2", "blocks", "demo",
-    "table2_side_by_side",
-}  # fmt: skip
+FAST, ALONE, DEMO = Row(2.0, 6.0, "ms", 3.0, "a / b"), Row(1.5, None, "GB", None, "c"), Row(300.0, None, "s", None, "d")
 
 
-def test_all_rows_are_there() -> None:
-    assert set(bench.rows()) >= ASKED
+def failing() -> Row:
+    raise ValueError("first line\nsecond line")
 
 
-def test_an_unknown_row_is_named() -> None:
-    with pytest.raises(InputError, match=r"no row 'gcn_vs_linea'.*gcn_vs_linear"):
-        bench.main(["gcn_vs_linea"])
+def missing() -> Row:
+    raise ModuleNotFoundError("No module named 'alternative'")
+
+
+def use_rows(monkeypatch: pytest.MonkeyPatch, **rows: Row) -> None:
+    monkeypatch.setattr(bench, "STREET_ROWS", {})
+    monkeypatch.setattr(bench, "OTHER_ROWS", {name: lambda row=row: row for name, row in rows.items()})
+
+
+def test_an_unknown_row_is_an_error_with_the_closest_name() -> None:
+    with pytest.raises(InputError, match="gcn_vs_pyg_csr"):
+        bench.main(["gcn_vs_pyg_cs"])
 
 
 def test_rows_are_printed_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    rows = {
-        "fast": lambda given: Row(2.0, 6.0, "ms", 3.0, "a / b"),
-        "alone": lambda given: Row(1.5, None, "GB", None, "c"),
-    }
-    monkeypatch.setattr(bench, "rows", lambda: rows)
+    use_rows(monkeypatch, fast=FAST, alone=ALONE)
     bench.main(data=tmp_path, out=tmp_path / "results.json")
     printed = capsys.readouterr().out.splitlines()
     assert printed[2:4] == ["| fast | 2 | 6 | ms | 3 | a / b |", "| alone | 1.5 |  | GB |  | c |"]
     content = json.loads((tmp_path / "results.json").read_text())
-    assert content["device"] == bench.device()
-    assert content["rows"]["fast"] == {"ours": 2.0, "peer": 6.0, "unit": "ms", "ratio": 3.0, "what": "a / b"}
-    assert content["rows"]["alone"]["ratio"] is None
+    assert content["device"] == bench.device_name()
+    assert content["rows"]["fast"] == {"ours": 2.0, "alternative": 6.0, "unit": "ms", "ratio": 3.0, "what": "a / b"}
 
 
-def test_a_row_measured_by_name_joins_those_that_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = {
-        "fast": lambda given: Row(2.0, 6.0, "ms", 3.0, "a / b"),
-        "demo": lambda given: Row(300.0, None, "s", None, "c"),
-    }
-    monkeypatch.setattr(bench, "rows", lambda: rows)
+def test_a_named_row_is_added_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_rows(monkeypatch, fast=FAST, demo=DEMO)
     for names, written in (None, ["fast"]), (["demo"], ["fast", "demo"]), (None, ["fast"]):
         bench.main(names, data=tmp_path, out=tmp_path / "results.json")
         assert list(json.loads((tmp_path / "results.json").read_text())["rows"]) == written
 
 
-def test_a_row_that_fails_is_named_and_the_others_are_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
-    def failing(given: bench.Given) -> Row:
-        raise ValueError("it fails\nat length")
-
-    monkeypatch.setattr(bench, "rows", lambda: {"a": failing, "b": lambda given: Row(1, 2, "s", 2, "")})
-    with pytest.raises(bench.typer.Exit):
+def test_the_other_rows_are_measured_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    use_rows(monkeypatch, last=FAST)
+    monkeypatch.setattr(bench, "OTHER_ROWS", {"first": failing, **bench.OTHER_ROWS})
+    with pytest.raises(typer.Exit):
         bench.main(data=tmp_path, out=tmp_path / "results.json")
-    assert "| a |  |  |  |  | not measured: ValueError: it fails |" in capsys.readouterr().out
+    assert "not measured: ValueError: first line |" in capsys.readouterr().out
     rows = json.loads((tmp_path / "results.json").read_text())["rows"]
-    assert rows["a"] == {"error": "ValueError: it fails"}
-    assert rows["b"]["ratio"] == 2
+    assert rows["first"] == {"error": "ValueError: first line"}
+    assert rows["last"]["ratio"] == 3
 
 
-def test_a_peer_that_is_not_installed_is_named_and_no_failure(tmp_path: Path, monkeypatch, capsys) -> None:
-    def missing(given: bench.Given) -> Row:
-        raise ModuleNotFoundError("No module named 'peer'")
-
-    monkeypatch.setattr(bench, "rows", lambda: {"a": missing})
+def test_an_alternative_that_is_not_installed_is_no_failure(tmp_path: Path, monkeypatch, capsys) -> None:
+    use_rows(monkeypatch)
+    monkeypatch.setattr(bench, "OTHER_ROWS", {"a": missing})
     bench.main(data=tmp_path)
-    assert "not measured: ModuleNotFoundError: No module named 'peer'" in capsys.readouterr().out
+    assert "No module named 'alternative'" in capsys.readouterr().out
 
 
-def test_without_a_sample_it_says_what_makes_one(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="make demo"):
-        _ = bench.Given(None, tmp_path, tmp_path).sample
+def test_the_sample_is_needed_without_recorded_scans(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as raised:
+        bench.sample(tmp_path)
+    assert "make demo" in raised.value.fix
+
+
+def test_the_times_of_a_stage_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 1.0, 3.0, 6.0, 10.0])
+    monkeypatch.setattr(demo.time, "perf_counter", lambda: next(clock))
+    lines = ["Running stage 'town':", "> python", "Running stage 'graphs@a':", "Running stage 'graphs@b':", "done"]
+    assert demo.stage_seconds(lines) == {"town": 2, "graphs": 7}
+    assert "town 2, graphs 7" in demo.demo_row({"town": 2.0, "graphs": 7.0}).what

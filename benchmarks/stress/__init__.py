@@ -1,1 +1,0 @@
-"""What readers do with damaged and hostile files: the long version of tests/benchmarks/test_stress.py."""

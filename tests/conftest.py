@@ -36,7 +36,11 @@ def _shared(name: str) -> Path:
     return path
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that take minutes: beside them the others find room."""
-    longest = ("chain", "small_copy", "edit_cost", "sharing", "disks", "kills")
+    """Mark soak tests as slow, too, and start with the files that take longest: other files fit in beside them."""
+    longest = ("chain", "small_copy", "sharing", "two_at_once", "disks", "kills")
     items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in longest)
+    for item in items:
+        if item.get_closest_marker("soak"):
+            item.add_marker("slow")

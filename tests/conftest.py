@@ -1,14 +1,35 @@
 """Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is non-commercial)."""
 
 import os
+import shutil
 from pathlib import Path
 
 # The tests' networks are tiny: threads that wait for each other cost more than they bring. Before torch is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
+from filelock import FileLock
+
+from tests import scratch
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small chain that has run to its end, built once for all processes of pytest-xdist.
+
+    Tests read it, or work in a copy: :func:`tests.scratch.duplicate`.
+    """
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
+    with FileLock(root / "chain.lock"):
+        if not (root / "chain.done").exists():
+            shutil.rmtree(root / "chain", ignore_errors=True)
+            scratch.small_chain(root / "chain")
+            (root / "chain.done").touch()
+    return root / "chain"
 
 
 @pytest.fixture(scope="session")

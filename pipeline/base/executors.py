@@ -52,18 +52,20 @@ def executor(workers: int | None, jobs: int, counter: Callable[[int], object], t
     """Yield an executor, and a function that returns how many jobs it can run at once.
 
     Args:
-        workers: processes; None: the workers of the Dask cluster, or else :func:`default_workers`. 1: no processes.
+        workers: processes; None: :func:`default_workers`. With a Dask cluster, its workers instead, unless 1.
         jobs: how many there are; no more processes are started.
         counter: called with numbers of frames as they are done, as :func:`pipeline.base.progress.advance` is called
             in this process and in local workers. On Dask's workers, frames count when their job is done.
         threads: of each process, also if there is only one; None: the cores are divided among the processes.
     """
+    if workers is not None and workers < 1:
+        raise InputError(f"expected at least 1 process (got {workers})", "--workers")
     count = min(workers or default_workers(), jobs)
 
     def capacity() -> int:
         return count
 
-    if workers is None and (address := os.environ.get(SCHEDULER)):
+    if workers != 1 and (address := os.environ.get(SCHEDULER)):
         with _dask(address, counter) as cluster:
             yield cluster, cluster.capacity
     elif count == 1 and threads is None:

@@ -47,8 +47,8 @@ def run_over_drives(
         work: picklable. Writes the drive's file or folder to `path` in one step and returns a JSON-able summary.
         out: the stage's folder, for instance ``data/clouds/pseudo``.
         key: drive → hash of everything that determines its file: :func:`pipeline.base.resume.stage_key`.
-        workers: processes; None: those of the Dask cluster, or else
-            :func:`pipeline.base.executors.default_workers`. 1: this process. Never changes a result.
+        workers: processes; None: :func:`pipeline.base.executors.default_workers`. 1: this process, otherwise the
+            workers of a Dask cluster if there is one. Never changes a result.
         pending: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
         target: drive → final path of its file or folder; default ``out/<drive>.h5``.
         frames: drive → how many frames `work` counts with :mod:`pipeline.base.progress`; the longest drive starts
@@ -169,10 +169,14 @@ class _Drive:
         progress.start()
         try:
             summary = self.work(drive, path)
-        except InputError:
+        except Exception as error:
             frame = progress.current_frame()
-            with error_context(drive if frame is None else f"{drive} frame {frame}"):
-                raise
+            where = drive if frame is None else f"{drive} frame {frame}"
+            if isinstance(error, InputError):
+                with error_context(where):
+                    raise
+            error.add_note(f"while processing {where}")
+            raise
         write_json(_sidecar(path), summary)
         return summary, time.perf_counter() - start
 

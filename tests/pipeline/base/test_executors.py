@@ -51,6 +51,13 @@ def test_workers_are_a_positive_number(monkeypatch: pytest.MonkeyPatch, text: st
     assert repr(text) in raised.value.problem
 
 
+@pytest.mark.parametrize("workers", [0, -2])
+def test_a_stage_needs_a_worker(folder: Path, workers: int) -> None:
+    with pytest.raises(InputError) as raised:
+        toy_stage.main(folder, workers=workers)
+    assert raised.value.where == "--workers"
+
+
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     """A scheduler and two workers."""

@@ -10,6 +10,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -37,120 +38,75 @@ LABELS = Path(f"data/labels/{DRIVE}.h5")
 RAW = Path(f"data/raw/2026_01_01/{DRIVE}_sync")
 
 
-def params(old: str, new: str) -> None:
-    """Read the section labels of a params file with one change."""
-    PARAMS.write_text((ROOT / "params.yaml").read_text().replace(old, new, 1))
-    load(Labels, PARAMS)
+def changed_params(old: str, new: str) -> bytes:
+    return (ROOT / "params.yaml").read_text().replace(old, new, 1).encode()
 
 
-def params_unknown_key() -> None:
-    params("standstill:", "standstil:")
+def read_drive(path: Path, stage: str = "labels", dataset: str = "frame") -> None:
+    with store.DriveReader(path, stage=stage) as file:
+        file[dataset]
 
 
-def params_out_of_range() -> None:
-    params("wheelbase_m: 2.7", "wheelbase_m: -1")
+def find_drive(path: Path) -> None:
+    find_drives(Path("data/raw"), [DRIVE])
 
 
-def params_wrong_value() -> None:
-    params("standstill: invalid", "standstill: never")
+# What a reader is given: path, content (None: no file), reader.
+FILES: dict[str, tuple[Path, bytes | None, Callable[[Path], object]]] = {
+    "params_unknown_key": (PARAMS, changed_params("standstill:", "standstil:"), partial(load, Labels)),
+    "params_out_of_range": (PARAMS, changed_params("wheelbase_m: 2.7", "wheelbase_m: -1"), partial(load, Labels)),
+    "params_wrong_value": (PARAMS, changed_params("standstill: invalid", "standstill: never"), partial(load, Labels)),
+    "params_without_section": (PARAMS, changed_params("labels:", "label:"), partial(load, Labels)),
+    "params_invalid_yaml": (PARAMS, changed_params("labels:", "labels: ["), partial(load, Labels)),
+    "params_unknown_entry": (PARAMS, changed_params("", ""), partial(load_entry, Variant, "graphs", "semantik")),
+    "params_missing": (Path("params.yml"), None, partial(load, Labels)),
+    "stage_input_missing": (Path("data/labels"), None, partial(store.read_index, stage="labels")),
+    "drive_missing": (LABELS, None, read_drive),
+    "drive_without_header": (LABELS, bytes(1000), read_drive),
+    "packet_cut": (RAW / "oxts/data/0000000003.txt", b"49.0 8.4 112.8", oxts.read_row),
+    "scan_cut": (RAW / "velodyne_points/data/0000000003.bin", bytes(1001), read_scan),
+    "image_damaged": (
+        RAW / "image_02/data/0000000003.png",
+        b"\x89PNG\r\n\x1a\n" + bytes(20),
+        partial(read_image, size=(375, 1242), new_size=(96, 320)),
+    ),
+    "calibration_missing": (RAW.parent, None, partial(read_camera, number=2)),
+    "raw_drive_missing": (RAW.parent / "2026_01_01_drive_0002_sync/oxts", b"", find_drive),
+    "checkpoint_damaged": (Path("best.pt"), b"PK\x03\x04" + bytes(100), checkpoint.load),
+    "hashed_file_missing": (LABELS, None, file_hash),
+}
 
 
-def params_without_section() -> None:
-    params("labels:", "label:")
-
-
-def params_invalid_yaml() -> None:
-    params("labels:", "labels: [")
-
-
-def params_unknown_entry() -> None:
-    PARAMS.write_text((ROOT / "params.yaml").read_text())
-    load_entry(Variant, "graphs", "semantik", PARAMS)
-
-
-def params_missing() -> None:
-    load(Labels, Path("params.yml"))
+def read(path: Path, content: bytes | None, reader: Callable[[Path], object]) -> None:
+    if content is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    reader(path)
 
 
 def preset_unknown() -> None:
     preset.merged("kiti")
 
 
-def stage_input_missing() -> None:
-    store.read_index(Path("data/labels"), stage="labels")
-
-
-def drive_missing() -> None:
-    with store.DriveReader(LABELS, stage="labels"):
-        pass
-
-
 def write_labels() -> None:
     artefacts.write_labels(LABELS, DRIVE, np.zeros(3), np.arange(3))
-
-
-def drive_cut() -> None:
-    write_labels()
-    LABELS.write_bytes(LABELS.read_bytes()[:1000])
-    drive_missing()
 
 
 def drive_of_another_schema() -> None:
     write_labels()
     with h5py.File(LABELS, "r+") as file:
         file.attrs["schema"] = 1
-    drive_missing()
+    read_drive(LABELS)
 
 
 def drive_of_another_stage() -> None:
     write_labels()
-    with store.DriveReader(LABELS, stage="graphs"):
-        pass
+    read_drive(LABELS, stage="graphs")
 
 
 def dataset_missing() -> None:
     write_labels()
-    with store.DriveReader(LABELS, stage="labels") as file:
-        file["xyz"]
-
-
-def packet_cut() -> None:
-    path = RAW / "oxts/data/0000000003.txt"
-    path.parent.mkdir(parents=True)
-    path.write_text("49.0 8.4 112.8")
-    oxts.read_row(path)
-
-
-def scan_cut() -> None:
-    path = RAW / "velodyne_points/data/0000000003.bin"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(bytes(1001))
-    read_scan(path)
-
-
-def image_damaged() -> None:
-    path = RAW / "image_02/data/0000000003.png"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(20))
-    read_image(path, (375, 1242), (96, 320))
-
-
-def calibration_missing() -> None:
-    read_camera(RAW.parent, 2)
-
-
-def raw_drive_missing() -> None:
-    (RAW.parent / "2026_01_01_drive_0002_sync").mkdir(parents=True)
-    find_drives(RAW.parents[1], [DRIVE])
-
-
-def checkpoint_damaged() -> None:
-    Path("best.pt").write_bytes(b"PK\x03\x04" + bytes(100))
-    checkpoint.load(Path("best.pt"))
-
-
-def hashed_file_missing() -> None:
-    file_hash(LABELS)
+    read_drive(LABELS, dataset="xyz")
 
 
 def folder_locked() -> None:
@@ -196,21 +152,24 @@ def ctrl_c() -> None:
     raise KeyboardInterrupt
 
 
-CASES: list[Callable[[], None]] = [
-    params_unknown_key, params_out_of_range, params_wrong_value, params_without_section, params_invalid_yaml,
-    params_unknown_entry, params_missing, preset_unknown, stage_input_missing, drive_missing, drive_cut,
-    drive_of_another_schema, drive_of_another_stage, dataset_missing, packet_cut, scan_cut, image_damaged,
-    calibration_missing, raw_drive_missing, checkpoint_damaged, hashed_file_missing, folder_locked, lock_is_a_link,
+OTHERS = (
+    preset_unknown, drive_of_another_schema, drive_of_another_stage, dataset_missing, folder_locked, lock_is_a_link,
     workers_not_a_number, scheduler_not_running, frame_damaged, worker_died, disk_full, ctrl_c,
-]  # fmt: skip
+)  # fmt: skip
+CASES: dict[str, Callable[[], None]] = {name: partial(read, *case) for name, case in FILES.items()}
+CASES |= {case.__name__: case for case in OTHERS}
 locks = contextlib.ExitStack()
 
 
-def render(case: Callable[[], None], folder: Path) -> str:
+def render(name: str, folder: Path) -> str:
     """Return what the command line prints for a fault, with the name of the case."""
+
+    def run() -> None:  # guarded needs a function with a name
+        CASES[name]()
+
     environment, working_folder, handler = dict(os.environ), Path.cwd(), signal.getsignal(signal.SIGTERM)
-    (folder / case.__name__).mkdir()
-    os.chdir(folder / case.__name__)
+    (folder / name).mkdir()
+    os.chdir(folder / name)
     try:
         with (
             Path("stderr").open("w") as errors,
@@ -220,8 +179,8 @@ def render(case: Callable[[], None], folder: Path) -> str:
             contextlib.suppress(SystemExit),
             locks,
         ):
-            console.guarded(case)()
-        return f"{case.__name__}\n  {Path('stderr').read_text().strip()}\n"
+            console.guarded(run)()
+        return f"{name}\n  {Path('stderr').read_text().strip()}\n"
     finally:
         os.chdir(working_folder)
         os.environ.clear()
@@ -230,7 +189,7 @@ def render(case: Callable[[], None], folder: Path) -> str:
 
 
 def test_messages(tmp_path: Path) -> None:
-    rendered = [render(case, tmp_path) for case in CASES]
+    rendered = [render(name, tmp_path) for name in CASES]
     assert "\n".join(rendered) == SNAPSHOT.read_text()
     for text in rendered:
         name, *lines = text.splitlines()
@@ -246,5 +205,5 @@ def test_an_input_error_is_a_line_of_three_fields() -> None:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as scratch_folder:
-        SNAPSHOT.write_text("\n".join(render(case, Path(scratch_folder)) for case in CASES))
+        SNAPSHOT.write_text("\n".join(render(name, Path(scratch_folder)) for name in CASES))
     sys.stdout.write(SNAPSHOT.read_text())

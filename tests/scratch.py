@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from dvc.utils.serialize import modify_yaml
 
 from pipeline.base import resume
 
@@ -103,9 +104,9 @@ def duplicate(chain: Path, folder: Path) -> Path:
 
 
 def edit_params(folder: Path, **sections: Any) -> None:
-    """Replace whole sections of a scratch copy's params.yaml."""
-    path = folder / "params.yaml"
-    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **sections}, sort_keys=False))
+    """Replace sections of a scratch copy's params.yaml, in the format of DVC's own edits."""
+    with modify_yaml(str(folder / "params.yaml")) as params:
+        params.update(sections)
 
 
 def changed(folder: Path) -> set[str]:

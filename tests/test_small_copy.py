@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests import scratch
 from tests.scratch import MODEL
@@ -108,7 +109,7 @@ def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(chain
     file = folder / "models/steering/spatial/height.py"
     file.write_text(HEIGHT)
     assert scratch.changed(folder) == {"check"}, "only check depends on all of models/"
-    models = {MODEL: {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 8}}
+    models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
     mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "scale_m": 5.0}
     scratch.edit_params(folder, models=models | {"mine": mine})
     assert scratch.stages_run(scratch.run(folder, "dvc", "repro", "train@mine", "evaluate@mine")) == [

@@ -1,4 +1,4 @@
-"""Scratch copies of the project, and DVC run in them as a user runs it."""
+"""Scratch copies of the project, a small chain in one, and DVC run there as a user runs it."""
 
 import json
 import os
@@ -9,8 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from dvc.utils.serialize import modify_yaml
 
 from pipeline.base import resume
+
+STAGES = (
+    "town", "ingest", "labels", "encoder", "perception", "motion", "scores", "clouds", "pictures", "graphs", "train",
+    "evaluate", "report",
+)  # fmt: skip
+MODEL = "sa-gnn-ncp"
 
 
 def copy(folder: Path) -> Path:
@@ -38,11 +45,12 @@ def commit(folder: Path, message: str) -> None:
 def environment(folder: Path, **more: str) -> dict[str, str]:
     """Return the variables for commands of this environment that run the code of a folder."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    return {**os.environ, "PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder), **more}
+    fixed = {"PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder), "STEER_WORKERS": "1"}
+    return {**os.environ, **fixed, **more}
 
 
 def run(folder: Path, *command: str, check: bool = True) -> str:
-    """Run a command in a scratch copy, on its own code; return what it printed. With `check` off it must fail."""
+    """Run a command in a scratch copy, on its code, and return its output. Without `check` it must fail."""
     done = subprocess.run(command, cwd=folder, env=environment(folder), capture_output=True, text=True, check=False)
     output = done.stdout + done.stderr
     assert not check or done.returncode == 0, output
@@ -51,38 +59,56 @@ def run(folder: Path, *command: str, check: bool = True) -> str:
 
 
 def stages_run(output: str) -> list[str]:
-    """The stages that DVC ran, without those that it took from its cache."""
+    """Return the stages that DVC ran, without those that it restored from its cache."""
     return [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
 
 
-def files_of(folder: Path, stages: list[str]) -> dict[str, bytes]:
-    """Return relative path → contents of what stages have written."""
+def outputs(folder: Path, *stages: str) -> dict[str, bytes]:
+    """Return relative path → contents of the outputs of stages."""
     paths = [path for stage in stages for path in (folder / "data" / stage).rglob("*") if path.is_file()]
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
-def edit_params(folder: Path, **sections: Any) -> None:
-    """Replace whole sections of a scratch copy's params.yaml."""
-    path = folder / "params.yaml"
-    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **sections}, sort_keys=False))
+def code_block(part: str) -> str:
+    """Return the first code block of README.md or docs/ that contains a text, without its fences."""
+    for page in (resume.ROOT / "README.md", *sorted((resume.ROOT / "docs").glob("*.md"))):
+        for block in page.read_text().split("```")[1::2]:
+            if part in block:
+                return block
+    raise LookupError(f"no code block of README.md or docs/ contains {part!r}")
 
 
-def settle(folder: Path) -> None:
-    """Have DVC take what is there for what the stages made; outs that are not there become folders with one file."""
-    stages = yaml.safe_load((folder / "dvc.yaml").read_text())["stages"]
+def small_chain(folder: Path) -> Path:
+    """Run the complete chain in a scratch copy with four short drives; its output goes to ``chain.log``."""
+    copy(folder)
     params = yaml.safe_load((folder / "params.yaml").read_text())
-    for stage in stages.values():
-        for key in params[stage["foreach"][2:-1]] if "foreach" in stage else [""]:
-            for out in stage.get("do", stage).get("outs", []):
-                path = folder / (next(iter(out)) if isinstance(out, dict) else out).replace("${key}", key)
-                if not path.exists():
-                    placeholder = path if path.suffix else path / "placeholder"
-                    placeholder.parent.mkdir(parents=True, exist_ok=True)
-                    placeholder.write_text("")
-    run(folder, "dvc", "commit", "--force")
-    assert changed(folder) == set()
+    drives = {"train": ["2026_01_01_drive_0001..0002"], "val": ["2026_01_02_drive_0001"]}
+    edit_params(
+        folder,
+        town=params["town"] | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
+        ingest=params["ingest"] | {"image_size": [64, 208], "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
+        encoder=params["encoder"] | {"epochs": 2, "frames": 24},
+        clouds=params["clouds"] | {"max_points": 3000},
+        graphs={name: params["graphs"][name] | {"points": 200} for name in ("semantic", "lidar")},
+        train=params["train"] | {"epochs": 3, "seeds": [0]},
+        evaluate=params["evaluate"] | {"bootstrap_samples": 200},
+    )
+    (folder / "chain.log").write_text(run(folder, "dvc", "repro"))
+    commit(folder, "chain")
+    return folder
+
+
+def duplicate(chain: Path, folder: Path) -> Path:
+    """Copy a scratch copy with its data, DVC's cache and its history."""
+    return Path(shutil.copytree(chain, folder, symlinks=True))
+
+
+def edit_params(folder: Path, **sections: Any) -> None:
+    """Replace sections of a scratch copy's params.yaml, in the format of DVC's own edits."""
+    with modify_yaml(str(folder / "params.yaml")) as params:
+        params.update(sections)
 
 
 def changed(folder: Path) -> set[str]:
-    """Return the stages that `dvc status` says would run for what changed in their own deps and params."""
+    """Return the stages whose own deps or params differ from dvc.lock, by `dvc status`."""
     return set(json.loads(run(folder, "dvc", "status", "--json")))

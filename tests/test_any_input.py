@@ -1,4 +1,4 @@
-"""Any text and any bytes: readers return what is sound or raise the one line that users read, and nothing else."""
+"""Any text, any bytes and damaged copies of sound files: readers return sound values or raise one InputError."""
 
 import json
 import string
@@ -15,14 +15,15 @@ from pipeline.base import store, yaml_file
 from pipeline.base.errors import InputError
 from pipeline.base.params import parse
 from pipeline.camera.calib_file import projection, read_entries
-from pipeline.camera.jpeg import read_jpeg
-from pipeline.camera.png import read_png
+from pipeline.camera.images import read_image
 from pipeline.fitting import checkpoint
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.sections.ingest import Drives
 
-# Seeds are fixed, so that a run tells of the code and not of luck; files in tmp_path are written anew each time.
+DRIVE = "2026_01_01_drive_0001"
+SIZE = (64, 208)
+# Seeds are fixed, so that a run tests the code and not luck; files in tmp_path are written anew each time.
 anything = settings(
     derandomize=True,
     database=None,
@@ -32,55 +33,151 @@ anything = settings(
 )
 NUMBERS = st.floats(allow_nan=True).map(repr) | st.integers().map(str) | st.text(max_size=6)
 WORDS = st.lists(NUMBERS, max_size=40).map(" ".join)
+TIMES = st.lists(WORDS | st.just("2011-09-26 13:02:25.5")).map("\n".join)
+ENTRIES = st.lists(st.tuples(st.sampled_from(["P_rect_02", "S_rect_02", "R"]), WORDS))
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9),
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=9),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner, max_size=4),
 )
-READERS: dict[str, tuple[st.SearchStrategy[bytes], Callable[[Path], Any]]] = {
-    "oxts": (WORDS.map(str.encode), oxts.read_row),
-    "timestamps": (st.lists(WORDS | st.just("2011-09-26 13:02:25.5")).map("\n".join).map(str.encode),
-                   lambda path: oxts.read_times(path, [0, 1, 2])),
-    "calibration": (st.lists(st.tuples(st.sampled_from(["P_rect_02", "S_rect_02", "R"]), WORDS)).map(
-                        lambda lines: "\n".join(": ".join(line) for line in lines).encode()),
-                    lambda path: projection(read_entries(path), 2, path)),
-    "scan": (st.binary(max_size=4000), read_scan),
-    "png": (st.binary(max_size=400).map(lambda tail: b"\x89PNG\r\n\x1a\n" + tail), read_png),
-    "jpeg": (st.binary(max_size=400).map(lambda tail: b"\xff\xd8" + tail + b"\xff\xd9"), read_jpeg),
-    "checkpoint": (st.binary(max_size=400).map(lambda tail: b"PK\x03\x04" + tail), checkpoint.load),
-    "yaml": (st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")), yaml_file.read),
-    "yaml of signs": (st.text("&*!<>[]{}:,|-? a1\n\"'", max_size=60).map(str.encode), yaml_file.read),
-    "json": (JSON.map(lambda value: json.dumps(value).encode()), lambda path: store.read_json(path, stage="x")),
-    "bytes as json": (st.binary(max_size=99), lambda path: store.read_json(path, stage="x")),
-    "hdf5": (st.binary(max_size=400).map(lambda tail: b"\x89HDF\r\n\x1a\n" + tail),
-             lambda path: store.DriveReader(path, stage="x")),
-}  # fmt: skip
+Read = Callable[[Path], Any]
 
 
-def check_names(path: Path, error: InputError) -> None:
-    assert path.name in str(error)
+def check_names(error: InputError, path: str) -> None:
+    assert path in str(error)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", READERS)
-def test_any_content_is_read_or_refused_in_a_line(tmp_path: Path, name: str) -> None:
-    contents, read = READERS[name]
-    path = tmp_path / "file"
+def starting_with(magic: bytes) -> st.SearchStrategy[bytes]:
+    return st.binary(max_size=400).map(magic.__add__)
+
+
+def read_times(path: Path) -> np.ndarray:
+    return oxts.read_times(path, range(24))
+
+
+def read_projection(path: Path) -> Any:
+    return projection(read_entries(path), 2, path)
+
+
+def read_pixels(path: Path) -> np.ndarray:
+    return read_image(path, SIZE, SIZE)
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    return store.read_json(path, stage="x")
+
+
+def read_drive(path: Path) -> dict[str, np.ndarray]:
+    with store.DriveReader(path, stage=path.parent.name) as file:
+        return {name: file[name] for name in file.names} | {"params": np.array(json.dumps(file.params))}
+
+
+def read_graphs(path: Path) -> dict[str, np.ndarray]:
+    from pipeline.train import frames
+
+    with frames.open_graphs(path) as graphs:
+        return {name: np.asarray(value) for name, value in graphs.read(0, len(graphs.frame)).items()}
+
+
+GENERATED: dict[str, tuple[st.SearchStrategy[bytes], Read]] = {
+    "0.txt": (WORDS.map(str.encode), oxts.read_row),
+    "timestamps.txt": (TIMES.map(str.encode), read_times),
+    "calib.txt": (ENTRIES.map(lambda lines: "\n".join(": ".join(line) for line in lines).encode()), read_projection),
+    "0.bin": (st.binary(max_size=4000), read_scan),
+    "0.png": (starting_with(b"\x89PNG\r\n\x1a\n"), read_pixels),
+    "0.jpg": (starting_with(b"\xff\xd8"), read_pixels),
+    "best.pt": (starting_with(b"PK\x03\x04"), checkpoint.load),
+    "text.yaml": (st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")), yaml_file.read),
+    "signs.yaml": (st.text("&*!<>[]{}:,|-? a1\n\"'", max_size=60).map(str.encode), yaml_file.read),
+    "value.json": (JSON.map(lambda value: json.dumps(value).encode()), read_object),
+    "bytes.json": (st.binary(max_size=99), read_object),
+    "a.h5": (starting_with(b"\x89HDF\r\n\x1a\n"), read_drive),
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) for name in GENERATED])
+def test_any_content_is_read_or_refused(tmp_path: Path, name: str) -> None:
+    contents, read = GENERATED[name]
 
     @anything
     @given(contents)
-    def tried(content: bytes) -> None:
-        path.write_bytes(content)
+    def check(content: bytes) -> None:
+        (tmp_path / name).write_bytes(content)
         try:
-            read(path)
+            read(tmp_path / name)
         except InputError as error:
-            check_names(path, error)
+            check_names(error, name)
 
-    tried()
+    check()
+
+
+RAW = f"town/2026_01_01/{DRIVE}_sync"
+SOUND: dict[str, Read] = {
+    f"{RAW}/oxts/data/0000000003.txt": oxts.read_row,
+    f"{RAW}/oxts/timestamps.txt": read_times,
+    f"{RAW}/velodyne_points/data/0000000003.bin": read_scan,
+    f"{RAW}/image_02/data/0000000003.png": read_pixels,
+    "town/2026_01_01/calib_cam_to_cam.txt": read_projection,
+    f"ingest/{DRIVE}.h5": read_drive,
+    f"labels/{DRIVE}.h5": read_drive,
+    f"graphs/semantic/{DRIVE}.h5": read_graphs,
+    "encoder/encoder.pt": checkpoint.load,
+    "labels/index.json": read_object,
+}
+CHECKSUMS = (".h5", ".pt", ".png")
+
+
+def damage(content: bytes, kind: str, place: float, length: int) -> bytes:
+    start = int(place * (len(content) - 1))
+    end = min(start + length, len(content))
+    match kind:
+        case "cut":
+            return content[:start]
+        case "flip":
+            return content[:start] + bytes([content[start] ^ 1 << length % 8]) + content[start + 1 :]
+        case "zeros":
+            return content[:start] + bytes(end - start) + content[end:]
+        case "double":
+            return content[:end] + content[start:]
+    return content[:start] + content[end:]  # "lose"
+
+
+def flat(value: Any) -> Any:
+    """Return a value that compares by content."""
+    import torch
+
+    if isinstance(value, dict):
+        return {str(key): flat(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [flat(inner) for inner in value]
+    return np.asarray(value).tobytes() if isinstance(value, torch.Tensor | np.ndarray) else value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", SOUND)
+def test_a_damaged_file_is_refused_or_read_as_written(chain: Path, tmp_path: Path, source: str) -> None:
+    path = tmp_path / source.split("/")[0] / Path(source).name
+    path.parent.mkdir()
+    content, read = (chain / "data" / source).read_bytes(), SOUND[source]
+    path.write_bytes(content)
+    expected = flat(read(path))
+
+    @settings(anything, max_examples=30)
+    @given(st.sampled_from(["cut", "flip", "zeros", "double", "lose"]), st.floats(0, 1), st.integers(1, 300))
+    def check(kind: str, place: float, length: int) -> None:
+        path.write_bytes(damage(content, kind, place, length))
+        try:
+            value = read(path)
+        except InputError as error:
+            check_names(error, path.name)
+        else:
+            assert path.suffix not in CHECKSUMS or flat(value) == expected
+
+    check()
 
 
 @anything
 @given(st.lists(st.floats(-1e4, 1e4), min_size=30, max_size=30))
-def test_a_packet_that_is_read_is_one_of_a_car(tmp_path: Path, values: list[float]) -> None:
+def test_packets_are_read_within_the_limits_of_a_car(tmp_path: Path, values: list[float]) -> None:
     path = tmp_path / "0.txt"
     path.write_text(" ".join(map(repr, values)))
     try:
@@ -94,33 +191,30 @@ def test_a_packet_that_is_read_is_one_of_a_car(tmp_path: Path, values: list[floa
 @anything
 @given(JSON)
 def test_any_index_is_read_or_refused(tmp_path: Path, drives: Any) -> None:
-    store.write_json(tmp_path / "index.json", {"schema": store.SCHEMA, "drives": json.loads(json.dumps(drives).replace(
-        "NaN", "0").replace("-Infinity", "0").replace("Infinity", "0"))})  # fmt: skip
+    store.write_json(tmp_path / "index.json", {"schema": store.SCHEMA, "drives": drives})
     try:
         assert set(store.read_index(tmp_path, stage="labels").values()) <= {"train", "val", "test"}
     except InputError as error:
-        check_names(tmp_path, error)
+        check_names(error, str(tmp_path))
 
 
 @anything
 @given(st.from_regex(r"\A\d{4}_\d{2}_\d{2}_drive_\d{4}\Z") | st.text(string.digits + "_./driveＡ１", max_size=24))
-def test_a_drive_is_named_after_a_day(name: str) -> None:
+def test_a_drive_is_named_after_a_valid_date(name: str) -> None:
     try:
         drives = parse(Drives, {"train": [name], "test": ["2011_09_26_drive_0001"]}, "drives")
     except InputError:
         return
-    np.datetime64(drives.train[0][:10].replace("_", "-"))  # raises for a day that there is not
+    np.datetime64(drives.train[0][:10].replace("_", "-"))  # raises for an invalid date
     assert name.isascii()
 
 
+FILE_NAMES = st.integers(0, 10**12).map(str) | st.text(max_size=4).filter(lambda text: not {"/", "\0"} & set(text))
+
+
 @anything
-@given(
-    st.sets(
-        st.integers(0, 10**12).map(str) | st.text(max_size=4).filter(lambda text: "/" not in text and "\0" not in text),
-        max_size=5,
-    )
-)
-def test_frames_are_numbered_once(tmp_path: Path, names: set[str]) -> None:
+@given(st.sets(FILE_NAMES, max_size=5))
+def test_frame_numbers_are_unique(tmp_path: Path, names: set[str]) -> None:
     folder = tmp_path / str(abs(hash(frozenset(names)))) / "oxts/data"
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
@@ -128,7 +222,7 @@ def test_frames_are_numbered_once(tmp_path: Path, names: set[str]) -> None:
     try:
         frames = RawDrive(folder.parents[1]).oxts
     except InputError as error:
-        check_names(folder, error)
+        check_names(error, str(folder))
     else:
         assert len({*frames.values()}) == len(frames)
         assert all(0 <= number < 2**31 for number in frames)

@@ -1,4 +1,4 @@
-"""The whole chain as a user runs it: `dvc repro` in a scratch copy, on a smaller sample and real drives."""
+"""The complete chain as a user runs it, by `dvc repro` in a scratch copy: the small sample, and real drives."""
 
 import json
 import shutil
@@ -13,20 +13,75 @@ from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.sections import preset
 from tests import scratch
+from tests.scratch import MODEL, STAGES
 
-STAGE_ORDER = [
-    "town", "ingest", "labels", "encoder", "perception", "motion", "scores", "clouds", "pictures", "graphs", "train",
-    "evaluate", "report",
-]  # fmt: skip
-DETERMINISTIC = ["town", "ingest", "labels", "motion", "scores", "clouds", "pictures", "graphs", "evaluate", "report"]
-MODEL = "sa-gnn-ncp"
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample with fewer and smaller drives, driven through the whole chain once."""
-    folder = scratch.copy(tmp_path_factory.mktemp("sample"))
+def test_every_stage_runs_once_in_order(chain: Path) -> None:
+    ran = [name.split("@")[0] for name in scratch.stages_run((chain / "chain.log").read_text())]
+    assert ran.count("graphs") == 2
+    assert tuple(name for name in dict.fromkeys(ran) if name in STAGES) == STAGES
+    assert set(STAGES) == {path.name for path in (chain / "data").iterdir() if path.is_dir()} - {".resume"}
+
+
+def test_the_table_has_the_numbers_of_evaluate_and_scores(chain: Path) -> None:
+    table = (chain / "data/report/table.md").read_text()
+    nmse = json.loads((chain / f"data/evaluate/{MODEL}/metrics.json").read_text())["test"]["nmse"]
+    accuracy = json.loads((chain / "data/scores/metrics.json").read_text())["test"]["classes"]["pixel_accuracy"]
+    assert f"{nmse:.3f}" in next(row for row in table.splitlines() if f"| {MODEL} |" in row)
+    assert f"{accuracy:.3f}" in table
+
+
+def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) -> None:
+    folder = scratch.duplicate(chain, tmp_path / "copy")
+    output = scratch.run(folder, "dvc", "repro")
+    assert scratch.stages_run(output) == []
+    params = (folder / "params.yaml").read_text()
+    (folder / "params.yaml").write_text(params.replace("input: semantic", "input: semantc"))
+    check_refused(scratch.run(folder, "dvc", "repro", check=False), f"models.{MODEL}.input", "semantc")
+    (folder / "params.yaml").write_text(params)
+
+    scan = sorted((folder / "data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
+    content = scan.read_bytes()
+    scan.write_bytes(content[:-7])
+    output = scratch.run(folder, "dvc", "repro", "ingest", "--single-item", check=False)
+    check_refused(output, "drive_0001_sync/velodyne_points", scan.name)
+    scan.write_bytes(content)
+    assert scratch.outputs(folder, *STAGES) == scratch.outputs(chain, *STAGES)
+
+
+def check_refused(output: str, *parts: str) -> None:
+    (line,) = (line for line in output.splitlines() if line.startswith("error: "))
+    assert all(part in line for part in parts), line
+    assert "Traceback" not in output
+
+
+def check_same_bytes(chain: Path, folder: Path, workers: dict[str, int]) -> None:
+    """Run stages again, by hand, with numbers of workers; their outputs must be those of one worker."""
+    scratch.duplicate(chain, folder)
+    for stage, number in workers.items():
+        for entry in yaml.safe_load((folder / "params.yaml").read_text())["graphs"] if stage == "graphs" else [""]:
+            command = [f"STEER_WORKERS={number}", "python", "-m", f"stages.{stage}", *([entry] if entry else [])]
+            scratch.run(folder, "env", *command)
+    assert scratch.outputs(folder, *workers) == scratch.outputs(chain, *workers)
+
+
+def test_bytes_do_not_depend_on_workers(chain: Path, tmp_path: Path) -> None:
+    """The chain ran with one."""
+    check_same_bytes(chain, tmp_path / "copy", {"town": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs": 2})
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_bytes_of_all_stages_do_not_depend_on_workers(chain: Path, tmp_path: Path, number: int) -> None:
+    stages = [stage for stage in STAGES if stage not in ("encoder", "train", "evaluate", "report")]
+    check_same_bytes(chain, tmp_path / "copy", dict.fromkeys(stages, number))
+
+
+@pytest.mark.soak
+def test_a_longer_training_predicts_steering_from_the_scene(tmp_path: Path) -> None:
+    folder = scratch.copy(tmp_path / "sample")
     params = yaml.safe_load((folder / "params.yaml").read_text())
     params["town"] |= {"image_size": [96, 320], "frames": {"train": 60, "val": 50, "test": 100}}
     params["ingest"]["drives"] = {
@@ -35,93 +90,21 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "test": ["2026_01_03_drive_0001..0002"],
     }
     params["encoder"] |= {"epochs": 5, "frames": 400}
-    params["graphs"] = {name: params["graphs"][name] | {"points": 400} for name in ("semantic", "lidar")}
-    (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
-    output = scratch.run(folder, "dvc", "repro")
-    (folder / "first.log").write_text(output)
-    return folder
+    params["graphs"] = {"semantic": params["graphs"]["semantic"] | {"points": 400}}
+    scratch.edit_params(folder, **params)
+    scratch.run(folder, "dvc", "repro")
+    result = json.loads((folder / f"data/evaluate/{MODEL}/metrics.json").read_text())["test"]
+    assert result["nmse"] < 0.8  # 1: always straight on
+    assert result["baselines"]["zero"]["nmse"] == 1.0
+    score = json.loads((folder / "data/scores/metrics.json").read_text())["test"]
+    assert score["depth_dense"]["abs_rel"] < 0.25
+    assert score["classes"]["mean_iou"] > 0.45
 
 
-def test_the_chain_ends_with_a_model_that_steers_by_what_it_sees(sample: Path) -> None:
-    result = json.loads((sample / f"data/evaluate/{MODEL}/metrics.json").read_text())
-    assert result["test"]["nmse"] < 0.8  # so short a training is as good as its last bits; 1 would be blind
-    assert result["test"]["baselines"]["zero"]["nmse"] == 1.0
-    row = next(row for row in (sample / "data/report/table.md").read_text().splitlines() if f"| {MODEL} |" in row)
-    assert f"| {result['test']['nmse']:.3f} |" in row
-
-
-def test_the_encoder_sees_depth_and_classes(sample: Path) -> None:
-    score = json.loads((sample / "data/scores/metrics.json").read_text())["test"]
-    text = json.dumps(score)
-    assert score["depth_dense"]["abs_rel"] < 0.25, text
-    assert score["classes"]["mean_iou"] > 0.45, text
-    table = (sample / "data/report/table.md").read_text()
-    assert f"| test | {score['classes']['frames']} | {score['classes']['pixel_accuracy']:.3f} |" in table
-
-
-def test_every_stage_ran_once_in_order(sample: Path) -> None:
-    ran = [name.split("@")[0] for name in scratch.stages_run((sample / "first.log").read_text())]
-    assert [name for name in dict.fromkeys(ran) if name in STAGE_ORDER] == STAGE_ORDER
-    assert set(STAGE_ORDER) == {path.name for path in (sample / "data").iterdir() if path.is_dir()} - {".resume"}
-
-
-def test_again_runs_nothing(sample: Path) -> None:
-    output = scratch.run(sample, "dvc", "repro")
-    assert scratch.stages_run(output) == []
-    assert "Data and pipelines are up to date" in output
-
-
-def test_swapping_a_model_runs_its_training_and_what_follows_and_swapping_back_is_cached(sample: Path) -> None:
-    original = (sample / "params.yaml").read_text()
-    before = scratch.files_of(sample, ["train", "evaluate", "report"])
-    (sample / "params.yaml").write_text(original.replace("temporal: ncp", "temporal: lstm"))
-    swapped = [name for name in scratch.stages_run(scratch.run(sample, "dvc", "repro")) if name != "check"]
-    assert swapped == [f"train@{MODEL}", f"evaluate@{MODEL}", "report"]
-    assert scratch.files_of(sample, ["report"]) != {name: before[name] for name in before if "report" in name}
-    (sample / "params.yaml").write_text(original)
-    assert scratch.stages_run(scratch.run(sample, "dvc", "repro")) in ([], ["check"])
-    assert scratch.files_of(sample, ["train", "evaluate", "report"]) == before
-
-
-def test_stages_without_a_network_write_the_same_bytes_again(sample: Path) -> None:
-    before = scratch.files_of(sample, DETERMINISTIC)
-    again = ["dvc", "repro", "--force", "--single-item", "--no-run-cache"]
-    scratch.run(sample, *again, "town", "ingest", "labels", "motion", "clouds")
-    forced = ["scores", "pictures", "graphs@semantic", "graphs@lidar", f"evaluate@{MODEL}", "report"]
-    scratch.run(sample, *again, *forced)
-    assert scratch.files_of(sample, DETERMINISTIC) == before
-
-
-def test_a_fault_in_the_params_is_one_line_before_anything_runs(sample: Path) -> None:
-    original = (sample / "params.yaml").read_text()
-    before = scratch.files_of(sample, STAGE_ORDER)
-    try:
-        (sample / "params.yaml").write_text(original.replace("input: semantic", "input: semantc"))
-        output = scratch.run(sample, "dvc", "repro", check=False)
-    finally:
-        (sample / "params.yaml").write_text(original)
-    assert "error: params.yaml: models.sa-gnn-ncp.input = 'semantc'" in output
-    assert "Traceback" not in output
-    assert scratch.files_of(sample, STAGE_ORDER) == before
-
-
-def test_a_damaged_frame_is_one_line_and_leaves_what_was_there(sample: Path) -> None:
-    scan = sorted((sample / "data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
-    before, sound = scratch.files_of(sample, STAGE_ORDER[1:]), scan.read_bytes()
-    try:
-        scan.write_bytes(sound[:-7])
-        output = scratch.run(sample, "dvc", "repro", "ingest", "--single-item", check=False)
-    finally:
-        scan.write_bytes(sound)
-    assert f"error: data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data/{scan.name} is cut" in output
-    assert "Traceback" not in output
-    assert scratch.files_of(sample, STAGE_ORDER[1:]) == before
-    assert scratch.stages_run(scratch.run(sample, "dvc", "repro")) == []
-
-
+@pytest.mark.soak
 @pytest.mark.real
 def test_real_drives_run_the_same_chain(real_half: Path, real_weights: Path, tmp_path: Path) -> None:
-    """Preset real, cut short: one of its models fits to the sample and to one of two real drives, and judges the other.
+    """Preset real, cut short: a model is trained on the sample and one of two real drives, and tested on the other.
 
     0005 has colour and scans, 0042 is grey; without scans here. Depth is RT-MonoDepth-S's, classes are ESPNetv2's.
     """
@@ -173,13 +156,12 @@ def test_real_drives_run_the_same_chain(real_half: Path, real_weights: Path, tmp
     params["models"][model] |= {"input": "lidar", "motion": "lidar"}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     output = scratch.run(folder, "dvc", "repro")
-    assert grey in next(line for line in output.splitlines() if "not judged: " in line)  # it has no scans
     result = json.loads((folder / f"data/evaluate/{model}/metrics.json").read_text())
     assert list(result["test"]["by_drive"]) == [colour]
 
 
 def _cut(source: Path, root: Path, drives: dict[str, range]) -> None:
-    """Link what KITTI raw has of some frames of drives, and the whole of what is no frame's."""
+    """Link the files of some frames of drives, and all files without a frame number."""
     for drive, frames in drives.items():
         date = source / drive[:10]
         for path in (*date.glob("*.txt"), *(date / f"{drive}_sync").rglob("*.*")):
@@ -191,20 +173,20 @@ def _cut(source: Path, root: Path, drives: dict[str, range]) -> None:
 
 
 def _check_folds(folder: Path, model: str, sample: list[str], real: dict[str, range]) -> None:
-    """Each real drive is judged ten frames ahead by a network that has not seen it, beside what motion says."""
+    """Each real drive is tested, ten frames ahead, with a network that was not trained on it, beside odometry."""
     result = json.loads((folder / f"data/evaluate/{model}/metrics.json").read_text())
     first, second = real
-    # All that some network was fitted to: the first drive's judge, then the second's.
+    # The training drives of all folds.
     assert result["drives"] == {"train": [*sample, second, first], "val": [], "test": list(real)}
     assert result["val"] is None
     window, horizon = 8, 10
     for drive, frames in real.items():
         assert (folder / f"data/train/{model}/fold-{drive}/best.pt").is_file()
-        judged = result["test"]["by_drive"][drive]
-        assert judged["frames"] == len(frames) - (window - 1) - horizon
-        assert judged["baselines"]["zero"]["nmse"] == 1.0
-        assert judged["baselines"]["odometry"]["nmse"] < 0.3  # of the angle a second ago: 0.11, 0.17
-        assert judged["nmse"] < 1.5  # not trained to speak of, but odometry is where it starts
+        errors = result["test"]["by_drive"][drive]
+        assert errors["frames"] == len(frames) - (window - 1) - horizon
+        assert errors["baselines"]["zero"]["nmse"] == 1.0
+        assert errors["baselines"]["odometry"]["nmse"] < 0.3  # the angle a second ago: 0.11, 0.17
+        assert errors["nmse"] < 1.5  # hardly trained, but it starts from odometry
     table = (folder / "data/report/table.md").read_text()
     header = next(line for line in table.splitlines() if line.startswith("| model |"))
     assert "| nmse 0005 | nmse 0042 |" in header
@@ -222,7 +204,7 @@ def _check_cloud(folder: Path, kind: str, drive: str, frames: int) -> None:
         xyz, cls = file["xyz"], file["cls"]
     assert np.isfinite(xyz).all()
     if kind == "lidar":
-        # The road that the scanner sees lies 1.65 m below the camera.
+        # The road is 1.65 m below the camera.
         near = (np.abs(xyz[:, 0]) < 3) & (xyz[:, 2] > 4) & (xyz[:, 2] < 12)
         assert np.median(xyz[near, 1]) == pytest.approx(1.65, abs=0.15)
     else:

@@ -1,5 +1,6 @@
 """One writer per stage folder."""
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,6 +9,9 @@ from filelock import FileLock, Timeout
 
 from pipeline.base.atomic import sweep
 from pipeline.base.errors import InputError
+
+# Of network file systems, for instance Lustre without -o flock, or NFS without its lock daemon.
+_UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
 
 
 @contextmanager
@@ -24,16 +28,21 @@ def exclusive(out: Path, pending: Path) -> Iterator[None]:
     """
     pending.mkdir(parents=True, exist_ok=True)
     path = pending.with_name(f"{pending.name}.lock")
-    lock = FileLock(path, timeout=0)
+    if path.is_symlink():
+        raise InputError("expected a regular file, got a symbolic link", path, f"Remove it: rm {path}")
+    lock = FileLock(path, timeout=0, fallback_to_soft=False)
     try:
         lock.acquire()
     except Timeout:
-        raise InputError(
-            "another process is writing it", out, "Wait for that to end, then repeat the command"
-        ) from None
-    except NotImplementedError:  # some network file systems, for instance Lustre without -o flock
+        problem, fix = "another process is writing it", "Wait for that to end, then repeat the command"
+        raise InputError(problem, out, fix) from None
+    except OSError as error:
+        if error.errno not in _UNSUPPORTED:
+            raise
         print(f"note: {path.parent} does not support locks: run only one process on {out}", flush=True)
-    with lock:
+    try:
         for folder in (out, pending):
             sweep(folder)
         yield
+    finally:
+        lock.release()

@@ -8,8 +8,9 @@ import json
 import shutil
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,13 +19,14 @@ from tqdm import tqdm
 from pipeline.base import progress
 from pipeline.base.atomic import replacing, sweep
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.executors import SerialExecutor, default_workers, executor
+from pipeline.base.executors import JobKilled, executor
 from pipeline.base.lock import exclusive
 from pipeline.base.store import indexed, write_json
 
 J = TypeVar("J")
 Summary = dict[str, Any]
 Work = Callable[[str, Path], Summary]
+_POLL_S = 5  # how often new workers of a cluster are looked for
 
 
 def run_over_drives(
@@ -45,7 +47,8 @@ def run_over_drives(
         work: picklable. Writes the drive's file or folder to `path` in one step and returns a JSON-able summary.
         out: the stage's folder, for instance ``data/clouds/pseudo``.
         key: drive → hash of everything that determines its file: :func:`pipeline.base.resume.stage_key`.
-        workers: processes; None: :func:`pipeline.base.executors.default_workers`. Never changes a result.
+        workers: processes; None: :func:`pipeline.base.executors.default_workers`. 1: this process, otherwise the
+            workers of a Dask cluster if there is one. Never changes a result.
         pending: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
         target: drive → final path of its file or folder; default ``out/<drive>.h5``.
         frames: drive → how many frames `work` counts with :mod:`pipeline.base.progress`; the longest drive starts
@@ -60,28 +63,29 @@ def run_over_drives(
     progress are done. What is finished is kept for the next run.
     """
     pending = pending or out.parent / ".resume" / out.name
-    target = target or (lambda drive: out / f"{drive}.h5")
+    targets = {drive: target(drive) if target else out / f"{drive}.h5" for drive in drives}
     with exclusive(out, pending):
-        paths = {drive: pending / (key(drive) + target(drive).suffix) for drive in drives}
-        todo = [drive for drive in drives if not paths[drive].exists() or not _sidecar(paths[drive]).is_file()]
+        paths = {
+            drive: pending / f"{drive.replace('/', '-')}-{key(drive)}{path.suffix}" for drive, path in targets.items()
+        }
+        todo = [drive for drive, path in paths.items() if not path.exists() or not _sidecar(path).is_file()]
         if len(todo) < len(drives):
             print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
-        counts = {drive: frames(drive) if frames else 1 for drive in todo}
+        counts = {drive: frames(drive) if frames else 1 for drive in drives}
+        done = sum(counts.values()) - sum(counts[drive] for drive in todo)
         todo.sort(key=counts.__getitem__, reverse=True)
         unit = " frames" if frames else " drives"
-        with tqdm(total=sum(counts.values()), unit=unit, disable=not sys.stderr.isatty()) as bar:
-            jobs = [(drive, paths[drive]) for drive in todo]
-            for (drive, path), (summary, seconds) in run_jobs(
-                _Drive(work), jobs, workers=workers, counter=bar.update if frames else None, name=lambda job: job[0]
+        with tqdm(total=sum(counts.values()), initial=done, unit=unit, disable=not sys.stderr.isatty()) as bar:
+            counter = bar.update if frames else None
+            for job, result in run_jobs(
+                _Drive(work), [(drive, paths[drive]) for drive in todo], workers=workers, counter=counter, name=_drive
             ):
                 if not frames:
                     bar.update()
-                rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
-                line = f"{drive}: {describe(summary)}, {_size(path) / 1e6:.1f} MB, {seconds:.1f} s{rate}"
-                tqdm.write(line, file=sys.stdout)
+                tqdm.write(_log_line(job, result, describe), file=sys.stdout)
                 sys.stdout.flush()
-        summaries = {drive: json.loads(_sidecar(paths[drive]).read_text(encoding="utf-8")) for drive in drives}
-        _publish({path: target(drive) for drive, path in paths.items()}, out)
+        summaries = {drive: json.loads(_sidecar(path).read_text(encoding="utf-8")) for drive, path in paths.items()}
+        _publish({paths[drive]: path for drive, path in targets.items()}, out)
         shutil.rmtree(pending)
     return summaries
 
@@ -98,46 +102,59 @@ def run_jobs(
     """Yield each job with the result of ``work(job)`` as they finish, in parallel.
 
     Args:
-        threads: of each worker process; None: the cores are divided among the workers.
+        workers: as in :func:`run_over_drives`.
+        threads: of each process, in which case none runs in this process; None: the cores are divided among them.
         counter: called with numbers of frames as they are done.
         name: job → how an error names it.
 
-    Raises the first error after the jobs in progress are done; waiting jobs are cancelled.
+    Raises the first error after the jobs in progress are done; no other job is started.
     """
-    count = min(workers or default_workers(), len(jobs))
-    if not count:
+    if not jobs:
         return
-    failures: list[Exception] = []
-    pending: dict[Future[Any], J] = {}
-    waiting = iter(jobs)
-    with executor(count, counter or (lambda frames: None), threads) as pool:
-        # A serial executor works within submit().
-        limit = 1 if isinstance(pool, SerialExecutor) else len(jobs)
-        while True:
-            while len(pending) < limit and not failures and (job := next(waiting, None)) is not None:
-                pending[pool.submit(work, job)] = job
-            if not pending:
-                break
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+    failures: list[BaseException] = []
+    running: dict[Future[Any], J] = {}
+    waiting = deque(jobs)
+    with executor(workers, len(jobs), counter or _ignore, threads) as (pool, capacity):
+        while running or (waiting and not failures):
+            # No more than can run at once, so that after a failure there is nothing to cancel.
+            while waiting and not failures and len(running) < capacity():
+                job = waiting.popleft()
                 try:
-                    yield pending[future], future.result()
-                except CancelledError:
-                    pass
-                except BrokenExecutor:
-                    failures.append(_worker_died([name(job) for job in pending.values()][:count]))
-                except Exception as error:  # whatever it is, the jobs in progress are worth finishing
-                    failures.append(error)
-                del pending[future]
-            if failures:
-                for future in [future for future in pending if future.cancel()]:
-                    del pending[future]
+                    running[pool.submit(work, job)] = job
+                except BrokenExecutor as error:
+                    failures.append(_worker_died(error, [name(job) for job in (*running.values(), job)]))
+            for future in wait(running, _POLL_S, FIRST_COMPLETED).done:
+                failure = future.exception()
+                if failure is None:
+                    yield running[future], future.result()
+                elif isinstance(failure, BrokenExecutor):
+                    near = [running[future]] if isinstance(failure, JobKilled) else running.values()
+                    failures.append(_worker_died(failure, [name(job) for job in near]))
+                else:  # whatever it is, the jobs in progress are worth finishing
+                    failures.append(failure)
+                del running[future]
     if failures:
         raise failures[0]
 
 
-def _worker_died(jobs: Sequence[str]) -> InputError:
+def _drive(job: tuple[str, Path]) -> str:
+    return job[0]
+
+
+def _log_line(job: tuple[str, Path], result: tuple[Summary, float], describe: Callable[[Summary], str]) -> str:
+    (drive, path), (summary, seconds) = job, result
+    rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
+    return f"{drive}: {describe(summary)}, {_size(path) / 1e6:.1f} MB, {seconds:.1f} s{rate}"
+
+
+def _ignore(frames: int) -> None:
+    return None
+
+
+def _worker_died(error: BrokenExecutor, jobs: Sequence[str]) -> InputError:
+    problem = str(error) if isinstance(error, JobKilled) else "a worker process died (out of memory?)"
     fix = "Use fewer workers (STEER_WORKERS=1) or repeat the command: finished drives are kept"
-    return InputError("a worker process died (out of memory?)", f"at or near {', '.join(jobs)}", fix)
+    return InputError(problem, f"at or near {', '.join(jobs)}", fix)
 
 
 class _Drive:
@@ -152,10 +169,14 @@ class _Drive:
         progress.start()
         try:
             summary = self.work(drive, path)
-        except InputError:
+        except Exception as error:
             frame = progress.current_frame()
-            with error_context(drive if frame is None else f"{drive} frame {frame}"):
-                raise
+            where = drive if frame is None else f"{drive} frame {frame}"
+            if isinstance(error, InputError):
+                with error_context(where):
+                    raise
+            error.add_note(f"while processing {where}")
+            raise
         write_json(_sidecar(path), summary)
         return summary, time.perf_counter() - start
 
@@ -172,11 +193,12 @@ def _publish(targets: Mapping[Path, Path], out: Path) -> None:
     kinds = {(target.parent, target.suffix) for target in targets.values()}
     earlier = {folder / f"{drive}{suffix}" for folder, suffix in kinds for drive in indexed(folder)}
     for stale in earlier.difference(targets.values()):
-        stale.unlink(missing_ok=True)
+        if stale.is_file():
+            stale.unlink()
 
 
 def _sidecar(path: Path) -> Path:
-    return path.with_suffix(".json")
+    return path.with_name(f"{path.name}.json")
 
 
 def _size(path: Path) -> int:

@@ -1,4 +1,4 @@
-"""A drive of each split with small graphs, for the stages that train and judge."""
+"""Five drives with small graphs, for the stages that train and evaluate."""
 
 import shutil
 from pathlib import Path
@@ -9,7 +9,7 @@ from tests import artefacts
 from tests.small_model import SPLITS, write_params
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("dataset")
     artefacts.write_dataset(folder, SPLITS, frames=60, points=80)

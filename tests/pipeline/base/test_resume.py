@@ -1,37 +1,77 @@
-"""Resume keys: whatever determines a result is in them, and nothing else. Whole runs: test_pool.py."""
+"""Resume keys: everything that determines a result changes them, and nothing else."""
 
 import hashlib
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from pipeline.base import resume
 from pipeline.base.errors import InputError
-from pipeline.base.resume import file_hash, resume_key
+from pipeline.base.resume import ROOT, file_hash, stage_key
 
 
-def test_what_is_in_a_key(tmp_path: Path) -> None:
+def test_stage_settings_and_inputs_are_in_a_key(tmp_path: Path) -> None:
     file = tmp_path / "a"
     file.write_text("1")
     keys = [
-        resume_key(module, settings, inputs)
-        for module in ("stages.labels", "stages.ingest", ["stages.labels", "stages.ingest"])
+        stage_key(stage, settings, inputs)
+        for stage in ("labels", "ingest")
         for settings in ({"k": 6}, {"k": 7})
         for inputs in ([file], ["a"], [file, "a"], ["a", file], [])
     ]
     file.write_text("2")
-    keys.append(resume_key("stages.labels", {"k": 6}, [file]))
+    keys.append(stage_key("labels", {"k": 6}, [file]))
     assert len(set(keys)) == len(keys)
 
 
-def test_what_is_not(tmp_path: Path) -> None:
+def test_the_order_of_settings_and_names_of_inputs_are_not(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).write_text("1")
-    first = resume_key("stages.labels", {"k": 6, "l": 7}, [tmp_path / "a"])
-    assert resume_key(["stages.labels"], {"l": 7, "k": 6}, [tmp_path / "b"]) == first, "order, and names of files"
+    first = stage_key("labels", {"k": 6, "l": 7}, [tmp_path / "a"])
+    assert stage_key("labels", {"l": 7, "k": 6}, [tmp_path / "b"]) == first
+
+
+@pytest.fixture
+def key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
+    """Return a function that computes a stage's key in a copy of the code, as a new process does."""
+    for package in resume.PACKAGES:
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copyfile(ROOT / "dvc.yaml", tmp_path / "dvc.yaml")
+    monkeypatch.setattr(resume, "ROOT", tmp_path)
+
+    def compute(stage: str) -> str:
+        resume._stage_code_hash.cache_clear()
+        return stage_key(stage, {}, [])
+
+    return compute
+
+
+@pytest.mark.parametrize(
+    ("file", "stages"),
+    [
+        ("pipeline/label.py", {"labels", "train"}),
+        ("pipeline/base/store.py", {"labels", "clouds", "train"}),
+        ("models/steering/spatial/gnn.py", {"train"}),  # a file that dvc.yaml names by ${item.spatial}
+        ("pipeline/town/world.py", set()),
+        ("pipeline/base/.store.py.swp", set()),
+    ],
+)
+def test_the_code_that_dvc_yaml_names_is_in_a_key(
+    tmp_path: Path, key: Callable[[str], str], file: str, stages: set[str]
+) -> None:
+    before = {stage: key(stage) for stage in ("labels", "clouds", "train")}
+    with (tmp_path / file).open("a") as code:
+        code.write("# an edit\n")
+    assert {stage for stage in before if key(stage) != before[stage]} == stages
+    resume._stage_code_hash.cache_clear()
 
 
 def test_file_hash(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
     assert file_hash(tmp_path / "a") == hashlib.sha256(b"abc").hexdigest()
-    with pytest.raises(InputError, match=r"nowhere is missing.*dvc pull"):
+    with pytest.raises(InputError) as raised:
         file_hash(tmp_path / "nowhere")
+    assert raised.value.where == str(tmp_path / "nowhere")
+    assert "dvc pull" in raised.value.fix

@@ -1,0 +1,191 @@
+"""The runner's contract, on a toy stage: whatever ends a run, finished drives are kept and no file is half-written."""
+
+import errno
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.base import runner
+from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.lock import exclusive
+from pipeline.base.store import write_index
+from tests.kitti_drive import contents
+from tests.pipeline.base import toy_stage
+from tests.pipeline.base.toy_stage import DRIVES, alive, calls, end_trouble, outputs, start, trouble, wait_for, waiting
+
+
+@pytest.mark.parametrize("workers", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
+def test_bytes_do_not_depend_on_workers(
+    folder: Path, expected: dict[str, bytes], workers: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summaries = toy_stage.main(folder, workers=workers)
+    assert summaries == {drive: {"frames": toy_stage.FRAMES[drive]} for drive in DRIVES}
+    assert list(summaries) == DRIVES
+    assert outputs(folder) == expected
+    assert calls(folder) == DRIVES
+    assert [path.name for path in (folder / "data/.resume").iterdir()] == ["toy.lock"]
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split(",")[0] for line in lines} == {f"{name}: {n} frames" for name, n in toy_stage.FRAMES.items()}
+    if workers == 1:
+        assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"], "the longest first"
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_an_error_names_drive_and_frame_and_keeps_finished_drives(
+    folder: Path, expected: dict[str, bytes], workers: int, monkeypatch: Any, capsys: Any
+) -> None:
+    trouble(folder, c="fail")
+    with pytest.raises(DamagedFile) as raised:
+        toy_stage.main(folder, workers=workers)
+    assert raised.value.where == "c frame 2: 0.png"
+    assert outputs(folder) == {}, "the stage's folder is filled at the end"
+    assert "b" in calls(folder)
+    end_trouble(folder)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    capsys.readouterr()
+    toy_stage.main(folder, workers=workers)
+    repeated = calls(folder)
+    assert "c" in repeated
+    assert "b" not in repeated
+    assert outputs(folder) == expected
+    printed = capsys.readouterr()
+    assert "of 4 drives kept from the run before" in printed.out
+    assert "14/14" in printed.err.split("\r")[-1], "the bar counts kept frames, too"
+    assert "0/14" not in printed.err
+
+
+def test_a_dead_worker_is_one_error_and_keeps_finished_drives(folder: Path, expected: dict[str, bytes]) -> None:
+    trouble(folder, a="die")
+    with pytest.raises(InputError) as raised:
+        toy_stage.main(folder, workers=2)
+    assert "a" in raised.value.where.removeprefix("at or near ").split(", ")
+    assert "STEER_WORKERS=1" in raised.value.fix
+    assert len(calls(folder)) >= 3
+    end_trouble(folder)
+    toy_stage.main(folder, workers=1)
+    assert "b" not in calls(folder)
+    assert outputs(folder) == expected
+
+
+@pytest.mark.slow
+def test_a_full_disk_names_the_file_and_leaves_no_temporary_one(folder: Path, expected: dict[str, bytes]) -> None:
+    trouble(folder, c="full")
+    with pytest.raises(OSError, match=r"toy/c-") as raised:
+        toy_stage.main(folder, workers=2)
+    assert raised.value.errno == errno.EFBIG
+    left = [path.name.split("-")[0] for path in (folder / "data/.resume/toy").iterdir()]
+    assert set(left) <= {"a", "b", "empty"}
+    end_trouble(folder)
+    toy_stage.main(folder, workers=1)
+    assert outputs(folder) == expected
+
+
+def test_settings_and_inputs_are_in_the_key(folder: Path) -> None:
+    for settings, content in (({"k": 2}, "1"), ({"k": 3}, "1"), ({"k": 3}, "2")):
+        (folder / "input").write_text(content)
+        trouble(folder, a="fail")
+        with pytest.raises(DamagedFile):
+            toy_stage.main(folder, workers=1, **settings)
+        assert calls(folder) == ["a", "b", "c"], "nothing is kept from other settings or inputs"
+    end_trouble(folder)
+    toy_stage.main(folder, workers=1, k=3)
+    assert calls(folder) == ["a", "empty"]
+
+
+def test_a_folder_that_is_being_written_is_refused(folder: Path) -> None:
+    with (
+        exclusive(folder / "data/toy", folder / "data/.resume/toy"),
+        pytest.raises(InputError) as raised,
+    ):
+        toy_stage.main(folder, workers=1)
+    assert raised.value.where == str(folder / "data/toy")
+    assert calls(folder) == []
+
+
+def write(drive: str, path: Path) -> dict[str, Any]:
+    path.write_text(drive)
+    return {}
+
+
+def run(out: Path, **options: Any) -> None:
+    runner.run_over_drives(write, DRIVES, out=out, key=lambda drive: "same", workers=1, **options)
+
+
+def test_only_files_of_drives_of_an_earlier_index_are_removed(tmp_path: Path) -> None:
+    out = tmp_path / "data/stage"
+    own = dict.fromkeys(("own.h5", "own.txt", "below/own.h5", "below/old.h5"), b"my own")
+    for name, content in {**own, "a.h5": b"earlier", "old.h5": b"earlier"}.items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_bytes(content)
+    (tmp_path / "data/outside.h5").touch()
+    write_index(out, {"a": "train", "old": "train", "gone": "val", "../outside": "test"})
+    index = (out / "index.json").read_bytes()
+    run(out)
+    assert contents(out) == {f"{drive}.h5": drive.encode() for drive in DRIVES} | own | {"index.json": index}
+    assert (tmp_path / "data/outside.h5").exists()
+    (out / "index.json").write_text('{"drives": [7]}')
+    run(out, target=lambda drive: out / "more" / drive / "result.json", pending=tmp_path / "waiting")
+    assert (out / "more/b/result.json").read_text() == "b", "a summary beside a .json file does not replace it"
+    assert (out / "a.h5").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "waiting.lock"]
+
+
+def test_the_stage_folder_may_be_a_link_to_another_file_system(tmp_path: Path, tmp_path_factory: Any) -> None:
+    elsewhere = Path("/dev/shm") / f"test-runner-{os.getpid()}"
+    elsewhere.mkdir()
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/stage").symlink_to(elsewhere)
+    other = tmp_path / "data/.resume/stage-2/key.h5"
+    other.parent.mkdir(parents=True)
+    other.touch()
+    try:
+        run(tmp_path / "data/stage")
+        assert contents(elsewhere) == {f"{drive}.h5": drive.encode() for drive in DRIVES}
+    finally:
+        for path in elsewhere.iterdir():
+            path.unlink()
+        elsewhere.rmdir()
+    assert (tmp_path / "data/stage").is_symlink()
+    assert other.exists(), "what waits for another stage's next run"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGINT, 130)], ids=["kill", "ctrl-c"])
+def test_a_killed_run_resumes_and_leaves_no_process(
+    folder: Path, expected: dict[str, bytes], number: signal.Signals, status: int
+) -> None:
+    trouble(folder, a="wait", c="wait")
+    with start(folder, "--workers", "2") as process:
+        pids = waiting(folder, "ac")
+        wait_for(lambda: len(list((folder / "data/.resume/toy").glob("*.json"))) >= 1)
+        if number == signal.SIGINT:
+            os.killpg(process.pid, number)  # as a terminal sends Ctrl-C
+        else:
+            process.send_signal(number)
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == status, errors
+    if number == signal.SIGINT:
+        assert errors.startswith("error: interrupted")
+        assert errors.count("\n") == 1
+    wait_for(lambda: not any(alive(pid) for pid in pids))
+    end_trouble(folder)
+    calls(folder)
+    toy_stage.main(folder, workers=1)
+    assert "b" not in calls(folder)
+    assert outputs(folder) == expected
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_workers_start_is_one_line(folder: Path) -> None:
+    with start(folder, "--workers", "3") as process:
+        wait_for((folder / "data/.resume/toy.lock").exists)
+        time.sleep(0.3)  # somewhere in the workers' imports
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    assert errors.startswith("error: interrupted") or process.returncode == 0
+    assert errors.count("\n") <= 1

@@ -22,7 +22,7 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError, closest
 from pipeline.base.params import load
 from pipeline.camera.images import read_image
-from pipeline.camera.png import read_png
+from pipeline.camera.pixels import read_pixels
 from pipeline.encoder.perceive import passes, perceive
 from pipeline.sections.perception import Perception
 
@@ -77,7 +77,7 @@ def read(folder: Path, rounds: int) -> tuple[Reading, np.ndarray, np.ndarray]:
     """Time how the frames that town_frames recorded in `folder` are read; return them [F,H,W,3] and their K too."""
     stored, raw = [], []
     pngs = sorted(folder.glob(f"town/*/{town_frames.DRIVE}_sync/image_02/data/*.png"))
-    height, width = read_png(pngs[0]).shape[:2]
+    height, width = read_pixels(pngs[0]).shape[:2]
     for _ in range(rounds):
         with store.DriveReader(folder / f"ingest/{town_frames.DRIVE}.h5", stage="ingest") as file:
             start = time.perf_counter()

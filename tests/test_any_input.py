@@ -15,8 +15,7 @@ from pipeline.base import store, yaml_file
 from pipeline.base.errors import InputError
 from pipeline.base.params import parse
 from pipeline.camera.calib_file import projection, read_entries
-from pipeline.camera.jpeg import read_jpeg
-from pipeline.camera.png import read_png
+from pipeline.camera.pixels import read_pixels
 from pipeline.fitting import checkpoint
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
@@ -44,8 +43,8 @@ READERS: dict[str, tuple[st.SearchStrategy[bytes], Callable[[Path], Any]]] = {
                         lambda lines: "\n".join(": ".join(line) for line in lines).encode()),
                     lambda path: projection(read_entries(path), 2, path)),
     "scan": (st.binary(max_size=4000), read_scan),
-    "png": (st.binary(max_size=400).map(lambda tail: b"\x89PNG\r\n\x1a\n" + tail), read_png),
-    "jpeg": (st.binary(max_size=400).map(lambda tail: b"\xff\xd8" + tail + b"\xff\xd9"), read_jpeg),
+    "png": (st.binary(max_size=400).map(lambda tail: b"\x89PNG\r\n\x1a\n" + tail), read_pixels),
+    "jpeg": (st.binary(max_size=400).map(lambda tail: b"\xff\xd8" + tail + b"\xff\xd9"), read_pixels),
     "checkpoint": (st.binary(max_size=400).map(lambda tail: b"PK\x03\x04" + tail), checkpoint.load),
     "yaml": (st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")), yaml_file.read),
     "yaml of signs": (st.text("&*!<>[]{}:,|-? a1\n\"'", max_size=60).map(str.encode), yaml_file.read),

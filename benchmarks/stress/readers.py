@@ -16,7 +16,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import parse
 from pipeline.camera import footage
 from pipeline.camera.images import read_classes, read_depth, read_image
-from pipeline.camera.png import read_png
+from pipeline.camera.pixels import read_pixels
 from pipeline.encoder import perceive
 from pipeline.kitti import oxts
 from pipeline.kitti.calibration import read_camera
@@ -163,7 +163,7 @@ READERS = (
     Reader("image.png", lambda path: read_image(path, SIZE, SIZE)),
     Reader("depth.png", lambda path: read_depth(path, SIZE, SIZE)),
     Reader("cls.png", lambda path: read_classes(path, SIZE, SIZE)),
-    Reader("recorded.png", read_png),
+    Reader("recorded.png", read_pixels),
     *(
         Reader(f"{stage}.h5", everything(stage), called=NAMED)
         for stage in ("ingest", "labels", "perception", "motion", "clouds")

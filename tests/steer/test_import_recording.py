@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pipeline.camera.png import read_png
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
-from pipeline.camera.png import read_png
 from pipeline.kitti.raw import RawDrive
 from pipeline.label import steering_labels
 from pipeline.recording import layout

@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from pipeline.camera.jpeg import read_jpeg
 
 from pipeline.base.errors import DamagedFile
-from pipeline.camera.jpeg import read_jpeg
 
 IMAGE = np.full((32, 48, 3), (200, 100, 50), np.uint8)
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.camera.png import read_png
 
 from pipeline.base.errors import DamagedFile
-from pipeline.camera.png import read_png
 from tests.kitti_drive import write_png
 
 rng = np.random.default_rng(0)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.camera.png import read_png
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import depth_image, transform
-from pipeline.camera.png import read_png
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_drive
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.camera.png import read_png
 
 from pipeline.base.errors import InputError
-from pipeline.camera.png import read_png
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.oxts import make_rows, read_row, read_times
 from pipeline.kitti.raw import RawDrive

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.camera.png import read_png
 
 from pipeline.camera import classes
-from pipeline.camera.png import read_png
 from pipeline.town.contact_sheet import contact_sheet, write_rgb
 
 

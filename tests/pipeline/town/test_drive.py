@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.camera.png import read_png
 
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import to_metres
-from pipeline.camera.png import read_png
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.town.drive import Drive

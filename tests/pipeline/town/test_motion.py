@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.town.body import Body, draw_body
+from pipeline.town.recording import read_recording
 
 from pipeline.kitti.oxts import COLUMNS, WU, YAW
 from pipeline.kitti.raw import find_drives
 from pipeline.label import steering_angle
-from pipeline.town.body import Body, draw_body
 from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
     BRAKE_MPS2,
@@ -21,7 +22,6 @@ from pipeline.town.motion import (
     speed_profile,
 )
 from pipeline.town.oxts import GRAVITY_MPS2, RATES_LATE_S, oxts_rows
-from pipeline.town.recording import read_recording
 from pipeline.town.route import AHEAD_M, Route
 
 LAT, LON, LATERAL = 49.0, 8.4, 3.0

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pipeline.camera.png import read_png
+from pipeline.town.meetings import find_meetings
+from pipeline.town.recording import Recording, read_recording
 
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres
-from pipeline.camera.png import read_png
 from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.label import steering_labels
@@ -18,9 +20,7 @@ from pipeline.town.character import draw_character
 from pipeline.town.drive import Drive
 from pipeline.town.journey import Journey
 from pipeline.town.light import draw_ground_colours
-from pipeline.town.meetings import find_meetings
 from pipeline.town.plan import draw_plan
-from pipeline.town.recording import Recording, read_recording
 from pipeline.town.replay import replay
 from pipeline.town.route import AHEAD_M, BEHIND_M, IMU_LEFT_M
 from pipeline.town.street import build_street

@@ -9,9 +9,11 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.camera.footage import Footage, ImageFolder
 from pipeline.camera.video import Image
-from pipeline.recording.track import Rates, check_times
+from pipeline.recording.checks import check_size, check_times
+from pipeline.recording.track import Rates
 
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
+_MOST_BYTES = 1 << 27  # of a file of times
 
 
 @dataclass(frozen=True)
@@ -59,12 +61,13 @@ def read_times(path: Path) -> np.ndarray:
     """Return the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
     if not path.is_file():
         raise InputError("file is missing", path, "Pass --times a file with one time in seconds per image")
+    check_size(path, _MOST_BYTES)
     try:
-        times = np.loadtxt(path, ndmin=1, encoding="utf-8-sig", comments=None)
+        times = np.array(path.read_text(encoding="utf-8-sig", errors="replace").split(), np.float64)
     except ValueError as error:
         raise InputError(f"expected one number per line ({error})", path) from error
-    if times.ndim != 1 or not len(times):
-        raise InputError(f"expected one number per line, got shape {times.shape}", path)
+    if not len(times):
+        raise InputError("file is empty (expected one number per line)", path)
     check_times(times, path)
     return times
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
+from pipeline.recording.checks import check_size
 from pipeline.recording.gnss import read_gpx, read_nmea
 from pipeline.recording.track import Rates, rates_of
 
@@ -40,9 +41,7 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
         raise InputError("not a text file", path, _EXPECTED)
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
     kind = "track" if first in (b"<", b"$", b"!") else "CSV"
-    if path.stat().st_size > _MOST_BYTES[kind]:
-        limit = f"expected at most {_MOST_BYTES[kind] >> 20} MiB, got {path.stat().st_size >> 20}"
-        raise InputError(f"file is too large ({limit})", path, "Cut it to the recording")
+    check_size(path, _MOST_BYTES[kind])
     if kind == "CSV":
         rates = _read_csv(path)
         return MotionLog(rates.later(offset_s), f"{len(rates.time_s)} samples of {path}")
@@ -73,7 +72,6 @@ def _read_csv(path: Path) -> Rates:
             skipinitialspace=True,
             encoding="utf-8-sig",
             encoding_errors="replace",
-            float_precision="round_trip",
         )
     except ValueError as error:  # pandas' parser errors too
         raise InputError(f"is not a table of numbers ({error})", path, "Correct or remove the line") from error

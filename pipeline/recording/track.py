@@ -7,13 +7,13 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.kitti.oxts import EARTH_RADIUS_M, LIMITS
+from pipeline.recording.checks import check_limit, check_times
 
 # Window of the parabolas: at 10 Hz on KITTI's own track, half of it triples the angle's squared error.
 SMOOTH_S = 1.0
 # Fewest fixes in a window, for low rates: positions are differentiated twice, velocities once.
 LEAST_POSITIONS, LEAST_VELOCITIES = 5, 3
 MIN_SPEED_MPS = 1.0  # below, the course is noise
-LATEST_S = 4e9  # since 1970: year 2096
 _MOST_FIXES = 1e8  # after resampling
 
 
@@ -54,28 +54,6 @@ class Rates:
         check_times(self.time_s, path)
         check_limit("speed_mps", self.speed_mps, LIMITS["vf"], path)
         check_limit("yaw_rate_radps", self.yaw_rate_radps, LIMITS["wu"], path)
-
-
-def check_limit(name: str, values: np.ndarray, limit: float, path: Path) -> None:
-    """Raise InputError if one of `values` [N] is not finite or its magnitude exceeds `limit`."""
-    wrong = ~(np.abs(values) <= limit)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        problem = f"implausible {name} = {values[at]:g} at sample {at + 1} (limit ±{limit:g})"
-        raise InputError(problem, path, "Correct or remove the sample")
-
-
-def check_times(time_s: np.ndarray, path: Path) -> None:
-    """Raise InputError if times [N] are implausible or do not increase."""
-    check_limit("time_s", time_s, LATEST_S, path)
-    wrong = np.diff(time_s) <= 0
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(
-            f"time goes from {time_s[at]:.15g} to {time_s[at + 1]:.15g} at sample {at + 2} (expected an increase)",
-            path,
-            "Sort the file and remove repeated times",
-        )
 
 
 def rates_of(fixes: Fixes, path: Path) -> tuple[Rates, str]:

@@ -1,7 +1,7 @@
-"""The steering label (paper section 4.1), its file, how plausible a drive's labels are, and where steering leads.
+"""Compute steering labels (paper section 4.1), their file and plausibility, and the path a steering angle leads to.
 
-Signs: yaw rate and steering angle are positive to the left. ``v`` is oxts' forward speed ``vf``, parallel to the
-earth's surface, and the yaw rate is its match ``wu``.
+Signs: yaw rate and steering angle are positive to the left. The speed v is oxts' ``vf``, parallel to the earth's
+surface, and the yaw rate ψ̇ the corresponding ``wu``.
 """
 
 from typing import Literal
@@ -11,17 +11,17 @@ import numpy as np
 from pipeline.base.store import DriveWriter
 
 Standstill = Literal["invalid", "raw", "zero"]
-# Forward speed at standstill dips to -0.15 m/s in KITTI, so what is slower than this really rolls backwards.
+# Forward speed at standstill dips to -0.15 m/s in KITTI; below this limit the car rolls backwards.
 REVERSING_MPS = -0.5
-# Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Where it says more, heading or GNSS velocity are wrong,
-# and the label with them: 2011_09_26_drive_0093 "moves" at up to 14 m/s to the left and then backwards at 11 m/s.
+# Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
+# the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
 
 
 def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float) -> np.ndarray:
-    """Return atan(L ψ̇ / v) [F] in rad, the front wheel's angle in the bicycle model; 0 where both are 0.
+    """Return atan(L ψ̇ / v) [F] in rad, the front wheel angle of the bicycle model; 0 where both are 0.
 
-    In reverse both v and ψ̇ change sign, so the formula gives the wheel's angle there as well: left stays positive.
+    In reverse v and ψ̇ both change sign, so the formula holds there too: left stays positive.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.arctan(wheelbase_m * yaw_rate_radps / speed_mps)
@@ -31,14 +31,14 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
 def measured_angle(
     yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, wheelbase_m: float, min_speed_mps: float
 ) -> np.ndarray:
-    """Return the steering angle that measured motion says, float64 [F] in rad: :func:`steering_angle`, held.
+    """Return the :func:`steering_angle` of measured motion, float64 [F] in rad.
 
-    Where motion is not `valid` or slower than `min_speed_mps`, in either direction, it says nothing: the angle is that
-    of the last frame that does, and 0 before the first.
+    Frames without `valid` motion, or slower than `min_speed_mps` in either direction, repeat the last usable angle;
+    before the first it is 0.
     """
-    says = np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
+    usable = np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
     angle = steering_angle(np.asarray(yaw_rate_radps, np.float64), np.asarray(speed_mps, np.float64), wheelbase_m)
-    last = np.maximum.accumulate(np.where(says, np.arange(len(says)), -1))
+    last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
     return np.where(last >= 0, angle[last], 0.0)
 
 
@@ -52,9 +52,9 @@ def steering_labels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return ``steering_rad`` float64 [F] and ``valid`` bool [F].
 
-    Below `min_speed_mps`, in either direction, the formula divides noise by noise, up to ±π/2. `standstill` says what
-    such frames are: ``invalid`` (the formula's value, not to be used), ``raw`` (the same, valid: the paper's literal
-    formula) or ``zero`` (0, valid).
+    Below `min_speed_mps`, in either direction, the formula divides noise by noise, up to ±π/2. `standstill` selects the
+    label there: ``invalid`` (the formula's value, not valid), ``raw`` (the same, but valid: the paper's formula) or
+    ``zero`` (0, valid).
     """
     steering_rad = steering_angle(yaw_rate_radps, speed_mps, wheelbase_m)
     slow = np.abs(speed_mps) < min_speed_mps
@@ -74,7 +74,7 @@ def write(
     yaw_rate_radps: np.ndarray,
     wheelbase_m: float,
 ) -> None:
-    """Write a drive's labels file, data/labels/<drive>.h5: arrays [F] of its frames, and the curvature tan Θ / L."""
+    """Write the content of data/labels/<drive>.h5: the arguments [F] and the curvature tan Θ / L."""
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, "s")
     file.put("steering_rad", steering_rad, "rad, left positive")
@@ -91,9 +91,9 @@ def plausibility(
     sideways_mps: np.ndarray,
     time_s: np.ndarray,
 ) -> dict[str, float | int | None]:
-    """Return what a person should look at before trusting a drive's labels; None where there is nothing to average.
+    """Return statistics that show whether a drive's labels are plausible; None where there are no values.
 
-    ``zero_mse_rad2`` is the error of always predicting 0. ``dt_std_s`` is the jitter of the time between frames.
+    ``zero_mse_rad2`` is the error of always predicting 0. ``dt_std_s`` is the jitter of the frame interval.
     """
     angle = np.abs(steering_rad[valid])
     dt = np.diff(time_s)
@@ -119,10 +119,10 @@ def path(
     wheelbase_m: float,
     model: Literal["bicycle", "paper"] = "bicycle",
 ) -> np.ndarray:
-    """Return the car's positions [F,2] in metres: x ahead and y to the left of where it starts.
+    """Return the car's positions [F,2] in metres: x ahead and y to the left of its start.
 
     ``bicycle`` integrates the heading, ψ ← ψ + v/L tan Θ dt. ``paper`` is the paper's formula as printed, which takes
-    the steering angle itself for the heading: [x, y] ← [x, y] + v dt [cos Θ, sin Θ].
+    the steering angle as the heading: [x, y] ← [x, y] + v dt [cos Θ, sin Θ].
     """
     dt = np.diff(time_s)
     steering_rad, speed_mps = steering_rad[:-1], speed_mps[:-1]

@@ -1,13 +1,11 @@
-"""Read raw drives once, and write all that later stages need from them: one HDF5 file per drive."""
+"""Read raw drives once and write one HDF5 file per drive, with everything that later stages need."""
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from pipeline.base import console, progress, store
+from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
@@ -17,11 +15,11 @@ from pipeline.kitti import oxts
 from pipeline.kitti.ingest_file import PIXELS, put_camera, put_motion, put_pixels, put_scans
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from pipeline.kitti.tolerant import TolerantReader
-from pipeline.sections.ingest import SAMPLE, Ingest
+from pipeline.sections.ingest import Ingest
 
-MISSING = {
-    "town": "{root} is missing. Make it: dvc repro town",
-    "kitti": "{root} is missing. Link it: ln -s /path/to/kitti {root}. Only training? dvc pull labels graphs",
+_FIXES = {
+    "town": "Make it: dvc repro town",
+    "kitti": "Link it: ln -s /path/to/kitti {root}. Only training? dvc pull labels graphs",
 }
 
 
@@ -32,25 +30,20 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Read raw drives by frame number: oxts, images, LiDAR scans, calibration, and dense truth where there is any.
+    """Read oxts, images, LiDAR scans, calibration and dense ground truth of raw drives by frame number.
 
-    Returns the folder that it wrote.
+    Returns the stage's folder.
     """
     settings = load(Ingest, params)
     splits, sources = settings.drives.splits(), settings.sources()
-    roots = {"town": town, "kitti": raw}
     drives: dict[str, RawDrive] = {}
-    for drive in splits if settings.source == "both" else ():
-        if sources[drive] == "town" and (raw / drive[:10] / f"{drive}_sync").is_dir():
-            raise InputError(
-                f"{drive} lies in {raw}, but with ingest.source: both what is called {SAMPLE}… is the sample's: give "
-                "its folder a date of another year, or read it with source: kitti, without the sample"
-            )
-    for source, root in roots.items():
+    for source, root in {"town": town, "kitti": raw}.items():
         names = [drive for drive in splits if sources[drive] == source]
         if names and not root.is_dir():
-            raise InputError(MISSING[source].format(root=root))
+            raise InputError("folder is missing", root, _FIXES[source].format(root=root))
         drives |= find_drives(root, names) if names else {}
+    if settings.source == "both":
+        _check_names([drive for drive in splits if sources[drive] == "town"], raw)
     attributes = {
         drive: {"split": splits[drive], "source": sources[drive], "fingerprint": files.fingerprint(settings.cameras)}
         for drive, files in drives.items()
@@ -61,7 +54,12 @@ def main(
         return stage_key("ingest", {"drive": drive, **settings.model_dump(mode="json", exclude={"drives"})}, inputs)
 
     summaries = run_over_drives(
-        partial(_ingest, drives=drives, attributes=attributes, settings=settings),
+        partial(
+            _ingest,
+            folders={drive: files.folder for drive, files in drives.items()},
+            attributes=attributes,
+            settings=settings,
+        ),
         list(splits),
         out=out,
         key=key,
@@ -70,60 +68,65 @@ def main(
         describe=describe,
     )
     store.write_index(out, splits)
-    for name, what in (("image", "images"), ("lidar", "scans")):
+    for name, plural in (("image", "images"), ("lidar", "scans")):
         lacking = [drive for drive, summary in summaries.items() if not summary[name]]
         if lacking:
-            print(f"no {what}: {'every drive' if len(lacking) == len(splits) else ', '.join(lacking)}")
+            print(f"no {plural}: {'all drives' if len(lacking) == len(splits) else ', '.join(lacking)}")
     return out
 
 
+def _check_names(drives: list[str], raw: Path) -> None:
+    """Raise InputError if a drive named like the sample lies in `raw`, where source both would not read it."""
+    for drive in drives:
+        folder = raw / drive[:10] / f"{drive}_sync"
+        if folder.is_dir():
+            raise InputError(
+                "drive has a name of the sample, so that ingest.source: both does not read it here",
+                folder,
+                "Rename its folder to another year, or read it with ingest.source: kitti",
+            )
+
+
 def _ingest(
-    drive: str,
-    path: Path,
-    *,
-    drives: Mapping[str, RawDrive],
-    attributes: Mapping[str, Mapping[str, str]],
-    settings: Ingest,
+    drive: str, path: Path, *, folders: dict[str, Path], attributes: dict[str, dict[str, str]], settings: Ingest
 ) -> Summary:
     params = {"ingest": settings.model_dump(exclude={"drives"})}
     with store.DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
         file.attrs |= attributes[drive]
-        return ingest(file, drives[drive], settings)
+        return ingest(file, RawDrive(folders[drive]), settings)
 
 
 def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
-    """Write a drive's frames, by their oxts packets: a frame without one has no label."""
-    numbers, packets = list(raw.oxts), raw.folder / "oxts" / "data"
-    reader = TolerantReader(tolerant=settings.on_damaged == "skip")
-    sound = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers))
-    if not sound:
-        raise InputError("no packets, which labels are made of", packets, "Extract it")
-    frames = [numbers[row] for row in sound]
-    # Lines of timestamps.txt go with the packets that are there, damaged ones too.
-    time_s = oxts.read_times(raw.oxts_times, numbers)[list(sound)]
+    """Write the frames of a drive that have an oxts packet; others would have no label."""
     scans = raw.scans if settings.lidar else {}
     camera = raw.camera(settings.cameras)
     if scans and (camera is None or camera.T_cam_velo is None):
-        raise InputError(
-            f"calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing, and {raw.folder.name} has scans",
-            raw.calibration,
-        )
-    pictures = {"image": raw.images(camera.number), "depth": raw.truth_depth, "cls": raw.truth_cls} if camera else {}
+        problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
+        raise InputError(problem, raw.calibration, "Extract the date's calibration archive, or set ingest.lidar: false")
+    images = {"image": raw.images(camera.number), "depth": raw.truth_depth, "cls": raw.truth_cls} if camera else {}
+    images = {name: files for name, files in images.items() if files}
+    reader = TolerantReader(tolerant=settings.on_damaged == "skip", passes=2 + len(images))
 
+    numbers = list(raw.oxts)
+    packets = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers))
+    if not packets:
+        raise InputError("drive has no oxts packets, which labels need", raw.folder / "oxts" / "data", "Extract it")
+    frames = [numbers[row] for row in packets]
+    # Lines of timestamps.txt correspond to existing packets, including damaged ones.
+    time_s = oxts.read_times(raw.oxts_times, numbers)[list(packets)]
     file.attrs["camera"] = camera.number if camera else -1
-    put_motion(file, np.array(frames, np.int32), time_s, np.array(list(sound.values())).reshape(-1, len(oxts.COLUMNS)))
+    put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())))
     if camera:
         put_camera(file, scale_K(camera.K, camera.size, settings.image_size), camera.T_cam_velo)
     counts = {"frames": len(frames)}
     for name, pixels in PIXELS.items():
-        made = None
-        if camera and pictures[name]:
+        rows = None
+        if camera and name in images:
             read = partial(pixels.read, size=camera.size, new_size=settings.image_size)
-            made = reader.each(name, read, pictures[name], frames)
-        counts[name] = put_pixels(file, name, len(frames), settings.image_size, made)
+            rows = reader.each(name, read, images[name], frames)
+        counts[name] = put_pixels(file, name, len(frames), settings.image_size, rows)
     counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
-    progress.advance(len(numbers))  # all at once: images come first, then scans
-    unlabelled = (set(pictures.get("image", {})) | set(scans)) - set(raw.oxts)
+    unlabelled = (set(images.get("image", {})) | set(scans)) - set(raw.oxts)
     return counts | {
         "camera": camera.number if camera else None,
         "without_oxts": len(unlabelled),
@@ -131,13 +134,13 @@ def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
     }
 
 
-def describe(summary: Mapping[str, Any]) -> str:
-    """Return what the log says of one drive."""
+def describe(summary: Summary) -> str:
+    """Return the text for a drive's line in the log."""
     text = "{frames} frames, {image} images, {lidar} scans".format_map(summary)
     if summary["image"]:
         text += f", camera {summary['camera']}"
     if summary["depth"] or summary["cls"]:
-        text += ", {depth} depth and {cls} class truths".format_map(summary)
+        text += ", ground truth: {depth} depth, {cls} classes".format_map(summary)
     if summary["without_oxts"]:
         text += f", {summary['without_oxts']} without an oxts packet left out"
     for kind, number in summary["damaged"].items():

@@ -1,15 +1,13 @@
-"""Steering labels from oxts, and a summary of how plausible they are."""
+"""Compute steering labels from oxts, and statistics of their plausibility."""
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from pipeline import label
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
-from pipeline.base.runner import run_over_drives
+from pipeline.base.runner import Summary, run_over_drives
 from pipeline.kitti.oxts import VF, VL, WU
 from pipeline.sections.labels import Labels
 
@@ -19,19 +17,21 @@ def main(
     out: Path = Path("data/labels"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Compute the steering angle of each frame (paper section 4.1) and say which frames have a usable one.
+    """Compute the steering angle of each frame (paper section 4.1) and whether it is valid.
 
-    Returns the folder that it wrote.
+    Returns the stage's folder.
     """
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
+
+    def key(drive: str) -> str:
+        return stage_key("labels", {"drive": drive, **settings.model_dump(mode="json")}, [ingest / f"{drive}.h5"])
+
     summaries = run_over_drives(
         partial(label_drive, ingest=ingest, settings=settings),
         list(splits),
         out=out,
-        key=lambda drive: stage_key(
-            "labels", {"drive": drive, **settings.model_dump(mode="json")}, [ingest / f"{drive}.h5"]
-        ),
+        key=key,
         workers=1,  # less work than starting a process
         describe=describe,
     )
@@ -39,12 +39,12 @@ def main(
     store.write_index(out, splits)
     suspect = [drive for drive, summary in summaries.items() if summary["sideways_frames"]]
     if suspect:
-        print(f"labels in doubt, oxts says that the car slides sideways: {', '.join(suspect)}")
+        print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")
     return out
 
 
-def label_drive(drive: str, path: Path, ingest: Path, settings: Labels) -> dict[str, Any]:
-    """Write one drive's labels and return their plausibility summary."""
+def label_drive(drive: str, path: Path, ingest: Path, settings: Labels) -> Summary:
+    """Write one drive's labels and return their plausibility statistics."""
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
         frame, time_s, oxts = raw.frame, raw.time_s, raw["oxts"]
     speed_mps, yaw_rate_radps = oxts[:, VF], oxts[:, WU]
@@ -69,8 +69,8 @@ def label_drive(drive: str, path: Path, ingest: Path, settings: Labels) -> dict[
     return label.plausibility(steering_rad, valid, speed_mps, oxts[:, VL], time_s)
 
 
-def describe(summary: Mapping[str, Any]) -> str:
-    """Return what the log says of one drive."""
+def describe(summary: Summary) -> str:
+    """Return the text for a drive's line in the log."""
     text = "{frames} frames, {valid_share:.0%} valid".format_map(summary)
     if summary["valid_share"]:
         text += (

@@ -1,12 +1,12 @@
-"""Recorded drives made of a known motion: oxts files in KITTI raw's layout, for tests of the replay."""
+"""Write recorded drives with known motion: oxts files in KITTI raw's layout, for tests of the replay."""
 
 from pathlib import Path
 
 import numpy as np
+from pipeline.town.oxts import make_recording
 
 from pipeline.kitti.oxts import make_rows
 from pipeline.kitti.raw import RawDrive
-from pipeline.town.recording import make_recording
 
 DRIVE = "2011_09_26_drive_0007"
 DT_S = 0.1

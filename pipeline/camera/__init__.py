@@ -1,1 +1,1 @@
-"""What a pixel is: its class, its ray, its file."""
+"""Images, videos, classes and the pinhole camera."""

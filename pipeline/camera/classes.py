@@ -1,4 +1,4 @@
-"""The 19 Cityscapes classes by trainId, the only class numbers in this project."""
+"""Name and colour the 19 Cityscapes classes by trainId, the only class numbers in this project."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ VOID = 255
     SKY, PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE,
 ) = range(COUNT)  # fmt: skip
 GROUND = (ROAD, SIDEWALK, TERRAIN)
-TRAFFIC = (PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE)  # stands on the ground, and may move
+TRAFFIC = (PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE)  # on the ground, may move
 
 # The colours of the Cityscapes benchmark, RGB.
 COLOURS = np.array(

@@ -1,4 +1,4 @@
-"""The pinhole camera and back: K, K⁻¹ (paper eq. 6), rigid transforms.
+"""Project and back-project with a pinhole camera (paper eq. 6), and apply rigid transforms.
 
 Frames: camera = rectified, x right, y down, z forward; velodyne = x forward, y left, z up. ``T_a_b`` takes points from
 frame b to frame a. Pixel (u, v) = (column, row); integer coordinates are pixel centres, as in KITTI's calibration.
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def scale_K(K: np.ndarray, size: tuple[int, int], new_size: tuple[int, int]) -> np.ndarray:
-    """Return the intrinsics [3,3] of an image resized from `size` (H, W) to `new_size`.
+    """Return the intrinsics [3,3] after resizing an image from `size` (H, W) to `new_size`.
 
     Resizing maps the left edge -0.5 to -0.5, so centres move: ``u' = s (u + 0.5) - 0.5``.
     """
@@ -52,7 +52,7 @@ def transform(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the depth [H,W] in metres of the nearest point in each pixel, 0 where there is none.
 
-    `xyz` [N,3] in the camera frame. This is KITTI's own way to make sparse depth from a scan.
+    `xyz` [N,3] in the camera frame. KITTI's depth benchmark makes sparse depth from scans in this way.
     """
     uv, z = project(xyz, K)
     front = z > 0
@@ -66,5 +66,5 @@ def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.nda
 
 
 def scan_depth(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return :func:`depth_image`, float32, of a LiDAR scan [P,≥3], velodyne x, y, z in metres first."""
+    """Return the :func:`depth_image` float32 [H,W] of a LiDAR scan [P,≥3] that begins with velodyne x, y, z."""
     return depth_image(transform(T_cam_velo, scan[:, :3].astype(np.float64)), K, size).astype(np.float32)

@@ -64,9 +64,9 @@ def _checker(listed: Files, size: Size | None, deep: bool) -> Callable[[int], st
 
 
 def _png_reader() -> Callable[[Path], object]:
-    from pipeline.camera.png import read_png
+    from pipeline.camera.pixels import read_pixels
 
-    return read_png
+    return read_pixels
 
 
 def _scan_reader() -> Callable[[Path], object]:

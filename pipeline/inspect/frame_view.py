@@ -11,7 +11,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.classes import VOID
 from pipeline.camera.geometry import transform
 from pipeline.camera.images import to_metres
-from pipeline.camera.png import read_png
+from pipeline.camera.pixels import read_pixels
 from pipeline.graphs.cloud import Cloud, lidar_cloud
 from pipeline.inspect import drive_file, file_check, raw_listing
 from pipeline.inspect.apart import apart
@@ -150,7 +150,7 @@ def _of_raw(folder: Path, frame: int | None) -> FrameView:
     for files in (scans, *([images[camera]] if camera is not None else [])):
         _check_raw(files, number)
     if camera is not None:
-        pixels = read_png(images[camera].path(number))
+        pixels = read_pixels(images[camera].path(number))
         view.rgb = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=-1)
     if number in scans.sizes:
         xyz = transform(_extrinsics(folder, camera), read_scan(scans.path(number))[:, :3].astype(np.float64))

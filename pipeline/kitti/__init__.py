@@ -1,1 +1,1 @@
-"""Where KITTI raw keeps things, and what they mean."""
+"""Read and write KITTI raw: layout, calibration, packets, scans; write the ingest file."""

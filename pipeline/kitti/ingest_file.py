@@ -1,6 +1,6 @@
-"""The writers of the ingest file, all that later stages need of a raw drive: data/ingest/<drive>.h5.
+"""Write the ingest file, data/ingest/<drive>.h5: everything that later stages need of a raw drive.
 
-Frames go by KITTI's numbers. What a frame lacks stays empty, and ``has_<what>`` says so.
+Rows go by KITTI's frame numbers. What a frame lacks stays empty, and ``has_<name>`` is 0.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,11 +13,11 @@ from pipeline.camera.classes import VOID
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, read_classes, read_depth, read_image
 
 Rows = Iterable[tuple[int, np.ndarray]]
-"""Of the frames that have one: position among the drive's frames, and the array."""
+"""Row index and array, for the frames that have one."""
 
 
 class Pixels(NamedTuple):
-    """A dataset [F,H,W,…] of pixels: how a raw file is read, its channels, dtype and unit, the value where none is."""
+    """A dataset [F,H,W,…] of pixels: reader of a raw file, channels, dtype, unit, fill value of absent frames."""
 
     read: Callable[..., np.ndarray]  # of path, size and new_size
     channels: tuple[int, ...]
@@ -34,23 +34,23 @@ PIXELS = {
 
 
 def put_motion(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, oxts: np.ndarray) -> None:
-    """Write frame numbers [F], seconds since the drive's first packet [F] and the packets [F,30]. Comes first."""
+    """Write frame numbers [F], seconds since the drive's first packet [F] and packets [F,30]. Comes first."""
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, "s")
     file.put("oxts", oxts, "as KITTI's oxts/dataformat.txt")
 
 
 def put_camera(file: DriveWriter, K: np.ndarray, T_cam_velo: np.ndarray | None) -> None:
-    """Write the intrinsics [3,3] for the size of the images, and [4,4] where the LiDAR is calibrated."""
-    file.put_once("K", K, "pixels")
+    """Write the intrinsics [3,3] for the stored image size, and T_cam_velo [4,4] if the LiDAR is calibrated."""
+    file.put("K", K, "pixels")
     if T_cam_velo is not None:
-        file.put_once("T_cam_velo", T_cam_velo, "m")
+        file.put("T_cam_velo", T_cam_velo, "m")
 
 
 def put_pixels(file: DriveWriter, name: str, frames: int, size: Size, rows: Rows | None) -> int:
-    """Write dataset `name` of :data:`PIXELS` and which of so many frames have a row; return how many have.
+    """Write dataset `name` of :data:`PIXELS` and ``has_<name>`` [F]; return the number of rows.
 
-    `rows` None leaves the dataset out; images are there always, so that their size is.
+    With `rows` None the dataset is left out, except for images, whose size later stages read.
     """
     pixels = PIXELS[name]
     has = np.zeros(frames, np.uint8)
@@ -64,7 +64,7 @@ def put_pixels(file: DriveWriter, name: str, frames: int, size: Size, rows: Rows
 
 
 def put_scans(file: DriveWriter, frames: int, rows: Rows) -> int:
-    """Write LiDAR scans [P,4] and which of so many frames have one; return how many have."""
+    """Write LiDAR scans [P,4] and ``has_lidar`` [F]; return the number of scans."""
     points = np.zeros(frames, np.int64)
     file.append("lidar", np.zeros((0, 4), np.float32), "m, m, m, reflectance")
     for index, scan in rows:

@@ -1,4 +1,4 @@
-"""KITTI's inertial and GNSS packets ("oxts"): what the columns mean, rows and timestamps from their text files."""
+"""KITTI's inertial and GNSS packets ("oxts"): column definitions, reading and writing of packets and timestamps."""
 
 import re
 from collections.abc import Sequence
@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, error_context
-from pipeline.base.files import MiB, read_bytes
+from pipeline.base.errors import DamagedFile, InputError
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -18,83 +17,129 @@ COLUMNS = (
 VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
 # Heading, rad, counter-clockwise from east; forward acceleration, m/s².
 YAW, AF = (COLUMNS.index(name) for name in ("yaw", "af"))
-LIMITS = {  # what no car's packet exceeds, either way: degrees, rad, m/s, rad/s (KITTI's own turn by 0.5 at most)
+_COUNTS = COLUMNS.index("navstat")  # integers from here on
+LIMITS = {  # largest plausible magnitudes of a car: degrees, rad, m/s, rad/s (KITTI's yaw rates reach 0.5)
     "lat": 90.0, "lon": 180.0, "roll": 1.6, "pitch": 1.6, "yaw": 6.3,
     **dict.fromkeys(("vn", "ve", "vf", "vl", "vu"), 100.0), **dict.fromkeys(("wx", "wy", "wz", "wf", "wl", "wu"), 3.0),
 }  # fmt: skip
 _LIMITS = np.array([LIMITS.get(name, np.inf) for name in COLUMNS])
-_MOST_BYTES = 64 * MiB  # of timestamps, and 1 MiB of a packet
+YEARS = range(1900, 2100)
+LONGEST_STEP_S = 3600.0  # between two packets
+GRAVITY_MPS2 = 9.81
+EARTH_RADIUS_M = 6378137.0
 _TIME = re.compile(r"(19|20)[0-9]{2}-[0-9]{2}-[0-9]{2} [0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9})?")
-_LONGEST_STEP = np.timedelta64(1, "h")
-COUNTS = COLUMNS.index("navstat")  # from here on, whole numbers
+_EXTRACT = "Extract the drive's oxts folder again"
 
 
 def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
-    """Return packets, float64 [F,30], that hold these columns, each [F] or one number for all; the others are 0."""
+    """Return packets, float64 [F,30], from named columns [F] or constants; other columns are 0."""
     rows = np.zeros((frames, len(COLUMNS)))
     for name, values in columns.items():
         rows[:, COLUMNS.index(name)] = values
     return rows
 
 
+def level_columns(
+    xy_m: np.ndarray, heading_rad: np.ndarray, speed_mps: np.ndarray, forward_mps2: np.ndarray, left_mps2: np.ndarray,
+    yaw_rate_radps: np.ndarray, latitude_deg: float, longitude_deg: float,
+) -> dict[str, np.ndarray | float]:  # fmt: skip
+    """Return the columns for a car that moves in the plane without side slip.
+
+    Latitude and longitude follow from the tangent plane at the first row's latitude, which agrees with KITTI's Mercator
+    formula to millimetres over a drive.
+
+    Args:
+        xy_m: east and north, [F,2].
+        heading_rad: counter-clockwise from east, [F].
+        speed_mps, forward_mps2, left_mps2, yaw_rate_radps: forward speed, accelerations, yaw rate left +, all [F].
+        latitude_deg, longitude_deg: of the first row.
+    """
+    east_m, north_m = (xy_m - xy_m[0]).T
+    return {
+        "lat": latitude_deg + np.rad2deg(north_m / EARTH_RADIUS_M),
+        "lon": longitude_deg + np.rad2deg(east_m / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
+        "yaw": np.arctan2(np.sin(heading_rad), np.cos(heading_rad)),
+        "vn": speed_mps * np.sin(heading_rad),
+        "ve": speed_mps * np.cos(heading_rad),
+        "vf": speed_mps,
+        "af": forward_mps2,
+        "al": left_mps2,
+        "au": GRAVITY_MPS2,
+        "wz": yaw_rate_radps,
+        "wu": yaw_rate_radps,
+    }
+
+
+def format_packet(row: np.ndarray) -> bytes:
+    """Return the content of a packet's file for a row [30]."""
+    words = [f"{value:.13g}" for value in row[:_COUNTS]] + [f"{value:.0f}" for value in row[_COUNTS:]]
+    return (" ".join(words) + "\n").encode("ascii")
+
+
+def format_times(time_s: np.ndarray, date: str, start_s: float) -> bytes:
+    """Return the content of ``timestamps.txt`` for times [F] in seconds; 0 is `start_s` after midnight of `date`.
+
+    Args:
+        date: for instance 2026_01_01.
+    """
+    stamps = np.datetime64(date.replace("_", "-"), "ns") + np.rint((start_s + time_s) * 1e9).astype("timedelta64[ns]")
+    return "".join(f"{stamp}\n".replace("T", " ") for stamp in stamps).encode("ascii")
+
+
 def read_row(path: Path) -> np.ndarray:
     """Return one packet, float64 [30] in the order of :data:`COLUMNS`. Raises DamagedFile.
 
-    pykitti's ``load_oxts_packets_and_poses`` reads these too, but lets NaN pass and does not say which file is short.
+    pykitti's ``load_oxts_packets_and_poses`` accepts NaN and does not name the file that is short.
     """
-    words = read_bytes(path, MiB).decode("ascii", errors="replace").split()
+    words = path.read_bytes().decode("ascii", errors="replace").split()
     if len(words) != len(COLUMNS):
-        raise DamagedFile(f"{path} has {len(words)} of {len(COLUMNS)} oxts columns")
+        raise DamagedFile(f"expected {len(COLUMNS)} oxts columns, got {len(words)}", path)
     try:
         row = np.array(words, np.float64)
     except ValueError as error:
-        raise DamagedFile(f"{path} holds something that is not a number ({error})") from error
-    if not np.isfinite(row).all():
-        raise DamagedFile(f"{path}: {COLUMNS[int(np.argmin(np.isfinite(row)))]} is {row[~np.isfinite(row)][0]}")
-    if (np.abs(row) > _LIMITS).any():
-        column = int(np.argmax(np.abs(row) > _LIMITS))
-        raise DamagedFile(f"{path}: {COLUMNS[column]} is {row[column]:g}, no car's is beyond ±{_LIMITS[column]:g}")
+        raise DamagedFile(f"expected numbers ({error})", path) from error
+    beyond = ~(np.isfinite(row) & (np.abs(row) <= _LIMITS))
+    if beyond.any():
+        column = int(np.argmax(beyond))
+        raise DamagedFile(f"implausible {COLUMNS[column]} = {row[column]:g} (limit ±{_LIMITS[column]:g})", path)
     return row
 
 
 def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     """Return the time of each of `frames` (KITTI frame numbers, ascending) in seconds since the first, float64 [F].
 
-    Line i of a ``timestamps.txt`` belongs to frame i. A file with exactly one line per packet that is there belongs
-    to a drive that was cut out of a longer one: then lines belong to `frames` by position.
+    Line i of ``timestamps.txt`` belongs to frame i. A file with exactly one line per existing packet belongs to a drive
+    cut out of a longer one: then lines belong to `frames` by position.
 
-    Raises InputError if the file is missing, lacks a line that is needed, or time does not increase.
+    Raises InputError if the file or a line is missing, or time does not increase.
     """
     if not path.is_file():
-        raise InputError(f"{path} is missing: extract the drive's oxts folder with its timestamps.txt")
-    lines = read_bytes(path, _MOST_BYTES).decode("ascii", errors="replace").rstrip().split("\n")
+        raise InputError("file is missing", path, _EXTRACT)
+    lines = path.read_bytes().decode("ascii", errors="replace").rstrip().split("\n")
     if len(lines) > frames[-1]:
         numbers = list(frames)
     elif len(lines) == len(frames):
         numbers = list(range(len(frames)))
     else:
-        raise InputError(
-            f"{path} has {len(lines)} lines, frame {frames[-1]} needs line {frames[-1] + 1}: extract it again"
-        )
+        problem = f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}"
+        raise InputError(problem, path, _EXTRACT)
     texts = [lines[number].strip() for number in numbers]
     for number, text in zip(numbers, texts, strict=True):
-        if not _TIME.fullmatch(text):  # numpy would take "today", and a year alone
-            fault = f"holds {text[:40]!r}, not a time," if text else "is empty"
-            raise InputError(f"{path} {fault} at line {number + 1}, of a frame that has a packet: extract it again")
-    with error_context(f"{path} holds something that is not a time", fix="Extract it again"):
+        if not _TIME.fullmatch(text):  # numpy accepts "today" and years
+            raise InputError(f"expected a time, got {text[:40]!r}", f"{path} line {number + 1}", _EXTRACT)
+    try:
         stamps = np.array(texts, dtype="datetime64[ns]")
-    steps = np.diff(stamps)
-    if (steps > _LONGEST_STEP).any():
-        at = int(np.argmax(steps > _LONGEST_STEP)) + 1
+    except ValueError as error:
+        raise InputError(f"invalid time ({error})", path, _EXTRACT) from error
+    # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
+    time_s = (stamps - stamps[0]).astype(np.int64) / 1e9
+    steps_s = np.diff(time_s)
+    wrong = (steps_s <= 0) | (steps_s > LONGEST_STEP_S)
+    if wrong.any():
+        at = int(np.argmax(wrong)) + 1
         raise InputError(
-            f"{path}: time goes from {stamps[at - 1]} to {stamps[at]} at line {numbers[at] + 1}, more than an hour: "
-            "extract the file again, or take the drive out of ingest.drives"
+            f"time goes from {texts[at - 1]} to {texts[at]} (expected an increase of at most {LONGEST_STEP_S:g} s)",
+            f"{path} line {numbers[at] + 1}",
+            f"{_EXTRACT}, or take the drive out of ingest.drives",
         )
-    if (steps <= np.timedelta64(0)).any():
-        at = int(np.argmax(steps <= np.timedelta64(0))) + 1
-        raise InputError(
-            f"{path}: time goes from {stamps[at - 1]} to {stamps[at]} at line {numbers[at] + 1}, it must increase: "
-            "extract the file again, or take the drive out of ingest.drives"
-        )
-    # Differences are taken in whole nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
-    return (stamps - stamps[0]).astype(np.int64) / 1e9
+    return time_s

@@ -1,1 +1,1 @@
-"""Somebody's own recording becomes a drive in KITTI raw's layout."""
+"""Convert a recording of one's own to a drive in KITTI raw's layout."""

@@ -1,5 +1,6 @@
-"""GPX and NMEA tracks, as gpxpy and pynmea2 read them (pip install -e '.[gps]')."""
+"""Read GPX and NMEA tracks with gpxpy and pynmea2 (pip install -e '.[gps]')."""
 
+import importlib
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,31 +23,31 @@ class _Fix(NamedTuple):
     course_deg: float | None  # clockwise from north
 
 
-def read_gpx(text: str, path: Path) -> Fixes:
-    """Return the points of all tracks that have a time. Raises InputError, which names `path`."""
-    gpxpy = _library("gpxpy", "GPX")
+def read_gpx(path: Path) -> Fixes:
+    """Return the points of all tracks that have a time. Raises InputError."""
+    gpxpy = _library("gpxpy", path)
     try:
-        points = gpxpy.parse(text).walk(only_points=True)
+        points = gpxpy.parse(path.read_text(encoding="utf-8-sig", errors="replace")).walk(only_points=True)
     except gpxpy.gpx.GPXException as error:
-        raise InputError(f"{path} is not a GPX file: {error}") from error
+        raise InputError(f"is not a GPX file ({error})", path) from error
     fixes = (
         _Fix(point.time, point.latitude, point.longitude, point.speed, point.course) for point in points if point.time
     )
-    return _fixes(fixes, path, "points with a time")
+    return _collect(fixes, path, "points with a time")
 
 
-def read_nmea(text: str, path: Path) -> Fixes:
-    """Return the fixes of its RMC sentences, which have date, place, speed and course. Raises InputError.
+def read_nmea(path: Path) -> Fixes:
+    """Return the fixes of RMC sentences, which hold date, position, speed and course. Raises InputError.
 
-    Sentences that are damaged, by their checksum, are left out.
+    Sentences with a wrong checksum are skipped.
     """
-    pynmea2 = _library("pynmea2", "NMEA")
-    sentences = (line.strip() for line in text.splitlines() if line[3:6] == "RMC")
-    fixes = (fix for sentence in sentences if (fix := _of_sentence(pynmea2, sentence)))
-    return _fixes(fixes, path, "RMC sentences with a fix")
+    pynmea2 = _library("pynmea2", path)
+    with path.open(encoding="utf-8-sig", errors="replace") as lines:
+        fixes = (fix for line in lines if line[3:6] == "RMC" and (fix := _parse(pynmea2, line.strip())))
+        return _collect(fixes, path, "RMC sentences with a fix")
 
 
-def _of_sentence(pynmea2: ModuleType, sentence: str) -> _Fix | None:
+def _parse(pynmea2: ModuleType, sentence: str) -> _Fix | None:
     try:
         rmc = pynmea2.parse(sentence)
         if not rmc.is_valid:  # no fix yet
@@ -58,38 +59,37 @@ def _of_sentence(pynmea2: ModuleType, sentence: str) -> _Fix | None:
         return None
 
 
-def _fixes(fixes: Iterable[_Fix], path: Path, what: str) -> Fixes:
-    """Return the fixes as arrays; those whose time is not after all before are said twice, and left out."""
-    kept: dict[float, _Fix] = {}
+def _collect(fixes: Iterable[_Fix], path: Path, expected: str) -> Fixes:
+    """Return the fixes as arrays, without those whose time is not after all earlier ones."""
+    by_time: dict[float, _Fix] = {}
     last_s = -np.inf
     for fix in fixes:
         time = fix.time if fix.time.tzinfo else fix.time.replace(tzinfo=UTC)
         if time.timestamp() > last_s:
             last_s = time.timestamp()
-            kept[last_s] = fix
-    if not kept:
-        raise InputError(f"{path} has no {what}")
-    velocities = [_velocity(fix) for fix in kept.values()]
-    said = [velocity for velocity in velocities if velocity is not None]
-    latitude_deg, longitude_deg = (
-        np.array([getattr(fix, name) for fix in kept.values()]) for name in ("latitude_deg", "longitude_deg")
+            by_time[last_s] = fix
+    if not by_time:
+        raise InputError(f"has no {expected}", path)
+    velocities = [_velocity(fix) for fix in by_time.values()]
+    measured = [velocity for velocity in velocities if velocity is not None]
+    return Fixes(
+        np.array(list(by_time)),
+        np.array([fix.latitude_deg for fix in by_time.values()]),
+        np.array([fix.longitude_deg for fix in by_time.values()]),
+        np.array(measured) if len(measured) == len(by_time) else None,
     )
-    velocity_mps = np.array(said) if len(said) == len(kept) else None
-    return Fixes(np.array(list(kept)), latitude_deg, longitude_deg, velocity_mps)
 
 
 def _velocity(fix: _Fix) -> tuple[float, float] | None:
-    """Return the velocity to the east and to the north; a car that stands has no course."""
+    """Return the velocity east and north; receivers report no course at standstill."""
     if fix.speed_mps is None or (fix.course_deg is None and fix.speed_mps >= MIN_SPEED_MPS):
         return None
     course = np.deg2rad(fix.course_deg or 0.0)
     return float(fix.speed_mps * np.sin(course)), float(fix.speed_mps * np.cos(course))
 
 
-def _library(name: str, kind: str) -> ModuleType:
-    import importlib
-
+def _library(name: str, path: Path) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"{kind} files are read by {name}, which is not installed: pip install -e '.[gps]'") from error
+        raise InputError(f"the package {name} is not installed", path, "Install it: pip install -e '.[gps]'") from error

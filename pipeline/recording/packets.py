@@ -1,17 +1,16 @@
-"""oxts packets of a car of which only speed and yaw rate are known: level, never sliding, where the integral leads."""
+"""Compute oxts packets from speed and yaw rate: level ground, no side slip, positions by integration."""
 
 import numpy as np
 
-from pipeline.kitti.oxts import make_rows
+from pipeline.kitti.oxts import GRAVITY_MPS2, level_columns, make_rows
 from pipeline.recording.track import Rates
-from pipeline.town.oxts import GRAVITY_MPS2, level_columns
 
 
 def packets(rates: Rates, time_s: np.ndarray) -> np.ndarray:
-    """Return the packets [F,30] of images taken at `time_s` [F], ascending, all within the motion's times.
+    """Return the packets [F,30] of images at `time_s` [F], ascending, within the motion's times.
 
-    Rates are interpolated linearly. Heading and position are their integrals from the first sample on. What is not
-    known is 0: height, roll, pitch, accuracies and the receiver's modes.
+    Rates are interpolated linearly; heading and position are their integrals from the first sample. Height, roll,
+    pitch, accuracies and receiver modes are unknown and 0.
     """
     from scipy.integrate import cumulative_trapezoid
 
@@ -22,11 +21,9 @@ def packets(rates: Rates, time_s: np.ndarray) -> np.ndarray:
     velocity = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     xy = cumulative_trapezoid(velocity, nodes_s, axis=0, initial=0)
 
-    at = np.concatenate([[0], np.searchsorted(nodes_s, time_s)])  # the first sample, whose place is known, and images
+    at = np.concatenate([[0], np.searchsorted(nodes_s, time_s)])  # the first sample has a known position
     speed, yaw_rate = speed[at], yaw_rate[at]
-    forward, left = np.gradient(speed[1:], time_s) if len(time_s) > 1 else np.zeros(1), speed * yaw_rate
-    forward = np.concatenate([[0.0], forward])
-    level = level_columns(
-        xy[at], heading[at], speed, forward, left, yaw_rate, rates.latitude_deg, rates.longitude_deg
-    )  # fmt: skip
+    left = speed * yaw_rate
+    forward = np.concatenate([[0.0], np.gradient(speed[1:], time_s) if len(time_s) > 1 else np.zeros(1)])
+    level = level_columns(xy[at], heading[at], speed, forward, left, yaw_rate, rates.latitude_deg, rates.longitude_deg)
     return make_rows(len(at), **level, ax=forward, ay=left, az=GRAVITY_MPS2)[1:]

@@ -1,4 +1,4 @@
-"""Speed and yaw rate of a GNSS receiver's track: derivatives of its positions, or of the velocities that it says."""
+"""Derive speed and yaw rate from a GNSS track: from its velocities, or from its positions."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -6,21 +6,23 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.town.oxts import EARTH_RADIUS_M
+from pipeline.kitti.oxts import EARTH_RADIUS_M, LIMITS
+from pipeline.recording.checks import check_limit, check_times
 
-# Parabolas are fitted over this time: at 10 Hz of KITTI's own track, half of it triples the angle's squared error.
+# Window of the parabolas: at 10 Hz on KITTI's own track, half of it triples the angle's squared error.
 SMOOTH_S = 1.0
-# Or over so many fixes, where they are rarer: positions have to be derived twice, velocities once.
+# Fewest fixes in a window, for low rates: positions are differentiated twice, velocities once.
 LEAST_POSITIONS, LEAST_VELOCITIES = 5, 3
-MIN_SPEED_MPS = 1.0  # slower, the course is noise
+MIN_SPEED_MPS = 1.0  # below, the course is noise
+_MOST_FIXES = 1e8  # after resampling
 
 
 @dataclass(frozen=True)
 class Fixes:
     """A receiver's track, time ascending.
 
-    time_s [N] since 1970 (UTC), latitude_deg and longitude_deg [N], velocity_mps [N,2] to the east and to the north,
-    None if the receiver does not say it.
+    time_s [N] since 1970 (UTC), latitude_deg and longitude_deg [N], velocity_mps [N,2] east and north, None if the
+    receiver reports none.
     """
 
     time_s: np.ndarray
@@ -31,7 +33,7 @@ class Fixes:
 
 @dataclass(frozen=True)
 class Rates:
-    """time_s, speed_mps, yaw_rate_radps (left positive), all [N], and where and how the first sample stands."""
+    """time_s, speed_mps, yaw_rate_radps (left positive), all [N], and the pose of the first sample."""
 
     time_s: np.ndarray
     speed_mps: np.ndarray
@@ -42,34 +44,48 @@ class Rates:
     """Counter-clockwise from east."""
 
     def later(self, offset_s: float) -> "Rates":
+        """Return the rates with `offset_s` added to their times."""
         return replace(self, time_s=self.time_s + offset_s)
+
+    def check(self, path: Path) -> None:
+        """Raise InputError, naming `path`, for too few samples, times that do not increase or implausible values."""
+        if len(self.time_s) < 2:
+            raise InputError(f"expected at least 2 samples, got {len(self.time_s)}", path)
+        check_times(self.time_s, path)
+        check_limit("speed_mps", self.speed_mps, LIMITS["vf"], path)
+        check_limit("yaw_rate_radps", self.yaw_rate_radps, LIMITS["wu"], path)
 
 
 def rates_of(fixes: Fixes, path: Path) -> tuple[Rates, str]:
-    """Return speed and yaw rate at the fixes, and the rule by which they were made, in words.
+    """Return speed and yaw rate at the fixes, and a sentence about how they were computed.
 
-    Positions, or velocities where the receiver says them, are brought to even steps, the median between fixes, and
-    fitted by parabolas over SMOOTH_S (Savitzky-Golay), whose derivatives are velocity v and acceleration a: the speed
-    is |v|, the yaw rate, the course's derivative, (v × a) / v². Below MIN_SPEED_MPS it is 0.
+    Velocities, or else positions, are resampled at the median interval and fitted by parabolas over SMOOTH_S
+    (Savitzky-Golay), whose derivatives are velocity v and acceleration a: the speed is |v|, the yaw rate (v × a) / v²,
+    and 0 below MIN_SPEED_MPS.
 
-    Raises InputError, which names `path`, if there are too few fixes.
+    Raises InputError, naming `path`, if there are too few fixes or the result is implausible.
     """
     from scipy.signal import savgol_filter
 
-    says = fixes.velocity_mps is not None
-    least = LEAST_VELOCITIES if says else LEAST_POSITIONS
+    measured = fixes.velocity_mps is not None
+    least = LEAST_VELOCITIES if measured else LEAST_POSITIONS
     if len(fixes.time_s) < least:
-        raise InputError(f"{path} has {len(fixes.time_s)} fixes with a time: {least} are the least to smooth over")
+        raise InputError(f"expected at least {least} fixes with a time, got {len(fixes.time_s)}", path)
+    check_limit("latitude", fixes.latitude_deg, LIMITS["lat"], path)
+    check_limit("longitude", fixes.longitude_deg, LIMITS["lon"], path)
+    duration_s = float(fixes.time_s[-1] - fixes.time_s[0])
     step_s = float(np.median(np.diff(fixes.time_s)))
+    window = max(least, 2 * round(SMOOTH_S / step_s / 2) + 1)
+    if not window <= duration_s / step_s + 1.5 < _MOST_FIXES:
+        expected = f"{(window - 1) * step_s:.3g} s or more, at even intervals"
+        raise InputError(f"track lasts {duration_s:.1f} s (expected {expected})", path)
     even_s = np.arange(fixes.time_s[0], fixes.time_s[-1] + step_s / 2, step_s)
-    fitted = max(least, 2 * round(SMOOTH_S / step_s / 2) + 1)
-    if len(even_s) < fitted:
-        raise InputError(f"{path} lasts {fixes.time_s[-1] - fixes.time_s[0]:.1f} s, which is too short to smooth")
 
     values = fixes.velocity_mps if fixes.velocity_mps is not None else _to_plane(fixes)
     values = np.column_stack([np.interp(even_s, fixes.time_s, column) for column in values.T])
     v, a = (
-        savgol_filter(values, fitted, polyorder=2, deriv=order + (not says), delta=step_s, axis=0) for order in (0, 1)
+        savgol_filter(values, window, polyorder=2, deriv=order + (not measured), delta=step_s, axis=0)
+        for order in (0, 1)
     )
     speed = np.linalg.norm(v, axis=1)
     moving = speed >= MIN_SPEED_MPS
@@ -83,14 +99,15 @@ def rates_of(fixes: Fixes, path: Path) -> tuple[Rates, str]:
         float(fixes.longitude_deg[0]),
         float(np.arctan2(north, east)),
     )
+    rates.check(path)
     return rates, (
-        f"speed and course of {'its velocities' if says else 'its positions'}, fitted by parabolas over {fitted} fixes "
-        f"({(fitted - 1) * step_s:.2g} s); the yaw rate is the course's derivative, below {MIN_SPEED_MPS:g} m/s 0"
+        f"speed and course from {'velocities' if measured else 'positions'}, fitted by parabolas over {window} fixes "
+        f"({(window - 1) * step_s:.2g} s); yaw rate 0 below {MIN_SPEED_MPS:g} m/s"
     )
 
 
 def _to_plane(fixes: Fixes) -> np.ndarray:
-    """Return metres to the east and to the north [N,2]; each step at its own latitude, however long the track is."""
+    """Return metres east and north [N,2]; each step uses its own latitude, so that long tracks are accurate."""
     latitude, longitude = np.deg2rad(fixes.latitude_deg), np.unwrap(np.deg2rad(fixes.longitude_deg))
     east = EARTH_RADIUS_M * np.cos((latitude[1:] + latitude[:-1]) / 2) * np.diff(longitude)
     north = EARTH_RADIUS_M * np.diff(latitude)

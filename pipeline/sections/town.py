@@ -4,15 +4,18 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.base.params import Count, ImageSize, Section, Seed
+from pipeline.base.params import ImageSize, Section, Seed
+
+FewFrames = Annotated[int, Field(ge=1, le=100_000)]
+Rays = Annotated[int, Field(ge=1, le=10_000)]
 
 
 class Frames(Section):
-    """Frames per drive of each split; of a replayed drive at most so many, its first ones."""
+    """Frames per drive of each split. A replayed drive is cut to its first frames."""
 
-    train: Count
-    val: Count
-    test: Count
+    train: FewFrames
+    val: FewFrames
+    test: FewFrames
 
 
 class Town(Section):
@@ -21,4 +24,4 @@ class Town(Section):
     image_size: ImageSize
     replay: Annotated[str, Field(min_length=1)] | None
     frames: Frames
-    scan_rays: Annotated[tuple[Count, Count], Field(description="[rings, rays per ring] of the LiDAR")]
+    scan_rays: Annotated[tuple[Rays, Rays], Field(description="[rings, rays per ring] of the LiDAR")]

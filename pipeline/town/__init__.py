@@ -1,1 +1,1 @@
-"""The embedded sample: a procedural street world, driven through and written in KITTI raw's layout."""
+"""Render the embedded sample: drives through a procedural town, in KITTI raw's layout."""

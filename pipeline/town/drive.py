@@ -1,4 +1,4 @@
-"""One drive of the town, from its name to files in KITTI raw's layout."""
+"""Lay out and render one drive of the town in KITTI raw's layout."""
 
 import hashlib
 from pathlib import Path
@@ -13,20 +13,20 @@ from pipeline.town.journey import draw_journey, record
 from pipeline.town.layout import DriveFolder
 from pipeline.town.light import draw_ground_colours, draw_light
 from pipeline.town.manoeuvres import DECK
+from pipeline.town.oxts import read_recording
 from pipeline.town.plan import draw_plan
-from pipeline.town.recording import read_recording
 from pipeline.town.replay import replay
 from pipeline.town.rig import make_rig
 from pipeline.town.sensors import Camera, Scanner
 from pipeline.town.street import build_street
-from pipeline.town.traffic import draw_traffic, shown
+from pipeline.town.traffic import draw_traffic, visible
 from pipeline.town.world import World
 
-WHEELBASE_M = 2.7  # of the steering that the log tells; labels have their own in params.yaml
+WHEELBASE_M = 2.7  # for the steering angles in the log; labels have their own in params.yaml
 
 
 class Drive:
-    """One drive of the town: road, street, light, traffic and motion, from which any of its frames can be rendered."""
+    """One drive of the town: road, street, light, traffic and motion."""
 
     def __init__(
         self,
@@ -43,9 +43,9 @@ class Drive:
         Args:
             size: [H, W] of the pictures.
             scan_rays: rings and rays per ring of the scanner.
-            seed: of the whole town; together with the name it determines road, street, light and motion.
-            recorded: a real drive; the ego then drives as it did, along a road laid where it drove, for its first
-                `frames` frames, and its oxts files are copied.
+            seed: of the town; with the name it determines road, street, light and motion.
+            recorded: a real drive to replay: its first `frames` frames along a road laid under its track; its oxts
+                files are copied.
         """
         self._name, self._seed = drive, seed
         rng = random_of(drive, seed)
@@ -61,7 +61,7 @@ class Drive:
         self._world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
         self._light = draw_light(rng)
         traffic = draw_traffic(route, motion, rng)
-        self._traffic = [(vehicle, shown(vehicle, self._journey)) for vehicle in traffic]
+        self._traffic = [(vehicle, visible(vehicle, self._journey)) for vehicle in traffic]
         self._recording = recording or record(self._journey, drive[:10], rng)
         rig = make_rig(size, drive[:10])
         self._camera, self._scanner = Camera(rig), Scanner(rig, scan_rays)
@@ -71,14 +71,14 @@ class Drive:
         folder = DriveFolder(path)
         folder.put_recording(self._recording)
         for i, number in enumerate(progress.track(self._recording.packets)):
-            self._world.set_traffic([vehicle.at(i) for vehicle, near_at in self._traffic if near_at[i]])
+            self._world.set_traffic([vehicle.at(i) for vehicle, visible_at in self._traffic if visible_at[i]])
             pose = self._journey.pose(i)
             noise = random_of(self._name, self._seed, number)
             picture = self._camera.take(self._world, self._light, pose)
             folder.put(number, *picture, self._scanner.take(self._world, pose, noise))
 
     def summary(self) -> dict[str, Any]:
-        """Return what a log may say: frames, metres driven, mean squared steering angle of the road (WHEELBASE_M)."""
+        """Return the number of frames, metres driven and mean squared steering angle of the road (WHEELBASE_M)."""
         motion = self._journey.motion
         steering = np.arctan(WHEELBASE_M * self._journey.route.curvature(motion.s_m))
         return {
@@ -89,15 +89,15 @@ class Drive:
 
 
 def theme(drive: str) -> tuple[str, str]:
-    """Return the quarter that a drive crosses and the manoeuvre that it begins with.
+    """Return the quarter that a drive crosses and the manoeuvre it begins with.
 
-    They differ from number to number and from date to date, so that a few short drives show all.
+    They vary with number and date, so that a few short drives cover all.
     """
     day, number = int(drive[8:10]), int(drive[-4:])
     return QUARTERS[(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
 
 
 def random_of(drive: str, seed: int, *frame: int) -> np.random.Generator:
-    """Return what a drive of the town with `seed` is drawn from, or one of its frames."""
+    """Return the random generator of a drive of the town with `seed`, or of one of its frames."""
     digest = hashlib.sha256(f"{seed}/{drive}".encode()).digest()
     return np.random.default_rng([int.from_bytes(digest[:8], "big"), *frame])

@@ -1,15 +1,23 @@
-"""What the ego does in a drive: the road that it follows, and where it is in every frame."""
+"""The ego's road in a drive, and its pose in every frame."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.town.body import Body, draw_body
 from pipeline.town.character import Character
 from pipeline.town.manoeuvres import draw_route
-from pipeline.town.motion import IMU_HEIGHT_M, LATERAL_MPS2, Motion, draw_stops, drive, frame_times, speed_profile
-from pipeline.town.oxts import oxts_rows
-from pipeline.town.recording import Recording, make_recording
+from pipeline.town.motion import (
+    IMU_HEIGHT_M,
+    LATERAL_MPS2,
+    Body,
+    Motion,
+    draw_body,
+    draw_stops,
+    drive,
+    frame_times,
+    speed_profile,
+)
+from pipeline.town.oxts import Recording, make_recording, oxts_rows
 from pipeline.town.rig import rotation
 from pipeline.town.route import AHEAD_M, Route
 
@@ -18,7 +26,7 @@ _WAIT_S = (0.8, 2.0)
 
 @dataclass(frozen=True)
 class Journey:
-    """The IMU is at xy [F,2] and the car points to heading_rad [F]; `motion` is its place along the route."""
+    """Positions xy [F,2] and headings heading_rad [F] of the IMU; `motion` is its place along the route."""
 
     route: Route
     motion: Motion
@@ -35,7 +43,7 @@ class Journey:
 
 
 def draw_journey(rng: np.random.Generator, frames: int, character: Character, first: str) -> Journey:
-    """Draw a road that begins with the manoeuvre `first`, and a drive of `frames` frames that keeps to its lane."""
+    """Draw a road that begins with the manoeuvre `first`, and a drive of `frames` frames in its lane."""
     times = frame_times(rng, frames)
     cruise = rng.uniform(*character.cruise_mps)
     route = draw_route(rng, cruise * times[-1] + AHEAD_M, character.lane_m, first)
@@ -45,6 +53,6 @@ def draw_journey(rng: np.random.Generator, frames: int, character: Character, fi
 
 
 def record(journey: Journey, date: str, rng: np.random.Generator) -> Recording:
-    """Return the oxts files of a drawn drive, at a place and time of day drawn at random."""
+    """Return the oxts files of a drawn drive, at a random place and time of day."""
     rows = oxts_rows(journey.route, journey.motion, journey.body, *rng.uniform((48.9, 8.3), (49.1, 8.5)))
     return make_recording(rows, journey.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)

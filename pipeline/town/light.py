@@ -1,4 +1,4 @@
-"""How things look: sun and shadow, surface patterns, haze, sky, exposure. One draw per drive."""
+"""Shade surfaces: sun and shadow, surface patterns, haze, sky, exposure. One draw per drive."""
 
 from dataclasses import dataclass
 
@@ -18,19 +18,20 @@ _BLUE, _GREY = np.array([0.22, 0.42, 0.80]), np.array([0.60, 0.64, 0.70])
 class Light:
     """One drive's light. Colours are linear RGB."""
 
-    sun: np.ndarray  # [3] direction towards it
+    sun: np.ndarray  # [3] direction towards the sun
     sun_colour: np.ndarray
     ambient: np.ndarray
     sky: tuple[np.ndarray, np.ndarray]  # colour at the horizon, at the zenith
     haze_m: float
     exposure: float
-    curve: np.ndarray  # uint8 [_STEPS + 1]: what the camera makes of brightness
+    curve: np.ndarray  # uint8 [_STEPS + 1]: tone curve
     slope: np.ndarray  # [2] change of brightness over the image's width and height
     tiles: np.ndarray  # [2, TILE, TILE] patterns in -1..1: fine, coarse
     clouds: float
 
 
 def draw_light(rng: np.random.Generator) -> Light:
+    """Draw the light of a drive."""
     overcast = rng.uniform(0, 1) ** 1.5 * 0.8  # sunny more often than not
     azimuth, elevation = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(18, 60))
     sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
@@ -50,7 +51,7 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 
 def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
-    """Return the albedo [6,3] of each kind of ground of the plan."""
+    """Draw the albedo [6,3] of each kind of ground of the plan."""
     colours = np.zeros((6, 3))
     asphalt = rng.uniform(0.13, 0.24)
     colours[ASPHALT] = np.array([1, 1, 1.03]) * asphalt
@@ -63,7 +64,7 @@ def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
 
 
 def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the picture uint8 RGB [H,W,3] of `hits` along `rays` [6,N], N = H·W; `lit` bool [N]: not in shadow."""
+    """Return the image, RGB uint8 [H,W,3], of `hits` along `rays` [6,N], N = H·W; `lit` bool [N]: not in shadow."""
     sky = np.flatnonzero(hits.cls == classes.SKY)
     distance = hits.distance_m.copy()
     distance[sky] = 0
@@ -72,7 +73,7 @@ def shade(light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tup
         part.astype(np.float32)[:, None] for part in (light.sun_colour, light.ambient, *light.sky)
     )
     direct = np.maximum(dot(hits.normal, light.sun.astype(np.float32)), 0) * lit
-    # Light from the sky reaches upward faces more.
+    # Upward faces receive more light from the sky.
     from_sky = 0.75 + 0.25 * hits.normal[2]
     colour = direct * sun_colour + from_sky * ambient  # [3,N]
     colour *= hits.colour
@@ -116,7 +117,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
 
 
 def _sky(light: Light, direction: np.ndarray, horizon: np.ndarray, zenith: np.ndarray) -> np.ndarray:
-    """Return the colour [3,N] of the sky in `direction` [3,N]; at the horizon and the zenith it is as given, [3,1]."""
+    """Return the sky's colour [3,N] in `direction` [3,N], from its colours [3,1] at horizon and zenith."""
     up = np.clip(direction[2], 0.02, 1)
     blend = np.sqrt(np.clip(up * 1.6, 0, 1))
     cloud = _look_up(light.tiles[1], direction[0] / up * 6, direction[1] / up * 6) * light.clouds
@@ -130,7 +131,7 @@ def _look_up(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _smooth(rng: np.random.Generator) -> np.ndarray:
-    """A tile of soft patches that repeats without seams."""
+    """Draw a tile of soft patches that repeats without seams."""
     noise = np.fft.rfft2(rng.uniform(-1, 1, (_TILE, _TILE)))
     fy, fx = np.fft.fftfreq(_TILE)[:, None], np.fft.rfftfreq(_TILE)[None]
     patches = np.fft.irfft2(noise * np.exp(-((fy**2 + fx**2) * 2 * (np.pi * 3.0) ** 2)), s=(_TILE, _TILE))

@@ -1,4 +1,4 @@
-"""Room beside the road: its edges, and which ground is still free."""
+"""Find free ground beside the road."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from pipeline.town.route import Route, unit
 
 
 class Ground:
-    """The plan, with what is already built on."""
+    """The plan, with a map of occupied cells."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -41,7 +41,7 @@ class Frontage:
 
 
 def frontages(route: Route, plan: Plan) -> list[Frontage]:
-    """Return both sides of the route and of its arms, and the arms' far ends."""
+    """Return both sides of the route and its arms, and the far ends of the arms."""
     s = np.arange(route.s_m[0], route.s_m[-1], 0.5)
     sides = []
     for side, edge in ((1, route.left_m), (-1, route.right_m)):
@@ -61,6 +61,6 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
 
 
 def footprint(xy: np.ndarray, outward_rad: float, size: tuple[float, float]) -> np.ndarray:
-    """Corners [4,2] of a rectangle `size` (along the street, away from it)."""
+    """Return the corners [4,2] of a rectangle of `size` (along the street, away from it)."""
     along, away = unit(outward_rad - np.pi / 2) * size[0] / 2, unit(outward_rad) * size[1] / 2
     return np.array([xy + along + away, xy - along + away, xy - along - away, xy + along - away])

@@ -1,4 +1,4 @@
-"""Roads drawn at random: turns at crossings, bends, straights past side roads."""
+"""Draw roads: turns at crossings, bends, straights past side roads."""
 
 from dataclasses import replace
 
@@ -8,16 +8,16 @@ from pipeline.town.junctions import arm_is_clear, crossing_arms, turn_arms
 from pipeline.town.route import BEHIND_M, STEP_M, Piece, Route, bend, trace
 
 DECK = ("right", "bend+", "crossing", "left", "sweep-", "corner+", "bend-", "sweep+", "corner-")
-"""What a road is made of, in an order of its own for every road: right and left turns as cars take them at crossings,
-corners of wider roads, bends, long sweeps (+ left, - right), and straight on past side roads."""
-_APART_M, _ROOM_M = 60.0, 32.0  # stretches farther from each other along the road keep such a distance
+"""Manoeuvres, shuffled for every road: right and left turns at crossings, corners of wider roads, bends, long sweeps
+(+ left, - right), and straight on past side roads."""
+_APART_M, _ROOM_M = 60.0, 32.0  # stretches farther apart along the road keep this distance
 
 
 def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: str = "crossing") -> Route:
-    """Draw a road of at least `length_m` from the first frame on that keeps clear of itself.
+    """Draw a road of at least `length_m` after the first frame that does not cross itself.
 
-    It begins with the manoeuvre `first` of :data:`DECK`, often amid it: short drives would otherwise all begin with a
-    straight.
+    It begins with the manoeuvre `first` of :data:`DECK`, often in the middle of it: otherwise all short drives would
+    begin with a straight.
     """
     while True:
         route = _draw(rng, length_m, lane_m, first)
@@ -27,7 +27,7 @@ def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: 
 
 def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) -> Route:
     pieces: list[Piece] = [(2 * BEHIND_M, 0.0, 0.0)]
-    begun: list[tuple[str, float, float]] = []  # kind, s where it begins, s where it ends
+    begun: list[tuple[str, float, float]] = []  # kind, s of its start and end
 
     def total() -> float:
         return sum(piece[0] for piece in pieces)
@@ -39,7 +39,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
             pieces += _manoeuvre(card, lane_m, rng)
             begun.append((card.rstrip("+-"), start, total()))
             pieces.append((rng.uniform(4, 20), 0.0, 0.0))
-    # The first frame lies up to some metres ahead of the first manoeuvre, or in it.
+    # The first frame lies some metres before the first manoeuvre, or in it.
     (_, start, end), *_ = begun
     origin = round(rng.uniform(start - 12.0, start + 0.6 * (end - start)) / STEP_M) * STEP_M
     s, xy, heading, curvature = (part[round((origin - BEHIND_M) / STEP_M) :] for part in trace(pieces))
@@ -57,7 +57,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
 
 
 def _manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece]:
-    """Return the pieces of a card of the deck; radii are those of the rear axle."""
+    """Draw the pieces of a card of the deck; radii are those of the rear axle."""
     kind, side = card.rstrip("+-"), -1 if card.endswith("-") else 1
     if kind == "right":
         return bend(-np.deg2rad(rng.uniform(75, 100)), rng.uniform(5.0, 7.0), rng.uniform(4, 6))
@@ -73,7 +73,7 @@ def _manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece
 
 
 def _clear_of_itself(route: Route) -> bool:
-    """No two stretches of road come close to each other, and no arm reaches another stretch."""
+    """Return whether no two stretches of road are close and no arm reaches another stretch."""
     every = int(1 / STEP_M)
     s, xy = route.s_m[::every], route.xy[::every]
     far = np.abs(s[:, None] - s[None]) > _APART_M

@@ -1,4 +1,4 @@
-"""How the ego moves along its path: where it is at which time, and how fast."""
+"""Move the ego along its route over time, and its body on its springs."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,13 @@ PERIOD_S = 0.1036  # KITTI's synchronised stream
 JITTER_S = 0.001
 IMU_HEIGHT_M = 0.93
 ACCELERATE_MPS2, BRAKE_MPS2 = 1.8, 2.2
-LATERAL_MPS2 = (1.5, 3.2)  # of one driver and another
+LATERAL_MPS2 = (1.5, 3.2)  # range over drivers
+
+_LEAN_RAD_PER_MPS2, _DIVE_RAD_PER_MPS2 = 0.004, 0.003
+_BUMPS_RAD, _BUMPS_M = np.deg2rad((0.03, 0.2)), (0.002, 0.012)  # range of a drive's standard deviation
+_BUMP_M = 2.0  # half the length of a bump along the road
+_SPRING_FRAMES = 5  # response of the body to a step of the acceleration
+_GRID_M = 0.25
 
 
 @dataclass(frozen=True)
@@ -24,13 +30,13 @@ class Motion:
 
 
 def frame_times(rng: np.random.Generator, frames: int) -> np.ndarray:
-    """Return seconds since the first frame [F], ascending, with a recorder's jitter."""
+    """Draw frame times [F] in seconds since the first frame, ascending, with jitter."""
     times = np.arange(frames) * PERIOD_S + rng.uniform(-JITTER_S, JITTER_S, frames)
     return times - times[0]
 
 
 def speed_profile(route: Route, cruise_mps: float, lateral_mps2: float, stops_m: tuple[float, ...] = ()) -> np.ndarray:
-    """Return the speed at each of the route's samples [N]: in bends no more than `lateral_mps2`, zero at `stops_m`."""
+    """Return the speed at the route's samples [N], limited by `lateral_mps2` in bends, zero at `stops_m`."""
     curvature = np.maximum(np.abs(route.curvature_1pm), 1e-6)
     speed = np.minimum(cruise_mps, np.sqrt(lateral_mps2 / curvature))
     speed[[round((stop - route.s_m[0]) / STEP_M) for stop in stops_m]] = 0.0
@@ -42,15 +48,17 @@ def speed_profile(route: Route, cruise_mps: float, lateral_mps2: float, stops_m:
 
 
 def draw_stops(rng: np.random.Generator, route: Route, before_m: float) -> tuple[float, ...]:
-    """Return where the ego halts for a moment: in some drives, ahead of a junction that lies before `before_m`."""
+    """Draw the places where the ego halts: in some drives, ahead of a junction before `before_m`."""
     places = [junction - 13.0 for junction in route.junctions_m if 15 < junction - 13 < before_m]
     return (places[int(rng.integers(len(places)))],) if places and rng.random() < 0.2 else ()
 
 
 def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Motion:
-    """Follow `speed_mps` [N] along the route from s = 0; where it is zero, stand for `wait_s`.
+    """Follow `speed_mps` [N] along the route from s = 0; wait for `wait_s` where it is zero.
 
-    The acceleration is constant between samples of the route, so position and speed are each other's exact integral.
+    Acceleration is constant between samples of the route, so that positions integrate speeds exactly.
+
+    Raises ValueError if the route is too short.
     """
     start = round(-route.s_m[0] / STEP_M)
     s, v = route.s_m[start:], speed_mps[start:]
@@ -65,3 +73,40 @@ def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: floa
     acceleration = np.diff(v)[i] / duration[i]
     t = times_s - knots[i]
     return Motion(times_s, s[i] + v[i] * t + acceleration * t**2 / 2, v[i] + acceleration * t, acceleration)
+
+
+@dataclass(frozen=True)
+class Body:
+    """Per frame [F]: roll_rad (positive: left side up), pitch_rad (positive: front down), as in oxts; heave_m."""
+
+    roll_rad: np.ndarray
+    pitch_rad: np.ndarray
+    heave_m: np.ndarray
+
+
+def level(frames: int) -> Body:
+    """Return a body without motion."""
+    return Body(*np.zeros((3, frames)))
+
+
+def draw_body(route: Route, motion: Motion, rng: np.random.Generator) -> Body:
+    """Draw the body's motion: it leans out of bends, dives under braking and follows bumps along the road."""
+    grid = np.arange(motion.s_m[0], motion.s_m[-1] + _GRID_M, _GRID_M)
+    reach = round(3 * _BUMP_M / _GRID_M)
+    kernel = np.exp(-((np.arange(-reach, reach + 1) * _GRID_M / _BUMP_M) ** 2) / 2)
+    noise = rng.normal(size=(3, len(grid) + 2 * reach))
+    bumps = [np.interp(motion.s_m, grid, np.convolve(row, kernel, "valid")) for row in noise]
+    roll, pitch, heave = np.stack(bumps) / np.linalg.norm(kernel)
+    amplitude, height = rng.uniform(*_BUMPS_RAD), rng.uniform(*_BUMPS_M)
+    sideways = motion.speed_mps**2 * route.curvature(motion.s_m)
+    return Body(
+        roll_rad=amplitude * roll + _LEAN_RAD_PER_MPS2 * _smooth(sideways),
+        pitch_rad=amplitude * pitch - _DIVE_RAD_PER_MPS2 * _smooth(motion.acceleration_mps2),
+        heave_m=height * heave,
+    )
+
+
+def _smooth(acceleration: np.ndarray) -> np.ndarray:
+    """Return the mean over the last frames [F]."""
+    padded = np.concatenate([np.full(_SPRING_FRAMES - 1, acceleration[0]), acceleration])
+    return np.convolve(padded, np.full(_SPRING_FRAMES, 1 / _SPRING_FRAMES), "valid")

@@ -1,6 +1,6 @@
-"""The ground seen from above: a raster of what lies where, and how far the next road is.
+"""Draw the ground plan: a raster of ground kinds and of the distance to the nearest road.
 
-Roads lie at z = 0; all else (pavement, grass) lies a kerb higher.
+Roads are at z = 0; pavement and grass are one kerb higher.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from pipeline.town.character import Character
-from pipeline.town.meetings import Meetings, find_meetings
+from pipeline.town.junctions import Meetings, find_meetings
 from pipeline.town.route import STEP_M, Route, unit
 
 CELL_M = 0.1
@@ -17,7 +17,7 @@ MARGIN_M = 45.0
 KERB_M = 0.12
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
 CORNER_M = 4.0  # kerb radius at junctions
-BAY_M = 2.1  # room for a parked car
+BAY_M = 2.1  # width for a parked car
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Plan:
     kind: np.ndarray
     to_road_m: np.ndarray
     origin: np.ndarray
-    bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> room for parked cars at each of the route's samples
-    parking: np.ndarray  # bool, whether cars may park at each of the route's samples
+    bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> width for parked cars at the route's samples
+    parking: np.ndarray  # bool, whether cars may park at the route's samples
 
     def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to the border."""
@@ -47,7 +47,7 @@ class Plan:
 
 
 def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> Plan:
-    """Paint the route's road, its arms, pavements, room for parked cars and markings."""
+    """Paint the road, its arms, pavements, parking bays and markings."""
     ends = [arm.xy + arm.length_m * unit(arm.heading_rad) for arm in route.arms]
     points = np.concatenate([route.xy, np.reshape(ends, (-1, 2))])
     origin = points.min(axis=0) - MARGIN_M
@@ -89,13 +89,13 @@ def _paint_markings(
     origin: np.ndarray,
     rng: np.random.Generator,
 ) -> None:
-    """Bays, the line between the lanes, and in some drives lines along the edges."""
+    """Paint bays, the line between the lanes, and in some drives lines along the edges."""
     every = slice(None, None, round(0.5 / STEP_M))
     s = route.s_m[every]
     for sign, edge in ((1, route.left_m), (-1, route.right_m)):
         _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][every])[0], origin, BAY)
     clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
-    clear &= ~meetings.junction[every] & (meetings.earlier_m[every] > 6)  # a street driven again has its markings
+    clear &= ~meetings.junction[every] & (meetings.earlier_m[every] > 6)  # a repeated street has its markings
     for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
         _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
     if rng.random() < 0.5:
@@ -105,7 +105,7 @@ def _paint_markings(
 
 
 def _may_park(route: Route, meetings: Meetings, kerbside: bool) -> np.ndarray:
-    """Return bool [N]: never in sharp bends or at junctions; at kerbs closer to them than in bays."""
+    """Return bool [N]: not in sharp bends or at junctions; at kerbs closer to them than in bays."""
     bent_1pm, near_m = (0.085, 9.0) if kerbside else (0.055, 13.0)
     blocked = (np.abs(route.curvature_1pm) > bent_1pm) | (meetings.other_m < 14)
     for junction in route.junctions_m:
@@ -117,7 +117,7 @@ def _may_park(route: Route, meetings: Meetings, kerbside: bool) -> np.ndarray:
 def _bay_width(
     route: Route, meetings: Meetings, parking: np.ndarray, rng: np.random.Generator, character: Character
 ) -> np.ndarray:
-    """Bays come in stretches where cars may park; along kerbs there is room throughout."""
+    """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
     width = np.zeros(len(route.s_m))
     if character.kerbside:
         width[meetings.other_m >= 14] = BAY_M
@@ -133,7 +133,7 @@ def _bay_width(
 
 
 def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
-    """Morphological closing with a disc: rounds the corners between roads."""
+    """Round the corners between roads by morphological closing with a disc."""
     grown = (cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) * CELL_M > radius_m).astype(np.uint8)
     closed = cv2.distanceTransform(1 - grown, cv2.DIST_L2, 5) * CELL_M > radius_m
     return (closed | (mask > 0)).astype(np.uint8)
@@ -151,5 +151,5 @@ def _paint_line(canvas: np.ndarray, ends: np.ndarray, origin: np.ndarray) -> Non
 
 
 def _fixed(xy: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """World metres -> OpenCV's fixed-point pixels with four fractional bits."""
+    """Convert world metres to OpenCV's fixed-point pixels with four fractional bits."""
     return np.rint((xy - origin) / CELL_M * 16).astype(np.int32)

@@ -1,8 +1,8 @@
-"""A journey as a real drive recorded it: the road is laid along the driven track.
+"""Replay a real drive: lay a road along its track.
 
-The track is the integral of forward speed along heading, so that the road bends as the label says at any speed. The
-recorded velocities to the north and east are noise when the car stands and would bend it; tracks of either kind are a
-few metres off latitude and longitude at a drive's end, and both come back to a street within a metre or so.
+The track is the integral of forward speed along heading, so that the road's curvature matches the label at any speed.
+The recorded velocities north and east are noise at standstill and would bend it. Both tracks are a few metres off
+latitude and longitude at a drive's end, and return to a street within about a metre.
 """
 
 from dataclasses import replace
@@ -12,27 +12,26 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.kitti.oxts import AF, VF, YAW
-from pipeline.town.body import level
-from pipeline.town.edges import BARRIER_M
 from pipeline.town.journey import Journey
 from pipeline.town.junctions import arm_is_clear, turn_arms
-from pipeline.town.motion import Motion
-from pipeline.town.recording import Recording
+from pipeline.town.motion import Motion, level
+from pipeline.town.oxts import Recording
 from pipeline.town.route import AHEAD_M, BEHIND_M, STEP_M, Arm, Route, unit
+from pipeline.town.street import BARRIER_M
 
-_SMOOTH_M = 1.5  # standard deviation: takes off the noise; from 2.5 on, sharp turns lose their sharpness
-_FADE_M = 8.0  # over which a bend ends that a recording breaks off in
-_END_M = 4.0  # of the track, whose curvature is that of its end
-_BEND_1PM = 0.015  # a turn at a junction bends more than this throughout,
-_TURN_RAD = (np.deg2rad(55), np.deg2rad(120))  # turns by this much
-_TURN_M = 40.0  # and is no longer
-_BESIDE_M = 2.0  # a car farther from its road has turned round in several moves
+_SMOOTH_M = 1.5  # standard deviation: removes noise; from 2.5 on, sharp turns are flattened
+_FADE_M = 8.0  # a bend at the end of a recording fades out over this length
+_END_M = 4.0  # stretch that determines the curvature of the track's end
+_BEND_1PM = 0.015  # turns at junctions have at least this curvature throughout,
+_TURN_RAD = (np.deg2rad(55), np.deg2rad(120))  # this angle
+_TURN_M = 40.0  # and at most this length
+_BESIDE_M = 2.0  # farther off its road, a car has turned round in several moves
 
 
 def replay(drive: str, recording: Recording, rng: np.random.Generator, lane_m: float) -> Journey:
-    """Lay a road along the track of `drive` and return the drive along it: place, heading, stops, reversing as driven.
+    """Lay a road along the track of `drive` and return its journey, with stops and reversing.
 
-    Raises InputError if the car reverses onto another track than its own.
+    Raises InputError if the car reverses off its own track.
     """
     time_s, speed, heading = recording.time_s, recording.rows[:, VF], np.unwrap(recording.rows[:, YAW])
     track = _integral(np.column_stack([speed * np.cos(heading), speed * np.sin(heading), speed]), time_s)
@@ -42,8 +41,10 @@ def replay(drive: str, recording: Recording, rng: np.random.Generator, lane_m: f
     if beside.max() > _BESIDE_M:
         i = int(np.argmax(beside > _BESIDE_M))
         raise InputError(
-            f"{drive} turns round in several moves: at frame {list(recording.packets)[i]} it is {beside[i]:.1f} m off "
-            "the road laid along its track, which cannot be replayed: take the drive out of ingest.drives"
+            f"drive turns round in several moves, which cannot be replayed: frame {list(recording.packets)[i]} is "
+            f"{beside[i]:.1f} m off the road along its track",
+            drive,
+            "Take the drive out of ingest.drives",
         )
     junctions, arms = [], []
     for start, end in _turns(route):
@@ -55,16 +56,16 @@ def replay(drive: str, recording: Recording, rng: np.random.Generator, lane_m: f
 
 
 def _integral(rate: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """Return the integral [F,N] of `rate` [F,N] over time, from 0."""
+    """Integrate `rate` [F,N] over time; return [F,N], from 0."""
     steps = (rate[1:] + rate[:-1]) / 2 * np.diff(time_s)[:, None]
     return np.concatenate([np.zeros((1, rate.shape[1])), np.cumsum(steps, axis=0)])
 
 
 def _lay_road(xy: np.ndarray, heading: np.ndarray, driven: np.ndarray, lane_m: float) -> tuple[Route, np.ndarray]:
-    """Return a smooth road along the track xy [F,2], longer at both ends, and s [F] of its frames.
+    """Return a smooth road along the track xy [F,2], extended at both ends, and s [F] of its frames.
 
-    Frames count where the distance driven (less when reversing) reaches ground that it has not reached before, so that
-    standing and reversing do not fold the road.
+    Only frames that extend the range of the distance driven (which falls in reverse) count, so that standing and
+    reversing do not fold the road.
     """
     rearmost, foremost = np.minimum.accumulate(driven), np.maximum.accumulate(driven)
     new = np.concatenate([[True], (driven[1:] < rearmost[:-1]) | (driven[1:] > foremost[:-1])])
@@ -73,7 +74,7 @@ def _lay_road(xy: np.ndarray, heading: np.ndarray, driven: np.ndarray, lane_m: f
     x, y, yaw = (np.interp(grid, driven[order], values[order]) for values in (*xy.T, heading))
     track = np.stack([x, y], axis=-1)
 
-    spare = 4 * round(_SMOOTH_M / STEP_M)  # samples that smoothing takes off at each end
+    spare = 4 * round(_SMOOTH_M / STEP_M)  # samples that smoothing removes at each end
     end = min(round(_END_M / STEP_M), len(grid) - 1)
     behind = _run_out(yaw[0] + np.pi, (yaw[0] - yaw[end]) / _END_M, BEHIND_M + spare * STEP_M)[::-1]
     ahead = _run_out(yaw[-1], (yaw[-1] - yaw[-1 - end]) / _END_M, AHEAD_M + spare * STEP_M)
@@ -82,7 +83,7 @@ def _lay_road(xy: np.ndarray, heading: np.ndarray, driven: np.ndarray, lane_m: f
     line = np.stack([np.convolve(line[:, axis], kernel / kernel.sum(), "valid") for axis in (0, 1)], axis=-1)
 
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    first = len(behind) - spare  # of the line's samples, the track's first
+    first = len(behind) - spare  # index of the track's first sample in the line
     s_of_grid = length[first : first + len(grid)] - length[first]
     s = np.arange(0.0, length[-1], STEP_M)
     line = np.stack([np.interp(s, length, line[:, axis]) for axis in (0, 1)], axis=-1)
@@ -93,7 +94,7 @@ def _lay_road(xy: np.ndarray, heading: np.ndarray, driven: np.ndarray, lane_m: f
 
 
 def _run_out(heading: float, curvature_1pm: float, length_m: float) -> np.ndarray:
-    """Return points [N,2] every STEP_M from the origin on, along a bend that fades to a straight."""
+    """Return points [N,2] every STEP_M from the origin, along a bend that fades to a straight."""
     u = (np.arange(round(length_m / STEP_M)) + 0.5) * STEP_M
     bent = np.minimum(u, _FADE_M)
     heading_at = heading + curvature_1pm * (bent - bent**2 / (2 * _FADE_M))
@@ -101,7 +102,7 @@ def _run_out(heading: float, curvature_1pm: float, length_m: float) -> np.ndarra
 
 
 def _turns(route: Route) -> list[tuple[float, float]]:
-    """Return s of start and end of the bends that look like turns at a junction."""
+    """Return s of start and end of the bends that resemble turns at a junction."""
     side = np.sign(route.curvature_1pm) * (np.abs(route.curvature_1pm) > _BEND_1PM)
     edges = np.flatnonzero(np.diff(side)) + 1
     turns = []
@@ -113,7 +114,7 @@ def _turns(route: Route) -> list[tuple[float, float]]:
 
 
 def _is_free(arm: Arm, route: Route) -> bool:
-    """Neither the arm nor the barrier across its mouth is in the way of any stretch of the route."""
+    """Return whether neither the arm nor the barrier across its mouth obstructs the route."""
     out = unit(arm.heading_rad)
     edge = route.lane_m + 0.25
     along, across = np.meshgrid(edge + np.linspace(*BARRIER_M, 4), np.linspace(-arm.half_m, arm.half_m, 9))

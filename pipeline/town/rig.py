@@ -1,8 +1,7 @@
-"""The sensors' places on the car and KITTI's calibration files that describe them.
+"""Place the sensors on the car and write KITTI's calibration files.
 
-Modelled on KITTI's rig with numbers of our own: the scanner stands 0.8 m in front of the IMU, the cameras 0.27 m in
-front of the scanner. Some of the sample's dates have other cameras, as other cars would. ``T_a_b`` takes points from
-frame b to frame a.
+The rig resembles KITTI's: the scanner is 0.8 m in front of the IMU, the cameras 0.27 m in front of the scanner. Some
+dates have other cameras, as other cars would. ``T_a_b`` takes points from frame b to frame a.
 """
 
 from dataclasses import dataclass
@@ -20,11 +19,11 @@ _LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x forward, y left, z
 
 @dataclass(frozen=True)
 class Cameras:
-    """What the cameras of a car are like."""
+    """Optics and height of a car's cameras."""
 
     focal_per_width: float
     principal_point: tuple[float, float]  # as shares of width and height
-    height_m: float  # the scanner's never differs, so T_cam_velo tells it
+    height_m: float  # the scanner's is constant, so that T_cam_velo determines it
 
 
 _KITTI = Cameras(360.8 / 621, (304.5 / 621, 86.2 / 188), CAMERA_HEIGHT_M)
@@ -32,7 +31,7 @@ _OTHERS = {
     "2026_01_04": Cameras(0.86 * _KITTI.focal_per_width, (0.506, 0.478), 1.55),
     "2026_01_05": Cameras(1.18 * _KITTI.focal_per_width, (0.477, 0.441), 1.72),
     "2026_01_06": Cameras(1.06 * _KITTI.focal_per_width, (0.512, 0.466), 1.76),
-    # Near KITTI's height: these dates' drives are for judging.
+    # Near KITTI's height: dates of validation and test drives.
     "2026_01_07": Cameras(0.93 * _KITTI.focal_per_width, (0.483, 0.470), 1.60),
     "2026_01_08": Cameras(1.11 * _KITTI.focal_per_width, (0.500, 0.449), 1.70),
 }
@@ -55,7 +54,7 @@ class Rig:
 
     @property
     def T_cam2_imu(self) -> np.ndarray:
-        """IMU to the rectified left colour camera, [4,4], as a reader of the files computes it."""
+        """Transform [4,4] from the IMU to the rectified left colour camera, as computed from the files."""
         shift, rectify = np.eye(4), np.eye(4)
         shift[0, 3] = self.P_rect[2][0, 3] / self.P_rect[2][0, 0]
         rectify[:3, :3] = self.R_rect
@@ -74,15 +73,15 @@ def make_rig(size: tuple[int, int], date: str) -> Rig:
     T_velo_imu[:3, 3] = -0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M
     R_rect = rotation(-0.004, 0.007, -0.009)
     T_cam_velo = np.eye(4)
-    # The rectified cameras look straight ahead but for the few milliradians of a mounting; the raw camera's and the
-    # scanner's own tilts cancel.
+    # Rectified cameras point straight ahead up to mounting errors of milliradians; the tilts of raw camera and scanner
+    # cancel.
     T_cam_velo[:3, :3] = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
     T_cam_velo[:3, 3] = R_rect.T @ [0.0, round(cameras.height_m - SCANNER_HEIGHT_M, 3), -0.27]
     return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
 
 
 def rotation(x: float, y: float, z: float) -> np.ndarray:
-    """Turn about x, then y, then z, by angles in rad."""
+    """Return the rotation [3,3] about x, then y, then z, by angles in rad."""
     R = np.eye(3)
     for axis, angle in enumerate((x, y, z)):
         c, s = np.cos(angle), np.sin(angle)

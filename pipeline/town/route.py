@@ -1,7 +1,7 @@
-"""Where the ego drives: a path of straights and bends with clothoid transitions.
+"""The ego's path: straights and bends with clothoid transitions.
 
 World frame: x east, y north, z up, metres; headings counter-clockwise from east. The path is that of the IMU (the rear
-axle): its curvature is continuous and piecewise linear in arc length, so that the steering label is exact.
+axle): its curvature is continuous and piecewise linear in arc length, which makes the steering label exact.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 STEP_M = 0.1
 BEHIND_M = 40.0  # road behind the first frame, for the LiDAR
 AHEAD_M = 110.0  # road ahead of the last frame, for the camera
-IMU_LEFT_M = 0.3  # the IMU sits left of the car's middle, as in KITTI; the car's middle keeps to its lane's
+IMU_LEFT_M = 0.3  # offset of the IMU from the car's centre line, as in KITTI; the car is centred in its lane
 
 Piece = tuple[float, float, float]
 """Length in metres, curvature in 1/m at its start and at its end."""
@@ -19,11 +19,11 @@ Piece = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Arm:
-    """A road that the ego does not take, from the middle of a junction outwards."""
+    """A side road, from the centre of a junction outwards."""
 
-    xy: np.ndarray  # [2] middle of the junction
+    xy: np.ndarray  # [2] centre of the junction
     heading_rad: float
-    closed: bool  # a barrier stands across it, so that a driver sees that the way lies elsewhere
+    closed: bool  # by a barrier, which shows that the route goes elsewhere
     length_m: float
     half_m: float  # half its width
 
@@ -37,7 +37,7 @@ class Route:
     heading_rad: np.ndarray
     curvature_1pm: np.ndarray
     lane_m: float
-    junctions_m: tuple[float, ...]  # s of their middles
+    junctions_m: tuple[float, ...]  # s of their centres
     arms: tuple[Arm, ...]
 
     @property
@@ -63,6 +63,7 @@ class Route:
         return xy + left * np.asarray(offset_m)[..., None], heading
 
     def curvature(self, s_m: np.ndarray) -> np.ndarray:
+        """Return the curvature [...] at s_m [...]."""
         return np.interp(s_m, self.s_m, self.curvature_1pm)
 
 
@@ -74,8 +75,8 @@ def unit(heading_rad: np.ndarray | float) -> np.ndarray:
 
 
 def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
-    """Return clothoid, arc, clothoid that turn by `angle_rad` (left positive) at `radius_m`."""
-    transition_m = min(transition_m, abs(angle_rad) * radius_m)  # both clothoids together turn by transition / radius
+    """Return the pieces clothoid, arc, clothoid for a turn by `angle_rad` (left positive) at `radius_m`."""
+    transition_m = min(transition_m, abs(angle_rad) * radius_m)  # the clothoids turn by transition / radius
     curvature = np.sign(angle_rad) / radius_m
     arc_m = abs(angle_rad) * radius_m - transition_m
     return [(transition_m, 0.0, curvature), (arc_m, curvature, curvature), (transition_m, curvature, 0.0)]

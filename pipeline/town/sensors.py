@@ -1,4 +1,4 @@
-"""The camera and the scanner, at their places on the car."""
+"""Render camera images and LiDAR scans."""
 
 import numpy as np
 
@@ -10,14 +10,14 @@ from pipeline.town.world import World, dot
 
 ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
-FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # that depth's units can say
+FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # of stored depth
 RANGE_NOISE_M = 0.015
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 
 
 class Camera:
-    """The left colour camera: picture, depth, classes."""
+    """The left colour camera: image, depth, classes."""
 
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
@@ -27,22 +27,22 @@ class Camera:
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
 
     def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky, or too far for it), classes uint8 [H,W]."""
+        """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky or too far), classes uint8 [H,W]."""
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
         facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)  # the sky has no normal
         points = rays[:3, facing] + hits.distance_m[facing] * rays[3:, facing]
-        points += np.float32(0.01) * hits.normal[:, facing]  # off the surface, or it would shade itself
+        points += np.float32(0.01) * hits.normal[:, facing]  # off the surface, which would shade itself
         lit = np.zeros(rays.shape[1], bool)
         lit[facing] = world.lit(points, light.sun)
         picture = shade(light, hits, rays, lit, self._size)
-        depth_m = hits.distance_m * self._z_per_m  # of the sky it is infinite
+        depth_m = hits.distance_m * self._z_per_m  # sky: inf
         depth = to_units(np.where(depth_m < FARTHEST_M, depth_m, 0))
         return picture, depth.reshape(self._size), hits.cls.reshape(self._size)
 
 
 class Scanner:
-    """A spinning LiDAR; a scan is taken in an instant (KITTI's are made so by undoing the motion)."""
+    """A spinning LiDAR with instantaneous scans (KITTI's are motion-compensated)."""
 
     def __init__(self, rig: Rig, rays: tuple[int, int]) -> None:
         rings, per_ring = rays
@@ -66,7 +66,7 @@ class Scanner:
 
 
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return the rays [6,N] of a sensor that looks to `directions` float32 [3,N]."""
+    """Return the rays [6,N] of a sensor with viewing `directions` float32 [3,N]."""
     rays = np.empty((6, directions.shape[1]), np.float32)
     rays[:3] = T_world_sensor[:3, 3:]
     for axis, row in enumerate(T_world_sensor[:3, :3].astype(np.float32)):

@@ -1,4 +1,4 @@
-"""Things made of coloured triangles: boxes, houses, cylinders, tree crowns, cars."""
+"""Build objects from coloured triangles: boxes, houses, cylinders, trees, cars."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -21,13 +21,14 @@ class Mesh:
     cls: np.ndarray
 
     def placed(self, xy: np.ndarray | tuple[float, float], heading_rad: float = 0.0, z: float = 0.0) -> "Mesh":
-        """Turned about z, then moved."""
+        """Return the mesh, rotated about z, then translated."""
         c, s = np.cos(heading_rad), np.sin(heading_rad)
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         return Mesh((self.vertices @ R.T + [xy[0], xy[1], z]).astype(np.float32), self.triangles, self.colour, self.cls)
 
 
 def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour | np.ndarray, cls: int) -> Mesh:
+    """Return a mesh of one class, with one colour or a colour per triangle."""
     count = len(triangles)
     return Mesh(
         np.asarray(vertices, np.float32),
@@ -38,6 +39,7 @@ def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour | np.ndarra
 
 
 def merge(parts: Iterable[Mesh]) -> Mesh:
+    """Join meshes into one."""
     parts = list(parts)
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     triangles = [part.triangles + np.uint32(start) for part, start in zip(parts, starts, strict=False)]
@@ -57,14 +59,14 @@ _BOX_FACES = np.array(
 
 
 def box(size: tuple[float, float, float], colour: Colour, cls: int, taper: float = 1.0) -> Mesh:
-    """A box of `size` (x, y, z) standing on the origin; its top is `taper` times as long along x."""
+    """Build a box of `size` (x, y, z) on the origin; its top is `taper` times as long along x."""
     corners = _BOX_CORNERS * size
     corners[:, 0] *= np.where(_BOX_CORNERS[:, 2] > 0, taper, 1.0)
     return mesh(corners, _BOX_FACES, colour, cls)
 
 
 def house(size: tuple[float, float, float], colour: Colour, roof: Colour, roof_m: float) -> Mesh:
-    """A building of `size` (along the street x, deep y, high z) with a gable roof of height `roof_m` (0: flat)."""
+    """Build a house of `size` (x along the street, y deep, z high) with a gable roof of height `roof_m` (0: flat)."""
     length, depth, height = size
     walls = box(size, colour, classes.BUILDING)
     if roof_m == 0:
@@ -80,7 +82,7 @@ def house(size: tuple[float, float, float], colour: Colour, roof: Colour, roof_m
 
 
 def cylinder(radius_m: float, height_m: float, colour: Colour, cls: int) -> Mesh:
-    """An upright tube on the origin, open at both ends."""
+    """Build an upright tube on the origin, open at both ends."""
     vertices, faces = _tube()
     return mesh(vertices * [radius_m, radius_m, height_m], faces, colour, cls)
 
@@ -103,7 +105,7 @@ def _sphere() -> tuple[np.ndarray, np.ndarray]:
 
 
 def tree(rng: np.random.Generator, height_m: float, leaves: Colour) -> Mesh:
-    """A trunk under a lumpy crown."""
+    """Build a trunk under a lumpy crown."""
     trunk_m = height_m * rng.uniform(0.3, 0.42)
     vertices, faces = _sphere()
     vertices = vertices * (1 + rng.uniform(-0.17, 0.17, (len(vertices), 1)))
@@ -119,14 +121,14 @@ def tree(rng: np.random.Generator, height_m: float, leaves: Colour) -> Mesh:
 
 
 def lamp_post(height_m: float) -> Mesh:
-    """A stout post with an arm over the road (towards +x)."""
+    """Build a post with an arm over the road (towards +x)."""
     grey = (0.42, 0.44, 0.45)
     arm = box((1.6, 0.22, 0.18), grey, classes.POLE).placed((0.7, 0.0), z=height_m - 0.18)
     return merge([cylinder(0.19, height_m, grey, classes.POLE), arm])
 
 
 def car(rng: np.random.Generator) -> Mesh:
-    """A car of 3.9 to 4.7 m, heading along +x, its middle over the origin."""
+    """Build a car of 3.9 to 4.7 m, heading along +x, centred over the origin."""
     palette = [(0.75, 0.75, 0.77), (0.9, 0.9, 0.9), (0.1, 0.1, 0.12), (0.5, 0.06, 0.06), (0.08, 0.14, 0.4),
                (0.3, 0.32, 0.34), (0.1, 0.3, 0.2), (0.65, 0.5, 0.15)]  # fmt: skip
     paint = palette[rng.integers(len(palette))]

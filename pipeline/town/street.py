@@ -1,15 +1,16 @@
-"""What stands along a route: houses, trees, posts, hedges, barriers, parked cars."""
+"""Build the static street: kerbs, barriers, houses, trees, posts, hedges, parked cars, woods on the horizon."""
 
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.town import edges, shapes
+from pipeline.town import shapes
 from pipeline.town.character import Character
 from pipeline.town.lots import Frontage, Ground, footprint, frontages
 from pipeline.town.plan import CELL_M, KERB_M, Plan
 from pipeline.town.route import Route, unit
 from pipeline.town.shapes import Mesh
 
+BARRIER_M = (2.0, 3.5)  # from the junction's edge to the barrier of a closed arm
 _WALLS = [(0.62, 0.50, 0.38), (0.70, 0.66, 0.58), (0.55, 0.30, 0.24), (0.78, 0.76, 0.72), (0.48, 0.46, 0.44),
           (0.66, 0.56, 0.36), (0.42, 0.28, 0.24), (0.60, 0.62, 0.64)]  # fmt: skip
 _ROOFS = [(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.24, 0.16)]
@@ -17,9 +18,9 @@ _LEAVES = [(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.
 
 
 def build_street(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> Mesh:
-    """Return everything that stands still, apart from the ground itself."""
+    """Return the mesh of all static objects, without the ground."""
     ground = Ground(plan)
-    parts = [edges.kerbs(plan), edges.horizon(plan, rng), *edges.barriers(route, rng)]
+    parts = [_kerbs(plan), _horizon(plan, rng), *_barriers(route, rng)]
     parts += _parked_cars(route, plan, character, rng)
     for frontage in frontages(route, plan):
         parts += _houses(frontage, ground, character, rng)
@@ -27,6 +28,46 @@ def build_street(route: Route, plan: Plan, character: Character, rng: np.random.
         parts += _furniture(frontage, ground, character, rng)
     parts += _backdrop(ground, character, rng)
     return shapes.merge(parts)
+
+
+def _kerbs(plan: Plan) -> Mesh:
+    """Build vertical faces along the roads' outlines."""
+    parts = []
+    for outline in plan.kerbs():
+        n = len(outline)
+        vertices = np.concatenate([np.column_stack([outline, np.full(n, z)]) for z in (0.0, KERB_M)])
+        i, j = np.arange(n), (np.arange(n) + 1) % n
+        faces = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
+        parts.append(shapes.mesh(vertices, faces, (0.5, 0.5, 0.49), classes.SIDEWALK))
+    return shapes.merge(parts)
+
+
+def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
+    """Build a ring of woods around the town."""
+    size = np.array(plan.kind.shape[::-1]) * CELL_M
+    middle, radius, n = plan.origin + size / 2, np.linalg.norm(size) / 2 + 25, 160
+    angle = np.arange(n) * 2 * np.pi / n
+    ring = middle + radius * unit(angle)
+    heights = 9 + 5 * rng.random(n) + 4 * np.sin(angle * 3 + rng.uniform(0, 6.28))
+    vertices = np.concatenate([np.column_stack([ring, np.zeros(n)]), np.column_stack([ring, heights])])
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    faces = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
+    return shapes.mesh(vertices, faces, (0.13, 0.20, 0.10), classes.VEGETATION)
+
+
+def _barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
+    """Build red and white boards across closed arms, just beyond the junction."""
+    parts = []
+    for arm in route.arms:
+        if not arm.closed:
+            continue
+        middle = arm.xy + (route.lane_m + 0.25 + rng.uniform(*BARRIER_M)) * unit(arm.heading_rad)
+        boards = np.arange(-arm.half_m + 0.35, arm.half_m, 0.7)
+        for i, across in enumerate(boards):
+            colour = (0.75, 0.08, 0.06) if i % 2 else (0.9, 0.9, 0.88)
+            xy = middle + across * unit(arm.heading_rad + np.pi / 2)
+            parts.append(shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE).placed(xy, arm.heading_rad))
+    return parts
 
 
 def _houses(line: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
@@ -77,7 +118,7 @@ def _furniture(line: Frontage, ground: Ground, character: Character, rng: np.ran
 
 
 def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
-    """Trees and houses farther from the road, so that gaps between the first row do not show emptiness."""
+    """Build trees and houses behind the first row, so that its gaps are not empty."""
     parts = []
     size = np.array(ground.plan.kind.shape[::-1]) * CELL_M
     for _ in range(int(size.prod() / 90)):
@@ -106,14 +147,14 @@ def _parked_cars(route: Route, plan: Plan, character: Character, rng: np.random.
                 offset = edge + side * (1.0 + rng.uniform(-0.1, 0.1))
                 xy, heading = route.at(s, offset)
                 car = shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0))
-                if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset) - 0.2:  # on no other stretch of road
+                if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset) - 0.2:  # clear of other stretches
                     parts.append(car)
             s += 5.6 + rng.uniform(0, 0.8)
     return parts
 
 
 def _hedge(rng: np.random.Generator) -> Mesh:
-    """A hedge, or a wooden fence."""
+    """Build a hedge or a wooden fence."""
     if rng.random() < 0.5:
         return shapes.box((4.5, 0.7, rng.uniform(0.9, 1.5)), _leaves(rng), classes.VEGETATION)
     brown = tuple(np.array([0.42, 0.28, 0.16]) * rng.uniform(0.8, 1.2))

@@ -1,4 +1,4 @@
-"""Cars that move: oncoming ones, and sometimes one ahead."""
+"""Draw moving cars: oncoming ones, and sometimes one ahead."""
 
 from dataclasses import dataclass
 
@@ -10,25 +10,26 @@ from pipeline.town.motion import Motion
 from pipeline.town.route import IMU_LEFT_M, Route
 from pipeline.town.shapes import Mesh
 
-SIGHT_M = 100.0  # farther cars are not drawn
-_ROOM_M = (4.5, 2.4)  # between the middles of two cars, along and across
-_AXLE_TO_MIDDLE_M = 1.3  # the IMU sits over the rear axle
+SIGHT_M = 100.0  # farther cars are not rendered
+_ROOM_M = (4.5, 2.4)  # between the centres of two cars, along and across
+_AXLE_TO_MIDDLE_M = 1.3  # the IMU is over the rear axle
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A car and its place per frame: xy [F,2], heading_rad [F]."""
+    """A car and its pose per frame: xy [F,2], heading_rad [F]."""
 
     shape: Mesh
     xy: np.ndarray
     heading_rad: np.ndarray
 
     def at(self, frame: int) -> Mesh:
+        """Return the car's mesh at a frame."""
         return self.shape.placed(self.xy[frame], float(self.heading_rad[frame]))
 
 
 def draw_traffic(route: Route, motion: Motion, rng: np.random.Generator) -> list[Vehicle]:
-    """Draw vehicles that follow the road's lanes for the whole drive. Oncoming ones appear every 40 to 110 m."""
+    """Draw vehicles that follow the road's lanes for the entire drive. Oncoming ones appear every 40 to 110 m."""
     vehicles = []
     speed = rng.uniform(5.0, 7.5)
     covered = motion.s_m[-1] + speed * motion.time_s[-1] + 60
@@ -42,7 +43,7 @@ def draw_traffic(route: Route, motion: Motion, rng: np.random.Generator) -> list
             vehicles.append(Vehicle(shapes.car(rng), xy, heading + np.pi))
         start += rng.uniform(40, 110)
     if rng.random() < 0.35:
-        # The car ahead did what the ego does a few seconds earlier; towards the drive's end it pulls away.
+        # The car ahead is the ego a few seconds earlier; towards the drive's end it pulls away.
         lead_s = np.interp(motion.time_s + 2.5, motion.time_s, motion.s_m, right=np.nan)
         beyond = motion.s_m[-1] + (motion.time_s + 2.5 - motion.time_s[-1]) * max(float(motion.speed_mps[-1]), 4.0)
         xy, heading = route.at(np.where(np.isnan(lead_s), beyond, lead_s) + 6.0, route.centre_m - route.lane_m / 2)
@@ -50,11 +51,11 @@ def draw_traffic(route: Route, motion: Motion, rng: np.random.Generator) -> list
     return vehicles
 
 
-def shown(vehicle: Vehicle, journey: Journey) -> np.ndarray:
+def visible(vehicle: Vehicle, journey: Journey) -> np.ndarray:
     """Return bool [F]: the vehicle is in sight.
 
-    Where a road leads back to itself, lanes of one stretch are crossed by another's: an encounter, from coming into
-    sight to going out of it, in which the vehicle and the ego would touch does not take place.
+    Where a road crosses itself, the vehicle might hit the ego. It is then hidden for the entire encounter, so that it
+    neither appears nor vanishes in sight.
     """
     to = vehicle.xy - journey.xy
     near = np.linalg.norm(to, axis=1) < SIGHT_M

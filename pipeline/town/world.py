@@ -1,4 +1,4 @@
-"""What a ray meets: street furniture and traffic as triangles (Open3D's ray casting), the ground as two planes."""
+"""Cast rays at the town: objects and traffic as triangles (Open3D's ray casting), the ground as two planes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +20,7 @@ _SHADOW_M = 150.0  # longest shadow
 @dataclass(frozen=True)
 class Hits:
     """Per ray: distance [N] (inf: sky), cls uint8 [N], colour [3,N] albedo, normal [3,N] towards the viewer (sky: 0),
-    ground int8 [N]: the plan's kind, -1 for what is no ground."""
+    ground int8 [N]: the plan's kind, -1 for objects and sky."""
 
     distance_m: np.ndarray
     cls: np.ndarray
@@ -32,26 +32,27 @@ class Hits:
 class World:
     """One drive's street; traffic is set frame by frame.
 
-    Rays and points are float32 [6,N] (origin, unit direction) and [3,N]: numpy is several times faster on whole rows
-    than on triples.
+    Rays and points are float32 [6,N] (origin, unit direction) and [3,N]: numpy is several times faster on rows than on
+    triples.
     """
 
     def __init__(self, plan: Plan, street: Mesh, ground_colours: np.ndarray) -> None:
-        """`ground_colours` [6,3]: albedo of each kind of the plan."""
+        """`ground_colours` [6,3]: albedo of each kind of ground."""
         self.plan = plan
         self._street = _Layer(street)
         self._ground_colours = ground_colours.astype(np.float32)
         self.set_traffic([])
 
     def set_traffic(self, cars: list[Mesh]) -> None:
+        """Replace the moving cars."""
         self._cars = [_Layer(car, bounded=True) for car in cars]
-        # What rays meet has a number, its surface: the kinds of ground, the sky, each layer's triangles.
+        # Surface numbers: the kinds of ground, the sky, the triangles of each layer.
         sky, meshes = np.zeros((1, 3), np.float32), [layer.mesh for layer in (self._street, *self._cars)]
         self._cls = np.concatenate([_GROUND_CLASS, np.array([classes.SKY], np.uint8), *(mesh.cls for mesh in meshes)])
         self._colour = np.concatenate([self._ground_colours, sky, *(mesh.colour for mesh in meshes)]).T.copy()
 
     def cast(self, rays: np.ndarray) -> Hits:
-        """Return what `rays` meet first."""
+        """Return the first hits of `rays` [6,N]."""
         first = _SKY + 1
         distance, surface, normal = self._street.cast(rays, first)
         for layer, before in zip(self._cars, (self._street, *self._cars), strict=False):
@@ -68,7 +69,7 @@ class World:
         return Hits(distance, self._cls.take(surface), self._colour.take(surface, axis=1), normal, ground)
 
     def lit(self, points: np.ndarray, sun: np.ndarray) -> np.ndarray:
-        """Return bool [N]: nothing stands between `points` [3,N] and the sun in direction `sun` [3]."""
+        """Return bool [N]: `points` [3,N] are not in the shadow for the sun in direction `sun` [3]."""
         rays = np.empty((6, points.shape[1]), np.float32)
         rays[:3], rays[3:] = points, sun[:, None]
         lit = np.ones(points.shape[1], bool)
@@ -77,7 +78,7 @@ class World:
         return lit
 
     def _cast_ground(self, rays: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """Lower `distance` in place where the ground is nearer; return the kind of ground there, else -1."""
+        """Lower `distance` in place where the ground is nearer; return its kind there, otherwise -1."""
         kind = np.full(rays.shape[1], -1, np.int8)
         down = np.flatnonzero(rays[5] < -1e-6)
         for level, on_road in ((KERB_M, False), (0.0, True)):
@@ -86,7 +87,7 @@ class World:
             down, t = down[near], t[near]
             x, y = (rays[axis].take(down) + t * rays[3 + axis].take(down) for axis in (0, 1))
             there = self.plan.kind[self.plan.cells(x, y)]
-            # A ray that finds road at kerb height goes on down to the road.
+            # A ray over road at kerb height continues down to the road.
             road = (there == ASPHALT) | (there == MARKING) | (there == BAY)
             stop = np.full(len(road), True) if on_road else ~road
             kind[down[stop]], distance[down[stop]] = there[stop], t[stop]
@@ -95,14 +96,14 @@ class World:
 
 
 class _Layer:
-    """A mesh to cast rays at."""
+    """A mesh prepared for ray casting."""
 
     def __init__(self, mesh: Mesh, bounded: bool = False) -> None:
-        """`bounded`: the mesh is small, most rays miss it."""
+        """`bounded`: the mesh is small, so that most rays miss it."""
         import open3d as o3d
 
         self.mesh = mesh
-        # One building thread: Embree's parallel build is not promised to give the same tree twice.
+        # One thread: Embree's parallel build is not guaranteed to be deterministic.
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
         self._bounded = bounded
@@ -110,9 +111,9 @@ class _Layer:
         self._radius = float(np.linalg.norm(mesh.vertices - self._middle, axis=1).max()) + 0.01
 
     def cast(self, rays: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return per ray: distance (inf: nothing), surface, normal [3,N] towards the viewer (nothing: 0).
+        """Return per ray: distance (miss: inf), surface, normal [3,N] towards the viewer (miss: 0).
 
-        `first` is the surface of the first triangle.
+        `first` is the surface number of the first triangle.
         """
         answer = self._scene.cast_rays(_tensor(rays.T))
         distance = answer["t_hit"].numpy()
@@ -130,7 +131,7 @@ class _Layer:
         return np.flatnonzero(shadow) if near is None else near[shadow]
 
     def near(self, rays: np.ndarray) -> np.ndarray:
-        """Return the indices of the rays whose line meets the mesh's sphere."""
+        """Return the indices of the rays whose line intersects the mesh's bounding sphere."""
         to = self._middle[:, None] - rays[:3]
         ahead = dot(to, rays[3:])
         aside = dot(to, to) - ahead**2

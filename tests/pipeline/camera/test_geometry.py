@@ -26,7 +26,7 @@ def test_depth_image_undoes_back_project() -> None:
 
 
 def test_a_plane_stays_a_plane() -> None:
-    """The ground as a camera sees it: depth where each ray meets n·X = h, and back to points on it."""
+    """Depth where each ray meets the plane n·X = h, back-projected, lies on the plane."""
     normal, height = np.array([0.02, -0.999, -0.04]), -1.65
     along = rays(K, SIZE) @ normal
     below = along < -1e-3
@@ -44,7 +44,7 @@ def test_points_behind_have_no_pixel() -> None:
     np.testing.assert_array_equal(z, [5, 0, -5])
 
 
-def test_scaled_camera_sees_the_same_point_at_the_scaled_place() -> None:
+def test_scaled_camera_projects_to_the_scaled_position() -> None:
     """A pixel covers [u - 1/2, u + 1/2], so edges scale and centres do not."""
     new_size = (20, 16)
     xyz = np.random.default_rng(0).uniform([-3, -2, 5], [3, 2, 20], (100, 3))
@@ -54,7 +54,7 @@ def test_scaled_camera_sees_the_same_point_at_the_scaled_place() -> None:
     np.testing.assert_array_equal(scale_K(K, SIZE, SIZE), K)
 
 
-def test_nearest_point_wins_and_the_rest_is_empty() -> None:
+def test_depth_image_keeps_the_nearest_point() -> None:
     ray = rays(K, SIZE)[7, 9]
     outside = rays(K, SIZE)[7, -1] + [1 / K[0, 0], 0, 0]
     depth = depth_image(np.array([30 * ray, 4 * ray, 9 * ray, -2 * ray, 5 * outside]), K, SIZE)

@@ -1,4 +1,4 @@
-"""Resizing: pixels move as scale_K says, and depth and classes are never mixed."""
+"""Resizing: pixels move as scale_K computes, and depth and classes are never mixed."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import scale_K
-from pipeline.camera.images import read_classes, read_depth, read_image
+from pipeline.camera.images import read_classes, read_depth, read_image, to_metres, to_units
 from tests.kitti_drive import write_png
 
 SIZE, SMALL = (60, 120), (20, 30)
@@ -19,29 +19,29 @@ def ramps() -> np.ndarray:
     return np.stack([u, v, 0 * u], axis=-1).astype(np.uint8)
 
 
-def old_coordinates() -> np.ndarray:
-    """Return, for each pixel of the resized image, where it lies in the original according to scale_K."""
+def original_coordinates() -> np.ndarray:
+    """Return the coordinates of each pixel of the resized image in the original, from scale_K."""
     back = np.linalg.inv(scale_K(np.eye(3), SIZE, SMALL))
     v, u = np.mgrid[: SMALL[0], : SMALL[1]]
     return (np.stack([u, v, np.ones_like(u)], axis=-1) @ back.T)[..., :2]
 
 
-def test_image_moves_as_scale_k_says(tmp_path: Path) -> None:
+def test_image_moves_with_the_intrinsics(tmp_path: Path) -> None:
     write_png(tmp_path / "a.png", ramps())
     resized = read_image(tmp_path / "a.png", SIZE, SMALL)
-    assert np.abs(resized[..., :2] - old_coordinates()).max() <= 0.5  # what rounding to uint8 may do
+    assert np.abs(resized[..., :2] - original_coordinates()).max() <= 0.5  # rounding to uint8
 
 
-def test_depth_picks_the_pixel_in_the_middle(tmp_path: Path) -> None:
+def test_depth_picks_the_central_pixel(tmp_path: Path) -> None:
     u, v = (ramps()[..., axis].astype(np.uint16) for axis in (0, 1))
     write_png(tmp_path / "a.png", 1000 * v + u)
     picked = read_depth(tmp_path / "a.png", SIZE, SMALL)
     where = np.stack([picked % 1000, picked // 1000], axis=-1)
-    assert np.abs(where - old_coordinates()).max() <= 0.5  # an even factor has no middle pixel
+    assert np.abs(where - original_coordinates()).max() <= 0.5  # an even factor has no central pixel
     assert picked.dtype == np.uint16
 
 
-def test_invalid_depth_and_classes_are_not_averaged(tmp_path: Path) -> None:
+def test_depth_and_classes_are_not_averaged(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     write_png(tmp_path / "d.png", rng.choice(np.array([0, 20000], np.uint16), SIZE))
     write_png(tmp_path / "c.png", rng.choice(np.array([0, 18, 255], np.uint8), SIZE))
@@ -49,28 +49,25 @@ def test_invalid_depth_and_classes_are_not_averaged(tmp_path: Path) -> None:
     assert set(np.unique(read_classes(tmp_path / "c.png", SIZE, SMALL))) == {0, 18, 255}
 
 
-def test_same_size_is_lossless(tmp_path: Path) -> None:
-    pixels = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), np.uint8)
-    write_png(tmp_path / "a.png", pixels)
-    np.testing.assert_array_equal(read_image(tmp_path / "a.png", SIZE, SIZE), pixels)
-
-
-def test_grey_is_repeated(tmp_path: Path) -> None:
-    pixels = np.random.default_rng(0).integers(0, 256, SIZE, np.uint8)
+@pytest.mark.parametrize("channels", [(3,), ()])
+def test_same_size_is_lossless_and_grey_is_repeated(tmp_path: Path, channels: tuple[int, ...]) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (*SIZE, *channels), np.uint8)
     write_png(tmp_path / "a.png", pixels)
     image = read_image(tmp_path / "a.png", SIZE, SIZE)
-    assert image.shape == (*SIZE, 3)
-    assert (image == pixels[..., None]).all()
+    np.testing.assert_array_equal(image, pixels if channels else np.repeat(pixels[..., None], 3, axis=-1))
 
 
-def test_another_size_than_the_calibration_says(tmp_path: Path) -> None:
+def test_unexpected_size_and_dtype(tmp_path: Path) -> None:
     write_png(tmp_path / "a.png", ramps())
-    with pytest.raises(InputError, match="is 120 x 60 pixels, the calibration says 121 x 60"):
+    with pytest.raises(InputError, match=r"120 x 60 pixels .*121 x 60"):
         read_image(tmp_path / "a.png", (60, 121), SMALL)
+    for reader, dtype in ((read_depth, np.uint8), (read_classes, np.uint16)):
+        write_png(tmp_path / "a.png", np.zeros(SIZE, dtype))
+        with pytest.raises(InputError, match=f"got {np.dtype(dtype)}"):
+            reader(tmp_path / "a.png", SIZE, SMALL)
 
 
-@pytest.mark.parametrize(("reader", "dtype"), [(read_depth, np.uint8), (read_classes, np.uint16)])
-def test_wrong_depth_of_pixels(tmp_path: Path, reader: object, dtype: type) -> None:
-    write_png(tmp_path / "a.png", np.zeros(SIZE, dtype))
-    with pytest.raises(InputError, match="are expected"):
-        reader(tmp_path / "a.png", SIZE, SMALL)  # type: ignore[operator]
+def test_depth_units() -> None:
+    depth_m = np.array([0.0, 1e-4, 1.5, 1e3])
+    np.testing.assert_array_equal(to_units(depth_m), [0, 1, 384, 65535])
+    np.testing.assert_allclose(to_metres(to_units(depth_m))[[0, 2]], [0, 1.5])

@@ -16,23 +16,21 @@ def heights(folder: Path) -> list[float]:
 @pytest.mark.parametrize(
     ("date", "height_m"), [("2026_01_01", 1.65), ("2026_01_04", 1.55), ("2026_01_05", 1.72), ("2026_01_06", 1.76)]
 )
-def test_the_calibration_of_the_samples_cars_says_how_high_their_cameras_are(
-    tmp_path: Path, date: str, height_m: float
-) -> None:
+def test_heights_of_the_samples_cameras(tmp_path: Path, date: str, height_m: float) -> None:
     write_calibration(make_rig((188, 621), date), tmp_path)
     assert heights(tmp_path) == pytest.approx([height_m] * 4, abs=0.01)
 
 
 @pytest.mark.real
 @pytest.mark.parametrize("date", ["2011_09_26", "2011_10_03"])
-def test_so_does_kittis(real_half: Path, date: str) -> None:
+def test_heights_of_kittis_cameras(real_half: Path, date: str) -> None:
     found = heights(real_half / date)
     assert found == pytest.approx([CAMERA_HEIGHT_M] * len(found), abs=0.025)
     assert found
 
 
-def test_without_a_scanner_it_is_kittis_and_a_height_that_cannot_be_is_refused() -> None:
+def test_default_and_implausible_height() -> None:
     assert camera_height(None) == CAMERA_HEIGHT_M
     T_cam_velo = np.array([[0.0, -1, 0, 0], [0, 0, -1, -1.8], [1, 0, 0, 0], [0, 0, 0, 1]])
-    with pytest.raises(InputError, match=r"stands -0\.07 m .*perception\.camera_height_m"):
+    with pytest.raises(InputError, match=r"-0\.07 m .*perception\.camera_height_m"):
         camera_height(T_cam_velo)

@@ -27,8 +27,8 @@ def test_pixels_are_picked_for_another_size(tmp_path: Path) -> None:
 def test_each_file_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_png(tmp_path / DRIVE / "depth/0000000000.png", np.zeros((4, 4), np.uint16))
     write_png(tmp_path / DRIVE / "cls/0000000000.png", np.zeros((4, 4), np.uint8))
-    decode, decoded = images.read_png, []
-    monkeypatch.setattr(images, "read_png", lambda path: decoded.append(path.parent.name) or decode(path))
+    decode, decoded = images.read_pixels, []
+    monkeypatch.setattr(images, "read_pixels", lambda path: decoded.append(path.parent.name) or decode(path))
     read(tmp_path, DRIVE, 0, (2, 2))
     assert decoded == ["depth", "cls"]
 

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.base import store
 from pipeline.camera import classes
-from pipeline.camera.png import read_png
+from pipeline.camera.pixels import read_pixels
 from pipeline.encoder.truth import read_truth, teaching_rows, visible
 from pipeline.kitti.raw import RawDrive
 from tests import street
@@ -68,7 +68,7 @@ def test_what_stays_of_a_real_scan_agrees_better_with_the_benchmark(real_kitti: 
     """KITTI's depth benchmark has thrown out what the camera cannot see by comparing with the stereo pair."""
     name = "2011_09_26_drive_0001_sync_0000000005_{}_image_02.png"
     folder = real_kitti / "depth_benchmark"
-    raw, truth = (read_png(folder / name.format(kind)) / 256 for kind in ("velodyne_raw", "groundtruth"))
+    raw, truth = (read_pixels(folder / name.format(kind)) / 256 for kind in ("velodyne_raw", "groundtruth"))
     camera = RawDrive(real_kitti / "2011_09_26" / "2011_09_26_drive_0001_sync").camera([2])
     assert camera is not None
     kept = visible(raw, camera.K)

@@ -12,7 +12,7 @@ from pipeline.kitti.oxts import COLUMNS, VF, make_rows
 SIZE = (4, 6)
 
 
-def test_what_a_frame_lacks_is_empty_and_said(tmp_path: Path) -> None:
+def test_absent_rows_are_empty_and_flagged(tmp_path: Path) -> None:
     scan, cls = np.ones((5, 4), np.float32), np.full(SIZE, 3, np.uint8)
     with DriveWriter(tmp_path / "a.h5", stage="ingest", drive="drive", params={}) as writer:
         put_motion(writer, [7, 8, 10], np.array([0.0, 0.1, 0.3]), make_rows(3, vf=np.array([1.0, 2.0, 3.0])))
@@ -26,7 +26,7 @@ def test_what_a_frame_lacks_is_empty_and_said(tmp_path: Path) -> None:
         assert file["oxts"][:, VF].tolist() == [1, 2, 3]
         assert file.shape("oxts") == (3, len(COLUMNS))
         assert "T_cam_velo" not in file
-        assert file.shape("image") == (3, *SIZE, 3), "its size is known without images"
+        assert file.shape("image") == (3, *SIZE, 3), "its size is stored without images"
         assert "depth" not in file
         assert (file["cls"][:2] == VOID).all()
         np.testing.assert_array_equal(file["cls"][2], cls)

@@ -10,36 +10,45 @@ from pipeline.kitti import oxts
 from tests.kitti_drive import write
 
 
-def test_columns_are_pykittis() -> None:
+def test_columns_equal_pykittis() -> None:
     from pykitti.utils import OxtsPacket
 
     assert OxtsPacket._fields == oxts.COLUMNS
     assert (oxts.VF, oxts.VL, oxts.WU) == (8, 9, 22)
 
 
-def test_row_reads_what_was_written(tmp_path: Path) -> None:
+def test_packet_round_trip(tmp_path: Path) -> None:
     row = np.random.default_rng(0).normal(size=30)
-    write(tmp_path / "0.txt", " ".join(repr(float(x)) for x in row))
-    np.testing.assert_array_equal(oxts.read_row(tmp_path / "0.txt"), row)
+    row[oxts.COLUMNS.index("navstat") :] = [4, 9, 4, 4, 4]
+    (tmp_path / "0.txt").write_bytes(oxts.format_packet(row))
+    np.testing.assert_allclose(oxts.read_row(tmp_path / "0.txt"), row, rtol=1e-12)
+
+
+def test_times_round_trip(tmp_path: Path) -> None:
+    time_s = np.array([0.0, 0.109958171, 0.2, 60000.0])
+    (tmp_path / "a.txt").write_bytes(oxts.format_times(time_s, "2027_03_31", 8 * 3600))
+    assert (tmp_path / "a.txt").read_text().splitlines()[1] == "2027-03-31 08:00:00.109958171"
+    np.testing.assert_array_equal(oxts.read_times(tmp_path / "a.txt", [0, 1, 2]), time_s[:3])
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "problem"),
     [
-        ("", "has 0 of 30"),
-        ("1.0 " * 29, "has 29 of 30"),
-        ("1.0 " * 31, "has 31 of 30"),
-        ("1.0 " * 29 + "1.0.0", "not a number"),
-        ("1.0 " * 22 + "nan " + "1.0 " * 7, "wu is nan"),
-        ("1.0 " * 8 + "inf " + "1.0 " * 21, "vf is inf"),
-        ("\0" * 300, "has 1 of 30"),
+        ("", "got 0"),
+        ("1.0 " * 29, "got 29"),
+        ("1.0 " * 31, "got 31"),
+        ("1.0 " * 29 + "1.0.0", "expected numbers"),
+        ("1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
+        ("1.0 " * 8 + "inf " + "1.0 " * 21, "vf = inf"),
+        ("1.0 " * 8 + "-1e300 " + "1.0 " * 21, "vf = -1e"),
+        ("\0" * 300, "got 1"),
     ],
 )
-def test_damaged_row(tmp_path: Path, text: str, message: str) -> None:
+def test_damaged_packet(tmp_path: Path, text: str, problem: str) -> None:
     write(tmp_path / "7.txt", text)
-    with pytest.raises(DamagedFile, match=message) as error:
+    with pytest.raises(DamagedFile, match=problem) as raised:
         oxts.read_row(tmp_path / "7.txt")
-    assert str(tmp_path / "7.txt") in str(error.value)
+    assert raised.value.where == str(tmp_path / "7.txt")
 
 
 def stamps(path: Path, seconds: list[str]) -> Path:
@@ -47,42 +56,40 @@ def stamps(path: Path, seconds: list[str]) -> Path:
     return path
 
 
-def test_line_belongs_to_frame_of_that_number(tmp_path: Path) -> None:
-    path = stamps(tmp_path / "timestamps.txt", ["25.0", "25.1", "25.25", "25.3", "25.45"])
-    np.testing.assert_allclose(oxts.read_times(path, [1, 2, 4]), [0, 0.15, 0.35], atol=1e-12)
-
-
-def test_times_keep_nanoseconds(tmp_path: Path) -> None:
-    path = stamps(tmp_path / "timestamps.txt", ["25.964389445", "26.074347616"])
-    assert oxts.read_times(path, [0, 1])[1] == 0.109958171
-
-
-def test_drive_cut_out_of_a_longer_one_goes_by_position(tmp_path: Path) -> None:
-    path = stamps(tmp_path / "timestamps.txt", ["25.0", "25.1", "25.3"])
-    np.testing.assert_allclose(oxts.read_times(path, [100, 101, 103]), [0, 0.1, 0.3], atol=1e-12)
-
-
-def test_empty_line_of_a_frame_that_is_not_there_does_not_matter(tmp_path: Path) -> None:
-    path = stamps(tmp_path / "timestamps.txt", ["25.0", "", "25.2"])
-    np.testing.assert_allclose(oxts.read_times(path, [0, 2]), [0, 0.2], atol=1e-12)
+@pytest.mark.parametrize(
+    ("lines", "frames", "expected"),
+    [
+        (["25.0", "25.1", "25.25", "25.3", "25.45"], [1, 2, 4], [0, 0.15, 0.35]),  # by number
+        (["25.0", "25.1", "25.3"], [100, 101, 103], [0, 0.1, 0.3]),  # cut out of a longer drive: by position
+        (["25.0", "", "25.2"], [0, 2], [0, 0.2]),  # the empty line belongs to no frame
+    ],
+)
+def test_lines_and_frames(tmp_path: Path, lines: list[str], frames: list[int], expected: list[float]) -> None:
+    path = stamps(tmp_path / "timestamps.txt", lines)
+    np.testing.assert_allclose(oxts.read_times(path, frames), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("lines", "message"),
+    ("lines", "problem"),
     [
-        (["25.0", "25.1"], "has 2 lines, frame 2 needs line 3"),
-        (["25.0", "", "25.2"], "empty at line 2"),
-        (["25.0", "25.2", "25.1"], "time goes from .*25.2.* to .*25.1.* at line 3"),
-        (["25.0", "25.1", "25.1"], "at line 3, it must increase"),
-        (["25.0", "what", "25.1"], "not a time"),
+        (["25.0", "25.1"], "got 2"),
+        (["25.0", "", "25.2"], "line 2: expected a time, got ''"),
+        (["25.0", "25.2", "25.1"], "line 3: time goes from .*25.2 to .*25.1"),
+        (["25.0", "25.1", "25.1"], "line 3: time goes"),
+        (["25.0", "what", "25.1"], "line 2: expected a time"),
+        (["25.0", "61.0", "62.0"], "invalid time"),
     ],
 )
-def test_bad_times(tmp_path: Path, lines: list[str], message: str) -> None:
-    with pytest.raises(InputError, match=message) as error:
+def test_bad_times(tmp_path: Path, lines: list[str], problem: str) -> None:
+    with pytest.raises(InputError, match=problem) as raised:
         oxts.read_times(stamps(tmp_path / "timestamps.txt", lines), [0, 1, 2])
-    assert not isinstance(error.value, DamagedFile)  # no single frame can be left out to mend it
+    assert not isinstance(raised.value, DamagedFile)  # leaving out a frame would not help
+    assert raised.value.fix
 
 
-def test_missing_times(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is missing: extract"):
+def test_gap_of_more_than_an_hour_and_missing_file(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(oxts.format_times(np.array([0.0, 3601.0]), "2027_03_31", 0))
+    with pytest.raises(InputError, match="at most 3600 s"):
+        oxts.read_times(tmp_path / "a.txt", [0, 1])
+    with pytest.raises(InputError, match="missing"):
         oxts.read_times(tmp_path / "timestamps.txt", [0])

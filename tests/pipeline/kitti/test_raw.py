@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import depth_image, transform
-from pipeline.camera.png import read_png
+from pipeline.camera.pixels import read_pixels
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_drive
 
@@ -35,7 +35,7 @@ def test_first_camera_that_has_images(tmp_path: Path) -> None:
     blind = RawDrive(write_drive(tmp_path / "b", camera=None))
     camera = blind.camera([1, 2, 0])
     assert camera is not None
-    assert camera.number == 2, "without images, the first that is calibrated serves to project scans"
+    assert camera.number == 2, "without images, the first calibrated camera"
     for path in (tmp_path / "b" / DATE).glob("calib*"):
         path.unlink()
     assert blind.camera([2, 0]) is None
@@ -44,13 +44,13 @@ def test_first_camera_that_has_images(tmp_path: Path) -> None:
 def test_find_drives(tmp_path: Path) -> None:
     write_drive(tmp_path)
     assert list(find_drives(tmp_path, [DRIVE])) == [DRIVE]
-    with pytest.raises(InputError, match=f"no drive 2011_09_26_drive_0010.*did you mean {DRIVE}"):
+    with pytest.raises(InputError, match=f"2011_09_26_drive_0010.*did you mean {DRIVE}"):
         find_drives(tmp_path, ["2011_09_26_drive_0010"])
-    with pytest.raises(InputError, match="holds no drives"):
+    with pytest.raises(InputError, match="no drives"):
         find_drives(tmp_path / DATE, [DRIVE])
 
 
-def test_changes_tell_a_file_that_was_extracted_again(tmp_path: Path) -> None:
+def test_changes_detect_a_file_that_was_extracted_again(tmp_path: Path) -> None:
     folder = write_drive(tmp_path, truth=True)
 
     def changes() -> str:
@@ -58,24 +58,24 @@ def test_changes_tell_a_file_that_was_extracted_again(tmp_path: Path) -> None:
 
     first, fingerprint = changes(), RawDrive(folder).fingerprint([2])
     assert changes() == first
-    told = {first}
+    hashes = {first}
     for name in ("image_02/data/0000000001.png", "velodyne_points/data/0000000002.bin", "truth/cls/0000000000.png"):
         path = folder / name
         before = path.stat()
         write(path, path.read_bytes())
         os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))  # as unzip does
-        told.add(changes())
-    assert len(told) == 4
-    assert RawDrive(folder).fingerprint([2]) == fingerprint, "which is part of what ingest writes"
+        hashes.add(changes())
+    assert len(hashes) == 4
+    assert RawDrive(folder).fingerprint([2]) == fingerprint, "an attribute of the ingest file"
 
 
-def test_fingerprint_follows_what_was_read(tmp_path: Path) -> None:
+def test_fingerprint_covers_all_inputs(tmp_path: Path) -> None:
     folder = write_drive(tmp_path / "a", truth=True)
     first = RawDrive(folder).fingerprint([2])
     shutil.copytree(tmp_path / "a", tmp_path / "b")
-    assert RawDrive(tmp_path / "b" / DATE / f"{DRIVE}_sync").fingerprint([2]) == first, "the place does not matter"
+    assert RawDrive(tmp_path / "b" / DATE / f"{DRIVE}_sync").fingerprint([2]) == first, "independent of the folder"
 
-    seen = {first}
+    hashes = {first}
     changes = [
         "image_02/data/0000000001.png",
         "oxts/data/0000000001.txt",
@@ -84,16 +84,16 @@ def test_fingerprint_follows_what_was_read(tmp_path: Path) -> None:
     ]
     for name in [*changes, "velodyne_points/data/0000000002.bin", "../calib_cam_to_cam.txt"]:
         write(folder / name, (folder / name).read_bytes() + b" ")
-        seen.add(RawDrive(folder).fingerprint([2]))
+        hashes.add(RawDrive(folder).fingerprint([2]))
     (folder / "velodyne_points/data/0000000002.bin").unlink()
-    seen.add(RawDrive(folder).fingerprint([2]))
-    assert len(seen) == 8
+    hashes.add(RawDrive(folder).fingerprint([2]))
+    assert len(hashes) == 8
     text = (folder / "oxts/data/0000000002.txt").read_text()
     write(folder / "oxts/data/0000000002.txt", text.replace("1", "2"))
-    assert RawDrive(folder).fingerprint([2]) not in seen, "packets count by content, not by size"
+    assert RawDrive(folder).fingerprint([2]) not in hashes, "packets count by content, not by size"
 
 
-def test_scan_reads_what_was_written(tmp_path: Path) -> None:
+def test_scan_round_trip(tmp_path: Path) -> None:
     points = scan(np.random.default_rng(0))
     write(tmp_path / "0.bin", points.tobytes())
     np.testing.assert_array_equal(read_scan(tmp_path / "0.bin"), points)
@@ -105,9 +105,9 @@ def test_damaged_scans(tmp_path: Path) -> None:
     nan[5, 1] = np.nan
     far[5, 1] = 1e20
     for content, message in (
-        (b"", "cut short: 0 bytes"),
-        (points.tobytes()[:-7], "cut short: 10233 bytes"),
-        (points[:400].tobytes(), "is cut short: its 400 points reach down to -14.7"),
+        (b"", "cut short at 0 bytes"),
+        (points.tobytes()[:-7], "cut short at 10233 bytes"),
+        (points[:400].tobytes(), "its 400 points end at -14.7"),
         (nan.tobytes(), "not finite"),
         (far.tobytes(), "beyond 150 m"),
     ):
@@ -117,27 +117,27 @@ def test_damaged_scans(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_real_scans_are_told_from_a_real_damaged_one(real_kitti: Path) -> None:
-    """It was cut at a multiple of 16 bytes, so its size says nothing; it ends at the 39th of 64 lasers."""
+def test_real_scans_and_a_real_damaged_one(real_kitti: Path) -> None:
+    """The damaged scan has a multiple of 16 bytes and ends at the 39th of 64 lasers."""
     sound = [*(real_kitti / DATE).glob("*/velodyne_points/data/*.bin"), *(real_kitti / "object/velodyne").glob("*.bin")]
     assert len(sound) == 52
     for path in sound:
         assert len(read_scan(path)) > 100_000
     damaged = real_kitti / "damaged/2011_09_26_drive_0052_0000000077_truncated.bin"
     assert damaged.stat().st_size % 16 == 0
-    with pytest.raises(DamagedFile, match=r"cut short: its 69719 points reach down to -11.4"):
+    with pytest.raises(DamagedFile, match=r"its 69719 points end at -11.4"):
         read_scan(damaged)
 
 
 @pytest.mark.real
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
-    """KITTI's depth benchmark projected this very scan; it also undid the car's motion, so it is only close."""
+    """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is only close."""
     raw = RawDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
     camera = raw.camera([2])
     assert camera is not None
     assert camera.T_cam_velo is not None
     png = real_kitti / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
-    expected = read_png(png) / 256
+    expected = read_pixels(png) / 256
     xyz = transform(camera.T_cam_velo, read_scan(raw.scans[5])[:, :3].astype(np.float64))
 
     def agree(shift: float) -> tuple[int, float]:
@@ -149,5 +149,5 @@ def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
     pixels, error_m = agree(0.0)
     assert error_m <= 0.05
     assert pixels > 6000
-    # Integer coordinates are pixel centres: half a pixel or a pixel elsewhere, fewer points meet.
+    # Integer coordinates are pixel centres: shifted by half a pixel or more, fewer points agree.
     assert all(agree(shift)[0] < 0.8 * pixels for shift in (-1.0, -0.5, 0.5, 1.0))

@@ -1,12 +1,11 @@
-"""oxts packets of speed and yaw rate agree with themselves: place, heading and velocities are one motion."""
+"""Packets from speed and yaw rate are consistent: position, heading and velocities are one motion."""
 
 import numpy as np
 import pytest
 
-from pipeline.kitti.oxts import AF, COLUMNS, VF, WU, YAW
+from pipeline.kitti.oxts import AF, COLUMNS, EARTH_RADIUS_M, VF, WU, YAW
 from pipeline.recording.packets import packets
 from pipeline.recording.track import Rates
-from pipeline.town.oxts import EARTH_RADIUS_M
 
 SAMPLES_S = np.arange(0, 20, 0.01)
 IMAGES_S = np.sort(np.random.default_rng(0).uniform(1, 19, 170))
@@ -20,7 +19,7 @@ def rows() -> np.ndarray:
     return packets(rates, IMAGES_S)
 
 
-def test_rates_are_those_of_the_camera_s_times(rows: np.ndarray) -> None:
+def test_rates_at_the_cameras_times(rows: np.ndarray) -> None:
     np.testing.assert_allclose(rows[:, VF], 8 + 3 * np.sin(IMAGES_S / 3), atol=1e-4)
     np.testing.assert_allclose(rows[:, WU], 0.3 * np.sin(IMAGES_S / 2), atol=1e-5)
     np.testing.assert_array_equal(rows[:, WZ], rows[:, WU])
@@ -33,7 +32,7 @@ def test_heading_is_the_integral_of_the_yaw_rate(rows: np.ndarray) -> None:
     np.testing.assert_allclose(np.hypot(rows[:, VN], rows[:, VE]), rows[:, VF])
 
 
-def test_place_is_the_integral_of_velocity(rows: np.ndarray) -> None:
+def test_position_is_the_integral_of_velocity(rows: np.ndarray) -> None:
     fine = np.linspace(0, 20, 200_001)
     heading = 2.0 + 0.6 * (1 - np.cos(fine / 2))
     steps = (8 + 3 * np.sin(fine / 3))[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1) * 1e-4
@@ -49,7 +48,7 @@ def test_accelerations(rows: np.ndarray) -> None:
     np.testing.assert_allclose(rows[:, AL], rows[:, VF] * rows[:, WU])
 
 
-def test_a_sample_at_the_image_s_time_is_kept_to_the_digit() -> None:
+def test_samples_at_image_times_are_copied_exactly() -> None:
     rng = np.random.default_rng(1)
     rates = Rates(np.cumsum(rng.uniform(0.05, 0.15, 50)), rng.normal(5, 3, 50), rng.normal(0, 0.3, 50))
     rows = packets(rates, rates.time_s)

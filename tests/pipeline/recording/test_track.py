@@ -1,4 +1,4 @@
-"""Speed and yaw rate of a track are those of the curve that it was taken of."""
+"""Speed and yaw rate of a track equal those of the curve it samples."""
 
 from pathlib import Path
 
@@ -17,19 +17,19 @@ FILE = Path("track.gpx")
 
 
 def fixes_of(
-    count: int, step_s: float, speed_mps: float, yaw_rate_radps: float, says: bool, noise_m: float = 0
+    count: int, step_s: float, speed_mps: float, yaw_rate_radps: float, measured: bool, noise_m: float = 0
 ) -> Fixes:
     time_s, places, heading = bend(count, step_s, speed_mps, yaw_rate_radps)
     places = places + np.random.default_rng(0).normal(0, noise_m / 1e5, places.shape)
-    velocity = speed_mps * np.stack([np.cos(heading), np.sin(heading)], axis=-1) if says else None
+    velocity = speed_mps * np.stack([np.cos(heading), np.sin(heading)], axis=-1) if measured else None
     return Fixes(time_s, places[:, 0], places[:, 1], velocity)
 
 
-@pytest.mark.parametrize("says", [True, False])
+@pytest.mark.parametrize("measured", [True, False])
 @pytest.mark.parametrize("yaw_rate_radps", [0.15, -0.15])
 @pytest.mark.parametrize("step_s", [1.0, 0.1])
-def test_a_circle(step_s: float, yaw_rate_radps: float, says: bool) -> None:
-    rates, _ = rates_of(fixes_of(40, step_s, 9.0, yaw_rate_radps, says), FILE)
+def test_a_circle(step_s: float, yaw_rate_radps: float, measured: bool) -> None:
+    rates, _ = rates_of(fixes_of(40, step_s, 9.0, yaw_rate_radps, measured), FILE)
     inner = slice(3, -3) if step_s == 1 else slice(6, -6)  # at both ends, fits are one-sided
     np.testing.assert_allclose(rates.speed_mps[inner], 9.0, rtol=0.02)
     np.testing.assert_allclose(rates.yaw_rate_radps[inner], yaw_rate_radps, rtol=0.04)
@@ -38,7 +38,7 @@ def test_a_circle(step_s: float, yaw_rate_radps: float, says: bool) -> None:
 
 
 def test_noise_is_smoothed() -> None:
-    fixes = fixes_of(200, 0.1, 9.0, 0.1, says=False, noise_m=0.02)
+    fixes = fixes_of(200, 0.1, 9.0, 0.1, measured=False, noise_m=0.02)
     rates, rule = rates_of(fixes, FILE)
     north_m, east_m = np.deg2rad([fixes.latitude_deg, fixes.longitude_deg * np.cos(np.deg2rad(49))]) * 6378137
     between_fixes_mps = np.hypot(np.diff(north_m), np.diff(east_m)) / 0.1
@@ -46,16 +46,16 @@ def test_noise_is_smoothed() -> None:
     assert "over 11 fixes (1 s)" in rule
 
 
-@pytest.mark.parametrize("says", [True, False])
-def test_where_it_stands_the_course_is_noise(says: bool) -> None:
-    fixes = fixes_of(30, 1.0, 0.3, 0.5, says, noise_m=0.1)
+@pytest.mark.parametrize("measured", [True, False])
+def test_yaw_rate_is_zero_at_standstill(measured: bool) -> None:
+    fixes = fixes_of(30, 1.0, 0.3, 0.5, measured, noise_m=0.1)
     rates, _ = rates_of(fixes, FILE)
     np.testing.assert_array_equal(rates.yaw_rate_radps, 0)
     assert rates.speed_mps.max() < 1.0
 
 
-def test_fixes_that_are_lost_leave_the_others_in_their_places() -> None:
-    whole = fixes_of(60, 1.0, 9.0, 0.02, says=False)
+def test_missing_fixes() -> None:
+    whole = fixes_of(60, 1.0, 9.0, 0.02, measured=False)
     there = np.delete(np.arange(60), [20, 21, 40])
     some = Fixes(whole.time_s[there], whole.latitude_deg[there], whole.longitude_deg[there], None)
     rates, _ = rates_of(some, FILE)
@@ -70,16 +70,16 @@ def test_across_the_date_line() -> None:
     np.testing.assert_allclose(rates.yaw_rate_radps, 0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("says", "least"), [(True, 3), (False, 5)])
-def test_too_few(says: bool, least: int) -> None:
-    rates_of(fixes_of(least, 1.0, 9.0, 0.1, says), FILE)
-    with pytest.raises(InputError, match=f"has {least - 1} fixes with a time: {least} are the least"):
-        rates_of(fixes_of(least - 1, 1.0, 9.0, 0.1, says), FILE)
+@pytest.mark.parametrize(("measured", "least"), [(True, 3), (False, 5)])
+def test_number_of_fixes(measured: bool, least: int) -> None:
+    rates_of(fixes_of(least, 1.0, 9.0, 0.1, measured), FILE)
+    with pytest.raises(InputError, match=f"at least {least} fixes with a time, got {least - 1}"):
+        rates_of(fixes_of(least - 1, 1.0, 9.0, 0.1, measured), FILE)
 
 
 def test_too_short_to_smooth() -> None:
-    with pytest.raises(InputError, match=r"lasts 0\.5 s, which is too short"):
-        rates_of(fixes_of(6, 0.1, 9.0, 0.1, says=True), FILE)
+    with pytest.raises(InputError, match=r"lasts 0\.5 s"):
+        rates_of(fixes_of(6, 0.1, 9.0, 0.1, measured=True), FILE)
 
 
 def test_later() -> None:
@@ -88,8 +88,8 @@ def test_later() -> None:
 
 
 @pytest.mark.real
-@pytest.mark.parametrize(("step", "says", "worst"), [(1, True, 0.01), (1, False, 0.13), (10, True, 0.13)])
-def test_a_real_track_tells_the_angle(real_half: Path, step: int, says: bool, worst: float) -> None:
+@pytest.mark.parametrize(("step", "measured", "worst"), [(1, True, 0.01), (1, False, 0.13), (10, True, 0.13)])
+def test_real_track_yields_the_angle(real_half: Path, step: int, measured: bool, worst: float) -> None:
     """KITTI's own track as a receiver's, at 10 Hz and at 1 Hz: the label's squared error, as a share of its own."""
     for drive in ("0005", "0039"):
         raw = RawDrive(real_half / f"2011_09_26/2011_09_26_drive_{drive}_sync")
@@ -97,13 +97,13 @@ def test_a_real_track_tells_the_angle(real_half: Path, step: int, says: bool, wo
         rows = np.array([read_row(path) for path in raw.oxts.values()])
         fixes = rows[::step]
         lat, lon, ve, vn = (fixes[:, COLUMNS.index(name)] for name in ("lat", "lon", "ve", "vn"))
-        rates, _ = rates_of(Fixes(time_s[::step], lat, lon, np.stack([ve, vn], axis=-1) if says else None), FILE)
+        rates, _ = rates_of(Fixes(time_s[::step], lat, lon, np.stack([ve, vn], axis=-1) if measured else None), FILE)
         covered = time_s <= rates.time_s[-1]
         made = packets(rates, time_s[covered])
-        said, truth = (
+        labels, truth = (
             steering_labels(packet[:, WU], packet[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid")
             for packet in (made, rows[covered])
         )
-        valid = said[1] & truth[1]
-        error = np.mean((said[0] - truth[0])[valid] ** 2) / np.mean(truth[0][valid] ** 2)
+        valid = labels[1] & truth[1]
+        error = np.mean((labels[0] - truth[0])[valid] ** 2) / np.mean(truth[0][valid] ** 2)
         assert error < worst

@@ -1,4 +1,4 @@
-"""Drawn roads: they begin as they should, turn both ways, keep clear of themselves, and show where ways lead."""
+"""Drawn roads: first manoeuvre, turns to both sides, no crossing of themselves, closed side roads."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def routes() -> list[tuple[str, Route]]:
     return [
         (first, draw_route(np.random.default_rng([seed, i]), LENGTH_M + AHEAD_M, lane_m, first))
         for i, first in enumerate(DECK)
-        for seed, lane_m in enumerate((2.0, 2.5, 3.3, 3.7))
+        for seed, lane_m in enumerate((2.0, 3.3))
     ]
 
 
@@ -44,14 +44,14 @@ def test_crossings_are_tight_right_ones_tighter(routes: list[tuple[str, Route]])
     assert abs(np.sum(total)) < 0.35 * np.sum(np.abs(total))
 
 
-def test_no_road_meets_itself(routes: list[tuple[str, Route]]) -> None:
+def test_no_road_crosses_itself(routes: list[tuple[str, Route]]) -> None:
     for _, route in routes:
         s, xy = route.s_m[::20], route.xy[::20]
         apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
         assert apart[np.abs(s[:, None] - s[None]) > 60].min() > 20
 
 
-def test_ways_that_are_not_taken_are_closed_where_the_car_turns(routes: list[tuple[str, Route]]) -> None:
+def test_side_roads_are_closed_where_the_car_turns(routes: list[tuple[str, Route]]) -> None:
     closed_at_turns = []
     for _, route in routes:
         for arm in route.arms:

@@ -1,4 +1,4 @@
-"""The ego's motion, and the oxts rows that tell it: positions, speeds, rates are each other's integrals."""
+"""The ego's motion and its oxts packets: positions, speeds and rates are consistent."""
 
 import tarfile
 from pathlib import Path
@@ -6,22 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.kitti.oxts import COLUMNS, WU, YAW
+from pipeline.kitti.oxts import COLUMNS, GRAVITY_MPS2, WU, YAW
 from pipeline.kitti.raw import find_drives
 from pipeline.label import steering_angle
-from pipeline.town.body import Body, draw_body
 from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
     BRAKE_MPS2,
     PERIOD_S,
+    Body,
     Motion,
+    draw_body,
     draw_stops,
     drive,
     frame_times,
     speed_profile,
 )
-from pipeline.town.oxts import GRAVITY_MPS2, RATES_LATE_S, oxts_rows
-from pipeline.town.recording import read_recording
+from pipeline.town.oxts import RATES_LATE_S, oxts_rows, read_recording
 from pipeline.town.route import AHEAD_M, Route
 
 LAT, LON, LATERAL = 49.0, 8.4, 3.0
@@ -30,7 +30,7 @@ LAT, LON, LATERAL = 49.0, 8.4, 3.0
 Drive = tuple[Route, Motion, Body, dict[str, np.ndarray]]
 
 
-@pytest.fixture(scope="module", params=[1, 2, 3])
+@pytest.fixture(scope="module", params=[1, 3])
 def driven(request: pytest.FixtureRequest) -> Drive:
     rng = np.random.default_rng(request.param)
     times = frame_times(rng, 200)
@@ -46,7 +46,6 @@ def driven(request: pytest.FixtureRequest) -> Drive:
 def test_speed_and_yaw_integrate_to_the_track(driven: Drive) -> None:
     _, motion, _, oxts = driven
     yaw = np.unwrap(oxts["yaw"])
-    # Simpson-like: the mean of the ends and twice the middle, whose heading is that of the mean yaw.
     v, dt, turn = oxts["vf"], np.diff(motion.time_s), np.diff(yaw)
     length = (v[1:] + v[:-1]) / 2 * dt * np.sinc(turn / 2 / np.pi)  # chord of an arc
     middle = (yaw[1:] + yaw[:-1]) / 2
@@ -60,7 +59,7 @@ def test_speed_and_yaw_integrate_to_the_track(driven: Drive) -> None:
     assert np.linalg.norm(track - measured, axis=1).max() < 0.10
 
 
-def test_the_label_is_the_curvature_of_the_path_a_moment_ago(driven: Drive) -> None:
+def test_label_is_the_curvature_of_the_path_a_moment_earlier(driven: Drive) -> None:
     route, motion, _, oxts = driven
     moving = oxts["vf"] > 1
     label = steering_angle(oxts["wu"], oxts["vf"], 2.7)
@@ -73,7 +72,7 @@ def test_the_label_is_the_curvature_of_the_path_a_moment_ago(driven: Drive) -> N
     assert label.min() < -0.1
 
 
-def test_rates_are_derivatives_a_moment_ago(driven: Drive) -> None:
+def test_rates_are_derivatives_a_moment_earlier(driven: Drive) -> None:
     route, motion, _, oxts = driven
     dt = np.diff(motion.time_s)
     turned = np.diff(np.unwrap(oxts["yaw"]))
@@ -92,8 +91,8 @@ def test_rates_are_derivatives_a_moment_ago(driven: Drive) -> None:
 
 @pytest.mark.real
 @pytest.mark.slow
-def test_real_rates_are_as_late(real_kitti: Path, tmp_path: Path) -> None:
-    names = ["2011_09_26_drive_0009", "2011_09_26_drive_0101", "2011_09_30_drive_0034"]
+def test_real_rates_have_the_same_delay(real_kitti: Path, tmp_path: Path) -> None:
+    names = ["2011_09_26_drive_0009", "2011_09_26_drive_0101"]
     wanted = tuple(f"{name[:10]}/{name}_sync/oxts" for name in names)
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         members = [member for member in archive if member.name.removeprefix("./").startswith(wanted)]
@@ -108,7 +107,7 @@ def test_real_rates_are_as_late(real_kitti: Path, tmp_path: Path) -> None:
         assert late_s[np.argmin(error)] == pytest.approx(RATES_LATE_S, abs=0.0101)
 
 
-def test_a_halt_lasts_as_long_as_it_should(driven: Drive) -> None:
+def test_duration_of_a_halt(driven: Drive) -> None:
     _, motion, _, oxts = driven
     standing = oxts["vf"] == 0
     if not standing.any():
@@ -120,9 +119,9 @@ def test_a_halt_lasts_as_long_as_it_should(driven: Drive) -> None:
 
 def test_halts_lie_ahead_of_junctions() -> None:
     rng = np.random.default_rng(0)
-    routes = [draw_route(rng, 200.0, 3.5) for _ in range(24)]
+    routes = [draw_route(rng, 200.0, 3.5) for _ in range(16)]
     halts = [(route, halt) for route in routes for halt in draw_stops(rng, route, 80.0)]
-    assert 0 < len(halts) < 12
+    assert 0 < len(halts) < 8
     for route, halt in halts:
         assert np.abs(np.array(route.junctions_m) - halt - 13.0).min() < 1e-9
         assert 0 < halt < 80
@@ -134,7 +133,7 @@ def test_too_short_a_route_is_refused() -> None:
         drive(route, speed_profile(route, 9.0, LATERAL), np.array([0.0, 500.0]), 1.0)
 
 
-def test_the_body_leans_out_of_bends_dives_when_braking_and_rests_where_the_car_stands(driven: Drive) -> None:
+def test_body_leans_dives_and_rests_at_standstill(driven: Drive) -> None:
     _, _, body, oxts = driven
     assert np.corrcoef(body.roll_rad, oxts["al"])[0, 1] > 0.7  # left bend: the left side comes up
     assert np.corrcoef(body.pitch_rad, oxts["af"])[0, 1] < -0.3  # braking: the front goes down

@@ -1,4 +1,4 @@
-"""A replayed drive: the road lies under the recorded track, nothing stands in its way, and oxts stays as it was."""
+"""A replayed drive: the road follows the recorded track, nothing blocks it, and oxts is copied."""
 
 import tarfile
 from dataclasses import replace
@@ -10,21 +10,21 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres
-from pipeline.camera.png import read_png
+from pipeline.camera.pixels import read_pixels
 from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.label import steering_labels
 from pipeline.town.character import draw_character
 from pipeline.town.drive import Drive
 from pipeline.town.journey import Journey
+from pipeline.town.junctions import find_meetings
 from pipeline.town.light import draw_ground_colours
-from pipeline.town.meetings import find_meetings
+from pipeline.town.oxts import Recording, read_recording
 from pipeline.town.plan import draw_plan
-from pipeline.town.recording import Recording, read_recording
 from pipeline.town.replay import replay
 from pipeline.town.route import AHEAD_M, BEHIND_M, IMU_LEFT_M
 from pipeline.town.street import build_street
-from pipeline.town.traffic import SIGHT_M, draw_traffic, shown
+from pipeline.town.traffic import SIGHT_M, draw_traffic, visible
 from pipeline.town.world import World
 from tests.recorded_drive import DRIVE, drive_along, round_the_block, town_trip, write_recorded
 
@@ -47,7 +47,7 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Journey:
 
 
 def agreement(journey: Journey, rows: np.ndarray) -> tuple[float, float]:
-    """Correlation of the recorded label with that of the road where the car is, and their squared error's share."""
+    """Return the correlation of recorded labels with the road's, and the relative squared error."""
     recorded, valid = steering_labels(
         rows[:, WU], rows[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid"
     )
@@ -56,34 +56,34 @@ def agreement(journey: Journey, rows: np.ndarray) -> tuple[float, float]:
     return float(np.corrcoef(road, recorded[valid])[0, 1]), float(error)
 
 
-def test_the_road_bends_as_the_label_says(trip: Journey, block: Journey) -> None:
+def test_road_has_the_curvature_of_the_labels(trip: Journey, block: Journey) -> None:
     for journey, rows in ((trip, town_trip()[0]), (block, round_the_block()[0])):
         correlation, error = agreement(journey, rows)
         assert correlation > 0.99
         assert error < 0.01
 
 
-def test_the_car_is_where_it_was_and_on_its_road(trip: Journey) -> None:
+def test_positions_are_the_recorded_ones_and_on_the_road(trip: Journey) -> None:
     rows, track, driven = town_trip()
     assert np.linalg.norm(trip.xy - track, axis=1).max() < 0.05
     np.testing.assert_allclose(np.cos(trip.heading_rad - rows[:, YAW]), 1, atol=1e-9)
     on_road, along = trip.route.at(trip.motion.s_m)
     assert np.linalg.norm(trip.xy - on_road, axis=1).max() < 0.3
     assert np.abs(trip.heading_rad - along).max() < np.deg2rad(4)
-    # A smooth road is a little shorter than the track; standing and rolling back show in s as in the distance.
+    # A smooth road is a little shorter than the track; standing and reversing appear in s too.
     assert np.abs(trip.motion.s_m - driven).max() < 0.01 * driven.max()
     assert trip.motion.s_m[125] < trip.motion.s_m[90] - 3
     np.testing.assert_allclose(trip.motion.s_m[75:90], trip.motion.s_m[75], atol=1e-6)
 
 
-def test_standing_and_rolling_back_leave_no_fold(trip: Journey) -> None:
+def test_standing_and_reversing_do_not_fold_the_road(trip: Journey) -> None:
     route = trip.route
     np.testing.assert_allclose(np.linalg.norm(np.diff(route.xy, axis=0), axis=1), 0.1, atol=0.001)
     assert np.abs(route.curvature_1pm).max() < 0.09
     assert np.abs(np.diff(route.curvature_1pm)).max() < 0.003
 
 
-def test_noise_of_a_standing_car_does_not_bend_the_road(tmp_path: Path) -> None:
+def test_noise_at_standstill_does_not_bend_the_road(tmp_path: Path) -> None:
     speed = np.concatenate([np.linspace(6, 0, 30), np.zeros(100), np.linspace(0, 6, 30)])
     rows, _ = drive_along(speed, np.zeros(160))
     rows[30:130, [VF, YAW]] += np.random.default_rng(0).normal(0, [0.05, 0.001], (100, 2))
@@ -91,7 +91,7 @@ def test_noise_of_a_standing_car_does_not_bend_the_road(tmp_path: Path) -> None:
     assert np.abs(journey.route.curvature_1pm).max() < 0.02
 
 
-def test_the_road_goes_on_at_both_ends_and_straightens(tmp_path: Path) -> None:
+def test_road_is_extended_and_straightens_at_both_ends(tmp_path: Path) -> None:
     rows, _ = drive_along(np.full(40, 6.0), np.full(40, 1 / 12))  # begins and ends in the bend
     route = journey_of(rows, tmp_path).route
     assert route.s_m[0] == pytest.approx(-BEHIND_M, abs=0.2)
@@ -102,7 +102,7 @@ def test_the_road_goes_on_at_both_ends_and_straightens(tmp_path: Path) -> None:
     assert np.abs(route.curvature_1pm[outer]).max() < 1e-3
 
 
-def test_a_drive_that_only_stands_has_a_straight_road(tmp_path: Path) -> None:
+def test_standing_drive_has_a_straight_road(tmp_path: Path) -> None:
     rows, _ = drive_along(np.zeros(5), np.zeros(5), heading_rad=2.0)
     journey = journey_of(rows, tmp_path)
     np.testing.assert_allclose(np.unwrap(journey.route.heading_rad), 2.0, atol=1e-6)
@@ -110,7 +110,7 @@ def test_a_drive_that_only_stands_has_a_straight_road(tmp_path: Path) -> None:
     np.testing.assert_allclose(journey.route.at(0.0)[0], [0, 0], atol=1e-6)
 
 
-def test_the_second_round_is_found(block: Journey) -> None:
+def test_repeated_streets_are_found(block: Journey) -> None:
     s, meetings = block.route.s_m, find_meetings(block.route)
     first, again, away = (s > 0) & (s < 35), (s > 280) & (s < 310), (s > 70) & (s < 240)
     assert meetings.other_m[first | again].max() < 1
@@ -121,12 +121,10 @@ def test_the_second_round_is_found(block: Journey) -> None:
     assert not meetings.junction[first | again | away].any()
 
 
-@pytest.mark.parametrize(("seed", "quarter"), [(0, "centre"), (1, "narrow"), (2, "village")])
-@pytest.mark.slow
-def test_nothing_stands_on_driven_road(block: Journey, tmp_path: Path, seed: int, quarter: str) -> None:
-    """Rays along both flanks of the car and its middle, from each frame to the next, meet nothing."""
-    journey = journey_of(round_the_block()[0], tmp_path, seed)
-    rng = np.random.default_rng(seed)
+@pytest.mark.parametrize("quarter", ["narrow", "village"])
+def test_nothing_blocks_the_route(block: Journey, quarter: str) -> None:
+    """Rays along both flanks of the car and its centre, from each frame to the next, hit nothing."""
+    journey, rng = block, np.random.default_rng(1)
     character = replace(draw_character(rng, quarter), bays=1.0)
     plan = draw_plan(journey.route, rng, character)
     world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
@@ -139,74 +137,71 @@ def test_nothing_stands_on_driven_road(block: Journey, tmp_path: Path, seed: int
             starts = np.column_stack([places[:-1], np.full(len(step), height)])
             rays = np.column_stack([starts, step / length[:, None], np.zeros(len(step))]).astype(np.float32)
             assert (world.cast(rays.T).distance_m > length).all()
-    # The car's middle is on road throughout, never on pavement.
+    # The car's centre is always on road.
     assert (plan.to_road_m[plan.cells(*(journey.xy - IMU_LEFT_M * left).T)] == 0).all()
     assert journey.route.arms  # closed ways at some of the corners
     assert all(arm.closed for arm in journey.route.arms)
 
 
-def test_cars_do_not_drive_through_the_ego(block: Journey) -> None:
+def test_cars_do_not_hit_the_ego(block: Journey) -> None:
     middle = block.xy + 1.3 * np.stack([np.cos(block.heading_rad), np.sin(block.heading_rad)], axis=-1)
     met, hidden = 0, 0
-    for seed in range(12):
+    for seed in range(8):
         for vehicle in draw_traffic(block.route, block.motion, np.random.default_rng(seed)):
-            seen, apart = shown(vehicle, block), np.linalg.norm(vehicle.xy - middle, axis=1)
-            assert apart[seen].min(initial=SIGHT_M) > 2.3
+            shown, apart = visible(vehicle, block), np.linalg.norm(vehicle.xy - middle, axis=1)
+            assert apart[shown].min(initial=SIGHT_M) > 2.3
             near = np.linalg.norm(vehicle.xy - block.xy, axis=1) < SIGHT_M
-            met, hidden = met + int(seen.any()), hidden + int((near & ~seen).any())
+            met, hidden = met + int(shown.any()), hidden + int((near & ~shown).any())
             # No car appears or vanishes in sight.
-            np.testing.assert_array_equal(np.diff(seen)[near[1:] & near[:-1]], False)
-    assert met > 30
+            np.testing.assert_array_equal(np.diff(shown)[near[1:] & near[:-1]], False)
+    assert met > 20
     assert hidden > 0
 
 
 def test_reversing_onto_another_track_is_refused(tmp_path: Path) -> None:
     speed = np.concatenate([np.full(60, 6.0), np.full(60, -3.0)])
     rows, _ = drive_along(speed, np.where(speed < 0, 1 / 8, 0.0))
-    with pytest.raises(InputError, match=rf"^{DRIVE} turns round in several moves: at frame \d+ .*ingest\.drives$"):
+    with pytest.raises(InputError, match=r"frame \d+") as raised:
         journey_of(rows, tmp_path)
+    assert (raised.value.where, "ingest.drives" in raised.value.fix) == (DRIVE, True)
 
 
-def test_times_of_a_cut_out_drive_are_never_guessed(tmp_path: Path) -> None:
+def test_times_of_a_cut_drive_are_not_guessed(tmp_path: Path) -> None:
     rows, _ = drive_along(np.full(12, 6.0), np.zeros(12))
     raw = write_recorded(tmp_path, rows, range(30, 42))
     lines = raw.oxts_times.read_bytes().splitlines(keepends=True)
     raw.oxts_times.write_bytes(b"".join(lines[30:]))  # one line per packet
     assert len(read_recording(raw, 12).packets) == 12
-    with pytest.raises(InputError, match=r"raise town\.frames to 12$"):
+    with pytest.raises(InputError) as raised:
         read_recording(raw, 5)
+    assert raised.value.fix == "Raise town.frames to 12"
 
 
 def render(folder: Path, recorded: RawDrive, frames: int) -> RawDrive:
     path = folder / DRIVE[:10] / f"{DRIVE}_sync"
-    made = Drive(DRIVE, frames=frames, size=SIZE, scan_rays=(32, 60), seed=0, recorded=recorded)
-    made.write(path, range(frames))
+    Drive(DRIVE, frames=frames, size=SIZE, scan_rays=(32, 60), seed=0, recorded=recorded).write(path)
     return RawDrive(path)
 
 
 def test_rendered_frames_keep_numbers_times_and_packets(tmp_path: Path) -> None:
     recorded = write_recorded(tmp_path / "raw", town_trip()[0][::20], range(7, 18))
-    drive, again = (render(tmp_path / name, recorded, frames=9) for name in ("a", "b"))
+    drive = render(tmp_path / "a", recorded, frames=3)
     for files in (drive.images(2), drive.scans, drive.oxts, drive.truth_depth, drive.truth_cls):
-        assert list(files) == list(range(7, 16))
+        assert list(files) == [7, 8, 9]
     for frame, path in drive.oxts.items():
         assert path.read_bytes() == recorded.oxts[frame].read_bytes()
     for sensor in ("oxts", "image_02", "velodyne_points"):
         assert (drive.folder / sensor / "timestamps.txt").read_bytes() == recorded.oxts_times.read_bytes()
-    np.testing.assert_allclose(read_times(drive.oxts_times, list(drive.oxts)), np.arange(9) * 0.1, atol=1e-9)
-    for path in drive.folder.rglob("*"):
-        if path.is_file():
-            assert path.read_bytes() == (again.folder / path.relative_to(drive.folder)).read_bytes(), path
+    np.testing.assert_allclose(read_times(drive.oxts_times, list(drive.oxts)), np.arange(3) * 0.1, atol=1e-9)
 
 
-@pytest.mark.slow
-def test_a_driver_sees_the_road_bend_as_he_steers(tmp_path: Path) -> None:
-    """The camera stands on road, which 12 to 20 m ahead lies to the side that the car turns to."""
+def test_images_show_the_road_bend_as_the_car_steers(tmp_path: Path) -> None:
+    """12 to 20 m ahead, the road lies on the side that the car turns to."""
     rows, _ = drive_along(np.full(65, 12.0), np.repeat([0, 1 / 25, -1 / 25], [25, 20, 20]))
     drive = render(tmp_path / "out", write_recorded(tmp_path / "raw", rows), frames=65)
     ahead = []
     for frame, sign in ((2, 0), (25, 1), (45, -1)):
-        cls, depth = read_png(drive.truth_cls[frame]), to_metres(read_png(drive.truth_depth[frame]))
+        cls, depth = read_pixels(drive.truth_cls[frame]), to_metres(read_pixels(drive.truth_depth[frame]))
         assert (cls[-1, 140:180] == classes.ROAD).all()
         band = (cls == classes.ROAD) & (depth > 12) & (depth < 20)
         assert band.sum() > 50
@@ -218,8 +213,8 @@ def test_a_driver_sees_the_road_bend_as_he_steers(tmp_path: Path) -> None:
 
 @pytest.mark.real
 @pytest.mark.slow
-def test_real_tracks_make_roads_that_bend_as_their_labels(real_kitti: Path, tmp_path: Path) -> None:
-    drives = ["2011_09_26_drive_0022", "2011_09_30_drive_0027", "2011_09_30_drive_0034", "2011_09_26_drive_0017"]
+def test_roads_of_real_tracks_have_the_curvature_of_their_labels(real_kitti: Path, tmp_path: Path) -> None:
+    drives = ["2011_09_26_drive_0022", "2011_09_30_drive_0034", "2011_09_26_drive_0017"]
     wanted = tuple(f"{drive[:10]}/{drive}_sync/oxts" for drive in drives)
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         members = [member for member in archive if member.name.removeprefix("./").startswith(wanted)]
@@ -228,10 +223,10 @@ def test_real_tracks_make_roads_that_bend_as_their_labels(real_kitti: Path, tmp_
     def recording(drive: str) -> Recording:
         return read_recording(find_drives(tmp_path, [drive])[drive], 10_000)
 
-    for drive in drives[:3]:
+    for drive in drives[:2]:
         taken = recording(drive)
         correlation, error = agreement(replay(drive, taken, np.random.default_rng(0), lane_m=3.5), taken.rows)
         assert correlation > 0.97
         assert error < 0.025
-    standing = replay(drives[3], recording(drives[3]), np.random.default_rng(0), lane_m=3.5)
+    standing = replay(drives[2], recording(drives[2]), np.random.default_rng(0), lane_m=3.5)
     assert np.ptp(standing.motion.s_m) < 0.5

@@ -13,7 +13,7 @@ from pipeline.town.rig import make_rig, rotation, write_calibration
 
 
 @pytest.mark.parametrize("date", ["2026_01_01", "2026_01_05"])
-def test_the_files_say_what_the_camera_does(tmp_path: Path, date: str) -> None:
+def test_calibration_files_describe_the_rig(tmp_path: Path, date: str) -> None:
     rig = make_rig((188, 621), date)
     write_calibration(rig, tmp_path / date)
     assert cameras_in(tmp_path / date) == [0, 1, 2, 3]
@@ -25,7 +25,7 @@ def test_the_files_say_what_the_camera_does(tmp_path: Path, date: str) -> None:
     np.testing.assert_allclose(camera.T_cam_velo[:3, :3] @ camera.T_cam_velo[:3, :3].T, np.eye(3), atol=1e-9)
 
 
-def test_sensors_sit_where_kittis_do() -> None:
+def test_sensors_are_placed_as_on_kittis_car() -> None:
     rig = make_rig((188, 621), "2026_01_01")
     camera = transform(np.linalg.inv(rig.T_cam2_imu), np.zeros((1, 3)))[0]
     scanner = transform(np.linalg.inv(rig.T_velo_imu), np.zeros((1, 3)))[0]
@@ -37,14 +37,14 @@ def test_sensors_sit_where_kittis_do() -> None:
     np.testing.assert_allclose(rig.P_rect[2][0, 3], 44.9 / 2, atol=0.1)
 
 
-def test_a_date_of_the_sample_has_its_own_cameras_and_any_other_date_kittis() -> None:
+def test_cameras_vary_with_the_date() -> None:
     dates = [f"2026_01_{day:02d}" for day in range(1, 9)]
     rigs = {date: make_rig((188, 621), date) for date in [*dates, "2011_09_26"]}
     focal = {date: rig.K[0, 0] / 360.8 for date, rig in rigs.items()}
     assert min(focal.values()) < 0.9
     assert max(focal.values()) > 1.1
     assert len(set(focal.values())) == 6
-    # T_cam_velo tells the camera's height under the scanner, which stands as high on every car.
+    # T_cam_velo gives the camera's height below the scanner, whose height is constant.
     height = {date: SCANNER_HEIGHT_M + (rig.R_rect @ rig.T_cam_velo[:3, 3])[1] for date, rig in rigs.items()}
     for date, rig in rigs.items():
         camera = transform(np.linalg.inv(rig.T_cam2_imu), np.zeros((1, 3)))[0]

@@ -22,14 +22,14 @@ def test_a_bend_turns_by_its_angle(angle_deg: float) -> None:
         np.testing.assert_allclose(np.abs(curvature).max(), 1 / 12)
 
 
-def test_a_full_circle_ends_where_it_began() -> None:
+def test_full_circle_is_closed() -> None:
     s, xy, _, _ = trace([(2 * np.pi * 20, 1 / 20, 1 / 20)])
     np.testing.assert_allclose(xy[-1], [0, 0], atol=STEP_M)
     np.testing.assert_allclose(np.linalg.norm(xy - [0, 20], axis=1), 20, atol=1e-3)
     assert s[-1] == pytest.approx(2 * np.pi * 20, abs=STEP_M)
 
 
-def test_curvature_never_jumps_and_is_that_of_the_line(routes: list[Route]) -> None:
+def test_curvature_is_continuous_and_matches_the_line(routes: list[Route]) -> None:
     for route in routes:
         assert np.abs(np.diff(route.curvature_1pm)).max() < 0.006  # 1/m per 0.1 m
         steps = np.diff(route.xy, axis=0)

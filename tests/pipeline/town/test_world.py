@@ -1,4 +1,4 @@
-"""What rays meet in a world small enough to know every answer."""
+"""Rays in a small world with known hits."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ DOWN = [0.0, 0.0, -1.0]
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    """Road where x < 0, grass elsewhere, a wall of 2 m across x = 10."""
+    """Return a world with road at x < 0, grass elsewhere and a wall of 2 m at x = 10."""
     kind = np.full((400, 400), GRASS, np.uint8)
     kind[:, :200] = ASPHALT
     plan = Plan(kind, (kind == GRASS).astype(np.float32), np.array([-20.0, -20.0]), {}, np.zeros(0, bool))
@@ -28,7 +28,7 @@ def rays(*pairs: tuple[list[float], list[float]]) -> np.ndarray:
     return array
 
 
-def test_what_rays_meet_and_where(world: World) -> None:
+def test_hits_of_rays(world: World) -> None:
     hits = world.cast(
         rays(
             ([-5.0, 0, 3], DOWN),  # road, at the bottom of the kerb

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -43,7 +44,8 @@ class WeightFile(BaseModel):
         return {"url": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
-    def _key_of_url(self) -> Self:
+    def _is_consistent(self) -> Self:
+        urlsplit(self.url)  # raises ValueError
         if self.key and not self.is_url:
             raise ValueError("key is the name of a downloaded file, and url is a path: remove key")
         return self

@@ -1,112 +1,102 @@
-"""Find faults in the whole params file before any stage spends time: it has no outputs."""
+"""Stage check: find faults of params.yaml before any other stage runs. It has no outputs."""
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.base import console, imports
 from pipeline.base.errors import InputError, closest, error_context
-from pipeline.base.params import load, load_entry, names
-from pipeline.encoder import precomputed, weights
-from pipeline.sections.clouds import Clouds
-from pipeline.sections.encoder import Encoder, Teacher
-from pipeline.sections.evaluate import Evaluate
-from pipeline.sections.graphs import Variant
-from pipeline.sections.ingest import Ingest
-from pipeline.sections.labels import Labels
+from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
 from pipeline.sections.models import Model
 from pipeline.sections.motion import Motion
-from pipeline.sections.perception import Perception
-from pipeline.sections.pictures import Pictures
-from pipeline.sections.town import Town
-from pipeline.sections.train import Train
+from pipeline.sections.params import Params, read, validate
 from pipeline.train import runs
 
-# What DVC watches for every model; beside it, of networks, only the two files that a model's line names.
-WATCHED = {Path("models/steering/core"), Path("pipeline/camera/classes.py")}
+# The code that DVC tracks for every model; of networks, it tracks only the two files that a model names.
+TRACKED = {Path("models/steering/core"), Path("pipeline/camera/classes.py")}
 
 
 def main(params: Path = Path("params.yaml")) -> Path:
-    """Read every section; build every network once, so that one that cannot be is noticed now, and look for weights.
+    """Validate all sections, build each network once, and look for the files of weights. Returns `params`.
 
-    Nothing is fetched, and no file of weights is opened. Returns `params`.
+    Reads and downloads no weights.
     """
-    for section in (Town, Ingest, Labels, Perception, Motion, Clouds, Pictures, Train, Evaluate):
-        load(section, params)
-    with error_context(str(params)):
-        check_encoder(load(Encoder, params))
-    ingest, motion = load(Ingest, params), load(Motion, params)
-    if "lidar" in motion.kinds and not ingest.lidar:
-        raise InputError(f"{params}: motion.kinds: lidar is measured from scans, and ingest.lidar: false reads none")
-    variants = {name: load_entry(Variant, "graphs", name, params) for name in names("graphs", params)}
-    for name, variant in variants.items():
-        if variant.accumulate and variant.accumulate.motion not in motion.kinds:
-            raise InputError(f"{params}: graphs.{name}.accumulate.{not_measured(variant.accumulate.motion, motion)}")
-    for name in names("models", params):
-        settings = load_entry(Model, "models", name, params)
-        try:
-            check_model(settings, variants, ingest, motion)
-        except (InputError, ValueError) as error:
-            raise InputError(f"{params}: models.{name}.{error}") from error
+    settings = validate(read(params), params)
+    with error_context(params):
+        check_encoder(settings.encoder)
+        if "lidar" in settings.motion.kinds and not settings.ingest.lidar:
+            raise InputError("motion.kinds: lidar needs scans, but ingest.lidar is false")
+        for name, variant in settings.graphs.items():
+            if variant.accumulate:
+                check_motion(f"graphs.{name}.accumulate.motion", variant.accumulate.motion, settings.motion)
+        for name, model in settings.models.items():
+            with error_context(f"models.{name}"):
+                check_model(model, settings)
+    inputs = {model.input for model in settings.models.values()}
+    for name in settings.graphs:
+        if name not in inputs:
+            print(f"note: dvc repro computes graphs.{name}, but no model uses it", flush=True)
     return params
 
 
 def check_encoder(encoder: Encoder) -> None:
-    """Build the encoder and its teacher, and look where their weights lie. Raises InputError."""
+    """Build the encoder and its teacher, and check that their weights are available. Raises InputError."""
     import torch
 
-    from models.encoder import unified_encoder
+    from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
+    from pipeline.encoder import precomputed
+    from pipeline.encoder.weights import check_available
 
-    networks: list[Encoder | Teacher] = [encoder, encoder.teacher] if encoder.teacher else [encoder]
-    for network in networks:
-        if network.backbone == precomputed.BACKBONE:
-            precomputed.find(Path(str(network.weights)))
-            continue
-        with error_context(f"{network.key}.backbone = {network.backbone!r}"):
-            if network.backbone not in unified_encoder.BACKBONES:
-                known = [*unified_encoder.BACKBONES, precomputed.BACKBONE]
-                raise InputError(f"no such backbone: {closest(network.backbone, known)}")
-            with torch.device("meta"):  # takes neither memory nor time
-                unified_encoder.UnifiedEncoder(network.backbone)
-        for key, file in weights.files(network.weights, f"{network.key}.weights").items():
-            weights.locate(file, key)
+    networks: dict[str, Encoder | Teacher] = {"encoder": encoder}
+    if encoder.folder:
+        with error_context("encoder.weights"):
+            precomputed.find(encoder.folder)
+        networks = {}
+    if encoder.teacher:
+        networks["encoder.teacher"] = encoder.teacher
+    for key, network in networks.items():
+        if network.backbone not in BACKBONES:
+            problem = f"unknown backbone {network.backbone!r}: {closest(network.backbone, [*BACKBONES, PRECOMPUTED])}"
+            raise InputError(problem, f"{key}.backbone")
+        with error_context(f"{key}.backbone"), torch.device("meta"):  # without memory
+            UnifiedEncoder(network.backbone)
+        with error_context(f"{key}.weights"):
+            check_available(network.weights)
 
 
-def check_model(settings: Model, variants: dict[str, Variant], ingest: Ingest, motion: Motion) -> None:
-    """Build a model's network. Raises InputError or ValueError, whose text starts with the key that is wrong."""
+def check_model(model: Model, settings: Params) -> None:
+    """Build a model's network and check that its inputs are available. Raises InputError or ValueError."""
     from models.steering.core import steering_net
 
-    if settings.input not in variants:
-        raise ValueError(
-            f"input = {settings.input!r} is not a variant in graphs: {closest(settings.input, [*variants])}"
-        )
-    if settings.motion not in ("none", *motion.kinds):
-        raise ValueError(not_measured(settings.motion, motion))
-    if variants[settings.input].source == "clouds/lidar" and not ingest.lidar:
-        raise ValueError(f"input = {settings.input!r} is made of scans, and ingest.lidar: false reads none")
-    variant, line = variants[settings.input], settings.model_dump()
-    runs.folds(ingest.drives.splits(), line)
-    steering_net.build(line, variant.kind, len(variant.levels), ingest.image_size)
-    for module in steering_net.modules(line):
-        *_, part, name = module.split(".")
-        own = Path(*module.split(".")).with_suffix(".py")
-        if others := unwatched(imports.import_closure(module), own):
-            raise ValueError(
-                f"{part} = {name!r}: {own} uses {', '.join(map(str, others))}, which could be edited without training "
-                "this model again: move what it needs from there to models/steering/core"
-            )
+    if model.input not in settings.graphs:
+        raise InputError(f"input = {model.input!r} is no variant of graphs: {closest(model.input, [*settings.graphs])}")
+    variant, line = settings.graphs[model.input], model.model_dump()
+    if model.motion != "none":
+        check_motion("motion", model.motion, settings.motion)
+    if variant.source == "clouds/lidar" and not settings.ingest.lidar:
+        raise InputError(f"input = {model.input!r} needs scans, but ingest.lidar is false")
+    runs.folds(settings.ingest.drives.splits(), line)
+    steering_net.build(line, variant.kind, len(variant.levels), settings.ingest.image_size)
+    check_imports(f"models.steering.spatial.{model.spatial}")
+    check_imports(f"models.steering.temporal.{model.temporal}")
 
 
-def not_measured(kind: str, motion: Motion) -> str:
-    return f"motion = {kind!r} is not measured: motion.kinds has {', '.join(motion.kinds)}"
+def check_motion(key: str, kind: str, motion: Motion) -> None:
+    """Raise InputError unless stage motion measures `kind`."""
+    if kind not in motion.kinds:
+        raise InputError(f"motion.kinds has only {', '.join(motion.kinds)} (got {kind!r})", key)
 
 
-def unwatched(files: Iterable[Path], own: Path) -> list[Path]:
-    """Return those of a network's imported files whose edits DVC would not notice; packages' docstrings aside."""
-    return [
-        file
-        for file in files
-        if file != own and file not in WATCHED and WATCHED.isdisjoint(file.parents) and file.name != "__init__.py"
+def check_imports(module: str) -> None:
+    """Raise InputError if a network imports code that DVC does not track for its model."""
+    own = Path(*module.split(".")).with_suffix(".py")
+    allowed = {own, *TRACKED}
+    others = [
+        str(file)
+        for file in imports.import_closure(module)
+        if file.name != "__init__.py" and allowed.isdisjoint([file, *file.parents])
     ]
+    if others:
+        problem = f"imports {', '.join(others)}, and an edit there would not train the model again"
+        raise InputError(problem, own, "Move what it needs to models/steering/core")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Stage encoder: fit the unified encoder's parts on the training drives, or take what was fitted elsewhere."""
+"""Stage encoder: fit the unified encoder on the training drives, or take fitted weights."""
 
 import csv
 import shutil
@@ -13,11 +13,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.lock import exclusive
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
-from pipeline.encoder import precomputed
-from pipeline.encoder.weights import Source, fill, unnamed
 from pipeline.sections.encoder import PARTS, Encoder
-
-Fitted = tuple[Sequence[Any], dict[str, Any]]
 
 
 def main(
@@ -25,78 +21,76 @@ def main(
     out: Path = Path("data/encoder"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write encoder.pt, config.json, curve.csv; return the folder. Opens training drives, or all if a teacher may."""
+    """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
     kept = out.parent / ".resume" / out.name
-    if settings.backbone == precomputed.BACKBONE:
+    if settings.folder:
         with exclusive(out, kept):
-            return _take_precomputed(settings, out)
-    splits = store.read_index(ingest, stage="ingest")
-    drives = {drive: split for drive, split in splits.items() if split in settings.splits}
+            return _use_precomputed(settings, settings.folder, out)
 
     import torch
 
     from models.encoder.unified_encoder import UnifiedEncoder
     from pipeline.encoder import perceive
+    from pipeline.encoder.weights import fill, unfilled
 
+    splits = store.read_index(ingest, stage="ingest")
+    drives = {drive: split for drive, split in splits.items() if split in settings.splits}
     torch.manual_seed(settings.seed)
-    with error_context(str(params)):
+    with error_context(params):
         with error_context("encoder.backbone"):
             model = UnifiedEncoder(settings.backbone)
-        sources = fill(model, settings.backbone, settings.weights, "encoder.weights")
-        part = unnamed(model, settings.weights, PARTS)
-        if part and not settings.epochs:
-            raise InputError(f"encoder.weights names no {part}: name one, or let encoder.epochs fit it")
-
+        with error_context("encoder.weights"):
+            sources = fill(model, settings.backbone, settings.weights)
+            if not settings.epochs and (part := unfilled(model, settings.weights, PARTS)):
+                raise InputError(f"no file for the {part}", fix="Name one, or fit it with encoder.epochs")
     curve: Sequence[Any] = []
-    trained_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
+    fitted_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
     with exclusive(out, kept):
         if settings.epochs:
-            curve, trained_on = _fit(model, settings, sources, ingest, drives, kept)
+            hashes = [source.sha256 for source in sources]
+            curve, fitted_on = _fit(model, settings, hashes, ingest, drives, kept)
         perceive.save(out, settings.backbone, model.state_dict())
-        config = settings.model_dump(mode="json") | trained_on | {
-            "sources": [asdict(source) for source in sources],
-            "losses": {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None,
-            "parameters": sum(parameter.numel() for parameter in model.parameters()),
-        }  # fmt: skip
-        store.write_json(out / "config.json", config)
+        parameters = sum(parameter.numel() for parameter in model.parameters())
+        losses = {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None
+        results = {"sources": [asdict(source) for source in sources], "losses": losses, "parameters": parameters}
+        store.write_json(out / "config.json", settings.model_dump(mode="json") | fitted_on | results)
         with replacing(out / "curve.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(["epoch", "loss", "depth", "classes"])
             rows.writerows([row.epoch, f"{row.loss:.6g}", f"{row.depth:.6g}", f"{row.classes:.6g}"] for row in curve)
         shutil.rmtree(kept, ignore_errors=True)
-    frames = sum(trained_on["frames_per_drive"].values())
-    print(
-        f"encoder: {settings.backbone}, {config['parameters']:,} parameters, "
-        + (f"fitted on {frames} frames of {len(drives)} drives" if curve else "weights used as they are")
-        + (f", starting from {', '.join(source.path for source in sources)}" if sources and curve else ""),
-        flush=True,
-    )
+    frames = sum(fitted_on["frames_per_drive"].values())
+    origin = f", starting from {', '.join(source.path for source in sources)}" if sources else ""
+    action = f"fitted on {frames} frames of {len(drives)} drives{origin}" if curve else "weights used as they are"
+    print(f"encoder: {settings.backbone}, {parameters:,} parameters, {action}", flush=True)
     return out
 
 
 def _fit(
-    model: Any, settings: Encoder, weights: list[Source], ingest: Path, drives: dict[str, str], kept: Path
-) -> Fitted:
-    """Fit what something teaches; of drives that are not for training, to their images alone.
+    model: Any, settings: Encoder, hashes: list[str], ingest: Path, drives: dict[str, str], kept: Path
+) -> tuple[Sequence[Any], dict[str, Any]]:
+    """Fit the parts that have a training target. Of drives outside of the training split, only images are used.
 
-    Returns the curve, and what config.json says of the frames.
+    `hashes` identify the initial weights. Returns the loss curve and the frames for config.json.
     """
     import torch
 
-    from pipeline.encoder import fit, teach
+    from pipeline.encoder import fit, supervision
     from pipeline.encoder.examples import Examples
 
-    teacher, taught_by = None, list[Source]()
-    if given := settings.teacher:
-        teacher, taught_by = teach.load_teacher(given.backbone, given.weights, given.key)
-    hashes = [source.sha256 for source in (*weights, *taught_by)]
+    teacher = None
+    if settings.teacher:
+        teacher, sources = supervision.load_teacher(settings.teacher)
+        hashes = [*hashes, *(source.sha256 for source in sources)]
     files = [ingest / f"{drive}.h5" for drive in drives]
     key = stage_key("encoder", settings.model_dump(mode="json"), [*hashes, *files])
-    untold = [drive for drive, split in drives.items() if split != "train"]
-    with Examples(ingest, list(drives), settings.frames, teacher, untold) as examples:
-        lessons = teach.choose(model, settings.weights, examples.known, teacher=examples.taught, frozen=settings.frozen)
-        print(f"encoder: {', '.join(f'{head} by {lesson}' for head, lesson in lessons.items())}", flush=True)
+    unlabelled = [drive for drive, split in drives.items() if split != "train"]
+    with Examples(ingest, list(drives), settings.frames, teacher, unlabelled) as examples:
+        targets = supervision.choose(
+            model, settings.weights, examples.ground_truth, teacher=examples.has_teacher, frozen=settings.frozen
+        )
+        print("\n".join(f"encoder: {head}: {target.value}" for head, target in targets.items()), flush=True)
         curve = fit.fit(
             model.to("cuda" if torch.cuda.is_available() else "cpu"),
             examples,
@@ -109,11 +103,13 @@ def _fit(
         return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
 
 
-def _take_precomputed(settings: Encoder, out: Path) -> Path:
-    files, fingerprint = precomputed.fingerprint(Path(str(settings.weights)))
-    config = settings.model_dump(mode="json") | {"files": files, "fingerprint": fingerprint}
-    store.write_json(out / "config.json", config)
-    print(f"encoder: {files} precomputed files in {settings.weights}", flush=True)
+def _use_precomputed(settings: Encoder, folder: Path, out: Path) -> Path:
+    from pipeline.encoder import precomputed
+
+    files, fingerprint = precomputed.fingerprint(folder)
+    config = {"weights": str(folder), "files": files, "fingerprint": fingerprint}
+    store.write_json(out / "config.json", settings.model_dump(mode="json") | config)
+    print(f"encoder: {files} precomputed files in {folder}", flush=True)
     return out
 
 

@@ -1,4 +1,4 @@
-"""A depth head that corrects the flat ground seen by a camera of known height, so that few scans can teach it."""
+"""Depth head that corrects the depth of flat ground, so that a few scans suffice to fit it."""
 
 import torch
 import torch.nn.functional as F
@@ -8,17 +8,17 @@ from models.encoder.heads import MAX_DEPTH_M, MIN_DEPTH_M
 from pipeline.camera.classes import GROUND
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 
-MAX_GROUND_M = 80.0  # nearer to the horizon, a pixel is many metres
+MAX_GROUND_M = 80.0  # beyond, a pixel covers many metres
 WIDTH = 32
-DROPPED = 0.2  # share of the features left out in training: frames of one place know it by heart
-MAX_CORRECTION = 0.7  # of the logarithm: half as far to twice as far
+DROPPED = 0.2  # share of features dropped in training, against overfitting to one place
+MAX_CORRECTION = 0.7  # of the logarithm: a factor of 0.5 to 2
 
 
 class GroundDepth(nn.Module):
-    """Flat ground times the exponential of a bounded correction; without any fitting, the flat ground itself."""
+    """Depth of flat ground times the exponential of a bounded correction, which is 0 before the fit."""
 
     def __init__(self, channels: int, classes: int) -> None:
-        """`channels` and `classes` are those of the features and the logits that it reads."""
+        """`channels` of the features and `classes` of the logits."""
         super().__init__()
         self.seen = nn.Sequential(nn.Dropout2d(DROPPED), nn.Conv2d(channels, WIDTH, 1))
         self.assumed = nn.Conv2d(classes + 2, WIDTH, 3, padding=1)
@@ -30,9 +30,9 @@ class GroundDepth(nn.Module):
         """Return depth [B,H,W] in metres.
 
         Args:
-            features: [B,channels,h,w], h and w at least half of H and W; what is more lies right and below.
-            logits: of the classes, [B,classes,h,w], the first 19 those of Cityscapes.
-            rays: slopes [B,2,H,W] of the image's pixels.
+            features: [B,channels,h,w], h and w at least half of H and W, with padding at the right and bottom.
+            logits: [B,classes,h,w], Cityscapes' 19 classes first.
+            rays: slopes [B,2,H,W] of the pixels.
         """
         h, w = features.shape[-2:]
         height, width = rays.shape[-2:]
@@ -48,15 +48,15 @@ class GroundDepth(nn.Module):
 
 
 def ground_plane_depth(cls: Tensor, slope: Tensor, camera_height_m: float) -> Tensor:
-    """Return the depth [B,H,W] in metres of flat ground, and of what stands on it; in the precision of `slope`.
+    """Return the depth [B,H,W] in metres of flat ground and of objects on it, in the precision of `slope`.
 
-    Ground has Z = f·h/(v - c_y). What is no ground is as far as the nearest ground below it in its column, or where the
-    image ends; the sky has a number, too.
+    Ground has Z = f·h/(v - c_y). Other pixels, the sky included, have the depth of the next ground pixel below them, or
+    of the bottom row.
 
     Args:
         cls: trainIds int64 [B,H,W].
         slope: y/z [B,H,W] of a level camera's pixels, the same along a row.
-        camera_height_m: of the camera over the ground.
+        camera_height_m: height of the camera over the ground.
     """
     plane = camera_height_m / slope.clamp(min=camera_height_m / MAX_DEPTH_M)  # [B,H,W]
     ground = torch.isin(cls, cls.new_tensor(GROUND)) & (plane < MAX_GROUND_M)

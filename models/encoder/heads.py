@@ -1,4 +1,4 @@
-"""Heads that any backbone with one feature map can take: metric depth and Cityscapes classes."""
+"""Heads for backbones with one feature map: metric depth and Cityscapes classes."""
 
 import math
 
@@ -13,23 +13,23 @@ MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
 
 
 class Pointwise(nn.Conv2d):
-    """A 1x1 convolution as the matrix product that it is, on channels that lie together (channels last).
+    """A 1x1 convolution as a matrix product on channels last.
 
-    On one thread torch's own copies its input and its gradient to other layouts and back.
+    On one thread, torch's own convolution copies input and gradient to another memory layout and back.
     """
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return [B,outputs,H,W] of [B,inputs,H,W]."""
+        """Map [B,inputs,H,W] to [B,outputs,H,W]."""
         return F.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias).permute(0, 3, 1, 2)
 
 
 class CellDepth(Part):
-    """Depth of all pixels of a feature's cell at once (sub-pixel convolution).
+    """Depth of all pixels of a feature's cell (sub-pixel convolution).
 
-    Edges stay sharp, where an interpolated depth would put points into the void behind each car.
+    Interpolated depth would put points between a car and its background; here edges stay sharp.
     """
 
     def __init__(self, channels: int, stride: int) -> None:
@@ -43,7 +43,7 @@ class CellDepth(Part):
 
 
 class CellClasses(Part):
-    """Class logits of all pixels of a feature's cell at once."""
+    """Class logits of all pixels of a feature's cell (sub-pixel convolution)."""
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()
@@ -51,9 +51,9 @@ class CellClasses(Part):
         self.stride = stride
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:
-        """Return logits [B,19,H,W], a pixel's together, from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
-        # In its weights each class has its pixels together. Turned round here, where it costs nothing, a pixel's
-        # numbers are never torn apart: not by the shuffle, not by the softmax, and not by their gradients.
+        """Return logits [B,19,H,W] from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
+        # The weights are ordered by class, then pixel. Reordered by pixel, the logits of a pixel stay adjacent in
+        # memory through shuffle, softmax and their gradients, without copies.
         weight, bias = (
             x.reshape(classes.COUNT, self.stride**2, -1).transpose(0, 1).flatten(0, 1) for x in self.layer.parameters()
         )
@@ -65,14 +65,11 @@ class CellClasses(Part):
 
 
 def full(cells: Tensor, stride: int, rays: Tensor) -> Tensor:
-    """Spread cells [B,C·stride²,h,w] over their pixels, [B,C,H,W]; the last cells may reach over the image."""
+    """Spread cells [B,C·stride²,h,w] over their pixels, [B,C,H,W]; cells at the edges are cropped."""
     return F.pixel_shuffle(cells, stride)[..., : rays.shape[-2], : rays.shape[-1]]
 
 
 def bounded_depth(x: Tensor) -> Tensor:
-    """Return metres, 0.5 to 120, for any number.
-
-    A sigmoid over the logarithm: relative errors weigh the same near and far, and no value leaves the range.
-    """
-    share = torch.sigmoid(x.float())  # a half of 4.8, the logarithm of 120 m, is right to 1.6 % of a distance only
+    """Map any number to 0.5 to 120 m, by a sigmoid over the logarithm: relative errors count equally near and far."""
+    share = torch.sigmoid(x.float())  # half precision at log(120 m) has an error of 1.6 % of the depth
     return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * share)

@@ -1,4 +1,4 @@
-"""One shared backbone, two heads: metric depth and Cityscapes classes of an image in one forward pass (paper §3.2)."""
+"""Metric depth and Cityscapes classes of an image by one backbone and two heads (paper §3.2)."""
 
 from collections.abc import Callable
 from functools import partial
@@ -21,32 +21,29 @@ BACKBONES: dict[str, Callable[[], Parts]] = {
     "dinov2-vitb14": partial(dinov2, "vitb14"),
     "dinov2-vitl14": partial(dinov2, "vitl14"),
     "swin-t": swin,
-    "rtmonodepth-s": rtmonodepth_s,  # depth for non-commercial use only: Monodepth2's terms
+    "rtmonodepth-s": rtmonodepth_s,  # Monodepth2's terms: non-commercial use only
 }
 
 
 class UnifiedEncoder(nn.Module):
     """Image and intrinsics → depth in metres and class logits of each pixel.
 
-    Its children `backbone`, `depth_head` and `class_head` are what ``models/encoder/backbones`` calls parts.
+    The children `backbone`, `depth_head` and `class_head` are the Parts of ``models/encoder/backbones``.
     """
 
     def __init__(self, backbone: str) -> None:
-        """`backbone` is a key of BACKBONES.
-
-        Raises ValueError if it is none, or if it needs a package that is not installed.
-        """
+        """`backbone` is a key of BACKBONES. Raises ValueError if it is unknown or needs a missing package."""
         super().__init__()
         if backbone not in BACKBONES:
-            raise ValueError(f"there is no backbone {backbone!r}: known: {', '.join(BACKBONES)}")
+            raise ValueError(f"unknown backbone {backbone!r} (known: {', '.join(BACKBONES)})")
         self.backbone, self.depth_head, self.class_head = BACKBONES[backbone]()
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        """Return depth [B,H,W], metres along the optical axis, and class logits [B,19,H,W], or 20 whose last is void.
+        """Return depth [B,H,W], metres along the optical axis, and class logits [B,19,H,W], or 20 with void last.
 
         Args:
             image: RGB [B,3,H,W], uint8, or floats from 0 to 1.
-            K: pinhole intrinsics [B,3,3] of images of this size.
+            K: pinhole intrinsics [B,3,3] at this image size.
         """
         rgb = image.float() / 255 if image.dtype == torch.uint8 else image
         mean, std = rgb.new_tensor(self.backbone.mean), rgb.new_tensor(self.backbone.std)

@@ -1,1 +1,1 @@
-"""How the unified encoder comes to its weights, and how it sees."""
+"""Weights, fit and inference of the unified encoder."""

@@ -1,4 +1,4 @@
-"""What is known of a frame: its depth and its classes, from dense truth or a LiDAR scan."""
+"""Ground truth of a frame: depth and classes, from dense labels or a LiDAR scan."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,13 +11,13 @@ from pipeline.camera.geometry import scan_depth
 from pipeline.camera.images import to_metres
 
 OCCLUDER_RAD = 0.004
-OCCLUDED_RATIO = 1.25  # of two neighbouring rings on flat ground, one is a quarter nearer only beyond 60 m
+OCCLUDED_RATIO = 1.25  # neighbouring rings on flat ground differ by a quarter in distance only beyond 60 m
 DepthSource = Literal["dense", "lidar"]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known of a frame: depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown."""
+    """Depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown, of a frame."""
 
     depth_m: np.ndarray
     depth_source: DepthSource | None
@@ -26,9 +26,9 @@ class Truth:
 
 
 def read_truth(drive: DriveReader, row: int) -> Truth:
-    """Return what the drive's file of stage ingest knows of the frame in `row`.
+    """Return the ground truth of the frame in `row` of a file of stage ingest.
 
-    Dense depth goes before projected LiDAR; of the scan's points in a pixel the nearest counts.
+    Dense depth takes precedence over projected LiDAR; of several points in a pixel the nearest counts.
     """
     size = image_size(drive)
     depth = np.zeros(size, np.float32)
@@ -44,16 +44,16 @@ def read_truth(drive: DriveReader, row: int) -> Truth:
 
 
 def no_truth(drive: DriveReader) -> Truth:
-    """Return that nothing is known of a frame."""
+    """Return a Truth in which all pixels are unknown."""
     size = image_size(drive)
     return Truth(np.zeros(size, np.float32), None, np.full(size, classes.VOID, np.uint8), has_cls=False)
 
 
 def visible(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Return sparse depth [H,W] without the points that the camera cannot see.
+    """Return sparse depth [H,W] without points that are hidden from the camera.
 
-    The scanner looks over things from above the camera; of what it sees behind them, points fall between theirs. A
-    point is dropped if another less than 0.23 degrees away (that is about a ring of KITTI's scanner) is a fifth nearer.
+    The scanner is above the camera and looks over objects, so points behind an object project between its own. A point
+    is dropped if another one within 0.23 degrees, about a ring of KITTI's scanner, is a fifth nearer.
     """
     import cv2
 
@@ -69,10 +69,10 @@ def image_size(drive: DriveReader) -> tuple[int, int]:
     return height, width
 
 
-def teaching_rows(drive: DriveReader, *, taught: bool, told: bool = True) -> np.ndarray:
-    """Return the rows of the frames that have an image and something to learn from it, int64 [n]; all if `taught`.
+def training_rows(drive: DriveReader, *, has_teacher: bool, labelled: bool = True) -> np.ndarray:
+    """Return the rows of frames that have an image and a training target, int64 [n].
 
-    Not `told`, what is known of the drive does not count.
+    A teacher supplies a target for each image. Without `labelled`, ground truth of the drive is ignored.
     """
-    known = told & np.any([drive[f"has_{what}"] for what in ("depth", "cls", "lidar")], axis=0) | taught
-    return np.flatnonzero(drive["has_image"].astype(bool) & known)
+    truth = np.any([drive[f"has_{kind}"] for kind in ("depth", "cls", "lidar")], axis=0)
+    return np.flatnonzero(drive["has_image"].astype(bool) & (labelled & truth | has_teacher))

@@ -1,1 +1,1 @@
-"""What both fits share: the encoder's and the steering networks'."""
+"""Checkpoints, precision, learning rate and reading ahead, for the encoder's fit and for training."""

@@ -1,4 +1,4 @@
-"""Working ahead: threads make the next items while the caller works on this one."""
+"""Compute items ahead of their use, in threads."""
 
 from collections import deque
 from collections.abc import Callable, Generator
@@ -12,11 +12,10 @@ _END = object()
 
 
 def prefetch(items: Generator[T], ahead: int = 2) -> Generator[T]:
-    """Yield the same items in the same order; one thread keeps up to `ahead` of them ready.
+    """Yield the items of a generator in order; one thread computes up to `ahead` of them in advance.
 
-    It pays where making an item waits for a disk or runs in a library that lets go of Python's lock, as HDF5 and torch
-    do. An error in `items` is raised where the item would have come. Closing this generator, or leaving it before its
-    end, ends the thread and closes `items`.
+    This helps where an item waits for a disk or for a library that releases Python's lock, as HDF5 and torch do. An
+    error in `items` is raised in place of the item. Closing this generator ends the thread and closes `items`.
     """
     with closing(items), ThreadPoolExecutor(1, "prefetch") as pool:
         ready = deque(pool.submit(next, items, _END) for _ in range(ahead))
@@ -32,14 +31,14 @@ def prefetch(items: Generator[T], ahead: int = 2) -> Generator[T]:
 def side_by_side(
     work: Callable[[T], R], items: Generator[T], threads: int, *, start: Callable[[], object] | None = None
 ) -> Generator[R]:
-    """Yield ``work(item)`` of each item, in the items' order; `threads` threads work, and one more makes the items.
+    """Yield ``work(item)`` of each item, in order; `threads` threads work, and one more computes the items.
 
-    Beside the result that the caller has, at most `threads` + 1 items or results exist. An error in `items` or `work`
-    is raised where the result would have come. Closing this generator, or leaving it before its end, waits for what
-    runs, ends the threads and closes `items`.
+    Besides the result at the caller, at most `threads` + 1 items or results exist. An error in `items` or `work` is
+    raised in place of the result. Closing this generator waits for work in progress, ends the threads and closes
+    `items`.
 
     Args:
-        start: called once in each thread that works, before it does.
+        start: called once in each working thread.
     """
 
     def work_on(item: Future[Any]) -> Any:
@@ -60,6 +59,6 @@ def side_by_side(
                 ready.append(submit())
                 yield result
         finally:
-            # What waits for an item that is never made gets an error that nobody reads.
+            # Work that waits for a cancelled item gets an error, which nothing reads.
             reader.shutdown(cancel_futures=True)
             pool.shutdown(cancel_futures=True)

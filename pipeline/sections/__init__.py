@@ -1,1 +1,1 @@
-"""The sections of ``params.yaml``, a file each: editing one stage's knobs runs no other stage again."""
+"""Sections of ``params.yaml``, one typed class per file, so that an edit of one section runs only its stage."""

@@ -1,54 +1,107 @@
-"""Section ``encoder``: how the unified encoder comes to its weights."""
+"""Section ``encoder``: the unified encoder, the files of its weights, and how it is fitted."""
 
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pipeline.base.params import SPLITS, Count, Rate, Section, Seed
-from pipeline.encoder import precomputed
 
 PARTS = ("backbone", "depth_head", "class_head")
+PRECOMPUTED = "precomputed"
+"""The backbone that stands for a folder of PNG files, see pipeline/encoder/precomputed.py."""
+WEIGHTS = Path("weights")
+"""The folder of downloaded files."""
 
 
-def _names_files(value: Any) -> Any:
-    files = list(value.values()) if isinstance(value, dict) and set(value) <= set(PARTS) else [value]
-    if value is None or (files and all(isinstance(file, str) for file in files)):
-        return value
-    raise ValueError(f"name a checkpoint, or a published file for each of some parts: {', '.join(PARTS)}")
+class WeightFile(BaseModel):
+    """A file of weights: ``{url, sha256, key}``, or its path or URL alone."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    url: Annotated[str, Field(min_length=1, description="a path, or a URL of https, http or file")]
+    sha256: Annotated[
+        str | None, Field(pattern="^[0-9a-f]{64}$", description="as sha256sum prints it; required for a download")
+    ] = None
+    key: Annotated[
+        str | None,
+        Field(pattern=r"^\w[\w.-]*(/\w[\w.-]*)*$", description="file in weights/; default: the last part of the URL"),
+    ] = None
+
+    @property
+    def is_url(self) -> bool:
+        return self.url.startswith(("https://", "http://", "file://"))
+
+    @property
+    def path(self) -> Path:
+        """Where the file is, or will be after the download."""
+        return WEIGHTS / (self.key or self.url.rsplit("/", 1)[-1]) if self.is_url else Path(self.url)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_text(cls, value: Any) -> Any:
+        return {"url": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Self:
+        urlsplit(self.url)  # raises ValueError
+        if self.key and not self.is_url:
+            raise ValueError("key is the name of a downloaded file, and url is a path: remove key")
+        return self
 
 
-Weights = Annotated[
-    str | dict[str, str] | None,
-    BeforeValidator(_names_files),
-    Field(description="a checkpoint of this project, or the published file of each part; PATH or URL, #sha256=HEX"),
-]
+class Weights(Section):
+    """Setting ``weights``: one checkpoint of this project, or the published file of each of some parts."""
+
+    checkpoint: WeightFile | None = None
+    backbone: WeightFile | None = None
+    depth_head: WeightFile | None = None
+    class_head: WeightFile | None = None
+
+    @property
+    def parts(self) -> dict[str, WeightFile]:
+        """Return part → its published file."""
+        return {part: file for part in PARTS if (file := getattr(self, part))}
+
+    def fill(self, part: str) -> bool:
+        """Return whether a file holds the weights of `part`."""
+        return self.checkpoint is not None or part in self.parts
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_file(cls, value: Any) -> Any:
+        is_file = isinstance(value, dict) and not value.keys().isdisjoint(WeightFile.model_fields)
+        return {"checkpoint": value} if is_file or isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if bool(self.checkpoint) == bool(self.parts):
+            raise ValueError("expected a checkpoint, or the published file of one or more parts")
+        return self
 
 
 class Teacher(Section):
-    """A fitted encoder whose classes teach frames that have no class truth."""
+    """A fitted encoder whose classes are the training targets of frames without class labels."""
 
-    key = "encoder.teacher"
     backbone: str
     weights: Weights
     drives: Annotated[
-        Literal["train", "all"],
-        Field(description="whose images it teaches on; an image needs no label, so all of ingest's are possible"),
+        Literal["train", "all"], Field(description="drives whose images it classifies; an image needs no label")
     ] = "train"
 
     @model_validator(mode="after")
-    def _is_fitted(self) -> Self:
-        if self.backbone == precomputed.BACKBONE:
-            raise ValueError("backbone: precomputed is not a network, so it cannot teach: name the backbone of one")
-        if self.weights is None:
-            raise ValueError("weights: null would teach random classes: name a fitted checkpoint or published files")
+    def _is_network(self) -> Self:
+        if self.backbone == PRECOMPUTED:
+            raise ValueError(f"backbone: {PRECOMPUTED} is not a network: name the backbone of a fitted encoder")
         return self
 
 
 class Encoder(Section):
     key = "encoder"
     backbone: str
-    weights: Weights
-    frozen: Annotated[bool, Field(description="keep the backbone as it is and fit the heads alone")] = False
+    weights: Weights | None = None
+    frozen: Annotated[bool, Field(description="keep the backbone's weights and fit the heads only")] = False
     teacher: Teacher | None = None
     epochs: Annotated[int, Field(ge=0)]
     frames: Count
@@ -58,15 +111,24 @@ class Encoder(Section):
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Whose drives are opened."""
+        """Return the splits whose images the fit reads."""
         return SPLITS if self.teacher and self.teacher.drives == "all" else ("train",)
 
+    @property
+    def folder(self) -> Path | None:
+        """Return the folder of a precomputed encoder; None for a network."""
+        if self.backbone != PRECOMPUTED:
+            return None
+        assert self.weights
+        assert self.weights.checkpoint
+        return self.weights.checkpoint.path
+
     @model_validator(mode="after")
-    def _comes_to_weights(self) -> Self:
-        if self.backbone == precomputed.BACKBONE and not isinstance(self.weights, str):
-            raise ValueError(f"backbone: precomputed reads {precomputed.LAYOUT}: name the folder in weights")
+    def _has_weights(self) -> Self:
+        if self.backbone == PRECOMPUTED and not (self.weights and self.weights.checkpoint):
+            raise ValueError(f"backbone: {PRECOMPUTED} needs a folder of PNG files in weights, see docs/backbones.md")
         if self.weights is None and self.epochs == 0:
-            raise ValueError("epochs: 0 uses weights as they are: name a checkpoint in weights, or set epochs")
-        if self.frozen and not (isinstance(self.weights, str) or (self.weights and "backbone" in self.weights)):
-            raise ValueError("frozen: true keeps a backbone as weights has it, so name a checkpoint in weights")
+            raise ValueError("epochs: 0 needs fitted weights: name a checkpoint in weights, or set epochs")
+        if self.frozen and not (self.weights and self.weights.fill("backbone")):
+            raise ValueError("frozen: true needs the backbone's weights: name a file in weights")
         return self

@@ -1,4 +1,4 @@
-"""Section ``labels``: the steering label."""
+"""Section ``labels``: steering angles from oxts."""
 
 from typing import Annotated, Literal
 

@@ -22,6 +22,6 @@ class Town(Section):
     key = "town"
     seed: Seed
     image_size: ImageSize
-    replay: Annotated[str, Field(min_length=1)] | None
+    replay: Annotated[str, Field(min_length=1)] | None = None
     frames: Frames
     scan_rays: Annotated[tuple[Rays, Rays], Field(description="[rings, rays per ring] of the LiDAR")]

@@ -1,6 +1,6 @@
-"""ESPNetv2 with its segmentation decoder (Mehta et al. 2019), named as the authors' Cityscapes checkpoints name it.
+"""ESPNetv2 with its segmentation decoder (Mehta et al. 2019).
 
-Made for CPUs: 0.8 M numbers at scale 2. Attributes carry the checkpoints' names, so that a published file loads as is.
+Designed for CPUs: 0.8 M parameters at scale 2. Attributes have the names of the authors' Cityscapes checkpoints.
 """
 
 import math
@@ -16,7 +16,7 @@ from models.encoder.ground_depth import GroundDepth
 from pipeline.camera import classes
 
 CHANNELS = {1.0: (32, 64, 128, 256), 2.0: (32, 128, 256, 512)}  # at 1/2, 1/4, 1/8 and 1/16 of the image
-DECODED = (64, 48, 32)  # the decoder's channels at 1/16, 1/8 and 1/4, each then brought to twice the size
+DECODED = (64, 48, 32)  # the decoder's channels at 1/16, 1/8 and 1/4, each before doubling the size
 STRIDE = 16
 LOGITS = classes.COUNT + 1  # Cityscapes' 19 classes and background
 BRANCHES = 4
@@ -29,14 +29,14 @@ def espnetv2(scale: float) -> Parts:
 
 
 class Features(NamedTuple):
-    """What the decoder knows [B,32,h,w] and its logits [B,20,h,w], at half the size of the padded image."""
+    """The decoder's features [B,32,h,w] and logits [B,20,h,w], at half the size of the padded image."""
 
     decoded: Tensor
     logits: Tensor
 
 
 class ESPNetv2(Backbone):
-    """Image → what encoder and decoder know of it, and the logits of the 20 classes."""
+    """Image → the decoder's features and the logits of 20 classes."""
 
     mean, std = IMAGENET_MEAN, IMAGENET_STD
 
@@ -49,8 +49,8 @@ class ESPNetv2(Backbone):
         self.bu_dec_l2 = PyramidPooling(x, y)
         self.bu_dec_l3 = PyramidPooling(y, z)
         self.bu_dec_l4 = PyramidPooling(z, LOGITS, last=True)
-        self.merge_enc_dec_l2, self.merge_enc_dec_l3 = Weighed(c, x), Weighed(b, y)
-        self.merge_enc_dec_l4 = Weighed(a, z)
+        self.merge_enc_dec_l2, self.merge_enc_dec_l3 = Weighted(c, x), Weighted(b, y)
+        self.merge_enc_dec_l4 = Weighted(a, z)
         self.bu_br_l2, self.bu_br_l3, self.bu_br_l4 = norm_act(x), norm_act(y), norm_act(z)
 
     def forward(self, image: Tensor, rays: Tensor) -> Features:
@@ -65,7 +65,7 @@ class ESPNetv2(Backbone):
 
 
 class DecodedDepth(Part):
-    """Flat ground under the decoder's classes, corrected by what the decoder knows."""
+    """Depth of flat ground by the decoder's classes, corrected from the decoder's features."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,15 +78,15 @@ class DecodedDepth(Part):
 
 
 class DecodedClasses(Part):
-    """The decoder's own logits at the size of the image; nothing to fit."""
+    """The decoder's logits at the size of the image, without parameters."""
 
     def forward(self, features: Features, rays: Tensor) -> Tensor:
-        """Return logits [B,20,H,W], the last one void."""
+        """Return logits [B,20,H,W], void last."""
         return doubled(features.logits)[..., : rays.shape[-2], : rays.shape[-1]]
 
 
 class Encoder(nn.Module):
-    """The ImageNet part: three down-samplers that see the image again, and EESP blocks between them."""
+    """The ImageNet network: three down-samplers that also read the image, and EESP blocks between them."""
 
     def __init__(self, a: int, b: int, c: int, d: int) -> None:
         super().__init__()
@@ -106,10 +106,10 @@ class Encoder(nn.Module):
 
 
 class EESP(nn.Module):
-    """Reduce, convolve depth-wise with growing dilation, add up hierarchically, expand."""
+    """Reduce, convolve depth-wise with increasing dilations, sum hierarchically, expand."""
 
     def __init__(self, inputs: int, outputs: int, limit: int, stride: int = 1) -> None:
-        """`limit`: a branch whose receptive field would be wider falls back to 3 pixels."""
+        """`limit`: maximum receptive field in pixels; wider branches have 3."""
         super().__init__()
         n = outputs // BRANCHES
         fields = sorted(field if field <= limit else 3 for field in range(3, 3 + 2 * BRANCHES, 2))
@@ -126,12 +126,12 @@ class EESP(nn.Module):
         for branch in self.spp_dw[1:]:
             sums.append(sums[-1] + branch(reduced))
         y = self.conv_1x1_exp(self.br_after_cat(torch.cat(sums, dim=1)))
-        # A down-sampler activates the sum of this and more, so module_act of its block is never used.
+        # A down-sampler applies its own activation after adding the image, so its block's module_act is unused.
         return y if self.stride == 2 else self.module_act(y + x)
 
 
 class DownSampler(nn.Module):
-    """Half the size, more channels: an average, an EESP of stride 2, and the image itself, shrunk to the same size."""
+    """Halve the size: an average, an EESP of stride 2, and the downsampled image."""
 
     def __init__(self, inputs: int, outputs: int, limit: int) -> None:
         super().__init__()
@@ -147,7 +147,7 @@ class DownSampler(nn.Module):
 
 
 class PyramidPooling(nn.Module):
-    """Depth-wise convolutions at five scales of the same map, merged."""
+    """Depth-wise convolutions at five scales of a map, merged."""
 
     def __init__(self, inputs: int, outputs: int, width: int = 10, last: bool = False) -> None:
         super().__init__()
@@ -177,8 +177,8 @@ class PyramidPooling(nn.Module):
         return self.br(self.merge_layer(torch.cat(scales, dim=1)))
 
 
-class Weighed(nn.Module):
-    """An encoder's map for the decoder, its channels weighed by what the whole image holds."""
+class Weighted(nn.Module):
+    """An encoder's map for the decoder, with channels weighted by their means over the image."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -192,7 +192,7 @@ class Weighed(nn.Module):
 
 
 def conv(inputs: int, outputs: int, size: int, stride: int = 1, groups: int = 1, act: bool = True) -> nn.Sequential:
-    """A convolution that keeps the size (divided by `stride`), batch norm, and PReLU if `act`."""
+    """Return a convolution with padding, batch norm, and PReLU if `act`."""
     layers: dict[str, nn.Module] = {
         "conv": nn.Conv2d(inputs, outputs, size, stride, padding=size // 2, groups=groups, bias=False),
         "bn": nn.BatchNorm2d(outputs),
@@ -201,17 +201,17 @@ def conv(inputs: int, outputs: int, size: int, stride: int = 1, groups: int = 1,
 
 
 def depth_wise(channels: int, stride: int, dilation: int) -> nn.Sequential:
-    """A 3x3 convolution of each channel on its own."""
+    """Return a 3x3 convolution per channel."""
     return named(conv=nn.Conv2d(channels, channels, 3, stride, dilation, dilation, channels, bias=False))
 
 
 def norm_act(channels: int, *before: nn.Module) -> nn.Sequential:
-    """What comes before, if anything, then batch norm and PReLU."""
+    """Return the layers `before`, batch norm and PReLU."""
     return nn.Sequential(*before, nn.BatchNorm2d(channels), nn.PReLU(channels))
 
 
 def named(**layers: nn.Module) -> nn.Sequential:
-    """A sequence whose layers have names of their own."""
+    """Return a sequence of named layers."""
     return nn.Sequential(OrderedDict(layers))
 
 

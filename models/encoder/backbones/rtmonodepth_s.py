@@ -1,7 +1,7 @@
-"""RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres, and classes of its features.
+"""RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres, and a class head on its features.
 
-Its authors' files ``encoder.pth`` and ``depth.pth`` of ``s/ms_640_192`` fill backbone and depth head by name. They are
-Monodepth2's kind and under its terms: for non-commercial use only. The class head is fitted.
+The authors' files ``encoder.pth`` and ``depth.pth`` of ``s/ms_640_192`` are the weights of backbone and depth head,
+under Monodepth2's terms: non-commercial use only. The class head is fitted.
 """
 
 from collections import OrderedDict
@@ -12,18 +12,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.backbones import Backbone, Part, Parts
+from models.encoder.backbones import Backbone, Part, Parts, conv
 from pipeline.camera import classes
 
-SIZE = (192, 640)  # of its training images: at others its depth is far off
+SIZE = (192, 640)  # of its training images; depth is wrong at other sizes
 WIDTHS = (64, 64, 128, 192)  # at 1/2, 1/4, 1/8 and 1/16 of the image
 DECODED = (96, 64, 32, 16)  # at 1/8, 1/4, 1/2 and 1/1
-COARSER = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4 that served its training
-KITTI_FOCAL = 721.5377 / 1242  # focal length by image width, of its training images
-STEREO_M = 5.4  # metres of a unit: KITTI's baseline of 0.54 m was 0.1 in training
-NEAR, FAR = 0.1, 100.0  # depths in units, of the sigmoid's ends
+COARSER = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4, for its training only
+KITTI_FOCAL = 721.5377 / 1242  # focal length by image width of its training images
+STEREO_M = 5.4  # metres per unit: KITTI's baseline of 0.54 m is 0.1 in its training
+NEAR, FAR = 0.1, 100.0  # range of depth in units
 CLASS_WIDTH = 48
-DROPPED = 0.1  # share of the features left out in training
+DROPPED = 0.1  # share of features dropped in training
 
 
 def rtmonodepth_s() -> Parts:
@@ -32,7 +32,7 @@ def rtmonodepth_s() -> Parts:
 
 
 class Encoder(Backbone):
-    """Image → maps at 1/2, 1/4, 1/8 and 1/16 of SIZE, to which an image of any other size is brought first."""
+    """Image, resized to SIZE → maps at 1/2, 1/4, 1/8 and 1/16 of SIZE."""
 
     mean, std = (0.45,) * 3, (0.225,) * 3
 
@@ -52,16 +52,16 @@ class Encoder(Backbone):
     def forward(self, image: Tensor, rays: Tensor) -> list[Tensor]:
         """Return maps [B,WIDTHS[l],192/2^(l+1),640/2^(l+1)] of an image [B,3,H,W]."""
         maps = [F.relu(self.conv1(resized(image, SIZE)))]
-        for conv in self.convs:
-            maps.append(conv(maps[-1]))
+        for layer in self.convs:
+            maps.append(layer(maps[-1]))
         return maps
 
 
 class Depth(Part):
-    """The published decoder, without skips: the coarsest map, four times doubled, to inverse depth.
+    """The published decoder, without skips: inverse depth from the coarsest map, upsampled four times.
 
-    It learned how large things are in an image of KITTI's field of view: through another lens they are larger by the
-    ratio of the focal lengths, so its depth is multiplied by that. It takes the camera to be as high as KITTI's.
+    It estimates depth from the size of objects at KITTI's focal length, so its depth is multiplied by the ratio of the
+    focal lengths. It assumes the height of KITTI's camera.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Depth(Part):
         for level in range(len(DECODED)):
             x = F.interpolate(self.decoder[2 * level](x), scale_factor=2, mode="nearest")
             x = self.decoder[2 * level + 1](x)
-        near = torch.sigmoid(self.decoder[-1](x).float())  # in half precision, far is all the same
+        near = torch.sigmoid(self.decoder[-1](x).float())  # half precision is too coarse for large depths
         inverse = resized(1 / FAR + (1 / NEAR - 1 / FAR) * near, rays.shape[-2:])[:, 0]
         return STEREO_M * (focal_by_width(rays) / KITTI_FOCAL)[:, None, None] / inverse
 
@@ -87,7 +87,7 @@ class Depth(Part):
 
 
 class ConvELU(nn.Module):
-    """A 3x3 convolution over mirrored edges, then ELU."""
+    """A 3x3 convolution with reflected edges, then ELU."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -98,14 +98,14 @@ class ConvELU(nn.Module):
 
 
 class Classes(Part):
-    """The maps at 1/16, 1/8 and 1/4, and what the whole image holds, added from coarse to fine."""
+    """Class head: maps at 1/16, 1/8 and 1/4 and the mean over the image, merged from coarse to fine."""
 
     def __init__(self) -> None:
         super().__init__()
         self.whole = nn.Conv2d(WIDTHS[3], CLASS_WIDTH, 1)
         self.sides = nn.ModuleList(nn.Conv2d(width, CLASS_WIDTH, 1) for width in WIDTHS[:0:-1])
-        self.around = conv(CLASS_WIDTH, dilation=2)
-        self.merges = nn.ModuleList(conv(CLASS_WIDTH) for _ in WIDTHS[2:])
+        self.around = conv(CLASS_WIDTH, CLASS_WIDTH, dilation=2)
+        self.merges = nn.ModuleList(conv(CLASS_WIDTH, CLASS_WIDTH) for _ in WIDTHS[2:])
         self.drop = nn.Dropout2d(DROPPED)
         self.last = nn.Conv2d(CLASS_WIDTH, classes.COUNT, 1)
 
@@ -119,23 +119,14 @@ class Classes(Part):
         return resized(self.last(y), rays.shape[-2:])
 
 
-def conv(channels: int, dilation: int = 1) -> nn.Sequential:
-    """A 3x3 convolution that keeps the size, batch norm, ReLU."""
-    return nn.Sequential(
-        nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation, bias=False),
-        nn.BatchNorm2d(channels),
-        nn.ReLU(),
-    )
-
-
 def resized(x: Tensor, size: Sequence[int]) -> Tensor:
-    """Bring a map [B,C,h,w] to `size`, pixel centres in place; what shrinks is averaged."""
+    """Interpolate a map [B,C,h,w] to `size`, with averages where it shrinks; pixel centres stay aligned."""
     if x.shape[-2:] == torch.Size(size):
         return x
     return F.interpolate(x, tuple(size), mode="bilinear", align_corners=False, antialias=True)
 
 
 def focal_by_width(rays: Tensor) -> Tensor:
-    """Return the focal length of each image by its width, [B], from the slopes [B,2,H,W] of its pixels."""
+    """Return focal length / image width, [B], from the slopes [B,2,H,W] of the pixels."""
     width = rays.shape[-1]
     return (1 - 1 / width) / (rays[:, 0, 0, -1] - rays[:, 0, 0, 0])

@@ -1,22 +1,22 @@
-"""A small convolutional encoder-decoder, made to be fitted on a CPU within minutes."""
+"""Small convolutional encoder-decoder that can be fitted on a CPU within minutes."""
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.backbones import Backbone, Parts
+from models.encoder.backbones import Backbone, Parts, conv
 from models.encoder.heads import CellClasses, CellDepth, Pointwise
 
 WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
 
 
 def small() -> Parts:
-    """The backbone with heads that see its one map."""
+    """Return the parts; both heads read the backbone's one map."""
     return Parts(Small(), CellDepth(Small.channels, Small.stride), CellClasses(Small.channels, Small.stride))
 
 
 class Small(Backbone):
-    """U-shaped: four halvings down, three doublings up with skips, so that features at 1/2 see most of the image."""
+    """U-Net: four halvings down, three doublings up with skips, for a receptive field of most of the image."""
 
     channels = 2 * WIDTHS[0]
     stride = 2
@@ -46,7 +46,7 @@ class Small(Backbone):
 
 
 class Residual(nn.Module):
-    """Two 3x3 convolutions around which the input goes on."""
+    """Two 3x3 convolutions with a skip connection."""
 
     def __init__(self, channels: int, dilation: int = 1) -> None:
         super().__init__()
@@ -58,15 +58,6 @@ class Residual(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return F.relu(x + self.second(self.first(x)))
-
-
-def conv(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    """A 3x3 convolution, batch norm, ReLU; keeps the size, or halves it (rounded up) with stride 2."""
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(inplace=True),
-    )
 
 
 def _resized(x: Tensor, like: Tensor) -> Tensor:

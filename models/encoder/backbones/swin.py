@@ -1,7 +1,7 @@
-"""Swin-T (Liu et al. 2021), the paper's own backbone, with a pyramid decoder for each head.
+"""Swin-T (Liu et al. 2021), the paper's backbone, with a pyramid decoder for each head.
 
-The backbone is Hugging Face's SwinModel, built from its sizes; ``pytorch_model.bin`` of a published Swin-T with patch 4
-and window 7 fills it. Both decoders have no published weights and are fitted.
+The backbone is Hugging Face's SwinModel; its weights are ``pytorch_model.bin`` of a published Swin-T with patch 4 and
+window 7. Both decoders are fitted, as none are published.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts, renamed
+from models.encoder.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts, renamed, transformers
 from models.encoder.heads import CellClasses, CellDepth
 
 PATCH = 4
@@ -33,25 +33,22 @@ def swin() -> Parts:
 
 
 class Swin(Backbone):
-    """Image → maps at 1/4, 1/8, 1/16 and 1/32 of its size, each before the next halving."""
+    """Image → maps at 1/4, 1/8, 1/16 and 1/32 of its size."""
 
     mean, std = IMAGENET_MEAN, IMAGENET_STD
 
     def __init__(self) -> None:
         super().__init__()
-        try:
-            from transformers import SwinConfig, SwinModel
-        except ImportError as error:
-            raise ValueError("this backbone needs the package transformers: pip install '.[pretrained]'") from error
-        # Nothing is dropped in training: a resumed fit must come to the same weights.
-        config = SwinConfig(
+        library = transformers()
+        # No drop path: a resumed fit must have the same weights.
+        config = library.SwinConfig(
             patch_size=PATCH, embed_dim=EMBED, depths=DEPTHS, num_heads=HEADS, window_size=WINDOW, drop_path_rate=0.0
         )
-        self.swin = SwinModel(config, add_pooling_layer=False)
+        self.swin = library.SwinModel(config, add_pooling_layer=False)
 
     def forward(self, image: Tensor, rays: Tensor) -> list[Tensor]:
         """Return maps [B,96·2^l,ceil(H/2^(l+2)),ceil(W/2^(l+2))]."""
-        # always_partition: else the library shrinks windows of small maps, and their position biases no longer fit.
+        # always_partition: otherwise the library shrinks windows on small maps, and position biases have other shapes.
         states = self.swin(
             image, output_hidden_states=True, output_hidden_states_before_downsampling=True, always_partition=True
         )
@@ -61,13 +58,13 @@ class Swin(Backbone):
         return {
             renamed(name, NAMES): tensor
             for name, tensor in published.items()
-            # The index follows from the window's size; transformers 5 no longer keeps it.
+            # The index follows from the window's size; transformers 5 does not store it.
             if not name.startswith("classifier.") and not name.endswith(".relative_position_index")
         }
 
 
 class PyramidHead(Part):
-    """Maps from coarse to fine, each added to the next (feature pyramid, Lin et al. 2017), then a head at 1/4."""
+    """Feature pyramid (Lin et al. 2017) from coarse to fine maps, then a head at 1/4."""
 
     def __init__(self, head: Part) -> None:
         super().__init__()
@@ -81,7 +78,7 @@ class PyramidHead(Part):
         self.head = head
 
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
-        """Return what the head gives for maps as :class:`Swin` makes them, and rays [B,2,H,W]."""
+        """Return the head's output for maps of :class:`Swin` and rays [B,2,H,W]."""
         y = self.sides[-1](maps[-1])
         for side, finer in zip(reversed(self.sides[:-1]), reversed(maps[:-1]), strict=True):
             y = side(finer) + F.interpolate(y, finer.shape[-2:], mode="bilinear", align_corners=False)

@@ -8,7 +8,7 @@ from tests import street
 K = torch.from_numpy(street.K)[None]
 
 
-def test_unfitted_it_is_the_flat_ground_and_fitted_it_follows_what_it_is_taught() -> None:
+def test_before_the_fit_depth_is_flat_ground_and_a_fit_reaches_its_target() -> None:
     torch.manual_seed(0)
     cls = torch.from_numpy(street.scene(0)[2]).long()
     h, w = street.SIZE[0] // 2, street.SIZE[1] // 2

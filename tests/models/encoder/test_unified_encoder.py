@@ -1,3 +1,5 @@
+import copy
+
 import pytest
 import torch
 
@@ -8,19 +10,20 @@ from pipeline.camera import classes
 K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]], dtype=torch.float64)
 
 
-@pytest.fixture(params=["small", "espnetv2", "espnetv2-s1", "dinov2-vits14", "swin-t"])
+@pytest.fixture(scope="module", params=["small", "espnetv2-s1", "dinov2-vits14", "swin-t"])
 def model(request: pytest.FixtureRequest) -> UnifiedEncoder:
     torch.manual_seed(0)
     return UnifiedEncoder(request.param).eval()
 
 
 @pytest.mark.parametrize("size", [(48, 96), (37, 63)])
-def test_one_call_gives_depth_and_logits_of_every_pixel(model: UnifiedEncoder, size: tuple[int, int]) -> None:
+def test_one_pass_gives_depth_and_logits_of_every_pixel(model: UnifiedEncoder, size: tuple[int, int]) -> None:
     image = torch.randint(0, 256, (2, 3, *size), dtype=torch.uint8)
     calls: list[object] = []
-    model.backbone.register_forward_hook(lambda *_: calls.append(None))
+    hook = model.backbone.register_forward_hook(lambda *_: calls.append(None))
     with torch.no_grad():
         depth, logits = model(image, K.expand(2, 3, 3))
+    hook.remove()
     assert depth.shape == (2, *size)
     assert logits.shape in {(2, classes.COUNT, *size), (2, classes.COUNT + 1, *size)}
     assert depth.min() > 0
@@ -28,7 +31,7 @@ def test_one_call_gives_depth_and_logits_of_every_pixel(model: UnifiedEncoder, s
     assert len(calls) == 1
 
 
-def test_both_heads_teach_the_shared_backbone(model: UnifiedEncoder) -> None:
+def test_both_heads_have_gradients_in_the_shared_backbone(model: UnifiedEncoder) -> None:
     image = torch.randint(0, 256, (2, 3, 48, 96), dtype=torch.uint8)
     first = next(layer for layer in model.backbone.modules() if isinstance(layer, torch.nn.Conv2d))
     for output in (0, 1):
@@ -48,35 +51,36 @@ def test_a_frame_does_not_depend_on_its_batch(model: UnifiedEncoder) -> None:
 
 def test_half_precision_products_give_depth_in_full_precision(model: UnifiedEncoder) -> None:
     image = torch.randint(0, 256, (2, 3, 48, 96), dtype=torch.uint8)
+    model = copy.deepcopy(model)
     for parameter in model.depth_head.parameters():
-        if not parameter.any():  # a correction that says nothing before it is fitted
+        if not parameter.any():  # a correction that is zero before the fit
             torch.nn.init.normal_(parameter, std=0.1)
     with torch.no_grad():
         depth, logits = model(image, K.expand(2, 3, 3))
         with torch.autocast("cpu", torch.bfloat16):
             halves_depth, halves_logits = model(image, K.expand(2, 3, 3))
     assert halves_depth.dtype == torch.float32
-    assert len(halves_depth.unique()) > 1000  # depths themselves in halves: 18 to 33 different ones
+    assert len(halves_depth.unique()) > 1000  # in half precision, 18 to 33 distinct values
     torch.testing.assert_close(halves_depth, depth, rtol=0.005, atol=0)
-    # Weights that were never fitted give nearly equal logits, which may swap.
+    # Random weights give nearly equal logits, whose order may change.
     assert (halves_logits.argmax(dim=1) == logits.argmax(dim=1)).float().mean() > 0.8
 
 
 @pytest.mark.parametrize("name", list(BACKBONES))
-def test_each_backbone_can_be_built_without_memory(name: str) -> None:
+def test_each_backbone_can_be_built_on_meta(name: str) -> None:
     with torch.device("meta"):
         assert sum(parameter.numel() for parameter in UnifiedEncoder(name).parameters()) > 1e5
 
 
-def test_bytes_and_fractions_are_the_same_image(model: UnifiedEncoder) -> None:
+def test_bytes_and_floats_of_an_image_give_the_same(model: UnifiedEncoder) -> None:
     image = torch.randint(0, 256, (1, 3, 48, 96), dtype=torch.uint8)
     with torch.no_grad():
         for a, b in zip(model(image, K), model(image.float() / 255, K), strict=True):
             torch.testing.assert_close(a, b)
 
 
-def test_unknown_backbone_lists_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"no backbone 'large': known: .*small"):
+def test_an_unknown_backbone_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"unknown backbone 'large' .*small"):
         UnifiedEncoder("large")
 
 

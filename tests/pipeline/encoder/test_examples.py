@@ -10,25 +10,43 @@ from pipeline.camera.geometry import rays
 from pipeline.encoder.examples import Example, Examples, mirrored, relit, spread
 from tests import street
 
-DRIVE = "2026_01_01_drive_0001"
+DENSE, LIDAR, BARE, BLIND, GREY = DRIVES = [f"2026_01_01_drive_000{number}" for number in range(1, 6)]
 
 
-def test_drives_that_teach_nothing_are_refused(tmp_path: Path) -> None:
-    street.write_drive(tmp_path, DRIVE, 3, dense=False, lidar=False)
-    street.write_drive(tmp_path, "2026_01_01_drive_0002", 3, images=False)
-    with pytest.raises(InputError, match="nothing to learn from"):
-        Examples(tmp_path, [DRIVE, "2026_01_01_drive_0002"], 10)
+@pytest.fixture(scope="module")
+def ingest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("ingest")
+    street.write_drive(folder, DENSE, 4)
+    street.write_drive(folder, LIDAR, 8, dense=False, lidar=True)
+    street.write_drive(folder, BARE, 3, dense=False)
+    street.write_drive(folder, BLIND, 3, lidar=True, images=False)
+    street.write_drive(folder, GREY, 3, dense=False)
+    with h5py.File(folder / f"{GREY}.h5", "r+") as file:
+        file.attrs["camera"] = 0
+    return folder
 
 
-def test_known_is_what_frames_with_an_image_know(tmp_path: Path) -> None:
-    names = [DRIVE, "2026_01_01_drive_0002"]
-    street.write_drive(tmp_path, names[0], 3)
-    street.write_drive(tmp_path, names[1], 3, dense=False, lidar=True, images=False)
-    with Examples(tmp_path, names, 6) as examples:
-        assert examples.known == {"depth", "cls"}
-    street.write_drive(tmp_path, names[1], 3, dense=False, lidar=True)
-    with Examples(tmp_path, names, 6) as examples:
-        assert examples.known == {"depth", "cls", "lidar"}
+def all_car(image: np.ndarray, K: np.ndarray) -> np.ndarray:
+    return np.full(image.shape[:2], classes.CAR, np.uint8)
+
+
+@pytest.mark.parametrize(("drives", "teacher"), [([BARE, BLIND], None), ([GREY], all_car)])
+def test_drives_without_targets_are_refused(ingest: Path, drives: list[str], teacher: object) -> None:
+    with pytest.raises(InputError, match="no frame of the training drives") as raised:
+        Examples(ingest, drives, 10, teacher)  # type: ignore[arg-type]
+    assert "LiDAR" in raised.value.fix
+
+
+@pytest.mark.parametrize(
+    ("drives", "expected"), [([DENSE, BLIND], {"depth", "cls"}), ([DENSE, LIDAR], {"depth", "cls", "lidar"})]
+)
+def test_ground_truth_is_that_of_frames_with_an_image(ingest: Path, drives: list[str], expected: set[str]) -> None:
+    with Examples(ingest, drives, 6) as examples:
+        assert examples.ground_truth == expected
+    with Examples(ingest, drives, 6, all_car, unlabelled=drives) as examples:
+        assert not examples.ground_truth
+        assert not examples[0].depth_m.any()
+        assert (examples[0].cls == classes.CAR).all()
 
 
 @pytest.mark.parametrize(("count", "wanted"), [(10, 3), (10, 10), (10, 99), (1000, 7), (20573, 20000)])
@@ -40,66 +58,40 @@ def test_spread_is_even_and_without_repeats(count: int, wanted: int) -> None:
     assert steps.max() - steps.min() <= 1
 
 
-def test_frames_are_spread_over_drives_by_their_length(tmp_path: Path) -> None:
-    names = [DRIVE, "2026_01_01_drive_0002"]
-    street.write_drive(tmp_path, names[0], 4)
-    street.write_drive(tmp_path, names[1], 8, dense=False, lidar=True)
-    with Examples(tmp_path, names, 6) as examples:
+def test_frames_are_spread_over_drives_by_their_length(ingest: Path) -> None:
+    with Examples(ingest, [DENSE, LIDAR], 6) as examples:
         assert len(examples) == 6
-        assert examples.frames_per_drive == {names[0]: 2, names[1]: 4}
+        assert examples.frames_per_drive == {DENSE: 2, LIDAR: 4}
         assert examples.size == street.SIZE
         unlabelled = [bool((examples[i].cls == classes.VOID).all()) for i in range(6)]
         assert unlabelled == [False] * 2 + [True] * 4
 
 
-def test_a_teacher_sees_each_frame_without_class_truth_as_it_is_and_once(tmp_path: Path) -> None:
-    names = [DRIVE, "2026_01_01_drive_0002"]
-    street.write_drive(tmp_path, names[0], 2)
-    street.write_drive(tmp_path, names[1], 3, dense=False)
-    seen = []
+def test_a_teacher_classifies_each_colour_frame_without_labels_once(ingest: Path) -> None:
+    inputs = []
 
     def teacher(image: np.ndarray, K: np.ndarray) -> np.ndarray:
-        seen.append(image)
+        inputs.append(image)
         np.testing.assert_array_equal(K, street.K)
-        return np.full(street.SIZE, classes.CAR, np.uint8)
+        return all_car(image, K)
 
-    with Examples(tmp_path, names, 9, teacher) as examples:
-        assert examples.frames_per_drive == {names[0]: 2, names[1]: 3}
+    with Examples(ingest, [DENSE, BARE, GREY], 9, teacher) as examples:
+        assert examples.has_teacher
+        assert examples.frames_per_drive == {DENSE: 4, BARE: 3, GREY: 0}
         for _ in range(2):
-            told = [examples[i].cls for i in range(5)]
-        assert len(seen) == 3
-        for frame in range(3):
-            np.testing.assert_array_equal(seen[frame], street.scene(frame)[0])
-            assert (told[2 + frame] == classes.CAR).all()
-        np.testing.assert_array_equal(told[1], street.scene(1)[2])
-    with Examples(tmp_path, names, 9) as examples:
-        assert examples.frames_per_drive == {names[0]: 2, names[1]: 0}
+            cls = [examples[i].cls for i in range(7)]
+    np.testing.assert_array_equal(inputs, [street.scene(frame)[0] for frame in range(3)])
+    assert (np.array(cls[4:]) == classes.CAR).all()
+    np.testing.assert_array_equal(cls[1], street.scene(1)[2])
 
 
-def test_grey_images_are_not_taught(tmp_path: Path) -> None:
-    street.write_drive(tmp_path, DRIVE, 3, dense=False)
-    with h5py.File(tmp_path / f"{DRIVE}.h5", "r+") as file:
-        file.attrs["camera"] = 0
-    with pytest.raises(InputError, match="nothing to learn from"):
-        Examples(tmp_path, [DRIVE], 9, lambda image, K: image[..., 0])
-    street.write_drive(tmp_path, "2026_01_01_drive_0002", 2, dense=False)
-    with Examples(tmp_path, [DRIVE, "2026_01_01_drive_0002"], 9, lambda image, K: image[..., 0]) as examples:
-        assert examples.taught
-        assert examples.frames_per_drive == {DRIVE: 0, "2026_01_01_drive_0002": 2}
-
-
-def test_some_lights_leave_no_colour() -> None:
-    grey = [relit(_example(), np.random.default_rng(seed)).image.std(axis=-1).max() == 0 for seed in range(60)]
-    assert 0 < sum(grey) < 30
-
-
-def _example() -> Example:
+@pytest.fixture
+def example() -> Example:
     image, depth, cls = street.scene(3)
     return Example(image, street.K, depth.astype(np.float32), cls)
 
 
-def test_mirror_negates_each_ray_and_twice_is_nothing() -> None:
-    example = _example()
+def test_mirroring_negates_the_rays_and_is_its_own_inverse(example: Example) -> None:
     mirror = mirrored(example)
     x, y, _ = np.moveaxis(rays(example.K, street.SIZE), -1, 0)
     mirror_x, mirror_y, _ = np.moveaxis(rays(mirror.K, street.SIZE), -1, 0)
@@ -110,14 +102,14 @@ def test_mirror_negates_each_ray_and_twice_is_nothing() -> None:
         np.testing.assert_allclose(a, b)
 
 
-def test_light_changes_the_image_alone() -> None:
-    example = _example()
+def test_relighting_is_a_function_of_the_colour_and_changes_nothing_else(example: Example) -> None:
     other = relit(example, np.random.default_rng(1))
     assert other.image.dtype == np.uint8
     assert not np.array_equal(other.image, example.image)
     for name in ("K", "depth_m", "cls"):
         np.testing.assert_array_equal(getattr(other, name), getattr(example, name))
-    # Equal pixels stay equal: a light is a function of the colour alone.
     _, first = np.unique(example.image.reshape(-1, 3), axis=0, return_inverse=True)
     for group in np.unique(first)[:20]:
         assert len(np.unique(other.image.reshape(-1, 3)[first == group], axis=0)) == 1
+    grey = [relit(example, np.random.default_rng(seed)).image.std(axis=-1).max() == 0 for seed in range(60)]
+    assert 0 < sum(grey) < 30

@@ -4,36 +4,26 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.camera import images
 from pipeline.encoder.precomputed import fingerprint, read
 from tests.kitti_drive import write_png
 
 DRIVE = "2011_09_26_drive_0001"
 
 
-def test_pixels_are_picked_for_another_size(tmp_path: Path) -> None:
+def test_files_of_another_size_are_sampled(tmp_path: Path) -> None:
     depth, cls = np.arange(48, dtype=np.uint16).reshape(6, 8) * 256, np.arange(48, dtype=np.uint8).reshape(6, 8) % 19
     cls[0, 0] = 255
     write_png(tmp_path / DRIVE / "depth/0000000007.png", depth)
     write_png(tmp_path / DRIVE / "cls/0000000007.png", cls)
-    found = read(tmp_path, DRIVE, 7, (6, 8))
-    np.testing.assert_array_equal(found[0], depth / 256)
-    np.testing.assert_array_equal(found[1], cls)
+    equal = read(tmp_path, DRIVE, 7, (6, 8))
+    np.testing.assert_array_equal(equal[0], depth / 256)
+    np.testing.assert_array_equal(equal[1], cls)
     smaller = read(tmp_path, DRIVE, 7, (2, 4))
     assert np.isin(smaller[0], depth / 256).all()
     assert smaller[0].shape == smaller[1].shape == (2, 4)
 
 
-def test_each_file_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_png(tmp_path / DRIVE / "depth/0000000000.png", np.zeros((4, 4), np.uint16))
-    write_png(tmp_path / DRIVE / "cls/0000000000.png", np.zeros((4, 4), np.uint8))
-    decode, decoded = images.read_pixels, []
-    monkeypatch.setattr(images, "read_pixels", lambda path: decoded.append(path.parent.name) or decode(path))
-    read(tmp_path, DRIVE, 0, (2, 2))
-    assert decoded == ["depth", "cls"]
-
-
-def test_the_fingerprint_is_of_the_contents(tmp_path: Path) -> None:
+def test_the_fingerprint_depends_on_contents(tmp_path: Path) -> None:
     path = tmp_path / DRIVE / "cls/0000000000.png"
     write_png(path, np.zeros((4, 4), np.uint8))
     before, size = fingerprint(tmp_path), path.stat().st_size
@@ -46,15 +36,21 @@ def test_the_fingerprint_is_of_the_contents(tmp_path: Path) -> None:
 
 
 def test_wrong_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"depth/0000000000\.png is missing: backbone precomputed needs it"):
+    depth, cls = (tmp_path / DRIVE / kind / "0000000000.png" for kind in ("depth", "cls"))
+    with pytest.raises(InputError, match="missing") as raised:
         read(tmp_path, DRIVE, 0, (4, 4))
-    write_png(tmp_path / DRIVE / "depth/0000000000.png", np.zeros((4, 4), np.uint16))
-    write_png(tmp_path / DRIVE / "cls/0000000000.png", np.full((4, 4), 33, np.uint8))
-    with pytest.raises(InputError, match="class number 33: trainIds are 0 to 18, or 255"):
+    assert raised.value.where == str(depth)
+    assert "DRIVE/depth/" in raised.value.fix
+    write_png(depth, np.zeros((4, 4), np.uint16))
+    write_png(cls, np.full((4, 4), 33, np.uint8))
+    with pytest.raises(InputError, match="class 33, expected trainIds 0 to 18, or 255") as raised:
         read(tmp_path, DRIVE, 0, (4, 4))
-    write_png(tmp_path / DRIVE / "depth/0000000000.png", np.zeros((4, 4), np.uint8))
+    assert raised.value.where == str(cls)
+    write_png(depth, np.zeros((4, 4), np.uint8))
     with pytest.raises(InputError, match="uint16"):
         read(tmp_path, DRIVE, 0, (4, 4))
-    (tmp_path / DRIVE / "depth/0000000000.png").write_bytes(b"no picture")
+    depth.write_bytes(b"no picture")
     with pytest.raises(DamagedFile):
         read(tmp_path, DRIVE, 0, (4, 4))
+    with pytest.raises(InputError, match="no PNG files"):
+        fingerprint(tmp_path / "empty")

@@ -6,7 +6,7 @@ import pytest
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.pixels import read_pixels
-from pipeline.encoder.truth import read_truth, teaching_rows, visible
+from pipeline.encoder.truth import read_truth, training_rows, visible
 from pipeline.kitti.raw import RawDrive
 from tests import street
 
@@ -23,7 +23,7 @@ def test_dense_truth_is_read_as_metres_and_classes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(truth.cls, cls)
 
 
-def test_lidar_truth_is_known_only_where_a_point_fell_and_classes_are_void(tmp_path: Path) -> None:
+def test_lidar_truth_is_sparse_and_has_no_classes(tmp_path: Path) -> None:
     street.write_drive(tmp_path, DRIVE, 2, dense=False, lidar=True)
     _, depth, _ = street.scene(1)
     with store.DriveReader(tmp_path / f"{DRIVE}.h5", stage="ingest") as file:
@@ -37,23 +37,23 @@ def test_lidar_truth_is_known_only_where_a_point_fell_and_classes_are_void(tmp_p
     assert (truth.cls == classes.VOID).all()
 
 
-def test_rows_without_image_or_without_truth_teach_nothing(tmp_path: Path) -> None:
+def test_training_rows_have_an_image_and_a_target(tmp_path: Path) -> None:
     street.write_drive(tmp_path, DRIVE, 3, dense=False, lidar=False)
     street.write_drive(tmp_path, "2026_01_01_drive_0002", 3, images=False)
     for name in (DRIVE, "2026_01_01_drive_0002"):
         with store.DriveReader(tmp_path / f"{name}.h5", stage="ingest") as file:
-            assert len(teaching_rows(file, taught=False)) == 0
-            assert len(teaching_rows(file, taught=True)) == file["has_image"].sum()
+            assert len(training_rows(file, has_teacher=False)) == 0
+            assert len(training_rows(file, has_teacher=True)) == file["has_image"].sum()
 
 
-def test_points_behind_a_near_edge_are_dropped_and_ground_stays() -> None:
+def test_hidden_points_are_dropped_and_ground_stays() -> None:
     K = np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]])
     rows = np.arange(100)[:, None]
     ground = np.where(rows > 45, 1.65 * 360 / np.maximum(rows - 40, 1), 0) * np.ones((1, 320))
     ground[:, 1::3] = 0
     np.testing.assert_array_equal(visible(ground, K), ground)
     wall = ground.copy()
-    wall[20:80:2, 100:140:2] = 6.0  # a car, and the street that the scanner sees through its points
+    wall[20:80:2, 100:140:2] = 6.0  # a car, and street points behind it between its own
     kept = visible(wall, K)
     np.testing.assert_array_equal(kept[20:80:2, 100:140:2], 6.0)
     hidden = np.zeros_like(wall, bool)
@@ -64,8 +64,8 @@ def test_points_behind_a_near_edge_are_dropped_and_ground_stays() -> None:
 
 
 @pytest.mark.real
-def test_what_stays_of_a_real_scan_agrees_better_with_the_benchmark(real_kitti: Path) -> None:
-    """KITTI's depth benchmark has thrown out what the camera cannot see by comparing with the stereo pair."""
+def test_visible_points_of_a_real_scan_agree_better_with_the_benchmark(real_kitti: Path) -> None:
+    """KITTI's depth benchmark drops hidden points by a comparison with the stereo pair."""
     name = "2011_09_26_drive_0001_sync_0000000005_{}_image_02.png"
     folder = real_kitti / "depth_benchmark"
     raw, truth = (read_pixels(folder / name.format(kind)) / 256 for kind in ("velodyne_raw", "groundtruth"))

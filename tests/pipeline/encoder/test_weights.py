@@ -12,226 +12,211 @@ import torch
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
-from pipeline.encoder import download, perceive, weights
-from pipeline.encoder.weights import Source, fill, find, locate, read_published, unnamed
+from pipeline.encoder import perceive, weights
+from pipeline.encoder.weights import Source, check_available, fetch, fill, read_published, unfilled
+from pipeline.sections.encoder import WeightFile, Weights
 
-KEY = "encoder.weights"
 CONTENT = b"some weights"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
+OK = b"HTTP/1.1 200 OK\r\n"
+
+
+@pytest.fixture(autouse=True)
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def published(sha256: str | None = SHA256, **other: str) -> WeightFile:
+    """Return a file with a URL; without `other`, it exists."""
+    path = Path("published/net.pth").resolve()
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(CONTENT)
+    return WeightFile.model_validate({"url": path.as_uri(), "sha256": sha256, **other})
+
+
+def test_a_file_is_downloaded_once_verified_and_nothing_is_written_to_a_log(capsys: pytest.CaptureFixture[str]) -> None:
+    file = published()
+    assert fetch(file) == SHA256
+    Path("published/net.pth").unlink()
+    assert fetch(file) == SHA256
+    assert [path.name for path in Path("weights").iterdir()] == ["net.pth"]
+    assert capsys.readouterr().err == ""
+
+
+def test_key_is_the_name_of_the_downloaded_file() -> None:
+    assert fetch(published(key="net-s/encoder.pth")) == SHA256
+    assert Path("weights/net-s/encoder.pth").read_bytes() == CONTENT
+
+
+def test_a_path_is_verified_if_it_has_a_hash() -> None:
+    published()
+    assert fetch(WeightFile(url="published/net.pth")) == SHA256
+    with pytest.raises(InputError, match=f"SHA-256 is {SHA256}, expected 0000") as raised:
+        fetch(WeightFile(url="published/net.pth", sha256="0" * 64))
+    assert "Delete" in raised.value.fix
+
+
+@pytest.mark.parametrize(
+    ("url", "sha256", "problem"),
+    [
+        ("nowhere.pt", None, "file is missing"),
+        (".", None, "got a folder"),
+        ("http://127.0.0.1:9/", SHA256, "got a folder"),
+        ("http://127.0.0.1:9/net.pth", None, "without sha256 is not downloaded"),
+        ("n" * 300, None, "File name too long"),
+    ],
+)
+def test_what_is_neither_there_nor_downloadable_is_refused_without_a_download(
+    monkeypatch: pytest.MonkeyPatch, url: str, sha256: str | None, problem: str
+) -> None:
+    monkeypatch.setattr(weights, "_download", None)
+    Path("weights").mkdir()
+    with pytest.raises(InputError, match=problem) as raised:
+        check_available(Weights(backbone=WeightFile(url=url, sha256=sha256)))
+    assert raised.value.where.startswith("backbone: ")
+    check_available(Weights(backbone=WeightFile(url="http://127.0.0.1:9/net.pth", sha256=SHA256)))
+    check_available(None)
 
 
 @pytest.fixture
-def published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A file at an address, and an empty folder for what is fetched."""
-    monkeypatch.setattr(weights, "CACHE", tmp_path / "weights")
-    (tmp_path / "net.pth").write_bytes(CONTENT)
-    return tmp_path / "net.pth"
+def serve() -> Iterator[Callable[[bytes | None], str]]:
+    """Answer one request with given bytes, or with silence; return the URL."""
+    threads, end = [], threading.Event()
 
-
-def test_a_path_is_taken_with_or_without_its_hash(published: Path) -> None:
-    assert find(str(published), KEY) == (published, SHA256)
-    assert find(f"{published}#sha256={SHA256.upper()}", KEY) == (published, SHA256)
-
-
-def test_an_address_is_fetched_once(published: Path, tmp_path: Path) -> None:
-    setting = f"{published.as_uri()}#sha256={SHA256}"
-    assert find(setting, KEY) == (tmp_path / "weights/net.pth", SHA256)
-    published.unlink()
-    assert find(setting, KEY) == (tmp_path / "weights/net.pth", SHA256)
-    assert [path.name for path in (tmp_path / "weights").iterdir()] == ["net.pth"]
-
-
-def test_another_file_at_the_address_leaves_nothing(published: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=rf"has the SHA-256 {SHA256}, not 0{{64}}"):
-        find(f"{published.as_uri()}#sha256={'0' * 64}", KEY)
-    assert list((tmp_path / "weights").iterdir()) == []
-
-
-def test_an_address_with_a_general_name_has_a_place_of_its_own(published: Path, tmp_path: Path) -> None:
-    place = tmp_path / "weights/net-s/encoder.pth"
-    assert find(f"{published.as_uri()}#as=net-s/encoder.pth&sha256={SHA256}", KEY) == (place, SHA256)
-    published.unlink()
-    assert find(f"{published.as_uri()}#as=net-s/encoder.pth", KEY) == (place, SHA256)
-
-
-def test_what_cannot_be_had_is_one_line_with_address_and_place(published: Path, tmp_path: Path) -> None:
-    place = tmp_path / "weights/net.pth"
-    faults = {
-        f"http://127.0.0.1:9/net.pth#sha256={SHA256}": rf"{place} is missing and http://127.0.0.1:9/net.pth cannot be",
-        "http://127.0.0.1:9/net.pth": rf"curl --create-dirs -L -o {place} http://127.0.0.1:9/net.pth",
-        "nowhere.pt": r"nowhere\.pt is missing",
-        f"{published}#sha256={'0' * 64}": rf"{SHA256}, not 0{{64}}",
-        f"{published}#sha256=abc": "64 hexadecimal digits",
-        str(tmp_path): "is a folder",
-        f"http://127.0.0.1:9/#sha256={SHA256}": "is a folder",
-        f"http://127.0.0.1:9/net.pth#as=../net.pth&sha256={SHA256}": "#as= is where in",
-        f"http://127.0.0.1:9/net.pth#as=/net.pth&sha256={SHA256}": "#as= is where in",
-        f"{published}#as=net.pth": "#as= is where in",
-        f"http://127.0.0.1:port/net.pth#sha256={SHA256}": r"cannot be fetched \(nonnumeric port",
-        f"http://[::1/net.pth#sha256={SHA256}": r"cannot be fetched \(Invalid IPv6 URL",
-        f"http://127.0.0.1:9/a b.pth#sha256={SHA256}": r"cannot be fetched \(URL can't contain control characters",
-    }
-    for setting, message in faults.items():
-        with pytest.raises(InputError, match=message) as caught:
-            find(setting, KEY)
-        assert str(caught.value).startswith(KEY)
-        assert "\n" not in str(caught.value)
-
-
-@pytest.fixture
-def serve() -> Iterator[Callable[[bytes], str]]:
-    """Answers one request with the given bytes, whatever they are; returns the address."""
-    threads = []
-
-    def start(answer: bytes) -> str:
+    def start(answer: bytes | None) -> str:
         server = socket.create_server(("127.0.0.1", 0))
 
         def respond() -> None:
             with server, server.accept()[0] as client:
                 client.recv(4096)
-                client.sendall(answer)
+                if answer is None:
+                    end.wait(10)
+                else:
+                    client.sendall(answer)
 
         threads.append(threading.Thread(target=respond))
         threads[-1].start()
         return f"http://127.0.0.1:{server.getsockname()[1]}/net.pth"
 
     yield start
+    end.set()
     for thread in threads:
         thread.join(timeout=10)
 
 
-OK = b"HTTP/1.1 200 OK\r\n"
+@pytest.mark.parametrize(
+    "answer",
+    [
+        OK + b"Content-Length: 12\r\n\r\n" + CONTENT[::-1],
+        OK + b"Content-Length: 99\r\n\r\n" + CONTENT[:-1],
+        OK + b"Transfer-Encoding: chunked\r\n\r\n9\r\nsome",
+        b"no HTTP\r\n\r\n",
+        b"HTTP/1.1 404 Not Found\r\n\r\n",
+        None,
+    ],
+)
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # urllib leaves a socket at a timeout
+def test_a_failed_download_is_one_line_and_leaves_nothing(
+    serve: Callable[[bytes | None], str], monkeypatch: pytest.MonkeyPatch, answer: bytes | None
+) -> None:
+    monkeypatch.setattr(weights, "TIMEOUT_S", 0.2 if answer is None else 10)
+    with pytest.raises(InputError, match="cannot download http://127") as raised:
+        fetch(WeightFile(url=serve(answer), sha256=SHA256))
+    assert raised.value.where == "weights/net.pth"
+    assert "curl --create-dirs -L -o weights/net.pth http" in raised.value.fix
+    assert "\n" not in str(raised.value)
+    assert list(Path("weights").iterdir()) == []
+    assert socket.getdefaulttimeout() is None
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:port/net.pth", "http://127.0.0.1:9/a b.pth"])
+def test_an_invalid_url_is_one_line(url: str) -> None:
+    with pytest.raises(InputError, match="cannot download"):
+        fetch(WeightFile(url=url, sha256=SHA256))
+
+
+STATE = {"conv.weight": torch.arange(3.0)}
 
 
 @pytest.mark.parametrize(
-    ("answer", "message"),
+    "content",
     [
-        (OK + b"Content-Length: 99\r\n\r\n" + CONTENT[:-1], "cut short: 11 of 99 bytes"),
-        (OK + b"Content-Length: many\r\n\r\n" + CONTENT, "invalid literal for int"),
-        (OK + b"Transfer-Encoding: chunked\r\n\r\n9\r\nsome", "IncompleteRead"),
-        (b"no HTTP\r\n\r\n", "no HTTP"),
-        (b"", "closed connection"),
-        (b"HTTP/1.1 404 Not Found\r\n\r\n", "404"),
+        STATE,
+        {"state_dict": STATE, "meta": {"epoch": 3}},
+        {"model": STATE, "epoch": 3},
+        STATE | {"height": 192, "use_stereo": True},  # as Monodepth2's
     ],
 )
-def test_a_bad_answer_is_one_line_and_leaves_nothing(
-    published: Path, tmp_path: Path, serve: Callable[[bytes], str], answer: bytes, message: str
-) -> None:
-    with pytest.raises(InputError, match=rf"^{KEY}: .*cannot be fetched \(.*{message}.*put the file there: curl .*$"):
-        find(f"{serve(answer)}#sha256={SHA256}", KEY)
-    assert list((tmp_path / "weights").iterdir()) == []
+def test_published_tensors_are_found_alone_or_beside_other_data(content: object) -> None:
+    torch.save(content, "file.pth")
+    assert {name: tensor.tolist() for name, tensor in read_published(Path("file.pth")).items()} == {
+        "conv.weight": [0, 1, 2]
+    }
 
 
-def test_a_good_answer_is_kept_and_no_bar_goes_to_a_log(
-    published: Path, serve: Callable[[bytes], str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, _ = find(f"{serve(OK + b'Content-Length: 12' + 2 * bytes([13, 10]) + CONTENT)}#sha256={SHA256}", KEY)
-    assert path.read_bytes() == CONTENT
-    assert capsys.readouterr().err == ""
-
-
-def test_locating_reads_and_fetches_nothing(published: Path, tmp_path: Path) -> None:
-    """Stage check asks where files lie, before any stage spends time."""
-    assert locate(f"http://127.0.0.1:9/net.pth#sha256={SHA256}", KEY) == tmp_path / "weights/net.pth"
-    assert locate(f"{published}#sha256={'0' * 64}", KEY) == published
-    assert not (tmp_path / "weights").exists()
-
-
-def test_a_silent_server_is_not_waited_for_for_ever(
-    published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(download, "TIMEOUT_S", 0.2)
-    with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(InputError, match="timed out"):
-        find(f"http://127.0.0.1:{server.getsockname()[1]}/net.pth#sha256={SHA256}", KEY)
-    assert list((tmp_path / "weights").iterdir()) == []
-
-
-@pytest.mark.parametrize("wrapper", [None, "state_dict", "model"])
-def test_published_tensors_are_found_alone_or_beside_settings(tmp_path: Path, wrapper: str | None) -> None:
-    state = {"conv.weight": torch.arange(3.0)}
-    torch.save({wrapper: state, "meta": {"epoch": 3}} if wrapper else state, tmp_path / "file.pth")
-    assert torch.equal(read_published(tmp_path / "file.pth")["conv.weight"], state["conv.weight"])
-
-
-def test_published_tensors_are_found_between_numbers(tmp_path: Path) -> None:
-    """Monodepth2's encoders hold the size of their training images, and whether it was with stereo."""
-    state = {"conv.weight": torch.arange(3.0)}
-    torch.save(state | {"height": 192, "use_stereo": True}, tmp_path / "file.pth")
-    assert read_published(tmp_path / "file.pth").keys() == state.keys()
-
-
-def test_numbers_as_numpy_1_wrote_them_do_not_hinder(tmp_path: Path) -> None:
-    """DINOv2's depth heads hold such, in what their training left beside the tensors."""
+def test_numbers_of_numpy_1_are_read() -> None:
+    """DINOv2's depth heads have them beside the tensors."""
     meta = {"abs_rel": np.float64(0.08), "step": np.int64(38400)}
-    torch.save({"state_dict": {"conv.weight": torch.arange(3.0)}, "meta": meta}, tmp_path / "new.pth")
-    with zipfile.ZipFile(tmp_path / "new.pth") as new, zipfile.ZipFile(tmp_path / "old.pth", "w") as old:
+    torch.save({"state_dict": STATE, "meta": meta}, "new.pth")
+    with zipfile.ZipFile("new.pth") as new, zipfile.ZipFile("old.pth", "w") as old:
         for item in new.infolist():
             old.writestr(item, new.read(item).replace(b"numpy._core.multiarray", b"numpy.core.multiarray"))
-    assert b"numpy.core.multiarray" in (tmp_path / "old.pth").read_bytes()
+    assert b"numpy.core.multiarray" in Path("old.pth").read_bytes()
     for name in ("new.pth", "old.pth"):
-        assert read_published(tmp_path / name)["conv.weight"].tolist() == [0, 1, 2]
+        assert read_published(Path(name))["conv.weight"].tolist() == [0, 1, 2]
 
 
-def test_published_files_that_are_none_are_refused(tmp_path: Path) -> None:
-    class Code:
-        def __reduce__(self) -> tuple[object, tuple[str]]:
-            return print, ("never",)
-
-    contents = {
-        "code": Code(),
-        "number": 3,
-        "tensor": torch.zeros(1),
-        "mixed": {"a": torch.zeros(1), "b": "two"},
-        "numbered": {0: torch.zeros(1)},
-        "wrapped tensor": {"model": torch.zeros(2), "epoch": "third"},
-        "empty": {},
-    }
-    for name, content in contents.items():
-        torch.save(content, tmp_path / name)
-        with pytest.raises(InputError, match=r"plain state dict|plain values") as caught:
-            read_published(tmp_path / name)
-        assert "\n" not in str(caught.value)
+class Code:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return print, ("never",)
 
 
-def test_parts_are_filled_from_their_own_files_and_strictly(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [Code(), 3, torch.zeros(1), {**STATE, "b": "two"}, {0: torch.zeros(1)}, {"model": torch.zeros(2)} | {"e": "3"}, {}],
+)
+def test_other_published_files_are_refused(content: object) -> None:
+    torch.save(content, "file.pth")
+    with pytest.raises(InputError) as raised:
+        read_published(Path("file.pth"))
+    assert raised.value.where == "file.pth"
+
+
+def test_a_part_is_filled_from_its_file_and_only_if_all_tensors_match() -> None:
     torch.manual_seed(0)
-    published = UnifiedEncoder("espnetv2-s1").backbone.state_dict()
-    torch.save(published, tmp_path / "city.pth")
+    state = UnifiedEncoder("espnetv2-s1").backbone.state_dict()
+    torch.save(state, "city.pth")
     model = UnifiedEncoder("espnetv2-s1")
     before = {name: tensor.clone() for name, tensor in model.depth_head.state_dict().items()}
-    sources = fill(model, "espnetv2-s1", {"backbone": str(tmp_path / "city.pth")}, "encoder.weights")
-    assert sources == [Source("backbone", str(tmp_path / "city.pth"), file_hash(tmp_path / "city.pth"))]
-    assert all(torch.equal(tensor, published[name]) for name, tensor in model.backbone.state_dict().items())
+    files = Weights.model_validate({"backbone": "city.pth"})
+    assert fill(model, "espnetv2-s1", files) == [Source("backbone", "city.pth", file_hash(Path("city.pth")))]
+    assert all(torch.equal(tensor, state[name]) for name, tensor in model.backbone.state_dict().items())
     assert all(torch.equal(tensor, before[name]) for name, tensor in model.depth_head.state_dict().items())
-
-    faults = {
-        "lacks bu_br_l2.0.bias": {name: t for name, t in published.items() if name != "bu_br_l2.0.bias"},
-        "has extra, which the network lacks": published | {"extra": torch.zeros(1)},
-        r"has bu_br_l2.0.bias of shape \[3\], the network \[64\]": published | {"bu_br_l2.0.bias": torch.zeros(3)},
-    }
-    for message, state in faults.items():
-        torch.save(state, tmp_path / "bad.pth")
-        with pytest.raises(InputError, match=message):
-            fill(model, "espnetv2-s1", {"backbone": str(tmp_path / "bad.pth")}, "encoder.weights")
-    with pytest.raises(InputError, match=r"Name another file in encoder\.weights; a published file is named by part"):
-        fill(model, "espnetv2-s1", str(tmp_path / "city.pth"), "encoder.weights")
+    torch.save(state | {"extra": torch.zeros(1)}, "bad.pth")
+    with pytest.raises(InputError, match="extra is not in the network") as raised:
+        fill(model, "espnetv2-s1", Weights.model_validate({"backbone": "bad.pth"}))
+    assert (raised.value.where, raised.value.fix) == ("backbone: bad.pth", "Name another file")
+    with pytest.raises(InputError) as raised:
+        fill(model, "espnetv2-s1", Weights.model_validate("city.pth"))
+    assert "weights: {backbone: FILE}" in raised.value.fix
 
 
-def test_a_checkpoint_fills_all_if_it_is_of_the_same_backbone(tmp_path: Path) -> None:
+def test_a_checkpoint_fills_all_parts_of_the_same_backbone() -> None:
     torch.manual_seed(1)
     fitted, model = UnifiedEncoder("small"), UnifiedEncoder("small")
-    perceive.save(tmp_path, "small", fitted.state_dict())
-    path = tmp_path / "encoder.pt"
-    assert fill(model, "small", str(path), "encoder.weights") == [Source("all", str(path), file_hash(path))]
+    perceive.save(Path(), "small", fitted.state_dict())
+    files = Weights.model_validate("encoder.pt")
+    assert fill(model, "small", files) == [Source("all", "encoder.pt", file_hash(Path("encoder.pt")))]
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), fitted.parameters(), strict=True))
-    with pytest.raises(InputError, match=r"'small', expected 'swin-t'\. Name another file in encoder\.weights$"):
-        fill(model, "swin-t", str(path), "encoder.weights")
+    with pytest.raises(InputError, match="backbone is 'small', expected 'swin-t'"):
+        fill(model, "swin-t", files)
+    assert fill(model, "small", None) == []
 
 
-def test_a_part_is_unnamed_if_it_has_something_to_fit_and_no_file() -> None:
+def test_a_part_is_unfilled_if_it_has_parameters_and_no_file() -> None:
     model = UnifiedEncoder("espnetv2-s1")  # its class head has no parameters
-    parts = ("backbone", "depth_head", "class_head")
-    assert unnamed(model, None, parts) == "backbone"
-    assert unnamed(model, {"backbone": "a.pth"}, parts) == "depth_head"
-    assert unnamed(model, {"backbone": "a.pth"}, ("backbone", "class_head")) is None
-    assert unnamed(model, "encoder.pt", parts) is None
+    parts, backbone = ("backbone", "depth_head", "class_head"), Weights.model_validate({"backbone": "a.pth"})
+    assert unfilled(model, None, parts) == "backbone"
+    assert unfilled(model, backbone, parts) == "depth_head"
+    assert unfilled(model, backbone, ("backbone", "class_head")) is None
+    assert unfilled(model, Weights.model_validate("encoder.pt"), parts) is None

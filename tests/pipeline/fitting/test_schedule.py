@@ -1,7 +1,7 @@
 from pipeline.fitting.schedule import warm_up_cosine
 
 
-def test_the_rate_rises_then_falls_to_nothing() -> None:
+def test_the_rate_rises_then_falls_to_zero() -> None:
     rates = [warm_up_cosine(step / 100, 0.15) for step in range(101)]
     top = rates.index(max(rates))
     assert top == 15

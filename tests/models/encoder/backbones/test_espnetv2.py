@@ -13,6 +13,7 @@ from pipeline.camera.images import read_image
 from pipeline.encoder.perceive import perceive
 from pipeline.encoder.weights import fill
 from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.sections.encoder import Weights
 
 FILES = {"espnetv2": "espnetv2_s_2.0_city_1024x512.pth", "espnetv2-s1": "espnetv2_s_1.0_city_512x256.pth"}
 SIZE = (192, 640)
@@ -20,16 +21,16 @@ GROUND = (classes.ROAD, classes.SIDEWALK, classes.TERRAIN)
 
 
 @pytest.mark.parametrize(("scale", "numbers"), [(1.0, 247_279), (2.0, 814_351)])
-def test_it_holds_as_many_numbers_as_the_published_files(scale: float, numbers: int) -> None:
+def test_the_number_of_parameters_is_that_of_the_published_files(scale: float, numbers: int) -> None:
     assert sum(tensor.numel() for tensor in espnetv2(scale).backbone.state_dict().values()) == numbers
 
 
-def test_branches_that_would_see_too_far_fall_back_to_three_pixels() -> None:
+def test_branches_beyond_the_limit_have_three_pixels() -> None:
     for limit, dilations in {13: [1, 2, 3, 4], 9: [1, 2, 3, 4], 7: [1, 1, 2, 3]}.items():
         assert [branch.conv.dilation[0] for branch in EESP(16, 16, limit).spp_dw] == dilations
 
 
-def test_an_image_of_any_size_is_seen_as_its_continued_edges() -> None:
+def test_an_image_of_any_size_is_padded_with_its_edges() -> None:
     torch.manual_seed(0)
     backbone, _, class_head = espnetv2(1.0)
     backbone.eval()
@@ -47,10 +48,10 @@ def test_an_image_of_any_size_is_seen_as_its_continued_edges() -> None:
 
 @pytest.mark.real
 @pytest.mark.parametrize("name", list(FILES))
-def test_published_weights_see_real_streets(name: str, real_kitti: Path, real_weights: Path) -> None:
-    """No frame has class truth, but LiDAR tells ground from what stands on it, and the sky returns nothing."""
+def test_published_weights_classify_real_streets(name: str, real_kitti: Path, real_weights: Path) -> None:
+    """No frame has class labels, but LiDAR separates ground from objects, and the sky has no points."""
     model = UnifiedEncoder(name).eval()
-    fill(model, name, {"backbone": str(real_weights / "espnetv2" / FILES[name])}, "encoder.weights")
+    fill(model, name, Weights.model_validate({"backbone": str(real_weights / "espnetv2" / FILES[name])}))
     on_ground, on_objects, in_sky = [], [], []
     for drive, frames in {"0001": [5], "0052": [0, 24, 47]}.items():
         raw = RawDrive(real_kitti / "2011_09_26" / f"2011_09_26_drive_{drive}_sync")

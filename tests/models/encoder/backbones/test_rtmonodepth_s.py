@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from models.encoder.backbones.rtmonodepth_s import SIZE, rtmonodepth_s
-from models.encoder.unified_encoder import UnifiedEncoder, ray_slopes
+from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.camera import classes
 from pipeline.camera.geometry import scale_K, scan_depth
 from pipeline.camera.images import read_image
@@ -14,6 +14,7 @@ from pipeline.encoder.perceive import perceive
 from pipeline.encoder.weights import fill
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.perception.scores import depth_errors, eigen_crop
+from pipeline.sections.encoder import Weights
 
 KITTI_K = torch.tensor([[[371.8, 0, 320], [0, 369.4, 92], [0, 0, 1]]], dtype=torch.float64)
 
@@ -23,18 +24,18 @@ def unified() -> UnifiedEncoder:
     return UnifiedEncoder("rtmonodepth-s").eval()
 
 
-def see(model: UnifiedEncoder, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+def predict(model: UnifiedEncoder, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
     with torch.no_grad():
         return model(image, K)
 
 
-def test_published_numbers_and_one_pass_of_about_1_3_million() -> None:
+def test_the_number_of_parameters_is_that_of_the_published_files() -> None:
     sizes = [sum(parameter.numel() for parameter in part.parameters()) for part in rtmonodepth_s()]
     assert sizes[:2] == [858_048, 376_979 - 866]  # without the two coarser heads of its training
     assert sum(sizes) < 1_400_000
 
 
-def test_the_coarser_heads_of_its_training_are_left_out() -> None:
+def test_the_coarser_heads_of_its_training_are_ignored() -> None:
     head = rtmonodepth_s().depth_head
     published = head.state_dict() | {"decoder.9.conv3.weight": torch.zeros(1), "decoder.10.conv3.bias": torch.zeros(1)}
     assert head.own_names(published).keys() == head.state_dict().keys()
@@ -44,8 +45,8 @@ def test_depth_grows_with_the_focal_length() -> None:
     model, image = unified(), torch.rand(1, 3, *SIZE)
     longer = KITTI_K.clone()
     longer[:, :2, :2] *= 1.5
-    depth, logits = see(model, image, KITTI_K)
-    other, same = see(model, image, longer)
+    depth, logits = predict(model, image, KITTI_K)
+    other, same = predict(model, image, longer)
     torch.testing.assert_close(other, 1.5 * depth)
     torch.testing.assert_close(same, logits)
     assert (depth > 0.5).all()
@@ -53,31 +54,30 @@ def test_depth_grows_with_the_focal_length() -> None:
 
 
 @pytest.mark.parametrize("size", [(96, 320), (188, 621), (41, 75)])
-def test_an_image_of_any_size_is_seen_at_its_training_size(size: tuple[int, int]) -> None:
+def test_an_image_of_any_size_is_resized_to_the_training_size(size: tuple[int, int]) -> None:
     model = unified()
     image = torch.rand(2, 3, *size)
     K = torch.from_numpy(scale_K(KITTI_K[0].numpy(), SIZE, size)).expand(2, 3, 3)
-    depth, logits = see(model, image, K)
+    depth, logits = predict(model, image, K)
     assert depth.shape == (2, *size)
     assert logits.shape == (2, classes.COUNT, *size)
     enlarged = torch.nn.functional.interpolate(image, SIZE, mode="bilinear", antialias=True)
-    whole, _ = see(model, enlarged, KITTI_K.expand(2, 3, 3))
+    whole, _ = predict(model, enlarged, KITTI_K.expand(2, 3, 3))
     torch.testing.assert_close(depth.log().mean(), whole.log().mean(), rtol=2e-2, atol=0)
 
 
-def test_a_mirrored_image_has_other_depth_but_rays_do_not_matter_beside_their_focal_length() -> None:
+def test_only_the_focal_length_of_the_intrinsics_matters() -> None:
     model, image = unified(), torch.rand(1, 3, *SIZE)
-    moved = KITTI_K.clone()
-    moved[:, :2, 2] += 7
-    torch.testing.assert_close(see(model, image, moved)[0], see(model, image, KITTI_K)[0], rtol=1e-5, atol=0)
-    assert ray_slopes(moved, torch.Size(SIZE)).shape == (1, 2, *SIZE)
+    shifted = KITTI_K.clone()
+    shifted[:, :2, 2] += 7
+    torch.testing.assert_close(predict(model, image, shifted)[0], predict(model, image, KITTI_K)[0], rtol=1e-5, atol=0)
 
 
 @pytest.mark.real
-def test_published_weights_measure_real_streets(real_half: Path, real_weights: Path) -> None:
+def test_published_weights_give_metric_depth_of_real_streets(real_half: Path, real_weights: Path) -> None:
     model, folder = UnifiedEncoder("rtmonodepth-s").eval(), real_weights / "rtmonodepth-s"
     files = {"backbone": str(folder / "encoder.pth"), "depth_head": str(folder / "depth.pth")}
-    fill(model, "rtmonodepth-s", files, "encoder.weights")
+    fill(model, "rtmonodepth-s", Weights.model_validate(files))
     for drive, most in {"2011_09_26_drive_0005": 0.13, "2011_10_03_drive_0042": 0.17}.items():
         raw = RawDrive(real_half / drive[:10] / f"{drive}_sync")
         camera = raw.camera([2, 0])

@@ -1,0 +1,81 @@
+"""All sections of ``params.yaml`` as one type, for stage check and for presets."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+
+from pipeline.base import yaml_file
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.params import NAME, Section, parse
+from pipeline.sections.clouds import Clouds
+from pipeline.sections.encoder import Encoder
+from pipeline.sections.evaluate import Evaluate
+from pipeline.sections.graphs import Variant
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.labels import Labels
+from pipeline.sections.models import Model
+from pipeline.sections.motion import Motion
+from pipeline.sections.perception import Perception
+from pipeline.sections.pictures import Pictures
+from pipeline.sections.town import Town
+from pipeline.sections.train import Train
+
+LONGEST_NAME = 100  # it becomes part of file names, whose limit is 255 bytes
+
+
+def _check_name(name: str) -> str:
+    if not NAME.fullmatch(name) or len(name) > LONGEST_NAME:
+        raise ValueError(f"expected at most {LONGEST_NAME} letters A-Z and a-z, digits, _ and -, no _ or - first")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_name)]
+
+
+class Params(Section):
+    """All of params.yaml."""
+
+    town: Town
+    ingest: Ingest
+    labels: Labels
+    encoder: Encoder
+    perception: Perception
+    motion: Motion
+    clouds: Clouds
+    pictures: Pictures
+    graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
+    models: Annotated[dict[Name, Model], Field(min_length=1)]
+    train: Train
+    evaluate: Evaluate
+
+
+KINDS: tuple[type[Section], ...] = (
+    Town, Ingest, Labels, Encoder, Perception, Motion, Clouds, Pictures, Train, Evaluate,
+)  # fmt: skip
+ENTRIES: dict[str, type[Section]] = {"graphs": Variant, "models": Model}
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return the content of a params file or a preset. Raises InputError if it is missing or holds no sections."""
+    if not path.is_file():
+        raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
+    content = yaml_file.read(path)
+    if not isinstance(content, dict):
+        raise InputError("expected sections", path)
+    return content
+
+
+def validate(content: dict[str, Any], where: Path) -> Params:
+    """Return the content of a complete params file as :class:`Params`. Raises InputError, which names `where`."""
+    parsed = dict(content)
+    with error_context(where):
+        # One by one, so that messages suggest the section's own keys.
+        for kind in KINDS:
+            if kind.key in content:
+                parsed[kind.key] = parse(kind, content[kind.key], kind.key)
+        for mapping, kind in ENTRIES.items():
+            if isinstance(content.get(mapping), dict):
+                entries = content[mapping].items()
+                parsed[mapping] = {name: parse(kind, entry, f"{mapping}.{name}") for name, entry in entries}
+        return parse(Params, parsed, "")

@@ -98,7 +98,7 @@ def measure(name: str, params: Path, folder: Path, steps: int) -> Row:
     reading = []
     for _ in range(READINGS):
         start = time.perf_counter()
-        (batch,) = windows.examples([drive], [group], model.window)
+        (batch,) = windows.batches([drive], [group], model.window)
         reading.append(time.perf_counter() - start)
     frame, total, predictions = describe(batch), len(group) * count, len(batch["windows"])
     del batch
@@ -141,16 +141,12 @@ class Training:
 
     def steps(self, steps: int, probe: Callable[[], T]) -> list[T]:
         """Train for `steps` steps; return what `probe` says as the forward pass of each begins."""
-        from models.steering.core import steering_net
         from pipeline.train import fit
 
         readings = []
 
-        def forward(net: Any, batch: windows.Batch) -> Any:
-            readings.append(probe())
-            return steering_net.predict(net, batch)
-
-        run = fit.Fit(self.net, forward, self.model.window, self.model.alpha, self.settings, seed=0)
+        self.net.register_forward_pre_hook(lambda *_: readings.append(probe()))
+        run = fit.Fit(self.net, self.model.window, self.model.alpha, self.settings, seed=0)
         with tempfile.TemporaryDirectory() as kept:
             run.run([self.drive] * (steps * self.settings.batch_runs), [], Path(kept) / "state.pt", {}, "benchmark")
         return readings

@@ -13,7 +13,7 @@ from pipeline.sections.evaluate import Evaluate
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
-from pipeline.sections.models import Model
+from pipeline.sections.models import Model, resolve
 from pipeline.sections.motion import Motion
 from pipeline.sections.perception import Perception
 from pipeline.sections.pictures import Pictures
@@ -83,12 +83,12 @@ def check_model(settings: Model, variants: dict[str, Variant], ingest: Ingest, m
         raise ValueError(not_measured(settings.motion, motion))
     if variants[settings.input].source == "clouds/lidar" and not ingest.lidar:
         raise ValueError(f"input = {settings.input!r} is made of scans, and ingest.lidar: false reads none")
-    variant, line = variants[settings.input], settings.model_dump()
+    variant, line = variants[settings.input], resolve(settings)
     runs.folds(ingest.drives.splits(), line)
     steering_net.build(line, variant.kind, len(variant.levels), ingest.image_size)
-    for module in steering_net.modules(line):
-        *_, part, name = module.split(".")
-        own = Path(*module.split(".")).with_suffix(".py")
+    for part in ("spatial", "temporal"):
+        name = line[part]
+        module, own = f"models.steering.{part}.{name}", Path(f"models/steering/{part}/{name}.py")
         if others := unwatched(imports.import_closure(module), own):
             raise ValueError(
                 f"{part} = {name!r}: {own} uses {', '.join(map(str, others))}, which could be edited without training "

@@ -27,7 +27,7 @@ def load(street: Street, device: str) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         paths = save(street, Path(folder), FRAMES)
         return compare(
-            ms(lambda: batches.of_arrays(street.arrays(FRAMES)).to(device), FRAMES),
+            ms(lambda: batches.from_arrays(street.arrays(FRAMES)).to(device), FRAMES),
             ms(lambda: [torch.load(path, weights_only=False).to(device) for path in paths], FRAMES),
             "ms a frame",
             f"{street.points:,} points: a run of {FRAMES} frames out of a graph file / torch.load of PyG Data",

@@ -49,7 +49,7 @@ def vs_linear(street: Street, device: str) -> Row:
 
 def graph_batch(street: Street, frames: int, device: str) -> batches.GraphBatch:
     """Return the first `frames` frames, ready for a network."""
-    batch: Any = batches.of_arrays(street.arrays(frames)).to(device)
+    batch: Any = batches.from_arrays(street.arrays(frames)).to(device)
     return batch
 
 

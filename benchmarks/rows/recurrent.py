@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.rows.row import Row, compare, ms
+from models.steering.core.knobs import Sizes
 from models.steering.core.recurrent import NOMINAL_STEP_S, RecurrentCell
-from models.steering.core.wiring import Sizes
+from models.steering.core.wiring import Layout
 from models.steering.temporal import lstm, ncp
 
 WINDOWS, WINDOW, FEATURES = 24, 8, 32
@@ -17,12 +18,14 @@ WINDOWS, WINDOW, FEATURES = 24, 8, 32
 
 def vs_ncps(device: str) -> Row:
     """LTC beside that of ncps, on its own wiring of the same sizes."""
-    return _compare(device, _ours(ncp.network(FEATURES)), theirs(FEATURES), "LTC / ncps LTC")
+    return _compare(device, _ours(ncp.Knobs().build(Sizes(FEATURES))), theirs(FEATURES), "LTC / ncps LTC")
 
 
 def vs_lstm(device: str) -> Row:
     """How close LTC's 48 steps of an ODE are to the 8 of an LSTM with 32 units."""
-    return _compare(device, _ours(ncp.network(FEATURES)), _ours(lstm.LSTM(FEATURES)), "LTC / LSTM of 32 units, ours")
+    return _compare(
+        device, _ours(ncp.Knobs().build(Sizes(FEATURES))), _ours(lstm.LSTM(FEATURES)), "LTC / LSTM of 32 units, ours"
+    )
 
 
 def theirs(features: int) -> nn.Module:
@@ -32,7 +35,7 @@ def theirs(features: int) -> nn.Module:
         from ncps.torch import LTC
         from ncps.wirings import NCP
 
-    sizes = Sizes()
+    sizes = Layout()
     wiring = NCP(
         *(sizes.inter, sizes.command, 1, sizes.sensory_fanout, sizes.inter_fanout),
         *(sizes.recurrent_command_synapses, sizes.motor_fanin),

@@ -22,7 +22,7 @@ def pointnet2(street: Street, device: str) -> Row:
     rng = np.random.default_rng(0)
 
     def step(arrays: dict[str, np.ndarray]) -> None:
-        batch: Any = batches.of_arrays(arrays).to(device)
+        batch: Any = batches.from_arrays(arrays).to(device)
         net(batch).square().sum().backward()
 
     def each_time() -> None:

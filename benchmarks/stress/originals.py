@@ -9,13 +9,14 @@ import torch
 from models.encoder.unified_encoder import UnifiedEncoder
 from models.steering.core import steering_net
 from pipeline.base import store
-from pipeline.base.resume import ROOT
+from pipeline.base.resume import ROOT, file_hash
 from pipeline.camera.calib_file import write_entries
 from pipeline.encoder import perceive
 from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
 from pipeline.kitti import ingest_file
 from pipeline.kitti.oxts import make_rows
+from pipeline.sections.models import Model, resolve
 from pipeline.train import predict
 
 DRIVE = "2026_01_03_drive_0001"
@@ -144,12 +145,19 @@ def _write_graphs(folder: Path, rng: np.random.Generator) -> None:
 def write_networks(folder: Path) -> None:
     """Write a steering network and an encoder with their first weights."""
     torch.manual_seed(0)
-    line = steering_net.resolved(LINE)
+    line = resolve(Model.model_validate(LINE))
     target = {"mean_rad": 0.01, "std_rad": 0.05, "wheelbase_m": 2.71, "min_speed_mps": 1.0}
     about = {"name": "net", "seed": 0, "fold": None, "contents": {"kind": "graph"}, "target": target, "model": line}
     net = steering_net.build(line, "graph")
     checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "net": net.state_dict()})
-    config = {**about, "seeds": [0], "parameters": 1, "encode_ms_per_frame": 1.5, "best_epoch": 1, "epochs": 2}
+    config = {
+        **about,
+        "seeds": [0],
+        "parameters": 1,
+        "best_sha256": file_hash(folder / "best.pt"),
+        "best_epoch": 1,
+        "epochs": 2,
+    }
     store.write_json(folder / "config.json", config)
     perceive.save(folder, "small", UnifiedEncoder("small").state_dict())
 

@@ -22,6 +22,7 @@ from pipeline.kitti import oxts
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.raw import read_scan
 from pipeline.sections import preset
+from pipeline.sections.models import resolve
 from pipeline.train import frames, predict, runs
 
 Read = Callable[[Path], Any]
@@ -124,13 +125,11 @@ def _valid(path: Path, content: Any) -> None:
 
 
 def _params(path: Path) -> Any:
-    from models.steering.core import steering_net
-
     whole = parse(preset.Params, yaml_file.read(path), str(path))
     for name, model in whole.models.items():
         try:
-            steering_net.resolved(model.model_dump())
-        except ValueError as error:
+            resolve(model)
+        except InputError as error:
             raise InputError(f"{path}: models.{name}.{error}") from error
     return whole.model_dump()
 

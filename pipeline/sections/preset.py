@@ -26,7 +26,7 @@ from pipeline.sections.evaluate import Evaluate
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
-from pipeline.sections.models import Model
+from pipeline.sections.models import Model, resolve
 from pipeline.sections.motion import Motion
 from pipeline.sections.perception import Perception
 from pipeline.sections.pictures import Pictures
@@ -93,8 +93,6 @@ def text(name: str, params: Path = PARAMS) -> str:
     Raises:
         InputError: there is no such preset, or a key or value of either file is wrong: names file and line.
     """
-    from models.steering.core import steering_net  # takes a second to import
-
     source = find(name)
     changes, base, content = _read(source), _read(params), _read(params)
     _merge(content, changes, Params)
@@ -108,8 +106,8 @@ def text(name: str, params: Path = PARAMS) -> str:
         raise InputError(f"{_culprit(place, files)}: {error}") from error
     for model, settings in whole.models.items():
         try:
-            steering_net.resolved(settings.model_dump())  # the knobs of its networks
-        except ValueError as error:
+            resolve(settings)  # the knobs of its networks
+        except InputError as error:
             place = ("models", model, *str(error).split(maxsplit=1)[0].strip(":").split("."))
             raise InputError(f"{_culprit(place, files)}: models.{model}.{error}") from error
     about = source.read_text(encoding="utf-8").partition("\n")[0]

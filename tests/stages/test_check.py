@@ -7,14 +7,13 @@ from typing import Any
 import pytest
 import yaml
 
-from models.steering.core import steering_net
 from pipeline.base import provenance
 from pipeline.base.errors import InputError
 from pipeline.encoder import download, weights
 from pipeline.report.tables import paper
 from pipeline.report.tables.paper import PAPER
 from pipeline.sections import preset
-from pipeline.sections.models import Model
+from pipeline.sections.models import Model, resolve
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,38 +64,38 @@ def test_table2_shares_the_samples_artefacts() -> None:
 def test_table2_has_the_papers_networks_as_the_paper_has_them() -> None:
     models = preset.merged("table2")["models"]
     for name in PAPER:
-        line = steering_net.resolved(load_model(models[name]))
+        line = load_model(models[name])
         assert (
             paper.name(line | ({"width": 1.0} if "width" in line else {})) == name
         )  # narrower, as the sample is small
-    others = [steering_net.resolved(load_model(line)) for name, line in models.items() if name not in PAPER]
+    others = [load_model(line) for name, line in models.items() if name not in PAPER]
     assert others
     assert not any(map(paper.name, others))
 
 
 def load_model(line: dict[str, Any]) -> dict[str, Any]:
-    """Return a model's line of params.yaml with the defaults of what all models have."""
-    return Model.model_validate(line).model_dump()
+    """Return a model's entry with all defaults."""
+    return resolve(Model.model_validate(line))
 
 
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
         ("models.sa-gnn-ncp.input", "semantc", "models.sa-gnn-ncp.input = 'semantc' .* did you mean semantic"),
-        ("models.sa-gnn-ncp.spatial", "cnnn", "models.sa-gnn-ncp.spatial = 'cnnn' .* did you mean cnn"),
-        ("models.sa-gnn-ncp.temporal", "gru", "models.sa-gnn-ncp.temporal = 'gru' .*lstm, ncp"),
-        ("models.sa-gnn-ncp.cell", "cfcc", "models.sa-gnn-ncp.cell = 'cfcc' .* did you mean cfc"),
+        ("models.sa-gnn-ncp.spatial", "cnnn", "models.sa-gnn-ncp.spatial = 'cnnn'.*known: blind, cnn"),
+        ("models.sa-gnn-ncp.temporal", "gru", "models.sa-gnn-ncp.temporal = 'gru'.*lstm, ncp"),
+        ("models.sa-gnn-ncp.cell", "cfcc", "models.sa-gnn-ncp.cell = 'cfcc'.*'ltc', 'eq4' or 'cfc'"),
         ("models.sa-gnn-ncp.semantics", 1.5, "models.sa-gnn-ncp.semantics = 1.5: "),
         (
             "models.sa-gnn-ncp.width",
             0.25,
-            "models.sa-gnn-ncp.width = 0.25 means nothing to .*gnn.*ncp.*layers, semantics",
+            "models.sa-gnn-ncp.width: unknown key for .*gnn.*ncp.*layers, semantics",
         ),
         ("models.sa-gnn-ncp.motion", "lidar", "models.sa-gnn-ncp.motion = 'lidar' .*motion.kinds has visual"),
         ("graphs.lidar.accumulate", {"motion": "lidar", "frames": 2}, "lidar.accumulate.motion = 'lidar' is not"),
         ("models.sa-gnn-ncp.motion", "gps", "models.sa-gnn-ncp.motion = 'gps'"),
         ("models.sa-gnn-ncp.horizon", -1, "models.sa-gnn-ncp.horizon = -1"),
-        ("models.sa-gnn-ncp.roads", 1000, r"models.sa-gnn-ncp.roads = 1000: there are \d+ training drives"),
+        ("models.sa-gnn-ncp.roads", 1000, r"models.sa-gnn-ncp.roads = 1000, but there are \d+ training drives"),
         ("models.sa-gnn-ncp.equivarient", True, "models.sa-gnn-ncp.equivarient .*did you mean equivariant"),
         ("models.sa-gnn-ncp.window", 0, "models.sa-gnn-ncp.window = 0"),
         ("graphs.semantic.keep_inter_class", 2, "graphs.semantic.keep_inter_class = 2"),
@@ -107,8 +106,8 @@ def load_model(line: dict[str, Any]) -> dict[str, Any]:
         ("graphs.lidar.crop_m", [9, 0, -9, 40], "needs left < right and near < far"),
         ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m means nothing to images"),
         ("graphs.semantic.kk", 2, "unknown key graphs.semantic.kk"),
-        ("models.sa-gnn-ncp.wiring", {"comand": 5}, "models.sa-gnn-ncp.wiring.comand = 5: .*did you mean command"),
-        ("models.sa-gnn-ncp.wiring", {"motor_fanin": 7}, "models.sa-gnn-ncp.wiring.motor_fanin = 7, but .*command = 6"),
+        ("models.sa-gnn-ncp.wiring", {"comand": 5}, "models.sa-gnn-ncp.wiring.comand.*did you mean command"),
+        ("models.sa-gnn-ncp.wiring", {"motor_fanin": 7}, "models.sa-gnn-ncp.wiring.motor_fanin = 7, expected at most command = 6"),
         ("encoder.backbone", "smal", "encoder.backbone = 'smal': .*did you mean small"),
         ("encoder.backbone", "precomputed", "encoder: backbone: precomputed reads DRIVE/depth/"),
         ("encoder", {**PRECOMPUTED, "weights": {"backbone": "made"}}, "name the folder in weights"),

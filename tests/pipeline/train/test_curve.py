@@ -5,7 +5,7 @@ from typing import get_args
 import pytest
 
 from pipeline.sections.train import Train
-from pipeline.train.curve import Epoch, selected_epoch, out_of_patience, write_curve
+from pipeline.train.curve import Epoch, out_of_patience, selected_epoch, write_curve
 
 
 def epochs(*val_nmse):

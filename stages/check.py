@@ -5,7 +5,7 @@ from pathlib import Path
 from pipeline.base import console, imports
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
-from pipeline.sections.models import Model
+from pipeline.sections.models import Model, resolve
 from pipeline.sections.motion import Motion
 from pipeline.sections.params import Params, read, validate
 from pipeline.train import runs
@@ -68,7 +68,7 @@ def check_model(model: Model, settings: Params) -> None:
 
     if model.input not in settings.graphs:
         raise InputError(f"input = {model.input!r} is no variant of graphs: {closest(model.input, [*settings.graphs])}")
-    variant, line = settings.graphs[model.input], model.model_dump()
+    variant, line = settings.graphs[model.input], resolve(model)
     if model.motion != "none":
         check_motion("motion", model.motion, settings.motion)
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:

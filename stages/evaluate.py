@@ -14,7 +14,6 @@ from pipeline.base.params import SPLITS, load
 from pipeline.report.judge import neurons, predictions, split, steering_plot, structure
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import frames, predict, runs, windows
-from pipeline.train.judged import judged
 
 
 def main(
@@ -39,7 +38,7 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     config = store.read_json(train / name / "config.json", stage=f"train@{name}", form=runs.Config)
     line, seeds = config["model"], config["seeds"]
     variant = graphs / line["input"]
-    folds = judged(runs.folds(store.read_index(variant, stage="graphs"), line), variant, labels, line)
+    folds = runs.drop_untestable(runs.folds(store.read_index(variant, stage="graphs"), line), variant, labels, line)
     models = {run: _load(run, name, config) for run in runs.runs(train / name, seeds, folds)}
 
     # Once each, though several folds may have been fitted to a drive: its frames count once in errors and intervals.
@@ -60,7 +59,6 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
         "parameters": config["parameters"],
         "wheelbase_m": of_splits["test"][0].drive.car.wheelbase_m,
         "path": settings.path,
-        "encode_ms_per_frame": config["encode_ms_per_frame"],
         "variant": split.variant(of_splits["test"][0].drive),
         **split.sizes([case.drive for case in of_splits["test"]]),
         **{of: split.figures(of_split, settings) if of_split else None for of, of_split in of_splits.items()},

@@ -1,4 +1,4 @@
-"""A small model on small graphs: its params.yaml, and the stages that train and judge it."""
+"""A small model on small graphs: its params.yaml, and the stages train and evaluate."""
 
 from pathlib import Path
 
@@ -15,13 +15,14 @@ SPLITS = {
 
 
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
+    """Write params.yaml with the model `net`, whose entry is changed by `model`, and section train by `settings`."""
     content = yaml.safe_load(PARAMS.read_text())
-    line = {"spatial": "gnn", **(model or {})}
-    knobs = {"layers": [16, 16], "semantics": 1.0}
-    means_nothing = {"cnn": {"layers", "semantics"}, "pointnet2": {"layers"}}.get(str(line["spatial"]), set())
-    small = {"input": "semantic", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
-    small |= {knob: value for knob, value in knobs.items() if knob not in means_nothing}
-    content["models"] = {"net": small | line}
+    line = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
+    line |= model or {}
+    knobs = {"cnn": {}, "pointnet2": {"semantics": 1.0}}.get(
+        str(line["spatial"]), {"layers": [16, 16], "semantics": 1.0}
+    )
+    content["models"] = {"net": knobs | line}
     content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
     (folder / "params.yaml").write_text(yaml.safe_dump(content))
 

@@ -84,23 +84,32 @@ def test_swapping_back_restores_the_first_model(chain: Path, swapped: Path) -> N
 
 HEIGHT = '''"""Mean position of a frame's points: a network that ignores the graph."""
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import GraphBatch, Kind
 from models.steering.core.features import mean_max_pool
+from models.steering.core.knobs import NetworkKnobs, Sizes
 
-INPUT: Kind = "graph"
 
-
-class network(nn.Module):
-    def __init__(self, features: int, *, scale_m: float = 10.0) -> None:
+class Height(nn.Module):
+    def __init__(self, features: int, scale_m: float) -> None:
         super().__init__()
         self.scale_m = scale_m
         self.read_out = nn.Linear(6, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
         return torch.tanh(self.read_out(mean_max_pool(batch.xyz / self.scale_m, batch.ptr)))
+
+
+class Knobs(NetworkKnobs):
+    kind: ClassVar[Kind] = "graph"
+    scale_m: float = 10.0
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        return Height(sizes.features, self.scale_m)
 '''
 
 

@@ -1,1 +1,1 @@
-"""The steering networks: a spatial one on each frame, a recurrent one over frames."""
+"""Steering networks: a spatial network per frame, a recurrent one over the frames of a window."""

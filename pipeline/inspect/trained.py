@@ -22,7 +22,7 @@ def model(folder: Path) -> Content:
         "line": mapping(config.get("model")),
         **{
             key: config.get(key)
-            for key in ("parameters", "epochs", "best_epoch", "encode_ms_per_frame", "revision", "seeds", "target")
+            for key in ("parameters", "epochs", "best_epoch", "revision", "seeds", "target")
         },
         "drives": dict(Counter(str(split) for split in splits.values())),
         "made_of": list(splits),

@@ -45,7 +45,6 @@ def _model(told: Content) -> Iterator[str]:
     yield f"  {told['parameters']} parameters; best epoch {told['best_epoch']} of {told['epochs']}"
     yield f"  drives: {_short(told['drives'])}; seeds {told['seeds']}; code revision {told['revision']}"
     yield f"  target: {_short(told['target'])}"
-    yield f"  encode_ms_per_frame: {told['encode_ms_per_frame']}"
     yield f"  curve's end: {_short(told['curve_end'])}"
     if len(told["networks"]) > 1:
         yield f"  networks: {', '.join(told['networks'])}"

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from models.steering.core import steering_net
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError
 from pipeline.fitting.prefetch import prefetch
@@ -92,11 +91,12 @@ class Chain:
                 held.clear()
             dt_s = moment.time_s - held[-1].time_s if held else NOMINAL_STEP_S
             with torch.inference_mode():
-                features = steering_net.encode(model.net, moment.arrays)
+                features = model.net.encode(model.net.frames(moment.arrays))
                 motion = (base_rad, *moment.motion)
                 held.append(_Heard(moment.number, moment.time_s, dt_s, features, motion))
                 if len(held) == window:
-                    said = steering_net.recall(model.net, torch.cat([each.features for each in held]), _window(held))
+                    features = torch.cat([each.features for each in held])
+                    said = model.net.recall(features, *model.net.windows(_window(held)))
                     moment.predicted_rad = float(np.float32(base_rad)) + model.target.std_rad * float(said)
             moment.latency_s = time.perf_counter() - moment.began_s
             yield moment

@@ -8,17 +8,17 @@ from pipeline.base.params import Count, Fraction, Positive, Rate, Section, Seed
 
 
 class Noise(Section):
-    """What perception gets wrong, in training only; each 0 is off. Drawn once for each run of consecutive frames."""
+    """Simulated perception errors, in training only, drawn per run of consecutive frames. 0 switches one off."""
 
-    depth_scale: Annotated[float, Field(ge=0, le=1, description="share by which depth is too large or small")] = 0.0
+    depth_scale: Annotated[float, Field(ge=0, le=1, description="relative error of depth")] = 0.0
     depth_waves: Annotated[
-        float, Field(ge=0, le=0.5, description="share by which it is so here and there, in waves over the view")
+        float, Field(ge=0, le=0.5, description="relative error of depth that varies over the view in waves")
     ] = 0.0
-    speed: Annotated[float, Field(ge=0, le=1, description="share by which measured speed is too large or small")] = 0.0
-    confused: Annotated[Fraction, Field(description="of each class, that part of it is taken for a similar one")] = 0.0
-    missing: Annotated[Fraction, Field(description="of each class, that it is not seen")] = 0.0
-    dropped: Annotated[float, Field(ge=0, lt=1, description="share of a frame's points, at most")] = 0.0
-    hidden_deg: Annotated[float, Field(ge=0, le=90, description="width of a sector without points, at most")] = 0.0
+    speed: Annotated[float, Field(ge=0, le=1, description="relative error of measured speed")] = 0.0
+    confused: Annotated[Fraction, Field(description="probability that part of a class becomes a similar class")] = 0.0
+    missing: Annotated[Fraction, Field(description="probability that a class becomes void")] = 0.0
+    dropped: Annotated[float, Field(ge=0, lt=1, description="maximum share of a frame's points to remove")] = 0.0
+    hidden_deg: Annotated[float, Field(ge=0, le=90, description="maximum width of a sector without points")] = 0.0
 
 
 class Train(Section):
@@ -42,5 +42,5 @@ class Train(Section):
     @classmethod
     def _distinct(cls, seeds: list[Seed]) -> list[int]:
         if len(set(seeds)) < len(seeds):
-            raise ValueError("a seed is named twice: each adds a training run, so name it once")
+            raise ValueError("expected distinct seeds")
         return seeds

@@ -1,1 +1,1 @@
-"""From graph files to a trained steering network, and its predictions."""
+"""Train steering networks on graph files, and predict with them."""

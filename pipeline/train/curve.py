@@ -1,4 +1,4 @@
-"""The epochs of a training run: which one's weights are kept, when it is time to stop, and curve.csv."""
+"""Learning curve: which epoch to select, when to stop, and curve.csv."""
 
 import csv
 import math
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.base.atomic import replacing
 
-SMOOTHED = 3  # epochs
+SMOOTHING = 3  # epochs
 
 
 @dataclass(frozen=True)
@@ -22,30 +22,30 @@ class Epoch:
     val_nmse: float
 
 
-def kept_epoch(curve: Sequence[Epoch], keep: str) -> int:
-    """Return the number of the epoch whose average a rule of `train.keep` takes; the last if nothing was validated.
+def selected_epoch(curve: Sequence[Epoch], keep: str) -> int:
+    """Return the number of the epoch selected by the rule `train.keep`; the last one without validation.
 
-    One epoch's validation error is noise as much as merit: `smoothed` takes it as a mean with that of the two epochs
-    before, and `last` does not ask it.
+    best: the lowest validation error; smoothed: the lowest mean over this epoch and the two before, since one epoch's
+    error is noisy; last: the last epoch.
     """
     if keep == "last":
         return len(curve)
-    over = SMOOTHED if keep == "smoothed" else 1
+    length = SMOOTHING if keep == "smoothed" else 1
     error = {
-        row.epoch: math.fsum(each.val_nmse for each in curve[max(0, end - over) : end]) / min(over, end)
+        row.epoch: math.fsum(each.val_nmse for each in curve[max(0, end - length) : end]) / min(length, end)
         for end, row in enumerate(curve, start=1)
     }
-    judged = [epoch for epoch in error if not math.isnan(error[epoch])]
-    return min(judged, key=error.__getitem__, default=len(curve))
+    validated = [epoch for epoch in error if not math.isnan(error[epoch])]
+    return min(validated, key=error.__getitem__, default=len(curve))
 
 
 def out_of_patience(curve: Sequence[Epoch], keep: str, patience: int) -> bool:
-    """Whether `patience` epochs have come after the one that is kept."""
-    return len(curve) - kept_epoch(curve, keep) >= patience
+    """Return whether `patience` epochs have passed since the selected one."""
+    return len(curve) - selected_epoch(curve, keep) >= patience
 
 
 def write_curve(path: Path, curve: Sequence[Epoch]) -> None:
-    """Write curve.csv, one row per epoch; what was not measured stays empty."""
+    """Write curve.csv, one row per epoch; NaN becomes an empty field."""
     with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(field.name for field in fields(Epoch))

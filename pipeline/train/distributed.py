@@ -1,4 +1,4 @@
-"""The processes that share one training run, as `torchrun` starts them."""
+"""Processes of one training run, as started by `torchrun`."""
 
 import os
 from collections.abc import Iterator
@@ -15,18 +15,18 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class World:
-    """This process's number among `size` of them; alone by default."""
+    """Rank of this process and number of processes; by default a single one."""
 
     rank: int = 0
     size: int = 1
 
     @property
-    def leads(self) -> bool:
-        """Whether this process is the one that prints and writes."""
+    def is_main(self) -> bool:
+        """Whether this process prints and writes."""
         return self.rank == 0
 
     def share(self, count: int) -> list[int]:
-        """Return which of `count` things are this process's; none if there are too few."""
+        """Return this process's part of `count` indices; empty if there are too few."""
         return list(range(self.rank, count, self.size))
 
     def sum(self, tensor: "Tensor") -> "Tensor":
@@ -38,7 +38,7 @@ class World:
         return tensor
 
     def gather(self, part: T) -> list[T]:
-        """Return the processes' parts in the order of their numbers."""
+        """Return the processes' parts in the order of their ranks."""
         if self.size == 1:
             return [part]
         from torch import distributed
@@ -49,8 +49,8 @@ class World:
 
 
 @contextmanager
-def joined() -> Iterator[tuple[World, "torch.device"]]:
-    """Join the processes that torchrun started, each on a GPU of its own if there are any; yield place and device."""
+def process_group() -> Iterator[tuple[World, "torch.device"]]:
+    """Join the processes started by torchrun; yield rank and size, and this process's GPU or the CPU."""
     import torch
     from torch import distributed
 

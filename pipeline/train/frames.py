@@ -1,8 +1,8 @@
-"""Reading graph files: what kind of frames one holds, and runs of them as the arrays that networks expect.
+"""Read graph files, data/graphs/<variant>/<drive>.h5: their kind, and runs of frames as arrays of a network's input.
 
-Three kinds. `graph`: xyz float32 [N,3], cls uint8 [N], ptr int64 [B+1], degree uint8 [N], indices int32 [E].
+`graph`: xyz float32 [N,3], cls uint8 [N], ptr int64 [B+1], degree uint8 [N], indices int32 [E].
 `pointnet2`: xyz, cls, ptr, and for each level l from 1: centres_l int64 [M], neighbours_l int64 [M,n], centres_l_ptr
-int64 [B+1]. `image`: uint8 [B,H,W,3]. Files number rows from 0 in each frame; arrays count on through all their frames.
+int64 [B+1]. `image`: uint8 [B,H,W,3]. In files, row numbers count from 0 in each frame; in arrays, from 0 in the batch.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ Arrays = dict[str, np.ndarray]
 
 
 class Motion(NamedTuple):
-    """What the car did since the frame before, left and forward +; all 0 where it is not valid."""
+    """Measured motion of the car since the previous frame, left and forward +; all 0 where it is not valid."""
 
     yaw_rate_radps: np.ndarray  # float32 [G]
     speed_mps: np.ndarray  # float32 [G]
@@ -29,7 +29,7 @@ class Motion(NamedTuple):
 
 
 class Graphs:
-    """An open graph file. What tells where frames begin is read once."""
+    """An open graph file with G frames. Pointers are read once."""
 
     def __init__(self, file: store.DriveReader) -> None:
         self._file = file
@@ -39,7 +39,7 @@ class Graphs:
 
     @cached_property
     def contents(self) -> dict[str, Any]:
-        """What its frames are, as `steering_net.build` asks: kind, and levels or image_size."""
+        """Kind of the frames, and levels or image_size: arguments of `steering_net.build`."""
         if "image" in self._file:
             height, width = self._file.shape("image")[1:3]
             return {"kind": "image", "image_size": (height, width)}
@@ -49,75 +49,82 @@ class Graphs:
 
     @property
     def points_per_frame(self) -> float:
-        """The mean over its frames; 0 of images, and of a file without frames."""
+        """Mean number of points; 0 for images and for a file without frames."""
         return int(self._ptr["xyz"][-1]) / max(len(self.frame), 1) if "xyz" in self._ptr else 0.0
 
     @property
     def empty(self) -> bool:
-        """Whether all its frames together hold nothing: no point, or no image."""
+        """Whether the file has no point or image."""
         return not any(starts[-1] for starts in self._ptr.values())
 
     @cached_property
     def motions(self) -> tuple[str, ...]:
-        """The kinds of measured motion that the file carries: visual, lidar."""
+        """Kinds of measured motion in the file: visual, lidar."""
         return tuple(kind for kind in ("visual", "lidar") if f"{kind}_valid" in self._file)
 
     def motion(self, kind: str) -> Motion:
-        """Return the motion of this kind, of all frames. Raises InputError if the file carries none."""
+        """Return the motion of this kind for all frames. Raises InputError if the file has none."""
         if kind not in self.motions:
-            raise InputError(
-                f"{self.path} carries no motion: {kind} (it has {', '.join(self.motions) or 'none'}): "
-                f"put {kind} into motion.kinds of the params file and run dvc repro"
-            )
+            found = ", ".join(self.motions) or "none"
+            fix = f"Add {kind} to motion.kinds in the params file and run dvc repro"
+            raise InputError(f"no motion of kind {kind} (found: {found})", self.path, fix)
         return Motion(*(self._file[f"{kind}_{name}"] for name in Motion._fields))
 
     @cached_property
     def _ptr(self) -> dict[str, np.ndarray]:
-        """Array → int64 [G+1], where each frame's rows begin."""
+        """Array → int64 [G+1], first row of each frame."""
         if self.contents["kind"] == "image":
             return {"image": np.arange(len(self.frame) + 1)}
         ptr = self._file["ptr"]
         if self.contents["kind"] == "graph":
             return {"xyz": ptr, "cls": ptr, "degree": ptr, "indices": self._file["indices_ptr"]}
-        of_levels: dict[str, np.ndarray] = {}
+        levels: dict[str, np.ndarray] = {}
         for level in range(1, self.contents["levels"] + 1):
             centres = f"centres_{level}"
-            of_levels |= dict.fromkeys((centres, f"neighbours_{level}"), self._file[f"{centres}_ptr"])
-        return {"xyz": ptr, "cls": ptr, **of_levels}
+            levels |= dict.fromkeys((centres, f"neighbours_{level}"), self._file[f"{centres}_ptr"])
+        return {"xyz": ptr, "cls": ptr, **levels}
 
     def read(self, start: int, stop: int) -> Arrays:
-        """Return the arrays of frames [start, stop). Raises InputError if one of them is not what a graph can be."""
+        """Return the arrays of frames [start, stop). Raises InputError if a graph in the file is inconsistent."""
         arrays = {}
         for name, starts in self._ptr.items():
             ptr = starts[start : stop + 1]
             rows = self._file.rows(name, ptr[0], ptr[-1])
-            form = _FORMS[name.partition("_")[0]]
-            if (rows.dtype.kind, rows.ndim) != form[:2] or rows.shape[1:][: len(form[2])] != form[2]:
-                raise self._damaged(f"{name} holds {rows.dtype} of shape {rows.shape}")
-            if (numbered := _numbered(name)) is not None:
-                first = self._ptr[numbered][start : stop + 1]  # of the rows that are numbered, each frame's first
-                try:
-                    rows = _counted_on(rows, ptr - ptr[0], first - first[0], _WIDE.get(name, np.int64))
-                except IndexError as error:
-                    raise self._damaged(
-                        f"{name}, frames {self.frame[start]} to {self.frame[stop - 1]}: {error}"
-                    ) from error
+            if target := _target(name):
+                first = self._ptr[target][start : stop + 1]
+                rows = self._renumber(name, rows, ptr - ptr[0], first - first[0])
             arrays[name] = rows
-            if name in _POINTERS or name.startswith("centres_"):
-                arrays[_POINTERS.get(name, f"{name}_ptr")] = ptr - ptr[0]
+            if name in ("xyz", "indices") or name.startswith("centres_"):
+                arrays["ptr" if name == "xyz" else f"{name}_ptr"] = ptr - ptr[0]
         if "degree" in arrays:
-            counts = [int(part.sum()) for part in np.split(arrays["degree"], arrays["ptr"][1:-1])]
-            if counts != np.diff(self._ptr["indices"][start : stop + 1]).tolist():
-                raise self._damaged("degree does not count the neighbours that indices names")
+            edges = np.concatenate([[0], np.cumsum(arrays["degree"], dtype=np.int64)])
+            if not np.array_equal(edges[arrays["ptr"]], arrays.pop("indices_ptr")):
+                raise self._damaged("the sum of degree is not the number of indices")
         return arrays
 
+    def _renumber(self, name: str, rows: np.ndarray, ptr: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """Return row numbers that count from 0 in the batch. Raises InputError if one exceeds its frame.
+
+        Args:
+            rows: numbers that count from 0 in each frame.
+            ptr: [B+1], each frame's first row in `rows`.
+            first: [B+1], each frame's first row in the array that they count.
+        """
+        dtype = np.int32 if name == "indices" else np.int64  # for sparse matrices; for indexing
+        numbers = np.empty(rows.shape, dtype)
+        for (start, stop), (shift, end) in zip(pairwise(ptr.tolist()), pairwise(first.tolist()), strict=True):
+            if stop > start and rows[start:stop].max(initial=0) >= end - shift:
+                raise self._damaged(f"{name} exceeds the {end - shift} rows of a frame")
+            np.add(rows[start:stop], shift, out=numbers[start:stop], dtype=dtype, casting="same_kind")
+        return numbers
+
     def _damaged(self, fault: str) -> InputError:
-        return InputError(f"{self.path} is damaged ({fault}). {store.fix_hint(self.path, 'graphs')}")
+        return InputError(f"the file is damaged ({fault})", self.path, store.fix_hint(self.path, "graphs"))
 
 
 @contextmanager
 def open_graphs(path: str | Path) -> Iterator[Graphs]:
-    """Open a graph file, data/graphs/<variant>/<drive>.h5. Raises InputError if it is missing, damaged or another's."""
+    """Open a graph file. Raises InputError if it is missing, damaged or written by another stage."""
     with store.DriveReader(Path(path), stage="graphs") as file:
         yield Graphs(file)
 
@@ -128,64 +135,39 @@ def contents(path: Path) -> dict[str, Any]:
         return graphs.contents
 
 
-def described(contents: Mapping[str, Any]) -> str:
-    """Say what frames of these :attr:`Graphs.contents` are."""
+def describe(contents: Mapping[str, Any]) -> str:
+    """Return :attr:`Graphs.contents` in words."""
     if contents["kind"] == "image":
         height, width = contents["image_size"]
         return f"images of {height} x {width} pixels"
     if contents["kind"] == "pointnet2":
-        return f"points with PointNet++'s neighbourhoods in {contents['levels']} levels"
+        return f"points with PointNet++ neighbourhoods in {contents['levels']} levels"
     return "kNN graphs"
 
 
 def concatenate(parts: Sequence[Arrays]) -> Arrays:
-    """Put runs of frames of one kind one after the other."""
+    """Concatenate runs of frames of one kind."""
     if len(parts) == 1:
         return parts[0]
     batch = {}
     for name in parts[0]:
         arrays = [part[name] for part in parts]
-        numbered = _numbered(name)
-        if numbered is not None:
-            before = accumulate((len(part[numbered]) for part in parts), initial=0)
-            arrays = [array + first for array, first in zip(arrays, before, strict=False)]  # as wide as they were
+        if target := _target(name):
+            before = accumulate((len(part[target]) for part in parts), initial=0)
+            arrays = [array + first for array, first in zip(arrays, before, strict=False)]  # keeps the dtype
         if name.endswith("ptr"):
             arrays = [array[:-1] for array in arrays[:-1]] + arrays[-1:]
         batch[name] = np.concatenate(arrays)
     return batch
 
 
-def _counted_on(rows: np.ndarray, ptr: np.ndarray, first: np.ndarray, dtype: type[np.integer]) -> np.ndarray:
-    """Return the numbers in `rows` plus `first`, that of each frame.
-
-    Both pointers are [B+1]: where each frame's rows begin, and those that its numbers count.
-
-    Raises IndexError if a number is beyond its frame.
-    """
-    numbers = np.empty(rows.shape, dtype)
-    for (start, stop), (shift, end) in zip(pairwise(ptr.tolist()), pairwise(first.tolist()), strict=True):
-        largest = int(rows[start:stop].max(initial=0))
-        if largest >= end - shift and stop > start:
-            raise IndexError(f"there is number {largest} in a frame that has {end - shift}")
-        np.add(rows[start:stop], shift, out=numbers[start:stop], dtype=dtype, casting="same_kind")
-    return numbers
-
-
-_FORMS: dict[str, tuple[str, int, tuple[int, ...]]] = {  # kind of numbers, axes, and how long those after the first are
-    "xyz": ("f", 2, (3,)), "cls": ("u", 1, ()), "degree": ("u", 1, ()), "indices": ("u", 1, ()),
-    "centres": ("u", 1, ()), "neighbours": ("u", 2, ()), "image": ("u", 4, ()),
-}  # fmt: skip
-_WIDE = {"indices": np.int32}  # as wide as sparse matrices want them; what indexes tensors is int64
-_POINTERS = {"xyz": "ptr"}  # the others are called as what they point into
-
-
-def _numbered(name: str) -> str | None:
-    """Return the array whose rows the numbers in array `name` count; None if it holds no such numbers."""
+def _target(name: str) -> str | None:
+    """Return the array that the row numbers in array `name` refer to; None if it holds no row numbers."""
     if name in ("ptr", "indices"):
         return "xyz"
     if name.endswith("_ptr"):
         return name.removesuffix("_ptr")
-    what, _, level = name.partition("_")
-    if what in ("centres", "neighbours"):
+    array, _, level = name.partition("_")
+    if array in ("centres", "neighbours"):
         return "xyz" if level == "1" else f"centres_{int(level) - 1}"
     return None

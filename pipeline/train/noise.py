@@ -1,8 +1,8 @@
-"""What perception gets wrong, put into training: what a network is told of the street errs, what to steer there stays.
+"""Simulate perception errors as augmentation: the input changes, the target steering does not.
 
-The sample's perception knows its world too well; on a real street, depth is off by a factor and in waves, classes are
-taken for others or not seen, and parts of the view are missing. Errors last as long as a run, as real ones do: what
-flickers from frame to frame a recurrent network averages away.
+The sample's perception is fitted to its own world and too good. On real streets, depth is off by a factor and in waves,
+classes are confused or missing, and parts of the view are hidden. An error is constant over a run, as real ones are: a
+recurrent network averages out errors that change from frame to frame.
 """
 
 from collections.abc import Sequence
@@ -11,10 +11,10 @@ import numpy as np
 
 from pipeline.camera import classes as c
 from pipeline.sections.train import Noise
-from pipeline.train.augment import faster
+from pipeline.train.augment import scale_speed
 from pipeline.train.windows import Batch
 
-TAKEN_FOR = {
+CONFUSED_WITH = {
     c.ROAD: (c.SIDEWALK, c.TERRAIN),
     c.SIDEWALK: (c.ROAD, c.TERRAIN),
     c.BUILDING: (c.WALL, c.FENCE, c.VEGETATION),
@@ -34,78 +34,78 @@ TAKEN_FOR = {
     c.MOTORCYCLE: (c.BICYCLE, c.CAR),
     c.BICYCLE: (c.MOTORCYCLE, c.PERSON),
 }
-"""What a class is plausibly taken for."""
-WAVES = 3  # cosines of which an error in waves is the mean
-VIEW_RAD = np.pi / 4  # to either side: about where an image ends
+"""Class → similar classes."""
+WAVES = 3  # cosines in a wave error
+VIEW_RAD = np.pi / 4  # half the width of the view
 
 
-def disturbed(batch: Batch, frames: Sequence[int], rngs: Sequence[np.random.Generator], settings: Noise) -> Batch:
-    """Return a batch with targets as perception would have told it with an error of its own in each run.
+def add_noise(batch: Batch, frames: Sequence[int], rngs: Sequence[np.random.Generator], settings: Noise) -> Batch:
+    """Return a batch with targets with the errors of perception, drawn for each run.
 
-    Points keep their edges and neighbourhoods, which perception's errors would change a little. Points are left out of
-    kNN graphs only: from PointNet++'s neighbourhoods they cannot be taken cheaply. Images stay as they are.
+    Edges and neighbourhoods do not change, though real errors would change some. Points are removed from kNN graphs
+    only, since it is expensive for PointNet++ neighbourhoods. Images do not change.
 
     Args:
-        frames: how many each run has.
-        rngs: of each run what is drawn for it, so that nothing depends on the runs beside it.
+        frames: length of each run.
+        rngs: generator of each run, so that a run's errors do not depend on the others.
     """
     if "image" in batch or settings == Noise():
         return batch
-    of_runs = batch["ptr"][np.cumsum([0, *frames])]
-    xyz, cls, kept, speed = batch["xyz"].copy(), batch["cls"].copy(), np.ones(len(batch["cls"]), bool), []
-    for start, stop, rng in zip(of_runs[:-1], of_runs[1:], rngs, strict=True):
+    ptr = batch["ptr"][np.cumsum([0, *frames])]
+    xyz, cls, visible, speed = batch["xyz"].copy(), batch["cls"].copy(), np.ones(len(batch["cls"]), bool), []
+    for start, stop, rng in zip(ptr[:-1], ptr[1:], rngs, strict=True):
         run = slice(start, stop)
         speed.append((1 + settings.speed) ** rng.uniform(-1, 1))
         bearing = np.arctan2(xyz[run, 0], xyz[run, 2])
-        xyz[run] *= _depth(xyz[run], bearing, settings, rng)[:, None]
-        cls[run] = _mistaken(cls[run], bearing, settings, rng)
-        kept[run] = _seen(bearing, settings, rng)
-    batch = batch | faster(batch, np.repeat(np.array(speed, np.float32), frames)) | {"xyz": xyz, "cls": cls}
-    return batch if kept.all() or "degree" not in batch else without(batch, ~kept)
+        xyz[run] *= _depth_factor(xyz[run], bearing, settings, rng)[:, None]
+        cls[run] = _confuse_classes(cls[run], bearing, settings, rng)
+        visible[run] = _visible(bearing, settings, rng)
+    changed = {"xyz": xyz, "cls": cls} | scale_speed(batch, np.repeat(np.array(speed, np.float32), frames))
+    return batch | changed if visible.all() or "degree" not in batch else remove_points(batch | changed, ~visible)
 
 
-def _depth(xyz: np.ndarray, bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:
-    """Return how many times too far each point [P] seems: off by a factor, and in waves over bearing and distance."""
+def _depth_factor(xyz: np.ndarray, bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:
+    """Return the factor of each point's distance [P]: a constant times waves over bearing and distance."""
     factor = (1 + settings.depth_scale) ** rng.uniform(-1, 1)
     distance = 0.5 * np.log(np.square(xyz).sum(axis=1) + 1)
-    off = np.zeros_like(bearing)
+    waves = np.zeros_like(bearing)
     for _ in range(WAVES):
-        off += np.cos(int(rng.integers(0, 5)) * bearing + rng.uniform(-2, 2) * distance + rng.uniform(0, 2 * np.pi))
-    return np.float32(factor) * (1 + off * np.float32(settings.depth_waves / WAVES))
+        waves += np.cos(int(rng.integers(0, 5)) * bearing + rng.uniform(-2, 2) * distance + rng.uniform(0, 2 * np.pi))
+    return np.float32(factor) * (1 + waves * np.float32(settings.depth_waves / WAVES))
 
 
-def _mistaken(cls: np.ndarray, bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:
-    """Return the classes [P] with some taken for others on one side of a bearing, and some not seen at all."""
+def _confuse_classes(cls: np.ndarray, bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:
+    """Return the classes [P], some replaced by similar ones on one side of a bearing, and some by void."""
     table = np.arange(256, dtype=np.uint8)
-    for own, others in TAKEN_FOR.items():
+    for own, others in CONFUSED_WITH.items():
         if rng.random() < settings.confused:
             table[own] = rng.choice(others)
     side = (bearing - rng.uniform(-VIEW_RAD, VIEW_RAD)) * rng.choice([-1, 1]) > 0
     cls = np.where(side, table[cls], cls)
-    unseen = np.arange(256, dtype=np.uint8)
-    unseen[: c.COUNT][rng.random(c.COUNT) < settings.missing] = c.VOID
-    return unseen[cls]
+    missing = np.arange(256, dtype=np.uint8)
+    missing[: c.COUNT][rng.random(c.COUNT) < settings.missing] = c.VOID
+    return missing[cls]
 
 
-def _seen(bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:
-    """Return which points [P] remain: some are dropped, and none are seen in a sector that something hides."""
-    seen = rng.random(len(bearing), np.float32) >= rng.uniform(0, settings.dropped)
+def _visible(bearing: np.ndarray, settings: Noise, rng: np.random.Generator) -> np.ndarray:
+    """Return which points [P] remain: random ones are dropped, and all in a sector."""
+    visible = rng.random(len(bearing), np.float32) >= rng.uniform(0, settings.dropped)
     centre, width = rng.uniform(-VIEW_RAD, VIEW_RAD), np.deg2rad(rng.uniform(0, settings.hidden_deg))
-    return seen & (np.abs(bearing - centre) >= width / 2)
+    return visible & (np.abs(bearing - centre) >= width / 2)
 
 
-def without(batch: Batch, dropped: np.ndarray) -> Batch:
-    """Return a batch of kNN graphs without the points in `dropped` bool [N], nor the edges that end at one."""
-    kept, degree, indices = ~dropped, batch["degree"], batch["indices"]
-    entries = np.repeat(kept, degree) & kept[indices]
-    before = np.concatenate([[0], np.cumsum(entries)])  # of each entry, how many stay before it
+def remove_points(batch: Batch, removed: np.ndarray) -> Batch:
+    """Return a batch of kNN graphs without the points in `removed` bool [N] and their edges."""
+    remaining, degree, indices = ~removed, batch["degree"], batch["indices"]
+    entries = np.repeat(remaining, degree) & remaining[indices]
+    before = np.concatenate([[0], np.cumsum(entries)])  # remaining entries before each entry
     stops = np.cumsum(degree, dtype=np.int64)
     left = before[stops] - before[stops - degree]  # neighbours of each point
-    place = np.cumsum(kept, dtype=indices.dtype) - 1  # new number of each point that stays
+    place = np.cumsum(remaining, dtype=indices.dtype) - 1  # new number of each remaining point
     return batch | {
-        "xyz": batch["xyz"][kept],
-        "cls": batch["cls"][kept],
-        "ptr": np.concatenate([[0], np.cumsum(kept)])[batch["ptr"]],
-        "degree": left[kept].astype(degree.dtype),
+        "xyz": batch["xyz"][remaining],
+        "cls": batch["cls"][remaining],
+        "ptr": np.concatenate([[0], np.cumsum(remaining)])[batch["ptr"]],
+        "degree": left[remaining].astype(degree.dtype),
         "indices": place[indices[entries]],
     }

@@ -1,4 +1,4 @@
-"""The validation score, which decides which epoch is kept. All other judging is in pipeline/report/judge."""
+"""Errors of predictions. Training selects epochs by them; pipeline/report/judge computes all other figures."""
 
 import math
 
@@ -6,11 +6,11 @@ import numpy as np
 
 
 def mse(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> float:
-    """Return the mean squared error in rad² of predictions [N], or of S seeds' predictions [S,N] on average."""
+    """Return the mean squared error in rad² of predictions [N], or its mean over S seeds' predictions [S,N]."""
     return float(np.mean((predicted_rad - steering_rad) ** 2))
 
 
 def nmse(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> float:
-    """Return MSE / MSE of always predicting zero: 1 is useless, 0 perfect, NaN where every label is 0."""
+    """Return MSE / MSE of always predicting zero: 0 is perfect, 1 useless; NaN where each label is 0."""
     zero = mse(steering_rad, np.zeros_like(steering_rad))
     return mse(steering_rad, predicted_rad) / zero if zero > 0 else math.nan

@@ -1,6 +1,8 @@
-"""One training run, from its drives to its folder: best.pt, last.pt, config.json, curve.csv."""
+"""Train one run, from its drives to its folder: best.pt, last.pt, config.json, curve.csv."""
 
 import shutil
+import statistics
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,39 +18,41 @@ from pipeline.base.resume import file_hash, revision, stage_key
 from pipeline.fitting import checkpoint
 from pipeline.sections.train import Train
 from pipeline.train import fit, frames, predict, windows
-from pipeline.train.curve import kept_epoch, write_curve
+from pipeline.train.curve import selected_epoch, write_curve
 from pipeline.train.distributed import World
 from pipeline.train.runs import Run
 
-SMALL = 8_000  # points a frame
+SMALL = 8_000  # points per frame
 
 
 @dataclass(frozen=True)
 class Job:
-    """What all runs of a model share."""
+    """Inputs common to all runs of a model."""
 
     name: str
-    where: str  # its line stands, for messages
-    line: dict[str, Any]  # as resolved
+    where: str  # of its entry, for messages
+    line: dict[str, Any]  # its entry, resolved
     settings: Train
     variant: Path  # folder of graphs
     labels: Path
     splits: dict[str, str]  # drive → split
-    files: dict[str, list[str]]  # drive that is learned from → hashes of its files
-    kept: Path  # where runs keep what they have, for the next time
+    files: dict[str, list[str]]  # training or validation drive → hashes of its files
+    pending: Path  # folder for the states of interrupted runs
+
+    def read_drives(self, names: tuple[str, ...]) -> list[windows.Drive]:
+        """Read drives with targets for this model."""
+        line = self.line
+        return windows.read_drives(self.variant, self.labels, names, line["window"], line["horizon"], line["motion"])
 
 
 def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu") -> None:
-    """Fit one network, going on from what a killed process kept of it, and write its folder.
+    """Train one network, from an interrupted run's state if there is one, and write its folder.
 
-    Raises InputError: the network is not made for these graphs, or its loss is no longer finite; processes that share
-    the run have not the same code, settings or files.
+    Raises InputError: the network does not fit the graphs, the loss is not finite, or the processes of `world` differ
+    in code, settings or files.
     """
     line, settings, fold = job.line, job.settings, run.fold
-    train, val = (
-        windows.read_drives(job.variant, job.labels, drives, line["window"], line["horizon"], line["motion"])
-        for drives in (fold.train, fold.val)
-    )
+    train, val = job.read_drives(fold.train), job.read_drives(fold.val)
     contents = frames.contents(train[0].graphs)
     if torch.device(device).type == "cpu":
         torch.set_num_threads(threads(train[0].graphs))
@@ -56,7 +60,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     with error_context(where=job.where):
         net = steering_net.build(line, **contents)
     net.to(device, torch.float64 if settings.precision == "float64" else None)
-    determined_by = {
+    inputs = {
         "model": line,
         "train": settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
@@ -64,58 +68,58 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "fold": fold.name,
     }
     files = [digest for drive in fold.train + fold.val for digest in job.files[drive]]
-    key = stage_key("train", determined_by, files)
+    key = stage_key("train", inputs, files)
     if world.gather(key) != [key] * world.size:
         raise InputError(
-            f"{job.name}: the processes have not all the same code, settings, graphs and labels: bring the clones on "
-            "all machines to one state (git pull, dvc pull), and start again"
+            "processes differ in code, settings, graphs or labels", job.name, "Update all clones: git pull, dvc pull"
         )
-    state = job.kept / f"{key}.pt"
-    fitting = fit.Fit(net, steering_net.predict, line["window"], line["alpha"], settings, run.seed, world)
-    about = {
-        "name": job.name,
-        "contents": contents,
-        "target": vars(predict.Target.of(train)),
-        "revision": revision(),
-        **determined_by,
-    }
-    fitting.run(train, val, state, about, f"{job.name} {run}")
-    if world.leads:
-        more = {
+    state = job.pending / f"{key}.pt"
+    fitting = fit.Fit(net, line["window"], line["alpha"], settings, run.seed, world)
+    target = predict.Target.from_drives(train)
+    metadata = {"name": job.name, "contents": contents, "target": vars(target), "revision": revision(), **inputs}
+    fitting.run(train, val, state, metadata, f"{job.name} {run}")
+    if world.is_main:
+        figures = {
             "seeds": settings.seeds,
             "effective_frames": fit.effective_frames(train, line["alpha"]),
             "parameters": steering_net.parameter_count(net),
         }
-        _write(run.folder, fitting, state, about, more)
+        _write(run.folder, fitting, state, metadata, figures)
 
 
 def threads(graphs: Path) -> int:
-    """Return how many threads help to train on frames as in a graph file.
+    """Return the number of threads for training on frames as in a graph file.
 
-    On few points a second thread has next to nothing to do, and where another process has its core, each of a step's
-    hundreds of small operations waits for it. One thread's sums are the same on any machine, besides.
+    With few points a second thread has little to do, and slows each of a step's hundreds of small operations where
+    another process uses its core. One thread's sums are also the same on each machine.
     """
     with frames.open_graphs(graphs) as file:
         return 1 if 0 < file.points_per_frame < SMALL else torch.get_num_threads()
 
 
-def ms_per_frame(run: Run, job: Job, device: torch.device | str) -> float:
-    """Return the time in which a finished run's network encodes a frame, in ms.
+def encode_ms(run: Run, job: Job, device: torch.device | str) -> float:
+    """Return the median time to encode a frame with a trained network, in ms. Call it when nothing else runs."""
+    net, window = predict.load(run.folder, device).net, job.line["window"]
+    drives = job.read_drives(run.fold.val or run.fold.train)
+    groups = [[span] for span in windows.spans(drives, window, predict.WINDOWS)][:6]
+    times = []
+    with torch.inference_mode():
+        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
+            started = time.perf_counter()
+            net.encode(net.frames(batch)).cpu()  # waits for the device
+            times.append((time.perf_counter() - started) / (span.stop - span.start))
+    return 1e3 * statistics.median(times[1:] or times)  # the first batch is a warm-up
 
-    To be measured when nothing trains beside it, and by training, so that stage evaluate has no clock in its files.
-    """
-    line, fold = job.line, run.fold
-    drives = [windows.read_drive(job.variant, job.labels, name) for name in fold.val or fold.train]
-    return predict.ms_per_frame(predict.load(run.folder, device).net, steering_net.encode, drives, line["window"])
 
-
-def _write(folder: Path, fitting: fit.Fit, state: Path, about: Mapping[str, Any], more: Mapping[str, Any]) -> None:
-    """Write a finished run's files; `state` is what its last epoch left."""
-    best = kept_epoch(fitting.curve, fitting.settings.keep)
+def _write(
+    folder: Path, fitting: fit.Fit, state: Path, metadata: Mapping[str, Any], figures: Mapping[str, Any]
+) -> None:
+    """Write a run's files; `state` was written after its last epoch."""
+    best = selected_epoch(fitting.curve, fitting.settings.keep)
     with replacing(folder / "last.pt") as tmp:
         shutil.copyfile(state, tmp)
-    checkpoint.write(folder / "best.pt", {**about, "kind": predict.KIND, "epoch": best, "net": fitting.best})
+    checkpoint.write(folder / "best.pt", {**metadata, "kind": predict.KIND, "epoch": best, "net": fitting.best})
     write_curve(folder / "curve.csv", fitting.curve)
-    # Last: a run that is killed before it leaves a pair that is refused, and mended as it goes on.
-    figures = {"best_epoch": best, "best_sha256": file_hash(folder / "best.pt"), "epochs": len(fitting.curve)}
-    store.write_json(folder / "config.json", {**about, **figures, **more})
+    # Last: after a kill before this, best.pt and the earlier config.json are refused as a pair until the run completes.
+    summary = {"best_epoch": best, "best_sha256": file_hash(folder / "best.pt"), "epochs": len(fitting.curve)}
+    store.write_json(folder / "config.json", {**metadata, **summary, **figures})

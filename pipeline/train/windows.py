@@ -1,13 +1,13 @@
-"""From graph files and labels to batches: runs of consecutive frames whose windows share their frames.
+"""Read graph files and labels as batches: spans of consecutive frames with overlapping windows.
 
-A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last one, by number: of
-that frame the labels alone must say something. A span is a run of consecutive frames that is read and encoded once; all
-its windows are unfolded from the embeddings.
+A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last frame; that frame
+needs a label but no graph. A span is a run of consecutive frames that is read and encoded once for all its windows.
 Frames are consecutive by KITTI frame number, never by position: a missing frame ends a run.
 """
 
+from collections import defaultdict
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -20,50 +20,50 @@ from pipeline.base.errors import InputError
 from pipeline.train import frames
 
 Batch = dict[str, np.ndarray]
-"""The input of a network, as arrays. B frames, W windows of T frames: the frames as in pipeline/train/frames.py;
-windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the frame before), base_rad float32
-[W] (the angle to which the network's answer is added, of the window's last frame).
+"""Input of a network as arrays. B frames, W windows of T frames. Frames as in pipeline/train/frames.py;
+windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base_rad float32
+[W] (angle of the window's last frame to which the network's output is added).
 With motion: motion float32 [B,4], columns MOTION.
-With targets: steering_rad float32 [W] and valid bool [W], of the frame `horizon` after each window's last one."""
+With targets: steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame."""
 MOTION = ("measured_rad", "yaw_rate_radps", "speed_mps", "valid")
-"""What a network with motion is told of a frame: the measured steering angle, which is `base_rad` as well; the motion
-since the frame before; whether that is measured. The first two change sign in the mirror, the others do not."""
+"""Motion since the previous frame: the measured steering angle (also `base_rad`), yaw rate, speed, and whether it was
+measured. The first two change sign under mirroring."""
 
 
 @dataclass(frozen=True)
 class Car:
-    """What makes a steering angle of a car's motion: of section labels, as the labels are made of it."""
+    """Parameters of the steering angle, from section labels."""
 
     wheelbase_m: float
     min_speed_mps: float
 
     @classmethod
-    def of(cls, labels: store.DriveReader) -> "Car":
+    def from_labels(cls, labels: store.DriveReader) -> "Car":
         section = labels.params["labels"]
         return cls(section["wheelbase_m"], section["min_speed_mps"])
 
     def measured_angle(self, motion: frames.Motion) -> np.ndarray:
-        """Return the steering angle of measured motion, float64 [G] in rad, held where nothing is measured."""
+        """Return the steering angle of measured motion, float64 [G] rad; the last valid one where nothing is valid."""
         return label.measured_angle(*motion, self.wheelbase_m, self.min_speed_mps)
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """The frames of a graph file in time, by row. G frames."""
+    """Times and motion of a graph file's G frames, by row."""
 
     graphs: Path
     frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
     time_s: np.ndarray  # float64 [G]
-    dt_s: np.ndarray  # float32 [G], time since the frame before; nominal at the start of a run
+    dt_s: np.ndarray  # float32 [G], time since the previous frame; nominal at the start of a run
     runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
     base_rad: np.ndarray  # float64 [G], the measured steering angle; 0 without motion
-    motion: np.ndarray | None  # float32 [G,4], columns MOTION; None without
+    motion: np.ndarray | None  # float32 [G,4], columns MOTION; None without motion
 
     @classmethod
-    def of(cls, graphs: frames.Graphs, motion: str = "none", car: Car | None = None) -> "Timeline":
-        """Read the times of an open graph file, and the motion that a model's line asks for, of this `car`.
+    def read(cls, graphs: frames.Graphs, motion: str = "none", car: Car | None = None) -> "Timeline":
+        """Read the times of an open graph file, and motion of kind `motion` of a `car`.
 
-        Raises InputError if the file does not carry it.
+        Raises InputError if the file has no motion of this kind.
         """
         from models.steering.core.recurrent import NOMINAL_STEP_S
 
@@ -72,37 +72,37 @@ class Timeline:
         dt_s[[start for start, _ in runs]] = NOMINAL_STEP_S
         base_rad, columns = np.zeros(len(graphs.frame)), None
         if motion != "none":
-            assert car is not None, "an angle needs a wheelbase"
+            assert car is not None, "the steering angle needs a wheelbase"
             measured = graphs.motion(motion)
             base_rad = car.measured_angle(measured)
             columns = np.stack([base_rad, *measured], axis=1).astype(np.float32)
         return cls(graphs.path, graphs.frame, graphs.time_s, dt_s.astype(np.float32), runs, base_rad, columns)
 
-    def rows_of(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Return the rows of frame `numbers`. Raises InputError naming the first that the file does not hold."""
+    def rows(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return the rows of frame `numbers`. Raises InputError for the first number that is not in the file."""
         numbers = np.asarray(numbers)
         unknown = numbers[~np.isin(numbers, self.frame)]
         if len(unknown):
-            held = f"{len(self.frame)} frames, {self.frame[0]} to {self.frame[-1]}" if len(self.frame) else "none"
-            raise InputError(f"{self.graphs} has no frame {unknown[0]}: it holds {held}")
+            found = f"{len(self.frame)} frames, {self.frame[0]} to {self.frame[-1]}" if len(self.frame) else "none"
+            raise InputError(f"no frame {unknown[0]} (found: {found})", self.graphs)
         return np.searchsorted(self.frame, numbers)
 
 
 @dataclass(frozen=True)
 class Drive(Timeline):
-    """A drive's frames with what is to be predicted there, of the frame `horizon` after each, [G] each."""
+    """A drive's frames with their targets, `horizon` frames after each; arrays [G]."""
 
     name: str
-    empty: bool  # no frame of it holds a point
+    empty: bool  # no frame has a point
     labels: Path
     horizon: int
     car: Car
-    steering_rad: np.ndarray  # float64, NaN where that frame has no label
-    curvature_1pm: np.ndarray  # float64, likewise
-    valid: np.ndarray  # bool; False where that frame has no label
+    steering_rad: np.ndarray  # float64, NaN without a label
+    curvature_1pm: np.ndarray  # float64, NaN without a label
+    valid: np.ndarray  # bool; False without a label
     speed_mps: np.ndarray  # float64, at the frame itself
-    held_rad: np.ndarray  # float64, the last valid label, before the target frame, that the frame itself may know; or 0
-    # Kind of motion that the file carries → float64, the measured angle; NaN if no frame is measured, as without scans.
+    held_rad: np.ndarray  # float64, last valid label before the target and not after the frame itself; or 0
+    # Kind of motion in the file → float64, the measured angle; NaN if no frame is measured, as without scans.
     measured_rad: dict[str, np.ndarray]
 
 
@@ -120,56 +120,62 @@ def read_drives(
 ) -> list[Drive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
-    `window`, `horizon` and `motion` as in a model's line. Raises InputError as :func:`read_drive`, or if all together
-    have a :func:`fault`.
+    Raises InputError as :func:`read_drive`, or a :func:`target_fault`.
     """
     drives = [read_drive(graphs, labels, name, horizon, motion) for name in names]
-    if names and (what := fault(drives, window)):
-        raise InputError(what)
+    if names and (fault := target_fault(drives, window)):
+        raise fault
     return drives
 
 
-def fault(drives: Sequence[Drive], window: int) -> str | None:
-    """Return why nothing can be learned of `drives`, or judged by them: no point, no window with a target, no bend."""
+def target_fault(drives: Sequence[Drive], window: int) -> InputError | None:
+    """Return why drives can neither train nor evaluate a network: no point, no window with a target, all labels 0."""
     names = ", ".join(drive.name for drive in drives)
-    seen = [drive for drive in drives if not drive.empty]
-    if not seen and any(len(drive.frame) for drive in drives):
-        return f"{drives[0].graphs.parent}: no point in any frame of {names}: widen the variant's crop_m, or add drives"
-    if not any(_has_target(drive, window) for drive in seen):
-        runs = [stop - start for drive in drives for start, stop in drive.runs]
-        where = f"{drives[0].horizon} frames after its end" if drives[0].horizon else "at its end"
-        return (
-            f"{drives[0].graphs.parent}: no window of {window} consecutive frames with a valid label {where} in "
-            f"{names} (longest run: {max(runs, default=0)} frames): use a smaller window, other drives or another input"
+    filled = [drive for drive in drives if not drive.empty]
+    graphs, labels, horizon = drives[0].graphs.parent, drives[0].labels.parent, drives[0].horizon
+    if not filled and any(len(drive.frame) for drive in drives):
+        return InputError(f"no point in any frame of {names}", graphs, "Widen the variant's crop_m or add drives")
+    if not any(drive.valid[start + window - 1 : stop].any() for drive in filled for start, stop in drive.runs):
+        longest = max((stop - start for drive in drives for start, stop in drive.runs), default=0)
+        where = f"{horizon} frames after its end" if horizon else "at its end"
+        return InputError(
+            f"no window of {window} consecutive frames with a valid label {where} in {names} (longest run: {longest} "
+            "frames)",
+            graphs,
+            "Use a smaller window, other drives or another input",
         )
     if not any(drive.steering_rad[drive.valid].any() for drive in drives):
-        return f"{drives[0].labels.parent}: every valid label of {names} is 0, nothing to learn or judge: add drives"
+        return InputError(f"each valid label of {names} is 0", labels, "Add drives with bends")
     return None
 
 
 def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: str = "none") -> Drive:
-    """Read one drive's labels; arguments as of :func:`read_drives`.
+    """Read one drive's labels.
 
-    Raises InputError if a label is missing, or if the motion is: the file does not carry it, or the drive moves and no
-    frame of it is measured.
+    Args:
+        graphs, labels: folders of the graph variant and of the labels.
+        horizon, motion: as in a model's entry.
+    Raises:
+        InputError: a label is missing, the file has no such motion, or the car drives and no frame is measured.
     """
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
     with frames.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
         row_of = {int(number): row for row, number in enumerate(truth.frame)}
         missing = [int(number) for number in file.frame if int(number) not in row_of]
         if missing:
-            raise InputError(f"{labels} has no label for frame {missing[0]} of {graphs}: rebuild both with dvc repro")
+            raise InputError(f"no label for frame {missing[0]} of {graphs}", labels, "Make both again: dvc repro")
         here = np.array([row_of[int(number)] for number in file.frame], np.int64)
         ahead = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
-        steering_rad, valid, car = truth["steering_rad"], truth["valid"].astype(bool), Car.of(truth)
+        steering_rad, valid, car = truth["steering_rad"], truth["valid"].astype(bool), Car.from_labels(truth)
         measured = {kind: file.motion(kind).valid.any() for kind in file.motions}
         if valid[here].any() and not measured.get(motion, True):
             raise InputError(
-                f"{graphs}: motion: {motion} is measured in no frame (lidar takes scans, visual takes images): "
-                f"leave {name} out of ingest.drives, or choose another motion"
+                f"motion: {motion} is not measured in any frame (lidar needs scans, visual needs images)",
+                graphs,
+                f"Remove {name} from ingest.drives or choose another motion",
             )
         return Drive(
-            **vars(Timeline.of(file, motion, car)),
+            **vars(Timeline.read(file, motion, car)),
             name=name,
             empty=file.empty,
             labels=labels,
@@ -179,38 +185,34 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
             curvature_1pm=np.where(ahead >= 0, truth["curvature_1pm"][ahead], np.nan),
             valid=(ahead >= 0) & valid[ahead],
             speed_mps=truth["speed_mps"][here],
-            held_rad=_held(steering_rad[here], valid[here], known=horizon > 0),
+            held_rad=_hold(steering_rad[here], valid[here], own=horizon > 0),
             measured_rad={
-                kind: car.measured_angle(file.motion(kind)) if known else np.full(len(here), np.nan)
-                for kind, known in measured.items()
+                kind: car.measured_angle(file.motion(kind)) if any_valid else np.full(len(here), np.nan)
+                for kind, any_valid in measured.items()
             },
         )
 
 
-def _held(steering_rad: np.ndarray, valid: np.ndarray, known: bool) -> np.ndarray:
-    """Return for each frame [F] of a drive the last valid label before it, or its own if that is `known`; else 0."""
+def _hold(steering_rad: np.ndarray, valid: np.ndarray, own: bool) -> np.ndarray:
+    """Return for each frame [F] of a drive the last valid label before it, or up to its `own`; else 0."""
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    last = last if known else np.concatenate([[-1], last])[: len(valid)]
+    last = last if own else np.concatenate([[-1], last])[: len(valid)]
     return np.where(last >= 0, steering_rad[last], 0.0)
 
 
 def consecutive(frame: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """Return the runs [start, stop) of rows whose frame numbers [G] follow each other without a gap."""
+    """Return the runs [start, stop) of rows with consecutive frame numbers [G]."""
     if not len(frame):
         return ()
     edges = [0, *(np.flatnonzero(np.diff(frame) != 1) + 1).tolist(), len(frame)]
     return tuple(pairwise(edges))
 
 
-def _has_target(drive: Drive, window: int) -> bool:
-    return any(drive.valid[start + window - 1 : stop].any() for start, stop in drive.runs)
-
-
 def random_spans(drives: Sequence[Drive], window: int, windows: int, rng: np.random.Generator) -> list[Span]:
-    """Cut all runs into spans of at most `windows` windows of `window` frames; each window is in one span.
+    """Split all runs into spans of at most `windows` windows of `window` frames; each window is in one span.
 
-    Spans start at a random phase and come in random order, so that no two epochs batch alike. Spans without a valid
-    target are left out.
+    Spans start at a random phase and are shuffled, so that epochs have different batches. Spans without a valid target
+    are left out.
     """
     spans = []
     for number, drive in enumerate(drives):
@@ -226,12 +228,12 @@ def random_spans(drives: Sequence[Drive], window: int, windows: int, rng: np.ran
 def spans(
     timelines: Sequence[Timeline], window: int, windows: int, rows: Sequence[np.ndarray] | None = None
 ) -> list[Span]:
-    """Return, in order, the spans of at most `windows` windows that hold each whole window once.
+    """Return spans of at most `windows` windows that cover each complete window once, in order.
 
-    With `rows`, int [..] of each timeline, only what windows need that end there: windows that share or adjoin frames
-    share a span, and frames that no window needs are in none.
+    With `rows`, int [..] per timeline, only windows that end there: those that share or adjoin frames share a span, and
+    other frames are in none.
     """
-    cut: list[Span] = []
+    result: list[Span] = []
     for number, timeline in enumerate(timelines):
         wanted = np.ones(len(timeline.frame), bool) if rows is None else np.zeros(len(timeline.frame), bool)
         if rows is not None:
@@ -241,11 +243,11 @@ def spans(
             span: Span | None = None
             for end in (row for row in ends if wanted[row]):
                 if span and end - window + 1 <= span.stop and end - (span.start + window - 1) < windows:
-                    span = cut[-1] = Span(number, span.start, end + 1)
+                    span = result[-1] = Span(number, span.start, end + 1)
                 else:
                     span = Span(number, end - window + 1, end + 1)
-                    cut.append(span)
-    return cut
+                    result.append(span)
+    return result
 
 
 def batches(
@@ -254,49 +256,34 @@ def batches(
     window: int,
     opened: Mapping[int, frames.Graphs] | None = None,
 ) -> Generator[Batch]:
-    """Read each group of spans as one batch without targets.
+    """Read each group of spans as one batch, with targets if the timelines are drives.
 
-    Files stay open while the iterator lives; those of the timelines whose numbers are in `opened` are open already.
+    Files stay open while the iterator lives. `opened`: timeline number → its file, if already open.
     """
     files = dict(opened or {})
-    with ExitStack() as opening:
+    with ExitStack() as stack:
         for group in groups:
             for number in {span.drive for span in group} - files.keys():
-                files[number] = opening.enter_context(frames.open_graphs(timelines[number].graphs))
+                files[number] = stack.enter_context(frames.open_graphs(timelines[number].graphs))
             read = frames.concatenate([files[span.drive].read(span.start, span.stop) for span in group])
             yield read | _windows(timelines, group, window)
 
 
-def examples(
-    drives: Sequence[Drive],
-    groups: Sequence[Sequence[Span]],
-    window: int,
-    opened: Mapping[int, frames.Graphs] | None = None,
-) -> Generator[Batch]:
-    """Read each group of spans as one batch with targets, as :func:`batches` does."""
-    with closing(batches(drives, groups, window, opened)) as read:
-        for group, batch in zip(groups, read, strict=True):
-            ends = [(drives[span.drive], slice(span.start + window - 1, span.stop)) for span in group]
-            steering_rad = np.concatenate([drive.steering_rad[rows] for drive, rows in ends])
-            valid = np.concatenate([drive.valid[rows] for drive, rows in ends])
-            # What has no label weighs nothing, but nothing times NaN is NaN.
-            yield batch | {"steering_rad": np.nan_to_num(steering_rad).astype(np.float32), "valid": valid}
-
-
 def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) -> Batch:
-    windows, dt_s, base_rad, motion, before = [], [], [], [], 0  # frames of the batch before the span
+    columns: dict[str, list[np.ndarray]] = defaultdict(list)
+    before = 0  # frames of the batch before the span
     for span in group:
-        timeline, rows = timelines[span.drive], slice(span.start, span.stop)
-        of_windows = np.arange(span.stop - span.start - window + 1)[:, None] + np.arange(window)  # [W,T]
-        windows.append(of_windows + before)
-        dt_s.append(timeline.dt_s[rows][of_windows])
-        base_rad.append(timeline.base_rad[rows][window - 1 :])
+        timeline = timelines[span.drive]
+        rows, ends = slice(span.start, span.stop), slice(span.start + window - 1, span.stop)
+        own = np.arange(span.stop - span.start - window + 1)[:, None] + np.arange(window)  # [W,T]
+        columns["windows"].append(own + before)
+        columns["dt_s"].append(timeline.dt_s[rows][own])
+        columns["base_rad"].append(timeline.base_rad[ends].astype(np.float32))
         if timeline.motion is not None:
-            motion.append(timeline.motion[rows])
+            columns["motion"].append(timeline.motion[rows])
+        if isinstance(timeline, Drive):
+            # Targets without a label have weight 0, but 0 × NaN is NaN.
+            columns["steering_rad"].append(np.nan_to_num(timeline.steering_rad[ends]).astype(np.float32))
+            columns["valid"].append(timeline.valid[ends])
         before += span.stop - span.start
-    batch = {
-        "windows": np.concatenate(windows),
-        "dt_s": np.concatenate(dt_s),
-        "base_rad": np.concatenate(base_rad).astype(np.float32),
-    }
-    return batch | ({"motion": np.concatenate(motion)} if motion else {})
+    return {name: np.concatenate(parts) for name, parts in columns.items()}

@@ -1,4 +1,4 @@
-"""Small graphs that are as irregular as real ones: unequal frames, an empty one, lonely nodes."""
+"""Small irregular graphs: unequal frames, empty frames, nodes without neighbours."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.core import steering_net
-from models.steering.core.batch import GraphBatch, SetBatch
+from models.steering.core import network_file
+from models.steering.core.batch import GraphBatch, SetBatch, from_arrays
 from pipeline.graphs import neighbourhoods
 from pipeline.train import frames
 
@@ -18,10 +18,10 @@ MakeLine = Callable[..., dict[str, object]]
 
 @pytest.fixture
 def make_batch() -> MakeBatch:
-    """make_batch([points per frame], seed=0) → random symmetric graphs without edges between frames, xyz in float64."""
+    """make_batch([points per frame]) → random symmetric graphs without edges between frames, xyz in float64."""
 
-    def make(counts: list[int], seed: int = 0) -> GraphBatch:
-        generator = torch.Generator().manual_seed(seed)
+    def make(counts: list[int]) -> GraphBatch:
+        generator = torch.Generator().manual_seed(0)
         nodes = sum(counts)
         ptr = torch.tensor([0, *counts]).cumsum(0)
         frame = torch.arange(len(counts)).repeat_interleave(torch.tensor(counts))
@@ -39,7 +39,7 @@ def make_batch() -> MakeBatch:
 
 @pytest.fixture
 def make_sets() -> MakeSets:
-    """make_sets([points per frame], only=None) → two levels of neighbourhoods; `only`: that frame alone."""
+    """make_sets([points per frame], only=None) → two levels of neighbourhoods; `only`: this frame alone."""
 
     def frame(count: int, seed: int) -> frames.Arrays:
         rng = np.random.default_rng(seed)
@@ -52,8 +52,10 @@ def make_sets() -> MakeSets:
         return arrays
 
     def make(counts: list[int], only: int | None = None) -> SetBatch:
-        made = [frame(count, seed) for seed, count in enumerate(counts)]
-        return SetBatch.of_arrays(frames.concatenate(made if only is None else made[only : only + 1]))
+        parts = [frame(count, seed) for seed, count in enumerate(counts)]
+        batch = from_arrays(frames.concatenate(parts if only is None else parts[only : only + 1]))
+        assert isinstance(batch, SetBatch)
+        return batch
 
     return make
 
@@ -63,24 +65,20 @@ SMALL: dict[str, object] = {
     "semantics": 1.0,
     "width": 0.125,
     "units": 7,
-    "wiring": {
-        "inter": 8,
-        "command": 5,
-        "sensory_fanout": 3,
-        "inter_fanout": 2,
-        "recurrent_command_synapses": 4,
-        "motor_fanin": 3,
-    },
+    "wiring": {"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2, "motor_fanin": 3},
 }
 
 
 @pytest.fixture
 def make_line() -> MakeLine:
-    """make_line(spatial="gnn", temporal="ncp", key=value, …) → a small model's line of params.yaml."""
+    """make_line(spatial="gnn", temporal="ncp", key=value, …) → a small model's entry of params.yaml."""
 
     def make(spatial: str = "gnn", temporal: str = "ncp", **changes: object) -> dict[str, object]:
-        line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": 4, "equivariant": False}
-        knobs = steering_net.knobs(line)
-        return line | {"features": 8} | {key: SMALL[key] for key in knobs if key in SMALL} | changes
+        line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": 4, "features": 8}
+        known = {
+            *network_file.load("spatial", spatial).model_fields,
+            *network_file.load("temporal", temporal).model_fields,
+        }
+        return line | {"equivariant": False} | {key: SMALL[key] for key in SMALL if key in known} | changes
 
     return make

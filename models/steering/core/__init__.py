@@ -1,1 +1,1 @@
-"""What all steering networks share."""
+"""Code shared by the steering networks."""

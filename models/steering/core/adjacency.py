@@ -1,4 +1,4 @@
-"""The matrix of a graph convolution (paper eq. 3; Kipf and Welling 2017), and the product with it."""
+"""Normalised adjacency matrix of a graph convolution (paper eq. 3; Kipf and Welling 2017) and its product."""
 
 import warnings
 from typing import Any
@@ -11,11 +11,11 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
     """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix.
 
     Args:
-        degree: [N], neighbours per node; no node is its own neighbour.
+        degree: [N], neighbours per node, the node itself excluded.
         indices: int32 or int64 [E], neighbours of node 0, of node 1, …; symmetric: if j is in i's list, i is in j's.
         dtype: of the values.
     Returns:
-        [N,N] with E + N entries; in each row the diagonal comes first, then the neighbours as given.
+        [N,N] with E + N entries; in each row the diagonal first, then the neighbours in the given order.
     """
     nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
     node = torch.arange(nodes, dtype=indices.dtype, device=device)
@@ -38,12 +38,12 @@ def propagate(adjacency: Tensor, x: Tensor) -> Tensor:
 
 
 class _SymmetricProduct(torch.autograd.Function):
-    """A @ x whose gradient is A @ gradient, since A = Aᵀ: torch's own would transpose the matrix each time."""
+    """A @ x with the gradient A @ gradient, since A = Aᵀ; torch's own backward would transpose A each time."""
 
     @staticmethod
     def forward(ctx: Any, matrix: Tensor, x: Tensor) -> Tensor:
         ctx.matrix = matrix
-        with torch.autocast(x.device.type, enabled=False):  # no half-precision sparse product in torch
+        with torch.autocast(x.device.type, enabled=False):  # torch has no half-precision sparse product
             return matrix @ x
 
     @staticmethod
@@ -51,7 +51,7 @@ class _SymmetricProduct(torch.autograd.Function):
         return None, propagate(ctx.matrix, gradient)
 
 
-def rows_of(matrix: Tensor, first: int, last: int) -> Tensor:
+def csr_rows(matrix: Tensor, first: int, last: int) -> Tensor:
     """Return rows [first, last) of a sparse CSR matrix, without copying its entries."""
     starts = matrix.crow_indices()[first : last + 1]
     entries = slice(*starts[[0, -1]].tolist())

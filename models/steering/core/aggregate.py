@@ -1,4 +1,4 @@
-"""What nodes learn from their neighbours where that is no matrix product, without ever holding a row per edge."""
+"""Aggregate functions of neighbours that are not a matrix product, without storing a row per edge."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,18 +7,18 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-EDGES = 1 << 14  # per chunk: at 64 channels its rows are 4 MB in float32, which a core's cache nearly holds
+EDGES = 1 << 14  # per chunk: at 64 channels 4 MB in float32, about a core's cache
 Chunks = list[tuple[Tensor, Tensor]]
-"""(node numbers [n], their neighbours' numbers [n,d]) of nodes with equally many neighbours."""
+"""(node numbers [n], their neighbours' numbers [n,d]) of nodes with d neighbours each."""
 
 
 def neighbourhoods(degree: Tensor, indices: Tensor, *, loops: bool) -> Chunks:
-    """Cut a graph in chunks of about EDGES edges.
+    """Split a graph into chunks of about EDGES edges.
 
     Args:
         degree: [N], neighbours per node.
         indices: int32 or int64 [E], neighbours of node 0, of node 1, …
-        loops: whether each node counts as its own first neighbour. Without, lonely nodes are in no chunk.
+        loops: add each node as its own first neighbour. Otherwise nodes without neighbours are in no chunk.
     """
     starts = degree.long().cumsum(0) - degree.long()
     chunks: Chunks = []
@@ -35,11 +35,11 @@ def neighbourhoods(degree: Tensor, indices: Tensor, *, loops: bool) -> Chunks:
 
 
 def aggregate(function: Callable[..., Tensor], chunks: Chunks, x: Tensor, own: Tensor, *shared: Tensor) -> Tensor:
-    """Apply `function` to each node's neighbours: memory grows with nodes, not with edges.
+    """Apply `function` to each node's neighbours; memory grows with nodes, not with edges.
 
     Args:
-        function: (x of the neighbours [n,d,C], `own` of the nodes [n,C], *shared) → [n,C]; run again for gradients.
-        chunks: of `neighbourhoods`.
+        function: (x of the neighbours [n,d,C], `own` of the nodes [n,C], *shared) → [n,C]; runs again in backward.
+        chunks: from `neighbourhoods`.
         x, own: [N,C]
         shared: parameters of `function`.
     Returns:
@@ -50,7 +50,7 @@ def aggregate(function: Callable[..., Tensor], chunks: Chunks, x: Tensor, own: T
 
 
 class _Aggregate(torch.autograd.Function):
-    """One gather per chunk, and again in backward; gradients add up in place, on a CPU in a fixed order."""
+    """One gather per chunk, repeated in backward; gradients add up in place, in a fixed order on a CPU."""
 
     @staticmethod
     def forward(
@@ -59,7 +59,7 @@ class _Aggregate(torch.autograd.Function):
         ctx.function, ctx.chunks = function, chunks
         ctx.save_for_backward(x, own, *shared)
         out = torch.zeros_like(own)
-        with torch.autocast(x.device.type, enabled=False):  # backward runs outside of it and must see the same numbers
+        with torch.autocast(x.device.type, enabled=False):  # backward runs outside of it
             for nodes, neighbours in chunks:
                 out[nodes] = function(_rows(x, neighbours), own[nodes], *shared)
         return out
@@ -68,17 +68,17 @@ class _Aggregate(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         x, own, *shared = ctx.saved_tensors
-        of_x, of_own, *of_shared = (torch.zeros_like(tensor) for tensor in (x, own, *shared))
+        grad_x, grad_own, *grad_shared = (torch.zeros_like(tensor) for tensor in (x, own, *shared))
         for nodes, neighbours in ctx.chunks:
             pieces = [piece.detach().requires_grad_() for piece in (_rows(x, neighbours), own[nodes], *shared)]
             with torch.enable_grad(), torch.autocast(x.device.type, enabled=False):
                 out = ctx.function(*pieces)
-            of_rows, of_nodes, *of_parameters = torch.autograd.grad(out, pieces, gradient[nodes])
-            of_x.index_add_(0, neighbours.flatten(), of_rows.flatten(0, 1))
-            of_own[nodes] = of_nodes
-            for total, part in zip(of_shared, of_parameters, strict=True):
+            grad_rows, grad_nodes, *grad_parameters = torch.autograd.grad(out, pieces, gradient[nodes])
+            grad_x.index_add_(0, neighbours.flatten(), grad_rows.flatten(0, 1))
+            grad_own[nodes] = grad_nodes
+            for total, part in zip(grad_shared, grad_parameters, strict=True):
                 total += part
-        return None, None, of_x, of_own, *of_shared
+        return None, None, grad_x, grad_own, *grad_shared
 
 
 def _rows(x: Tensor, neighbours: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Graph convolutions of whole frames on a CPU, tile by tile of points: what is worked on stays in a core's cache."""
+"""Graph convolutions of complete frames on a CPU, in tiles of points that fit a core's cache."""
 
 from collections.abc import Sequence
 from itertools import pairwise, starmap
@@ -8,61 +8,61 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from models.steering.core.adjacency import normalised_adjacency, rows_of
+from models.steering.core.adjacency import csr_rows, normalised_adjacency
 from models.steering.core.batch import GraphBatch
 from models.steering.core.features import mean_max_pool, node_features
 
-TILE = 2048  # points; with 64 channels and two sides 1 MB in float32
+TILE = 2048  # points; with 64 channels and two versions 1 MB in float32
 
 
-def convolved(batch: GraphBatch, semantics: float, sides: int, parameters: Sequence[Tensor]) -> Tensor:
-    """Node features → graph convolutions (paper eq. 3) with ReLU → mean ‖ max over each frame's points.
+def convolve(batch: GraphBatch, semantics: float, versions: int, parameters: Sequence[Tensor]) -> Tensor:
+    """Apply graph convolutions (paper eq. 3) with ReLU to the node features, and pool: mean ‖ max over each frame.
 
-    S `sides` of the world go side by side. They share the graph and the first layer's sparse product, whose weight is
-    as wide as all of them; a later layer has one weight for all, and its sparse product, S times as wide, reads the
-    graph's indices once. A row is a point, [n, S C], or seen otherwise a side of a point, [n S, C].
+    S `versions` of the node features are convolved together (original and mirrored). They share the graph and the first
+    layer's sparse product, its weight is S times as wide. A later layer has one weight for all versions, and its sparse
+    product, S times as wide, reads the graph's indices once. The same array is viewed as [n, S C] and as [n S, C].
 
     Args:
         semantics: λ of node_features.
         parameters: weight and bias of each layer: [25, S C], [S C], then [C, C'], [C'], …
     Returns:
-        [B, S, 2C]. There is no gradient of the points' places.
+        [B, S, 2C]. Without a gradient for the points' positions.
     """
     pooled: Tensor = _Convolutions.apply(batch, semantics, *parameters)  # type: ignore[no-untyped-call]
-    return pooled.view(batch.frames, 2, sides, -1).transpose(1, 2).flatten(2)
+    return pooled.view(batch.frames, 2, versions, -1).transpose(1, 2).flatten(2)
 
 
 class _Block(NamedTuple):
-    """What is kept of a block of b frames for the gradients.
+    """Values of a block of b frames that backward needs.
 
-    What a layer hears is Â H. Its answer is one dense product away, and cheaper to work out again than to write down
-    and to read.
+    A layer's input is Â H. Its output is one dense product away, which is cheaper to repeat than to store and read.
     """
 
     tiles: list[tuple[slice, Tensor]]  # rows, and these rows of the adjacency matrix, sparse [rows, n]
-    heard: list[list[Tensor]]  # by layer, by tile: [rows S, C]; of the first layer [rows, 25]
+    inputs: list[list[Tensor]]  # by layer, by tile: [rows S, C]; first layer [rows, 25]
     frames: list[slice]  # rows of each
     top: Tensor  # [b, S C], the maximum over a frame's points
-    ties: Tensor  # [b, S C], how many points have it
+    ties: Tensor  # [b, S C], number of points with the maximum
 
-    def of_points(self, rows: slice, answer: Tensor, of_pooled: Tensor) -> Tensor:
-        """Return the gradient of the last layer's answer on these rows, [rows, S C], from that of mean ‖ max [b,2SC].
+    def pooling_gradient(self, rows: slice, output: Tensor, grad_pooled: Tensor) -> Tensor:
+        """Return the gradient of the last layer's output on `rows` [rows, S C], from that of mean ‖ max [b,2SC].
 
-        Equal maxima share it.
+        Equal maxima share the gradient.
         """
-        gradient = torch.empty_like(answer)
-        of_mean, of_max = of_pooled.chunk(2, dim=1)
-        of_max = of_max / self.ties
-        for frame, its in enumerate(self.frames):
-            part = slice(max(its.start, rows.start) - rows.start, min(its.stop, rows.stop) - rows.start)
+        gradient = torch.empty_like(output)
+        grad_mean, grad_max = grad_pooled.chunk(2, dim=1)
+        grad_max = grad_max / self.ties
+        for number, frame in enumerate(self.frames):
+            part = slice(max(frame.start, rows.start) - rows.start, min(frame.stop, rows.stop) - rows.start)
             if part.start < part.stop:
-                top = _reaches(answer[part], self.top[frame])
-                torch.addcmul(of_mean[frame] / (its.stop - its.start), top, of_max[frame], out=gradient[part])
+                top = _equals(output[part], self.top[number])
+                mean = grad_mean[number] / (frame.stop - frame.start)
+                torch.addcmul(mean, top, grad_max[number], out=gradient[part])
         return gradient
 
 
 class _Convolutions(torch.autograd.Function):
-    """Blocks of whole frames, one after the other: a block is one tile, or one frame of several."""
+    """Convolutions block by block: a block is one tile of complete frames, or one frame of several tiles."""
 
     @staticmethod
     def forward(ctx: Any, batch: GraphBatch, semantics: float, *parameters: Tensor) -> Tensor:
@@ -70,44 +70,44 @@ class _Convolutions(torch.autograd.Function):
         ctx.blocks, pooled, dtype = [], [], parameters[0].dtype
         for block in batch.blocks(TILE):
             tiles = _tiles(normalised_adjacency(block.degree, block.indices, dtype))
-            x, heard = node_features(block.xyz.to(dtype), block.cls, semantics), []  # [n,25]
+            x, inputs = node_features(block.xyz.to(dtype), block.cls, semantics), []  # [n,25]
             for weight, bias in _pairs(parameters):
-                answer, of_tiles = x.new_empty(len(x), x.shape[1] // len(weight) * len(bias)), []
+                output, layer_inputs = x.new_empty(len(x), x.shape[1] // len(weight) * len(bias)), []
                 for rows, matrix in tiles:
-                    of_tiles.append((matrix @ x).view(-1, len(weight)))
-                    torch.addmm(bias, of_tiles[-1], weight, out=answer[rows].view(-1, len(bias))).relu_()
-                heard.append(of_tiles)
-                x = answer
+                    layer_inputs.append((matrix @ x).view(-1, len(weight)))
+                    torch.addmm(bias, layer_inputs[-1], weight, out=output[rows].view(-1, len(bias))).relu_()
+                inputs.append(layer_inputs)
+                x = output
             pooled.append(mean_max_pool(x, block.ptr))
             if any(ctx.needs_input_grad):
                 frames, top = list(starmap(slice, pairwise(block.ptr.tolist()))), pooled[-1][:, x.shape[1] :]
-                ties = torch.stack([_ties(x[rows], of) for rows, of in zip(frames, top, strict=True)])
-                ctx.blocks.append(_Block(tiles, heard, frames, top, ties))
+                ties = torch.stack([_ties(x[rows], maximum) for rows, maximum in zip(frames, top, strict=True)])
+                ctx.blocks.append(_Block(tiles, inputs, frames, top, ties))
         return torch.cat(pooled)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         layers, totals = _pairs(ctx.saved_tensors), [torch.zeros_like(parameter) for parameter in ctx.saved_tensors]
-        of_blocks = torch.split(gradient, [len(block.frames) for block in ctx.blocks])
-        for block, of_pooled in zip(ctx.blocks, of_blocks, strict=True):
-            points, sides = block.tiles[-1][0].stop, block.top.shape[1] // len(layers[-1][1])
-            of_heard: Tensor | None = None  # the gradient of what the layer above hears, [n, S C]
+        grad_blocks = torch.split(gradient, [len(block.frames) for block in ctx.blocks])
+        for block, grad_pooled in zip(ctx.blocks, grad_blocks, strict=True):
+            points, versions = block.tiles[-1][0].stop, block.top.shape[1] // len(layers[-1][1])
+            grad_above: Tensor | None = None  # gradient of the next layer's input, [n, S C]
             for number in reversed(range(len(layers))):
-                (weight, bias), (of_weight, of_bias) = layers[number], _pairs(totals)[number]
-                below = weight.new_empty(points, sides * len(weight)) if number else None
-                for (rows, matrix), heard in zip(block.tiles, block.heard[number], strict=True):
-                    answer = torch.addmm(bias, heard, weight).relu_()
-                    if of_heard is None:
-                        of_answer = block.of_points(rows, answer.view(rows.stop - rows.start, -1), of_pooled)
+                (weight, bias), (grad_weight, grad_bias) = layers[number], _pairs(totals)[number]
+                below = weight.new_empty(points, versions * len(weight)) if number else None
+                for (rows, matrix), inputs in zip(block.tiles, block.inputs[number], strict=True):
+                    output = torch.addmm(bias, inputs, weight).relu_()
+                    if grad_above is None:
+                        grad = block.pooling_gradient(rows, output.view(rows.stop - rows.start, -1), grad_pooled)
                     else:
-                        of_answer = matrix @ of_heard  # the matrix is symmetric
-                    of_sum = torch.ops.aten.threshold_backward(of_answer.view_as(answer), answer, 0)  # that of ReLU
-                    of_weight.addmm_(heard.T, of_sum)
-                    of_bias += of_sum.sum(0)
+                        grad = matrix @ grad_above  # the matrix is symmetric
+                    grad = torch.ops.aten.threshold_backward(grad.view_as(output), output, 0)  # of ReLU
+                    grad_weight.addmm_(inputs.T, grad)
+                    grad_bias += grad.sum(0)
                     if below is not None:
-                        torch.mm(of_sum, weight.T, out=below[rows].view(-1, len(weight)))
-                of_heard = below
+                        torch.mm(grad, weight.T, out=below[rows].view(-1, len(weight)))
+                grad_above = below
         return None, None, *totals
 
 
@@ -116,17 +116,17 @@ def _tiles(matrix: Tensor) -> list[tuple[slice, Tensor]]:
     if points <= TILE:
         return [(slice(0, points), matrix)]
     edges = pairwise([*range(0, points, TILE), points])
-    return [(slice(first, last), rows_of(matrix, first, last)) for first, last in edges]
+    return [(slice(first, last), csr_rows(matrix, first, last)) for first, last in edges]
 
 
-def _reaches(x: Tensor, top: Tensor) -> Tensor:
-    """Return 1 where x [n,C] has the value of top [C], else 0; as numbers it is six times as fast as with bool."""
+def _equals(x: Tensor, top: Tensor) -> Tensor:
+    """Return 1 where x [n,C] equals top [C], else 0. Six times faster than with bool."""
     return torch.eq(x, top, out=torch.empty_like(x))
 
 
 def _ties(x: Tensor, top: Tensor) -> Tensor:
-    """Return how many of the points x [n,C] reach the top [C]."""
-    return torch.stack([_reaches(tile, top).sum(0) for tile in torch.split(x, TILE)]).sum(0)
+    """Return the number of points x [n,C] equal to top [C], per channel."""
+    return torch.stack([_equals(tile, top).sum(0) for tile in torch.split(x, TILE)]).sum(0)
 
 
 def _pairs(parameters: Sequence[Tensor]) -> list[tuple[Tensor, Tensor]]:

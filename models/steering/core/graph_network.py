@@ -1,37 +1,43 @@
-"""A frame's graph in, a few numbers out: node features → graph layers → pooling → read-out."""
+"""Spatial network on point graphs: node features → graph layers → pooling → read-out."""
+
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import GraphBatch
+from models.steering.core.batch import GraphBatch, Kind
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
-from models.steering.core.knobs import Fraction, Widths
+from models.steering.core.knobs import Fraction, NetworkKnobs, Widths
+
+
+class GraphKnobs(NetworkKnobs):
+    """Options of the networks on graphs."""
+
+    kind: ClassVar[Kind] = "graph"
+    layers: Widths = (32, 32, 64)
+    semantics: Fraction = 0.0  # λ of paper eq. 7, weight of the classes; 0: geometry alone
 
 
 class GraphNetwork(nn.Module):
-    """The spatial networks on point graphs, each with its own kind of layer.
+    """Spatial network with one type of graph layer.
 
     Args:
         layer: class with `layer(inputs, outputs)`, a static `operator(batch, dtype)`, computed once per batch for all
             layers, and `forward(x [N, inputs], operator) -> [N, outputs]`.
-        features: numbers per frame that go to the recurrent network.
-        layers: channels after each layer.
-        semantics: λ of paper eq. 7, how much the classes count: from 0 (depth only) to 1.
+        features: F, numbers per frame for the recurrent network.
     """
 
-    def __init__(
-        self, layer: type[nn.Module], features: int, *, layers: Widths = (32, 32, 64), semantics: Fraction = 0.0
-    ) -> None:
+    def __init__(self, layer: type[nn.Module], features: int, knobs: GraphKnobs = GraphKnobs()) -> None:
         super().__init__()
-        self.semantics = semantics
+        self.semantics, widths = knobs.semantics, knobs.layers
         self.layers = nn.ModuleList(
-            layer(inputs, outputs) for inputs, outputs in zip([NODE_FEATURES, *layers[:-1]], layers, strict=True)
+            layer(inputs, outputs) for inputs, outputs in zip([NODE_FEATURES, *widths[:-1]], widths, strict=True)
         )
-        self.read_out = nn.Linear(2 * layers[-1], features)
+        self.read_out = nn.Linear(2 * widths[-1], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return [B, features]; neither the order of points nor other frames in the batch change a frame's numbers."""
-        return self.told(self.pooled(batch))
+        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
+        return self.project(self.pooled(batch))
 
     def pooled(self, batch: GraphBatch) -> Tensor:
         """Return mean ‖ max over each frame's points after the last layer: [B, 2 width]."""
@@ -42,6 +48,6 @@ class GraphNetwork(nn.Module):
             x = layer(x, operator).relu()  # [N, width]
         return mean_max_pool(x, batch.ptr)
 
-    def told(self, pooled: Tensor) -> Tensor:
-        """What the recurrent network is told of a frame: [..., 2 width] → [..., features]."""
-        return torch.tanh(self.read_out(pooled))  # the range that LTC synapses listen to
+    def project(self, pooled: Tensor) -> Tensor:
+        """Map pooled values to features in (-1,1), where LTC synapses are sensitive: [..., 2 width] → [..., F]."""
+        return torch.tanh(self.read_out(pooled))

@@ -1,38 +1,42 @@
-"""What the recurrent networks share."""
+"""Interface of the recurrent networks."""
 
 from typing import Any
 
 from torch import Tensor, nn
 
+from models.steering.core.wiring import Wiring
+
 NOMINAL_STEP_S = 0.1  # KITTI's frame interval is one unit of a cell's time, as ncps has 1 per frame
-# Outputs of a new cell stay within about ±1, standardised steering has sharp bends at 3 and more: from 1, as in ncps,
-# the scale has to grow first, and training error after 8 epochs on synthetic streets was twice as large.
-OUTPUT_REACH = 3.0
+# A new cell's outputs are within about ±1 before scaling; standardised steering reaches 3 and more in sharp bends.
+# With an initial scale of 1, as in ncps, training error after 8 epochs on synthetic streets was twice as large.
+OUTPUT_SCALE = 3.0
 State = tuple[Tensor, ...]
 
 
 class RecurrentCell(nn.Module):
-    """From a window of frame features to one number per frame.
+    """Recurrent network from a window of frame features to one number per frame.
 
-    A cell is split in two, so that windows can share frames: `sense` is what depends on a frame alone and runs once
-    per frame; `forward` is the recursion and runs once per frame *and window*. Letters: W windows, T frames each,
-    D features, S numbers that `sense` gives.
+    It has two parts, so that windows share frames: `sense` depends on a frame alone and runs once per frame; `forward`
+    is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per frame, S
+    numbers from `sense`.
     """
 
+    wiring: Wiring | None = None  # of cells with sparse synapses
+
     def sense(self, x: Tensor) -> Tensor:
-        """Return what the recursion needs of each frame: [..., D] → [..., S]."""
+        """Return the per-frame part: [..., D] → [..., S]."""
         raise NotImplementedError
 
     def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
-        """Run over the frames.
+        """Run the recursion over the frames.
 
         Args:
-            sensed: [W,T,S] of `sense`.
-            dt_s: [W,T] seconds since the frame before.
-            state: what an earlier call returned; None is rest. Carried, pieces of a window give what the whole gives.
+            sensed: [W,T,S] from `sense`.
+            dt_s: [W,T] seconds since the previous frame.
+            state: from an earlier call, to continue a window; None: zero state.
         Returns:
             One number per window and frame [W,T,1], and the state after the last frame.
         """
         raise NotImplementedError
 
-    __call__: Any  # of nn.Module
+    __call__: Any  # nn.Module's, untyped

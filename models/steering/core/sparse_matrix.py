@@ -1,10 +1,10 @@
-"""A weight matrix of which only some places exist, as the synapses of a wiring."""
+"""A weight matrix with parameters only where a wiring has synapses."""
 
 from torch import Tensor, nn
 
 
 class SparseMatrix(nn.Module):
-    """Matrix [P,U] that is zero but at S places, whose S values are its only parameters.
+    """Matrix [P,U] that is zero except at S positions; their S values are its parameters.
 
     Args:
         values: [P,U], initial; read where `exists`.
@@ -16,7 +16,7 @@ class SparseMatrix(nn.Module):
     def __init__(self, values: Tensor, exists: Tensor) -> None:
         super().__init__()
         self.shape = exists.shape
-        self.register_buffer("place", exists.flatten().nonzero()[:, 0])  # [S]; saved: weights know their wiring
+        self.register_buffer("place", exists.flatten().nonzero()[:, 0])  # [S]; saved with the weights
         self.w = nn.Parameter(values[exists])  # [S], in row order
 
     def dense(self) -> Tensor:

@@ -1,4 +1,4 @@
-"""Wiring of a neural circuit policy: which neuron listens to which, and with what sign (Lechner et al. 2020)."""
+"""Wiring of a neural circuit policy: signed synapses between neurons (Lechner et al. 2020)."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,7 +17,7 @@ Neurons = NDArray[np.int64]
 class Wiring:
     """Signed synapses as matrices [from, to]: +1 excites, -1 inhibits, 0 is no synapse.
 
-    Neurons are numbered motor, command, inter (as ncps does). sensory [D,U]: from input features; internal [U,U].
+    Neurons are numbered motor, command, inter, as in ncps. sensory [D,U]: from input features; internal [U,U].
     """
 
     sensory: Polarity
@@ -31,9 +31,16 @@ class Wiring:
         """U, the number of neurons without the sensory ones."""
         return self.motor + self.command + self.inter
 
+    def synapses(self) -> dict[str, list[list[int]]]:
+        """Return lists of [from, to, ±1], by name of the matrix."""
+        return {
+            name: [[*map(int, pair), int(matrix[tuple(pair)])] for pair in np.argwhere(matrix)]
+            for name, matrix in (("sensory", self.sensory), ("internal", self.internal))
+        }
 
-class Sizes(Group):
-    """Knob `wiring`: neurons of each layer, synapses of each neuron, and the seed of the draw."""
+
+class Layout(Group):
+    """Option `wiring`: neurons per layer, synapses per neuron, and the seed of the random choice."""
 
     inter: Count = 12
     command: Count = 6
@@ -44,46 +51,46 @@ class Sizes(Group):
     seed: Seed = 0
 
 
-def ncp(inputs: int, sizes: Sizes = Sizes(), motor: int = 1) -> Wiring:
-    """Draw the four-layer wiring sensory → inter → command (⟲) → motor; the same seed draws the same wiring.
+def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
+    """Draw the four-layer wiring sensory → inter → command (⟲) → motor; equal seeds give equal wirings.
 
-    Every sensory neuron feeds `sensory_fanout` inter neurons, every inter neuron `inter_fanout` command neurons, and
-    every motor neuron listens to `motor_fanin` command neurons. A neuron that the draw left without input, or a command
-    neuron without listener, gets as many synapses as its layer has on average.
+    Each sensory neuron feeds `sensory_fanout` inter neurons, each inter neuron `inter_fanout` command neurons, and
+    each motor neuron is fed by `motor_fanin` command neurons. A neuron without input after that, or a command neuron
+    without output, gets the average number of synapses of its layer.
 
     Raises:
-        ValueError: a fan-out or fan-in of more than the layer that it reaches, too many recurrent synapses.
+        ValueError: a fan-out or fan-in exceeds the size of its target layer, or too many recurrent synapses.
     """
-    inter, command = sizes.inter, sizes.command
+    inter, command = layout.inter, layout.command
     for name, count, layer, size in [
-        ("sensory_fanout", sizes.sensory_fanout, "inter", inter),
-        ("inter_fanout", sizes.inter_fanout, "command", command),
-        ("motor_fanin", sizes.motor_fanin, "command", command),
+        ("sensory_fanout", layout.sensory_fanout, "inter", inter),
+        ("inter_fanout", layout.inter_fanout, "command", command),
+        ("motor_fanin", layout.motor_fanin, "command", command),
     ]:
         if count > size:
-            raise ValueError(f"wiring.{name} = {count}, but there are {layer} = {size} neurons: choose 1 to {size}")
-    if sizes.recurrent_command_synapses > command**2:
+            raise ValueError(f"wiring.{name} = {count}, expected at most {layer} = {size}")
+    if layout.recurrent_command_synapses > command**2:
         raise ValueError(
-            f"wiring.recurrent_command_synapses = {sizes.recurrent_command_synapses}, "
-            f"but command = {command} neurons have room for 0 to {command**2}"
+            f"wiring.recurrent_command_synapses = {layout.recurrent_command_synapses}, expected at most command² = "
+            f"{command**2}"
         )
 
-    rng = np.random.default_rng(sizes.seed)
+    rng = np.random.default_rng(layout.seed)
     units = motor + command + inter
     sensory = np.zeros((inputs, units), dtype=np.int8)
     internal = np.zeros((units, units), dtype=np.int8)
     motors, commands, inters = np.split(np.arange(units), [motor, motor + command])
 
-    _fan_out(rng, sensory, np.arange(inputs), inters, sizes.sensory_fanout)
-    _fan_out(rng, internal, inters, commands, sizes.inter_fanout)
-    for place in rng.choice(command**2, size=sizes.recurrent_command_synapses, replace=False):
+    _fan_out(rng, sensory, np.arange(inputs), inters, layout.sensory_fanout)
+    _fan_out(rng, internal, inters, commands, layout.inter_fanout)
+    for place in rng.choice(command**2, size=layout.recurrent_command_synapses, replace=False):
         internal[commands[place // command], commands[place % command]] = rng.choice([-1, 1])
-    _fan_out(rng, internal.T, motors, commands, sizes.motor_fanin)  # transposed: fan-in is the fan-out of the listeners
+    _fan_out(rng, internal.T, motors, commands, layout.motor_fanin)  # transposed: fan-in is fan-out of the targets
     return Wiring(sensory, internal, motor, command, inter)
 
 
 def _fan_out(rng: np.random.Generator, matrix: Polarity, sources: Neurons, targets: Neurons, fanout: int) -> None:
-    """Connect each source to `fanout` random targets, then each forgotten target to an average number of sources."""
+    """Connect each source to `fanout` random targets, then targets without input to the average number."""
     for source in sources:
         chosen = rng.choice(targets, size=fanout, replace=False)
         matrix[source, chosen] = rng.choice([-1, 1], size=fanout)

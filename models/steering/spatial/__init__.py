@@ -1,1 +1,1 @@
-"""A spatial network a file, named as in params.yaml: see models/steering/core/steering_net.py."""
+"""Spatial networks, one per file; `spatial: NAME` in params.yaml is NAME.py. See core/steering_net.py."""

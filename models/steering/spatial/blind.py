@@ -1,23 +1,30 @@
-"""A network that sees nothing: what is left of a model without the scene, to tell what the scene is worth."""
+"""A network without input: the ablation that measures the contribution of the scene."""
+
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import GraphBatch, Kind
-
-INPUT: Kind = "graph"
+from models.steering.core.knobs import NetworkKnobs, Sizes
 
 
 class Blind(nn.Module):
-    """Zeros, whatever is there: with `motion`, the recurrent network hears of the car's motion alone."""
+    """Zeros for each frame; with `motion`, the recurrent network predicts from the car's motion alone."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
         self.features = features
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return zeros [B, features]."""
+        """Return zeros [B,F]."""
         return torch.zeros(batch.frames, self.features, device=batch.xyz.device)
 
 
-network = Blind
+class Knobs(NetworkKnobs):
+    """No options."""
+
+    kind: ClassVar[Kind] = "graph"
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        return Blind(sizes.features)

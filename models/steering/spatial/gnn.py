@@ -6,13 +6,13 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.adjacency import normalised_adjacency, propagate
-from models.steering.core.batch import GraphBatch, Kind
-from models.steering.core.convolutions import convolved
-from models.steering.core.features import IN_MIRROR, NODE_FEATURES
-from models.steering.core.graph_network import GraphNetwork
-from models.steering.core.knobs import Fraction, Widths
+from models.steering.core.batch import GraphBatch
+from models.steering.core.convolutions import convolve
+from models.steering.core.features import MIRROR_SIGNS, NODE_FEATURES
+from models.steering.core.graph_network import GraphKnobs, GraphNetwork
+from models.steering.core.knobs import Sizes
 
-INPUT: Kind = "graph"
+ORIGINAL_SIGNS = (1.0,) * NODE_FEATURES
 
 
 class GCNLayer(nn.Module):
@@ -26,7 +26,7 @@ class GCNLayer(nn.Module):
 
     @staticmethod
     def operator(batch: GraphBatch, dtype: torch.dtype) -> Tensor:
-        """What a batch's graph gives to all layers: the normalised adjacency matrix, sparse [N,N]."""
+        """Return the normalised adjacency matrix, sparse [N,N], for all layers."""
         return normalised_adjacency(batch.degree, batch.indices, dtype)
 
     def forward(self, x: Tensor, adjacency: Tensor) -> Tensor:
@@ -37,33 +37,30 @@ class GCNLayer(nn.Module):
 
 
 class GCN(GraphNetwork):
-    """On a CPU all layers go through one tile of points after the other; see core/convolutions.py.
+    """Graph convolution network, tile by tile on a CPU (core/convolutions.py).
 
-    On a GPU and in mixed precision all points go through one layer after the other, as in the other networks on graphs.
+    On a GPU and in mixed precision it runs layer by layer, as the other networks on graphs.
     """
 
-    def __init__(self, features: int, *, layers: Widths = (32, 32, 64), semantics: Fraction = 0.0) -> None:
-        super().__init__(GCNLayer, features, layers=layers, semantics=semantics)
+    def __init__(self, features: int, knobs: GraphKnobs = GraphKnobs()) -> None:
+        super().__init__(GCNLayer, features, knobs)
 
     def pooled(self, batch: GraphBatch) -> Tensor:
-        return super().pooled(batch) if _layer_by_layer(batch) else self._convolved(batch, [SEEN])[:, 0]
+        return super().pooled(batch) if _layer_by_layer(batch) else self._convolve(batch, [ORIGINAL_SIGNS])[:, 0]
 
     def both(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
-        """Return what `forward` says of the frames, and of the same in the mirror: each [B, features]."""
+        """Return `forward` of the frames and of their mirror images, each [B,F]."""
         if _layer_by_layer(batch):
             return self(batch), self(batch.mirrored())
-        seen, mirrored = self.told(self._convolved(batch, [SEEN, IN_MIRROR])).unbind(1)
-        return seen, mirrored
+        original, mirrored = self.project(self._convolve(batch, [ORIGINAL_SIGNS, MIRROR_SIGNS])).unbind(1)
+        return original, mirrored
 
-    def _convolved(self, batch: GraphBatch, sides: Sequence[Sequence[float]]) -> Tensor:
-        """Return mean ‖ max over each frame's points, of each of S sides: [B, S, 2 width]."""
+    def _convolve(self, batch: GraphBatch, signs: Sequence[Sequence[float]]) -> Tensor:
+        """Return mean ‖ max over each frame's points for S versions of the node features: [B, S, 2 width]."""
         weight, bias, *later = self.layers.parameters()
-        # A mirror changes but the sign of some node features, and in Â H W one may as well change that of W's rows.
-        wide = torch.cat([weight * weight.new_tensor(signs)[:, None] for signs in sides], dim=1)
-        return convolved(batch, self.semantics, len(sides), [wide, bias.repeat(len(sides)), *later])
-
-
-SEEN = (1.0,) * NODE_FEATURES
+        # Mirroring changes the sign of node features; in Â H W that equals changing the sign of rows of W.
+        wide = torch.cat([weight * weight.new_tensor(version)[:, None] for version in signs], dim=1)
+        return convolve(batch, self.semantics, len(signs), [wide, bias.repeat(len(signs)), *later])
 
 
 def _layer_by_layer(batch: GraphBatch) -> bool:
@@ -71,4 +68,8 @@ def _layer_by_layer(batch: GraphBatch) -> bool:
     return kind != "cpu" or torch.is_autocast_enabled(kind)
 
 
-network = GCN
+class Knobs(GraphKnobs):
+    """Options of GraphNetwork."""
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        return GCN(sizes.features, self)

@@ -1,7 +1,7 @@
-"""PointNet++ (paper eq. 1 and 2; Qi et al. 2017, single-scale grouping): sets of points in balls, in balls of balls."""
+"""PointNet++ with single-scale grouping (paper eq. 1 and 2; Qi et al. 2017)."""
 
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import torch
 from pydantic import Field
@@ -9,17 +9,16 @@ from torch import Tensor, nn
 
 from models.steering.core.batch import Kind, SetBatch
 from models.steering.core.features import NODE_FEATURES, max_pool, node_features
-from models.steering.core.knobs import Fraction
+from models.steering.core.knobs import Fraction, NetworkKnobs, Sizes
 
-INPUT: Kind = "pointnet2"
-OFFSET_M = 10.0  # balls of a street are some 8 to 16 m wide: a neighbour's offset becomes O(1)
+OFFSET_M = 10.0  # scale of a neighbour's offset: balls on a street are 8 to 16 m wide
 
 
 class SetAbstraction(nn.Module):
-    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP that all points share.
+    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP shared by all points.
 
-    Each layer of h is linear, LayerNorm, ReLU. The reference has BatchNorm there, with which a frame's numbers would
-    depend on the other frames in the batch.
+    Each layer of h is linear, LayerNorm, ReLU. The reference has BatchNorm, which would make a frame's features depend
+    on the other frames in the batch.
     """
 
     def __init__(self, inputs: int, widths: list[int]) -> None:
@@ -30,13 +29,13 @@ class SetAbstraction(nn.Module):
         self.mlp = nn.Sequential(*layers)
 
     def forward(self, xyz: Tensor, f: Tensor, centres: Tensor, neighbours: Tensor) -> Tensor:
-        """Describe each centre by its neighbours.
+        """Return the features of the centres.
 
         Args:
             xyz: [P,3] metres.
             f: [P,inputs], features of the points.
-            centres: int64 [M], which of the points.
-            neighbours: int64 [M,n], which of the points.
+            centres: int64 [M], rows of the points.
+            neighbours: int64 [M,n], rows of the points.
         Returns:
             [M, widths[-1]]
         """
@@ -45,34 +44,36 @@ class SetAbstraction(nn.Module):
         return h.amax(1)
 
 
-class PointNet2(nn.Module):
-    """The spatial network on sampled and grouped points; the variant holds who neighbours whom.
+class Knobs(NetworkKnobs):
+    """Options of PointNet2."""
 
-    With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the whole frame
+    kind: ClassVar[Kind] = "pointnet2"
+    width: Annotated[float, Field(gt=0, le=4)] = 1.0  # factor on the reference's channels
+    semantics: Fraction = 0.0  # λ of paper eq. 7, weight of the classes; 0: geometry alone
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        return PointNet2(sizes.features, sizes.levels, self)
+
+
+class PointNet2(nn.Module):
+    """Spatial network on sampled and grouped points; the graph variant holds samples and neighbours.
+
+    With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the complete frame
     256-512-1024, then 512 and 256.
 
     Args:
-        features: numbers per frame that go to the recurrent network.
-        levels: set abstractions before the one over the whole frame; as many as the variant has.
-        width: factor on the reference's channels.
-        semantics: λ of paper eq. 7, how much the classes count: from 0 (depth only) to 1.
+        features: F, numbers per frame for the recurrent network.
+        levels: set abstractions before the one over the complete frame; equal to the variant's levels.
     """
 
-    def __init__(
-        self,
-        features: int,
-        levels: int,
-        *,
-        width: Annotated[float, Field(gt=0, le=4)] = 1.0,
-        semantics: Fraction = 0.0,
-    ) -> None:
+    def __init__(self, features: int, levels: int, knobs: Knobs = Knobs()) -> None:
         super().__init__()
-        self.semantics = semantics
-        base = [max(1, round(width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …
+        self.semantics = knobs.semantics
+        base = [max(1, round(knobs.width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …
         sizes = [[base[level], base[level], base[level + 1]] for level in range(levels)]
         inputs = [NODE_FEATURES, *(widths[-1] for widths in sizes)]
         self.levels = nn.ModuleList(SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False))
-        # Over the whole frame: one set, around the camera.
+        # Over the complete frame: one set, around the camera.
         self.whole = SetAbstraction(inputs[-1], base[levels : levels + 3]).mlp
         self.head = nn.Sequential(
             *(nn.Linear(base[levels + 2], base[levels + 1]), nn.LayerNorm(base[levels + 1]), nn.ReLU()),
@@ -81,7 +82,7 @@ class PointNet2(nn.Module):
         self.read_out = nn.Linear(base[levels], features)
 
     def forward(self, batch: SetBatch) -> Tensor:
-        """Return [B, features]; neither the order of points nor other frames in the batch change a frame's numbers."""
+        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         dtype = self.read_out.weight.dtype
         xyz, ptr = batch.xyz.to(dtype), batch.ptr
         f = node_features(xyz, batch.cls, self.semantics)  # [P,25]
@@ -89,7 +90,4 @@ class PointNet2(nn.Module):
             f = layer(xyz, f, level.centres, level.neighbours)  # [M,width]
             xyz, ptr = xyz[level.centres], level.ptr
         h = self.whole(torch.cat([xyz / OFFSET_M, f], dim=1))  # [M,1024 width]
-        return torch.tanh(self.read_out(self.head(max_pool(h, ptr))))  # [B,features]; the range LTC synapses listen to
-
-
-network = PointNet2
+        return torch.tanh(self.read_out(self.head(max_pool(h, ptr))))  # where LTC synapses are sensitive

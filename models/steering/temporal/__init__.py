@@ -1,1 +1,1 @@
-"""A temporal network a file, named as in params.yaml: see models/steering/core/steering_net.py."""
+"""Recurrent networks, one per file; `temporal: NAME` in params.yaml is NAME.py. See core/steering_net.py."""

@@ -3,15 +3,25 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.knobs import Count
+from models.steering.core.knobs import Count, NetworkKnobs, Sizes
 from models.steering.core.recurrent import RecurrentCell, State
 
 
-class LSTM(RecurrentCell):
-    """torch.nn.LSTM's cell (parameters, gate order and initialisation), with a linear read-out. It ignores dt."""
+class Knobs(NetworkKnobs):
+    """Options of an LSTM."""
 
-    def __init__(self, features: int, *, units: Count = 32) -> None:
+    units: Count = 32
+
+    def build(self, sizes: Sizes) -> RecurrentCell:
+        return LSTM(sizes.features, self)
+
+
+class LSTM(RecurrentCell):
+    """torch.nn.LSTM's cell (parameters, gate order and initialisation) with a linear read-out; dt has no effect."""
+
+    def __init__(self, features: int, knobs: Knobs = Knobs()) -> None:
         super().__init__()
+        units = knobs.units
         reference = nn.LSTMCell(features, units)
         self.weight_ih, self.weight_hh = reference.weight_ih, reference.weight_hh  # [4U,D], [4U,U]: gates i, f, g, o
         self.bias_ih, self.bias_hh = reference.bias_ih, reference.bias_hh  # [4U]
@@ -29,6 +39,3 @@ class LSTM(RecurrentCell):
             h = o.sigmoid() * c.tanh()
             hidden.append(h)
         return self.read_out(torch.stack(hidden, dim=1)), (h, c)
-
-
-network = LSTM

@@ -1,12 +1,23 @@
-"""Neural circuit policy (Lechner et al. 2020): few neurons on a sparse wiring, of a kind that `cell` names."""
+"""Neural circuit policy (Lechner et al. 2020): a small recurrent network on a sparse wiring."""
 
-from models.steering.core.network_file import constructor, load
+from collections.abc import Callable
+from typing import Literal
+
+from models.steering.core.cell.cfc import CfC
+from models.steering.core.cell.eq4 import Eq4
+from models.steering.core.cell.ltc import LTC
+from models.steering.core.knobs import NetworkKnobs, Sizes
 from models.steering.core.recurrent import RecurrentCell
-from models.steering.core.wiring import Sizes, ncp
+from models.steering.core.wiring import Layout, Wiring, ncp
+
+CELLS: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4, "cfc": CfC}
 
 
-def network(features: int, *, cell: str = "ltc", wiring: Sizes = Sizes()) -> RecurrentCell:
-    """Build the cell of models/steering/core/cell/<cell>.py: ltc, eq4 (the paper's, as printed) or cfc."""
-    build = constructor(load("cell", cell), "cell")
-    recurrent: RecurrentCell = build(ncp(features, wiring))
-    return recurrent
+class Knobs(NetworkKnobs):
+    """Options of a neural circuit policy."""
+
+    cell: Literal["ltc", "eq4", "cfc"] = "ltc"  # eq4: the paper's equation 4 as printed
+    wiring: Layout = Layout()
+
+    def build(self, sizes: Sizes) -> RecurrentCell:
+        return CELLS[self.cell](ncp(sizes.features, self.wiring))

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from models.steering.core import steering_net
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
@@ -53,13 +52,13 @@ def read(model: Trained, graphs: Path, drives: int = 4, each: int = 4) -> list[C
 
 def _of_drive(model: Trained, drive: str, graphs: frames.Graphs, count: int) -> Iterator[Case]:
     said = model.predict(graphs)  # which sees to it that the frames are what the model expects
-    timeline = windows.Timeline.of(graphs, model.line["motion"], model.target.car)
+    timeline = windows.Timeline.read(graphs, model.line["motion"], model.target.car)
     for row in _spread(np.flatnonzero(~np.isnan(said)).tolist(), count):
         first = row - model.window + 1
         span = [windows.Span(0, first, row + 1)]
         (batch,) = windows.batches([timeline], [span], model.window, {0: graphs})
         with torch.inference_mode():
-            features = steering_net.encode(model.net, batch).numpy()
+            features = model.net.encode(model.net.frames(batch)).numpy()
         motion = {"motion": batch["motion"][None]} if "motion" in batch else {}
         yield Case(
             drive=drive,

@@ -59,7 +59,7 @@ def _(network: GraphNetwork, frame: GraphBatch) -> Tensor:
     x = node_features(frame.xyz.to(network.read_out.weight.dtype), frame.cls, network.semantics)
     for layer in network.layers:
         x = convolved(layer, x, edges).relu()
-    return network.told(torch.cat([x.mean(0), x.amax(0)])[None])
+    return network.project(torch.cat([x.mean(0), x.amax(0)])[None])
 
 
 @seen.register

@@ -53,28 +53,27 @@ def _headline(results: Sequence[Result]) -> list[str]:
         "mean error deg",
         "parameters",
         "edges a frame",
-        "ms a frame",
     ]
     body = []
     for group in comparison.by_horizon(results):
         horizon = f"{comparison.horizon(group[0])} frames" if comparison.horizon(group[0]) else "now"
         for result in sorted(group, key=lambda result: result["test"]["nmse"]):
             test, (low, high) = result["test"], result["test"]["nmse_ci95"]
-            edges, ms = result["edges_per_frame"], result["encode_ms_per_frame"]
+            edges = result["edges_per_frame"]
             body.append([
                 f"**{result['model']}**", horizon, f"**{test['nmse']:.3f}**", f"{low:.3f} to {high:.3f}",
-                f"{test['mae_deg']:.2f}", f"{result['parameters']:,}", _said(edges, ",.0f"), f"{ms:.1f}",
+                f"{test['mae_deg']:.2f}", f"{result['parameters']:,}", _said(edges, ",.0f"),
             ])  # fmt: skip
         for name, of_split in comparison.baselines(group).items():
             test = of_split["test"] or {"nmse": None, "mae_deg": None}  # as of lidar, where a test drive has no scans
             nmse, error = _said(test["nmse"], ".3f"), _said(test["mae_deg"], ".2f")
-            body.append([f"*{name}*", horizon, nmse, "", error, "", "", ""])
+            body.append([f"*{name}*", horizon, nmse, "", error, "", ""])
     return [
         *table(header, body),
         "",
         "nmse is the mean squared error divided by that of always predicting zero: 1 is useless, 0 perfect. *zero*, "
         "*train_mean*, *persistence* (told the true angle before) and *odometry* (the angle that two images or scans "
-        "measure, held) see no scene. The time is that of encoding a frame where the model was trained.",
+        "measure, held) see no scene.",
     ]
 
 

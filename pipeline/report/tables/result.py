@@ -44,7 +44,6 @@ class Result(BaseModel):
     drives: dict[str, list[str]]
     variant: dict[str, object]
     parameters: int
-    encode_ms_per_frame: float
     points_per_frame: Number  # images have none
     train: Scores
     val: Scores | None

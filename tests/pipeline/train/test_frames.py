@@ -1,8 +1,9 @@
-"""Runs of frames of each kind are what the file says, frame by frame."""
+"""Runs of frames of each kind equal the file, frame by frame."""
 
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -13,107 +14,110 @@ from tests import artefacts
 
 FRAMES = 9
 RUNS = [(2, 6), (8, 9), (0, 3)]
+ROWS = [row for run in RUNS for row in range(*run)]
+KINDS = {"graph": artefacts.write_graphs, "pointnet2": artefacts.write_sets, "image": artefacts.write_images}
 
 
-def made(tmp_path: Path, write: Callable[..., None]) -> Path:
-    steering_rad = np.linspace(-0.1, 0.1, FRAMES)
-    write(tmp_path / "drive.h5", "drive", steering_rad, np.arange(FRAMES), 50, np.random.default_rng(0))
-    return tmp_path / "drive.h5"
+def write_file(folder: Path, write: Callable[..., None]) -> Path:
+    write(folder / "drive.h5", "drive", np.linspace(-0.1, 0.1, FRAMES), np.arange(FRAMES), 50, np.random.default_rng(0))
+    return folder / "drive.h5"
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return {kind: write_file(tmp_path_factory.mktemp(kind), write) for kind, write in KINDS.items()}
 
 
 def read(path: Path, runs: list[tuple[int, int]]) -> frames.Arrays:
-    with frames.open_graphs(path) as graphs:
+    with frames.open_graphs(str(path)) as graphs:
         return frames.concatenate([graphs.read(*run) for run in runs])
 
 
 @pytest.mark.parametrize(
-    ("write", "contents", "words"),
+    ("contents", "words"),
     [
-        (artefacts.write_graphs, {"kind": "graph"}, ["kNN graphs"]),
-        (artefacts.write_sets, {"kind": "pointnet2", "levels": 2}, ["points", "PointNet++", "2 levels"]),
-        (artefacts.write_images, {"kind": "image", "image_size": (32, 48)}, ["images", "32 x 48"]),
+        ({"kind": "graph"}, ["kNN graphs"]),
+        ({"kind": "pointnet2", "levels": 2}, ["PointNet++", "2 levels"]),
+        ({"kind": "image", "image_size": (32, 48)}, ["images", "32 x 48"]),
     ],
 )
-def test_contents(tmp_path: Path, write: Callable[..., None], contents: dict[str, object], words: list[str]) -> None:
-    assert frames.contents(made(tmp_path, write)) == contents
-    assert all(word in frames.described(contents) for word in words)
+def test_contents(paths: dict[str, Path], contents: dict[str, object], words: list[str]) -> None:
+    assert frames.contents(paths[str(contents["kind"])]) == contents
+    assert all(word in frames.describe(contents) for word in words)
 
 
-def test_a_graph_file_is_opened_by_path_or_text_and_numbers_its_frames(tmp_path: Path) -> None:
-    path = made(tmp_path, artefacts.write_graphs)
-    for name in (path, str(path)):
-        with frames.open_graphs(name) as graphs:
-            assert graphs.frame.tolist() == list(range(FRAMES))
-            assert graphs.time_s == pytest.approx(np.arange(FRAMES) * 0.1)
-    with pytest.raises(InputError, match="missing"), frames.open_graphs(tmp_path / "other.h5"):
-        pass
-
-
-def test_neighbours_are_the_same_points_wherever_they_lie_in_the_batch(tmp_path: Path) -> None:
-    path = made(tmp_path, artefacts.write_sets)
-    batch = read(path, RUNS)
-    assert set(batch) == {
-        "xyz", "cls", "ptr", "centres_1", "neighbours_1", "centres_1_ptr", "centres_2", "neighbours_2", "centres_2_ptr"
-    }  # fmt: skip
-    with store.DriveReader(path, stage="graphs") as file:
+def test_row_numbers_refer_to_the_same_points_in_file_and_batch(paths: dict[str, Path]) -> None:
+    batch = read(paths["pointnet2"], RUNS)
+    names = {"xyz", "cls", "ptr", "centres_1", "neighbours_1", "centres_1_ptr"}
+    assert set(batch) == names | {"centres_2", "neighbours_2", "centres_2_ptr"}
+    with store.DriveReader(paths["pointnet2"], stage="graphs") as file:
         stored = {name: file[name] for name in batch}
-    for number, row in enumerate([row for run in RUNS for row in range(*run)]):
 
-        def mine(name: str, number: int = number) -> np.ndarray:
-            ptr = batch["ptr" if name in ("xyz", "cls") else f"centres_{name[-1]}_ptr"]
-            return batch[name][ptr[number] : ptr[number + 1]]
+    def of_frame(arrays: frames.Arrays, name: str, frame: int) -> np.ndarray:
+        ptr = arrays["ptr" if name in ("xyz", "cls") else f"centres_{name[-1]}_ptr"]
+        return arrays[name][ptr[frame] : ptr[frame + 1]]
 
-        def theirs(name: str, row: int = row) -> np.ndarray:
-            ptr = stored["ptr" if name in ("xyz", "cls") else f"centres_{name[-1]}_ptr"]
-            return stored[name][ptr[row] : ptr[row + 1]]
-
-        assert (mine("xyz") == theirs("xyz")).all()
-        assert (mine("cls") == theirs("cls")).all()
+    for number, row in enumerate(ROWS):
+        xyz = of_frame(stored, "xyz", row)
+        assert (of_frame(batch, "xyz", number) == xyz).all()
+        assert (of_frame(batch, "cls", number) == of_frame(stored, "cls", row)).all()
         for name in ("centres_1", "neighbours_1"):
-            assert (batch["xyz"][mine(name)] == theirs("xyz")[theirs(name)]).all()
-        first = theirs("xyz")[theirs("centres_1")]
+            assert (batch["xyz"][of_frame(batch, name, number)] == xyz[of_frame(stored, name, row)]).all()
+        first = xyz[of_frame(stored, "centres_1", row)]
         for name in ("centres_2", "neighbours_2"):
-            assert (batch["xyz"][batch["centres_1"][mine(name)]] == first[theirs(name)]).all()
+            expected = first[of_frame(stored, name, row)]
+            assert (batch["xyz"][batch["centres_1"][of_frame(batch, name, number)]] == expected).all()
     assert batch["ptr"][-1] == len(batch["xyz"])
-    assert len(batch["ptr"]) == len(batch["centres_2_ptr"]) == 1 + 8
+    assert len(batch["ptr"]) == len(batch["centres_2_ptr"]) == 1 + len(ROWS)
 
 
-def test_graphs_keep_their_edges_wherever_they_lie_in_the_batch(tmp_path: Path) -> None:
-    path = made(tmp_path, artefacts.write_graphs)
-    batch = read(path, RUNS)
+def test_edges_connect_the_same_points_in_file_and_batch(paths: dict[str, Path]) -> None:
+    batch = read(paths["graph"], RUNS)
+    assert set(batch) == {"xyz", "cls", "ptr", "degree", "indices"}
     assert (batch["indices"].dtype, batch["degree"].dtype, batch["xyz"].dtype) == (np.int32, np.uint8, np.float32)
-    with store.DriveReader(path, stage="graphs") as file:
+    with store.DriveReader(paths["graph"], stage="graphs") as file:
         ptr, indices_ptr, indices, xyz = (file[name] for name in ("ptr", "indices_ptr", "indices", "xyz"))
-    rows = [row for run in RUNS for row in range(*run)]
-    ends = np.concatenate([xyz[ptr[row] + indices[indices_ptr[row] : indices_ptr[row + 1]]] for row in rows])
+    ends = np.concatenate([xyz[ptr[row] + indices[indices_ptr[row] : indices_ptr[row + 1]]] for row in ROWS])
     np.testing.assert_array_equal(batch["xyz"][batch["indices"]], ends)
 
 
-def test_images_are_read_as_they_are(tmp_path: Path) -> None:
-    path = made(tmp_path, artefacts.write_images)
-    with store.DriveReader(path, stage="graphs") as file:
-        assert (read(path, RUNS)["image"] == file["image"][[2, 3, 4, 5, 8, 0, 1, 2]]).all()
+def test_images(paths: dict[str, Path]) -> None:
+    with store.DriveReader(paths["image"], stage="graphs") as file:
+        assert (read(paths["image"], RUNS)["image"] == file["image"][ROWS]).all()
 
 
-def test_one_run_is_one_read(tmp_path: Path) -> None:
-    for write in (artefacts.write_graphs, artefacts.write_sets):
-        path = made(tmp_path, write)
-        pieces, whole = read(path, [(0, 4), (4, 5), (5, 9)]), read(path, [(0, 9)])
-        assert all((pieces[name] == whole[name]).all() for name in whole)
+@pytest.mark.parametrize("kind", ["graph", "pointnet2"])
+def test_one_run_equals_its_pieces(paths: dict[str, Path], kind: str) -> None:
+    pieces, complete = read(paths[kind], [(0, 4), (4, 5), (5, 9)]), read(paths[kind], [(0, 9)])
+    assert all((pieces[name] == complete[name]).all() for name in complete)
 
 
-def test_motion_is_that_of_the_file_and_a_kind_that_it_lacks_is_one_line(tmp_path: Path) -> None:
-    motion = frames.Motion(np.array([0.1, 0.2], np.float32), np.array([4, 5], np.float32), np.array([0, 1], np.uint8))
-    with store.DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as file:
-        file.put("frame", np.arange(2, dtype=np.int32))
-        file.put("time_s", np.arange(2) / 10)
-        for name, values in motion._asdict().items():
-            file.put(f"visual_{name}", values)
-    with frames.open_graphs(tmp_path / "a.h5") as graphs:
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "words"),
+    [
+        ("graph", "indices", 50, "indices exceeds the 50 rows"),
+        ("graph", "degree", 0, "degree"),
+        ("pointnet2", "neighbours_2", 16, "neighbours_2 exceeds the 16 rows"),
+    ],
+)
+def test_inconsistent_graphs_are_refused(tmp_path: Path, kind: str, name: str, value: int, words: str) -> None:
+    path = write_file(tmp_path, KINDS[kind])
+    with h5py.File(path, "a") as file:
+        file[name][0] = value
+    with pytest.raises(InputError, match=words) as raised:
+        read(path, [(0, 2)])
+    assert raised.value.where == str(path)
+
+
+def test_motion(tmp_path: Path) -> None:
+    path = write_file(tmp_path, artefacts.write_graphs)
+    with frames.open_graphs(path) as graphs, pytest.raises(InputError, match=r"found: none"):
+        graphs.motion("visual")
+    artefacts.add_motion(path, "visual", np.linspace(0, 0.2, FRAMES), np.arange(FRAMES) != 3)
+    with frames.open_graphs(path) as graphs, store.DriveReader(path, stage="graphs") as file:
         assert graphs.motions == ("visual",)
-        for stored, written in zip(graphs.motion("visual"), motion, strict=True):
-            np.testing.assert_array_equal(stored, written)
-        with pytest.raises(InputError, match=r"no motion: lidar \(it has visual\): put lidar into motion\.kinds"):
+        for name, values in graphs.motion("visual")._asdict().items():
+            np.testing.assert_array_equal(values, file[f"visual_{name}"])
+        with pytest.raises(InputError, match=r"found: visual") as raised:
             graphs.motion("lidar")
-    with frames.open_graphs(made(tmp_path, artefacts.write_graphs)) as graphs:
-        assert graphs.motions == ()
+        assert "motion.kinds" in raised.value.fix

@@ -3,54 +3,50 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.steering.core.batch import GraphBatch
+from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.camera import classes
 from pipeline.sections.train import Noise
 from pipeline.train import noise, windows
 from tests import artefacts
+from tests.pipeline.train.shared import DRIVES, read_batch
 
-DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
 FRAMES = [12, 11]
 ALL = Noise(depth_scale=0.3, depth_waves=0.1, speed=0.2, confused=0.5, missing=0.3, dropped=0.4, hidden_deg=30)
 
 
-def make(tmp_path: Path, write: object = artefacts.write_graphs) -> windows.Batch:
-    artefacts.write_dataset(tmp_path, DRIVES, frames=12, points=50, write=write)
-    for name in DRIVES:
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.4, 12))
-    drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(DRIVES), 8, motion="visual")
-    (batch,) = windows.examples(drives, [[windows.Span(0, 0, 12), windows.Span(1, 1, 12)]], 8)
-    return batch
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory: pytest.TempPathFactory) -> windows.Batch:
+    return make(tmp_path_factory.mktemp("noise"))
 
 
-@pytest.fixture
-def batch(tmp_path: Path) -> windows.Batch:
-    return make(tmp_path)
+def make(folder: Path, write: object = artefacts.write_graphs) -> windows.Batch:
+    artefacts.write_dataset(folder, DRIVES, frames=12, points=50, write=write)
+    return read_batch(folder, [windows.Span(0, 0, 12), windows.Span(1, 1, 12)])
 
 
-def disturbed(batch: windows.Batch, settings: Noise, seed: int = 0) -> windows.Batch:
-    return noise.disturbed(batch, FRAMES, [np.random.default_rng([seed, run]) for run in (1, 2)], settings)
+def noisy(batch: windows.Batch, settings: Noise, seed: int = 0) -> windows.Batch:
+    return noise.add_noise(batch, FRAMES, [np.random.default_rng([seed, run]) for run in (1, 2)], settings)
 
 
 def differing(a: windows.Batch, b: windows.Batch) -> set[str]:
     return {key for key in a if a[key].shape != b[key].shape or (a[key] != b[key]).any()}
 
 
-def test_switched_off_it_changes_nothing(batch: windows.Batch) -> None:
-    assert disturbed(batch, Noise()) is batch
+def test_zero_noise_is_the_identity(batch: windows.Batch) -> None:
+    assert noisy(batch, Noise()) is batch
 
 
-def test_neither_labels_nor_the_given_batch_change(batch: windows.Batch) -> None:
+def test_neither_labels_nor_the_original_batch_change(batch: windows.Batch) -> None:
     before = {key: value.copy() for key, value in batch.items()}
     for seed in range(5):
-        after = disturbed(batch, ALL, seed)
+        after = noisy(batch, ALL, seed)
         assert not differing(before, batch)
         assert not {"steering_rad", "valid", "windows", "dt_s"} & differing(before, after)
         assert {key: value.dtype for key, value in after.items()} == {key: each.dtype for key, each in batch.items()}
 
 
-def test_a_wrong_scale_is_one_of_a_whole_run(batch: windows.Batch) -> None:
-    after = disturbed(batch, Noise(depth_scale=0.3))
+def test_depth_scale_is_constant_over_a_run(batch: windows.Batch) -> None:
+    after = noisy(batch, Noise(depth_scale=0.3))
     factors = []
     for start, stop in ((0, 12), (12, 23)):
         points = slice(batch["ptr"][start], batch["ptr"][stop])
@@ -61,8 +57,8 @@ def test_a_wrong_scale_is_one_of_a_whole_run(batch: windows.Batch) -> None:
     assert after["motion"] == pytest.approx(batch["motion"], rel=1e-6)
 
 
-def test_so_is_a_wrong_speed_and_the_measured_angle_is_wrong_with_it(batch: windows.Batch) -> None:
-    after = disturbed(batch, Noise(speed=0.3))
+def test_speed_error_is_constant_over_a_run_and_changes_the_measured_angle(batch: windows.Batch) -> None:
+    after = noisy(batch, Noise(speed=0.3))
     factor = after["motion"][:, 2] / batch["motion"][:, 2]
     assert 1 / 1.3 <= factor.min() < factor.max() <= 1.3
     assert factor == pytest.approx(np.repeat(factor[[0, 12]], FRAMES))
@@ -72,8 +68,8 @@ def test_so_is_a_wrong_speed_and_the_measured_angle_is_wrong_with_it(batch: wind
     assert (after["xyz"] == batch["xyz"]).all()
 
 
-def test_waves_move_points_along_their_rays_neighbours_alike(batch: windows.Batch) -> None:
-    after = disturbed(batch, Noise(depth_waves=0.2))
+def test_waves_move_points_along_their_rays(batch: windows.Batch) -> None:
+    after = noisy(batch, Noise(depth_waves=0.2))
     assert differing(batch, after) <= {"xyz", "motion", "base_rad"}  # these but for rounding
     assert after["motion"] == pytest.approx(batch["motion"], rel=1e-6)
     factor = np.linalg.norm(after["xyz"], axis=1) / np.linalg.norm(batch["xyz"], axis=1)
@@ -84,47 +80,47 @@ def test_waves_move_points_along_their_rays_neighbours_alike(batch: windows.Batc
     assert np.abs(close).mean() < factor.std() / 2
 
 
-def test_some_classes_are_taken_for_similar_ones_and_some_not_seen(batch: windows.Batch) -> None:
-    seen = set()
-    for seed in range(20):
-        confused = disturbed(batch, Noise(confused=0.5), seed)["cls"]
-        missing = disturbed(batch, Noise(missing=0.5), seed)["cls"]
+def test_classes_become_similar_ones_or_void(batch: windows.Batch) -> None:
+    found = set()
+    for seed in range(12):
+        confused = noisy(batch, Noise(confused=0.5), seed)["cls"]
+        missing = noisy(batch, Noise(missing=0.5), seed)["cls"]
         pairs = set(zip(batch["cls"].tolist(), confused.tolist(), strict=True))
-        assert all(now == was or now in noise.TAKEN_FOR[was] for was, now in pairs)
-        seen |= pairs
+        assert all(now == was or now in noise.CONFUSED_WITH[was] for was, now in pairs)
+        found |= pairs
         gone = missing != batch["cls"]
         assert (missing[gone] == classes.VOID).all()
         first = np.arange(len(gone)) < batch["ptr"][12]
         for run in (first, ~first):
             assert all(len(set(gone[run & (batch["cls"] == number)])) == 1 for number in set(batch["cls"]))
-    assert {(classes.ROAD, classes.SIDEWALK), (classes.BUILDING, classes.WALL)} < seen
-    assert set(noise.TAKEN_FOR) == set(range(classes.COUNT)) - {classes.SKY}
+    assert {(classes.ROAD, classes.SIDEWALK), (classes.BUILDING, classes.WALL)} < found
+    assert set(noise.CONFUSED_WITH) == set(range(classes.COUNT)) - {classes.SKY}
 
 
-def test_dropped_points_leave_their_graph_whole(batch: windows.Batch) -> None:
-    after = disturbed(batch, Noise(dropped=0.6, hidden_deg=40))
+def test_removed_points_take_their_edges_with_them(batch: windows.Batch) -> None:
+    after = noisy(batch, Noise(dropped=0.6, hidden_deg=40))
     nodes = len(after["xyz"])
     assert 0.3 * len(batch["xyz"]) < nodes < len(batch["xyz"])
     assert after["ptr"][-1] == nodes == len(after["cls"]) == len(after["degree"])
     assert after["degree"].sum() == len(after["indices"])
     assert (np.diff(after["ptr"]) > 0).all()
-    # The slow way, edge by edge, by where the points lie.
+    # Reference: edge by edge, by position.
     place = {tuple(point): row for row, point in enumerate(after["xyz"].tolist())}
     assert len(place) == nodes
     rows = np.repeat(np.arange(len(batch["xyz"])), batch["degree"])
-    xyz = [tuple(point) for point in disturbed(batch, Noise(depth_waves=1e-30))["xyz"].tolist()]  # rounds as `after`
+    xyz = [tuple(point) for point in noisy(batch, Noise(depth_waves=1e-30))["xyz"].tolist()]  # rounded as `after`
     wanted = [
         (place[xyz[a]], place[xyz[b]])
         for a, b in zip(rows, batch["indices"], strict=True)
         if xyz[a] in place and xyz[b] in place
     ]
     assert list(zip(np.repeat(np.arange(nodes), after["degree"]), after["indices"], strict=True)) == wanted
-    assert GraphBatch.of_arrays(after).frames == 23
+    assert isinstance(from_arrays(after), GraphBatch)
 
 
-def test_runs_do_not_depend_on_those_beside_them(batch: windows.Batch) -> None:
-    whole = disturbed(batch, ALL)
-    alone = noise.disturbed(
+def test_runs_are_independent(batch: windows.Batch) -> None:
+    whole = noisy(batch, ALL)
+    alone = noise.add_noise(
         {
             "xyz": batch["xyz"][: batch["ptr"][12]], "cls": batch["cls"][: batch["ptr"][12]], "ptr": batch["ptr"][:13],
             "degree": batch["degree"][: batch["ptr"][12]],
@@ -137,9 +133,9 @@ def test_runs_do_not_depend_on_those_beside_them(batch: windows.Batch) -> None:
     assert all((whole[key][: len(alone[key])] == alone[key]).all() for key in alone)
 
 
-def test_sets_keep_all_points_and_images_all(tmp_path: Path) -> None:
+def test_sets_lose_no_points_and_images_do_not_change(tmp_path: Path) -> None:
     sets = make(tmp_path / "sets", artefacts.write_sets)
-    after = disturbed(sets, ALL)
+    after = noisy(sets, ALL)
     assert differing(sets, after) == {"xyz", "cls", "motion", "base_rad"}
     images = make(tmp_path / "images", artefacts.write_images)
-    assert disturbed(images, ALL) is images
+    assert noisy(images, ALL) is images

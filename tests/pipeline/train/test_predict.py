@@ -1,4 +1,4 @@
-"""A trained model in Python: what it says of frames by number, and what it refuses."""
+"""Predictions of a trained model by frame number, and refused files."""
 
 from pathlib import Path
 from typing import Any
@@ -8,196 +8,171 @@ import pytest
 import torch
 
 from models.steering.core import steering_net
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
-from pipeline.sections.models import Model
+from pipeline.sections.models import Model, resolve
 from pipeline.train import frames, predict, windows
 from tests import artefacts
+from tests.pipeline.train.shared import DRIVES
 
 WINDOW = 4
-CONTENTS: dict[str, Any] = {"kind": "graph"}
 NUMBERS = np.array([*range(10, 22), *range(25, 36), 40])  # runs of 12, 11 and 1 frames
+STEERING = 0.1 * np.sin(NUMBERS / 5)
 
 
-def write_model(folder: Path, contents: dict[str, Any] = CONTENTS, **line: object) -> Path:
+def write_model(folder: Path, contents: dict[str, Any] | None = None, **line: object) -> Path:
+    """Write a best.pt with random weights."""
     torch.manual_seed(0)
-    resolved = Model.model_validate(
-        {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 8} | line
-    ).model_dump()
-    best = {"name": "net", "seed": 0, "fold": None, "model": resolved, "contents": contents, "kind": predict.KIND}
-    best["target"] = {"mean_rad": 0.01, "std_rad": 0.12, "wheelbase_m": 2.7, "min_speed_mps": 1.0}
-    best["net"] = steering_net.build(resolved, **contents).state_dict()
-    checkpoint.write(folder / "best.pt", best)
+    general = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 8}
+    resolved, contents = resolve(Model.model_validate(general | line)), contents or {"kind": "graph"}
+    target = {"mean_rad": 0.01, "std_rad": 0.12, "wheelbase_m": 2.7, "min_speed_mps": 1.0}
+    net = steering_net.build(resolved, **contents).state_dict()
+    best = {"name": "net", "seed": 0, "fold": None, "contents": contents, "model": resolved, "target": target}
+    checkpoint.write(folder / "best.pt", best | {"net": net, "kind": predict.KIND})
     return folder
 
 
-@pytest.fixture
-def model(tmp_path: Path) -> predict.Trained:
-    return predict.load(write_model(tmp_path / "train/net"), "cpu")
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> predict.Trained:
+    return predict.load(write_model(tmp_path_factory.mktemp("model") / "net"), "cpu")
 
 
-@pytest.fixture
-def drive(tmp_path: Path) -> Path:
-    path, rng = tmp_path / "drive.h5", np.random.default_rng(0)
-    artefacts.write_graphs(path, "drive", 0.1 * np.sin(NUMBERS / 5), NUMBERS, 40, rng)
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("drive") / "drive.h5"
+    artefacts.write_graphs(path, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
     return path
 
 
-def test_shared_frames_say_what_naive_windows_say_and_gaps_say_nothing(model: predict.Trained, drive: Path) -> None:
+def test_shared_frames_equal_naive_windows_and_gaps_are_nan(model: predict.Trained, drive: Path) -> None:
     with frames.open_graphs(drive) as graphs:
-        every = model.predict(graphs)
-        timeline = windows.Timeline.of(graphs)
+        steering_rad = model.predict(graphs)
+        timeline = windows.Timeline.read(graphs)
         for row, number in enumerate(NUMBERS):
             before = NUMBERS[max(0, row - WINDOW + 1) : row + 1]
             if len(before) < WINDOW or number - before[0] >= WINDOW:
-                assert np.isnan(every[row])
+                assert np.isnan(steering_rad[row])
                 continue
             span = windows.Span(0, row - WINDOW + 1, row + 1)
             (batch,) = windows.batches([timeline], [[span]], WINDOW, {0: graphs})
             with torch.inference_mode():
-                alone = 0.12 * steering_net.predict(model.net, batch).item()
-            assert every[row] == pytest.approx(alone, abs=1e-6)
-    assert np.isfinite(every).sum() == (12 - 3) + (11 - 3)
-
-
-def test_frames_come_in_the_order_asked_for(model: predict.Trained, drive: Path) -> None:
-    with frames.open_graphs(drive) as graphs:
-        every = dict(zip(NUMBERS.tolist(), model.predict(graphs), strict=True))
+                assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
+        assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
+        by_number = dict(zip(NUMBERS.tolist(), steering_rad, strict=True))
         for numbers in ([35, 13, 28, 40, 13], np.array([20]), []):
-            steering_rad = model.predict(graphs, numbers)
-            assert steering_rad.dtype == np.float64
-            assert steering_rad == pytest.approx([every[int(n)] for n in numbers], abs=1e-6, nan_ok=True)
+            some = model.predict(graphs, numbers)
+            assert some.dtype == np.float64
+            assert some == pytest.approx([by_number[int(n)] for n in numbers], abs=1e-6, nan_ok=True)
+        for wrong, missing in (([20, 23, 24], "no frame 23 .*10 to 40"), ([20.5], r"no frame 20\.5")):
+            with pytest.raises(InputError, match=missing):
+                model.predict(graphs, wrong)  # type: ignore[arg-type]
 
 
-def test_each_frame_is_encoded_once_and_no_more_than_needed(model: predict.Trained, tmp_path: Path) -> None:
-    count = predict.WINDOWS + 30
-    write = (tmp_path / "long.h5", "long", np.zeros(count), np.arange(count), 12, np.random.default_rng(0))
-    artefacts.write_graphs(*write)
+def test_each_frame_is_encoded_once(model: predict.Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(predict, "WINDOWS", 20)
+    path = tmp_path / "long.h5"
+    artefacts.write_graphs(path, "long", np.zeros(50), np.arange(50), 12, np.random.default_rng(0))
     encoded: list[int] = []
-    model.net.register_forward_pre_hook(lambda _, arguments: encoded.append(arguments[0].frames))
-    with frames.open_graphs(tmp_path / "long.h5") as graphs:
-        for numbers, expected in (
-            ([60, 61, 100], [WINDOW + 1, WINDOW]),
-            ([2], []),
-            (None, [predict.WINDOWS + WINDOW - 1, 30]),  # what is read at a time does not grow with the drive
-        ):
+    hook = model.net.register_forward_pre_hook(lambda _, arguments: encoded.append(arguments[0].frames))
+    with frames.open_graphs(path) as graphs:
+        for numbers, expected in (([30, 31, 45], [WINDOW + 1, WINDOW]), ([2], []), (None, [23, 23, 10])):
             encoded.clear()
             model.predict(graphs, numbers)
             assert encoded == expected
-
-
-def test_frames_that_are_not_there_are_named(model: predict.Trained, drive: Path) -> None:
-    with frames.open_graphs(drive) as graphs:
-        with pytest.raises(InputError, match=r"drive\.h5 has no frame 23\b.* 10 to 40"):
-            model.predict(graphs, [20, 23, 24])
-        with pytest.raises(InputError, match=r"no frame 20\.5"):
-            model.predict(graphs, [20.5])  # type: ignore[list-item]
+    hook.remove()
 
 
 @pytest.mark.parametrize(
-    ("contents", "line", "words"),
+    ("contents", "spatial", "words"),
     [
-        ({"kind": "image", "image_size": (32, 96)}, {"spatial": "cnn"}, "expects images of 32 x 96.*holds kNN graphs"),
-        ({"kind": "pointnet2", "levels": 2}, {"spatial": "pointnet2"}, r"expects points.* 2 levels.*holds kNN graphs"),
+        ({"kind": "image", "image_size": (32, 96)}, "cnn", "expects images of 32 x 96.*got kNN graphs"),
+        ({"kind": "pointnet2", "levels": 2}, "pointnet2", r"expects points.* 2 levels.*got kNN graphs"),
     ],
 )
 def test_another_kind_of_frames_is_refused(
-    tmp_path: Path, drive: Path, contents: dict[str, Any], line: dict[str, str], words: str
+    tmp_path: Path, drive: Path, contents: dict[str, Any], spatial: str, words: str
 ) -> None:
-    model = predict.load(write_model(tmp_path / "net", contents, **line))
-    with frames.open_graphs(drive) as graphs, pytest.raises(InputError, match=rf"net {words}.* input: semantic"):
+    model = predict.load(write_model(tmp_path / "net", contents, spatial=spatial))
+    with frames.open_graphs(drive) as graphs, pytest.raises(InputError, match=words) as raised:
         model.predict(graphs)
+    assert "input: semantic" in raised.value.fix
 
 
-def test_with_motion_the_answer_adds_to_the_measured_angle(tmp_path: Path, drive: Path) -> None:
-    driven = 0.1 * np.sin(NUMBERS / 5)
+def test_output_zero_is_the_measured_angle(tmp_path: Path) -> None:
+    drive = tmp_path / "drive.h5"
+    artefacts.write_graphs(drive, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
     model = predict.load(write_model(tmp_path / "net", motion="visual", horizon=3), "cpu")
     assert model.horizon == 3
-    with (
-        frames.open_graphs(drive) as graphs,
-        pytest.raises(InputError, match=r"net: .*carries no motion: visual \(it has none\)"),
-    ):
+    with frames.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"no motion of kind visual"):
         model.predict(graphs)
-    artefacts.add_motion(drive, "visual", driven)
+    artefacts.add_motion(drive, "visual", STEERING)
     with torch.no_grad():
         for weights in model.net.parameters():
             weights.zero_()
     with frames.open_graphs(drive) as graphs:
-        steering_rad = model.predict(graphs)
-        answer = predict.over_drives(model.net, lambda *_: torch.ones(1), [windows.Timeline.of(graphs)], WINDOW,
-                                     model.target, rows=[np.array([5])], opened={0: graphs})  # fmt: skip
-    seen = np.isfinite(steering_rad)
-    assert seen.sum() == (12 - 3) + (11 - 3)
-    assert steering_rad[seen] == pytest.approx(driven[seen], abs=1e-6)
-    assert answer[0][5] == pytest.approx(0.12)
+        for output in (0.0, 1.0):
+            model.net.temporal.output_shift.data.fill_(output)
+            steering_rad = model.predict(graphs)
+            finite = np.isfinite(steering_rad)
+            assert finite.sum() == (12 - 3) + (11 - 3)
+            assert steering_rad[finite] == pytest.approx(STEERING[finite] + 0.12 * output, abs=1e-6)
 
 
-def test_an_older_checkpoint_is_told_by_what_it_lacks(tmp_path: Path) -> None:
-    path = write_model(tmp_path / "net") / "best.pt"
-    content = checkpoint.read(path, predict.KIND)
-    del content["target"]["wheelbase_m"], content["model"]["horizon"]
-    checkpoint.write(path, content)
-    with pytest.raises(InputError, match=r"lacks model\.horizon, target\.wheelbase_m: an older .*-item train@net$"):
-        predict.load(path.parent)
-
-
-def test_a_folder_is_named_by_path_or_text(tmp_path: Path) -> None:
-    folder = write_model(tmp_path / "net")
-    for name in (folder, str(folder)):
-        model = predict.load(name, device="cpu")
-        assert (model.name, model.seed, model.window, model.line["temporal"]) == ("net", 0, WINDOW, "ncp")
-        assert not model.net.training
-
-
-def test_a_folder_that_is_not_a_trained_model_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nott is not a trained model, best\.pt is missing.* repro train@nott"):
-        predict.load(tmp_path / "nott")
-    write_model(tmp_path / "train/net")
-    with pytest.raises(InputError, match=r"train is not a trained model.*best\.pt.*in it: net"):
-        predict.load(tmp_path / "train")
+def test_folder_of_a_model(tmp_path: Path) -> None:
+    folder = write_model(tmp_path / "train/net")
+    model = predict.load(str(folder), device="cpu")
+    assert (model.name, model.seed, model.window, model.line["temporal"]) == ("net", 0, WINDOW, "ncp")
+    assert not model.net.training
+    wiring = model.wiring
+    assert wiring is not None
+    assert wiring["command"] == 6
+    assert len(wiring["sensory"]) >= 8 * 6
+    for missing, fix in (("nott", "train@nott"), ("train", "net")):
+        with pytest.raises(InputError, match=r"best\.pt is missing") as raised:
+            predict.load(tmp_path / missing)
+        assert fix in raised.value.fix
+    store.write_json(folder / "config.json", {"model": model.line, "seeds": [0], "parameters": 1, "best_sha256": "0"})
+    with pytest.raises(InputError, match="different runs"):
+        predict.load(folder)
 
 
 @pytest.mark.parametrize(
-    ("change", "fault"),
+    ("change", "words"),
     [
         ({"kind": "unified encoder"}, "not a checkpoint of"),
-        ({"contents": None}, "lacks contents"),
+        ({"contents": None}, "contents: Field required"),
+        ({"target": {"std_rad": 0.0}}, r"target\.std_rad.*greater than 0"),
+        ({"target": {"mean_rad": float("nan")}}, r"target\.mean_rad.*finite"),
         ({"model": {"spatial": "wavelet"}}, r"spatial.*wavelet"),
+        ({"model": {"window": 0}}, r"model\.window"),
         ({"model": {"features": 7}}, "does not fit"),
     ],
 )
-def test_a_file_that_does_not_rebuild_a_network_is_refused(tmp_path: Path, change: dict[str, Any], fault: str) -> None:
+def test_a_checkpoint_that_does_not_rebuild_a_network_is_refused(
+    tmp_path: Path, change: dict[str, Any], words: str
+) -> None:
     path = write_model(tmp_path / "net/seed-7") / "best.pt"
     content = checkpoint.read(path, predict.KIND)
     for key, value in change.items():
         content[key] = content[key] | value if isinstance(value, dict) else value
     checkpoint.write(path, {key: value for key, value in content.items() if change.get(key, True) is not None})
-    with pytest.raises(InputError, match=rf"best\.pt.*{fault}.* dvc repro --force --single-item train@net$"):
+    with pytest.raises(InputError, match=rf"best\.pt.*{words}") as raised:
         predict.load(path.parent)
+    assert raised.value.fix.endswith("dvc repro --force --single-item train@net")
 
 
-def test_target_of_a_straight_road_has_a_spread_to_divide_by(tmp_path: Path) -> None:
-    names = ["2026_01_01_drive_0001"]
-    artefacts.write_dataset(tmp_path, dict.fromkeys(names, "train"), frames=12, points=20)
-    (bends,) = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", names, WINDOW)
-    target = predict.Target.of([bends])
-    assert target.std_rad == pytest.approx(bends.steering_rad.std())
-    bends.steering_rad[:] = 0.05
-    assert predict.Target.of([bends]).mean_rad == pytest.approx(0.05)
-    assert predict.Target.of([bends]).std_rad > 0
-
-
-def test_the_target_spreads_as_what_motion_leaves_open(tmp_path: Path) -> None:
-    name = "2026_01_01_drive_0001"
+def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
+    name = next(iter(DRIVES))
     artefacts.write_dataset(tmp_path, {name: "train"}, frames=40, points=12)
     graphs, labels = tmp_path / "graphs/semantic", tmp_path / "labels"
     (plain,) = windows.read_drives(graphs, labels, [name], WINDOW, 5)
     artefacts.add_motion(graphs / f"{name}.h5", "lidar", np.full(40, 0.05))
-    (moved,) = windows.read_drives(graphs, labels, [name], WINDOW, 5, "lidar")
-    moved.valid[:10] = False
-    target = predict.Target.of([moved])
+    (drive,) = windows.read_drives(graphs, labels, [name], WINDOW, 5, "lidar")
+    drive.valid[:10] = False
+    target = predict.Target.from_drives([drive])
     assert target.mean_rad == pytest.approx(plain.steering_rad[10:35].mean())
-    assert target.std_rad == pytest.approx(plain.steering_rad[10:35].std())  # a constant leaves all the spread
+    assert target.std_rad == pytest.approx(plain.steering_rad[10:35].std())  # a constant base does not change it
     assert (target.wheelbase_m, target.min_speed_mps) == (2.7, 1.0)
-    moved.base_rad[:] = np.nan_to_num(moved.steering_rad) - 0.02
-    assert predict.Target.of([moved]).std_rad == pytest.approx(1e-6)
+    drive.base_rad[:] = np.nan_to_num(drive.steering_rad) - 0.02
+    assert predict.Target.from_drives([drive]).std_rad == pytest.approx(1e-6)

@@ -1,4 +1,4 @@
-"""Batches are the same whoever reads them: this process, a thread, or processes that live for several epochs."""
+"""A thread or worker processes read the same batches as this process."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,11 +11,11 @@ import torch
 from pipeline.base.errors import InputError
 from pipeline.sections.train import Noise
 from pipeline.train import noise, windows
-from pipeline.train.augment import Change
+from pipeline.train.augment import Augmentation
 from pipeline.train.reading import Reader, Step, Steps
 from tests import artefacts
 
-DISTURB = Noise(depth_scale=0.2, speed=0.1)
+NOISE = Noise(depth_scale=0.2, speed=0.1)
 
 
 @pytest.fixture
@@ -30,15 +30,15 @@ def planned(seed: int) -> list[Step]:
     steps = []
     for number in range(6):
         runs = tuple(windows.Span(drive, start, start + 9) for drive, start in ((number % 2, number), (1, 2 * number)))
-        change = Change(rng.random(2) < 0.5, rng.uniform(0.8, 1.2, 2).astype(np.float32))
-        steps.append(Step(runs, change, ((seed, number, 0), (seed, number, 1))))
+        augmentation = Augmentation(rng.random(2) < 0.5, rng.uniform(0.8, 1.2, 2).astype(np.float32))
+        steps.append(Step(runs, augmentation, ((seed, number, 0), (seed, number, 1))))
     return steps
 
 
-def by_hand(drives: Sequence[windows.Drive], step: Step) -> dict[str, np.ndarray]:
-    (batch,) = windows.examples(drives, [step.runs], 4)
-    batch = step.change.apply(batch, [9, 9])
-    return noise.disturbed(batch, [9, 9], [np.random.default_rng(seed) for seed in step.seeds], DISTURB)
+def expected_batch(drives: Sequence[windows.Drive], step: Step) -> dict[str, np.ndarray]:
+    (batch,) = windows.batches(drives, [step.runs], 4)
+    batch = step.augmentation.apply(batch, [9, 9])
+    return noise.add_noise(batch, [9, 9], [np.random.default_rng(seed) for seed in step.seeds], NOISE)
 
 
 def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
@@ -49,23 +49,23 @@ def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
 
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_batches_are_those_made_by_hand(drives: list[windows.Drive], workers: int) -> None:
-    with Reader(Steps(drives, 4, DISTURB), torch.device("cpu"), workers) as reader:
-        for epoch in range(2):  # the same processes read on
+def test_batches_equal_the_reference(drives: list[windows.Drive], workers: int) -> None:
+    with Reader(Steps(drives, 4, NOISE), torch.device("cpu"), workers) as reader:
+        for epoch in range(2):  # with the same processes
             steps = planned(epoch)
             for step, batch in zip(steps, reader.batches(steps), strict=True):
-                same(batch, by_hand(drives, step))
+                same(batch, expected_batch(drives, step))
             assert reader.waited_s > 0
 
 
 def test_an_epoch_may_end_early_and_a_missing_file_is_named(drives: list[windows.Drive]) -> None:
-    with Reader(Steps(drives, 4, DISTURB), torch.device("cpu")) as reader:
+    with Reader(Steps(drives, 4, NOISE), torch.device("cpu")) as reader:
         read = reader.batches(planned(0))
         next(read)
         read.close()
     drives[1].graphs.unlink()
     with (
-        Reader(Steps(drives, 4, DISTURB), torch.device("cpu")) as reader,
-        pytest.raises(InputError, match=r"graphs/semantic/2026_01_01_drive_0002\.h5 is missing"),
+        Reader(Steps(drives, 4, NOISE), torch.device("cpu")) as reader,
+        pytest.raises(InputError, match="2026_01_01_drive_0002"),
     ):
         list(reader.batches(planned(0)))

@@ -1,1 +1,1 @@
-"""A cell of temporal: ncp a file, named as in params.yaml."""
+"""Cells of `temporal: ncp`, one per file; temporal/ncp.py lists them."""

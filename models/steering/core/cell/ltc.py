@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import softplus
 
-from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_REACH, RecurrentCell, State
+from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell, State
 from models.steering.core.wiring import Wiring
 
 EPSILON = 1e-8
@@ -20,21 +20,21 @@ class LTC(RecurrentCell):
 
         v ← (c v + g v_leak + Σ w σ(s (v_pre - μ)) e) / (c + g + Σ w σ(s (v_pre - μ)) + ε),   c = cm unfolds / dt,
 
-    where the sums run over internal and sensory synapses. The internal ones change at each step, the sensory ones
-    only with the frame: they are `sense`. The equation is that of ncps 1.0.1; here dt differs per window and frame,
-    and only synapses that exist are parameters. The motor neurons' potentials, scaled and shifted, are the output.
+    where the sums run over internal and sensory synapses. The internal sums change at each step, the sensory ones once
+    per frame: `sense` computes them. The equation is that of ncps 1.0.1; here dt differs per window and frame, and only
+    existing synapses are parameters. The motor neurons' potentials, scaled and shifted, are the output.
     """
 
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
         super().__init__()
         inputs, units = wiring.sensory.shape
-        self.motor, self.unfolds = wiring.motor, unfolds
+        self.wiring, self.motor, self.unfolds = wiring, wiring.motor, unfolds
         self.input_scale, self.input_shift = nn.Parameter(torch.ones(inputs)), nn.Parameter(torch.zeros(inputs))
         self.sensory, self.internal = Synapses(wiring.sensory), Synapses(wiring.internal)
         self.capacity = nn.Parameter(inverse_softplus(uniform(units, 0.4, 0.6)))  # cm, before softplus
         self.leak = nn.Parameter(inverse_softplus(uniform(units, 0.001, 1.0)))  # g, before softplus
         self.rest = nn.Parameter(uniform(units, -0.2, 0.2))  # v_leak
-        self.output_scale = nn.Parameter(torch.full((wiring.motor,), OUTPUT_REACH))
+        self.output_scale = nn.Parameter(torch.full((wiring.motor,), OUTPUT_SCALE))
         self.output_shift = nn.Parameter(torch.zeros(wiring.motor))
 
     def sense(self, x: Tensor) -> Tensor:
@@ -55,14 +55,14 @@ class LTC(RecurrentCell):
 
 
 class Unfolded(torch.autograd.Function):
-    """All steps of all frames, one after the other, with the gradients written out.
+    """All steps of all frames as one autograd operator with explicit gradients.
 
-    On arrays as tiny as these, what autograd does about an operator costs more than the operator. Here it sees one for
-    all steps, and what parameters get is summed over the steps at once.
+    On arrays this small, autograd's bookkeeping costs more than the operators. Parameter gradients are summed over all
+    steps at once.
 
-    Args: v [W,U] before; c [W,T,U]; fixed [W,T,2U], what a frame's steps share of numerator ‖ denominator beside c;
+    Args: v [W,U] before; c [W,T,U]; fixed [W,T,2U], the part of numerator ‖ denominator that is constant in a frame;
         slope [U,S], threshold [S] and sums [S,2U] of the internal synapses; steps a frame.
-    Returns: v after each frame [W,T,U], and after the last [W,U].
+    Returns: v after each frame [W,T,U], and after the last one [W,U].
     """
 
     @staticmethod
@@ -70,7 +70,7 @@ class Unfolded(torch.autograd.Function):
         ctx: Any, v: Tensor, c: Tensor, fixed: Tensor, slope: Tensor, threshold: Tensor, sums: Tensor, unfolds: int
     ) -> tuple[Tensor, Tensor]:
         fixed = torch.cat([fixed[..., : c.shape[2]], fixed[..., c.shape[2] :] + c], dim=2)
-        below = -threshold.expand(len(v), -1)  # [W,S]; as long as its result, a product takes it sooner
+        below = -threshold.expand(len(v), -1)  # [W,S]; expanded, addmm is faster
         potentials, opened, denominators = [v], [], []
         for c_frame, fixed_frame in zip(c.unbind(1), fixed.unbind(1), strict=True):
             for _ in range(unfolds):
@@ -82,39 +82,43 @@ class Unfolded(torch.autograd.Function):
                 denominators.append(denominator)
         ctx.save_for_backward(c, slope, sums)
         ctx.steps = (potentials, opened, denominators) if any(ctx.needs_input_grad) else None
-        # What is kept must not be what is returned: each would keep the other alive.
+        # The returned tensors must not be the saved ones: that would be a reference cycle.
         return torch.stack(potentials[unfolds::unfolds], dim=1), v.clone()
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, of_potentials: Tensor, of_last: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, grad_potentials: Tensor, grad_last: Tensor) -> tuple[Tensor | None, ...]:
         c, slope, sums = ctx.saved_tensors
         potentials, opened, denominators = ctx.steps
         windows, frames, units = c.shape
         unfolds = len(opened) // frames
-        sign = sums.new_tensor([1.0, -1.0]).repeat_interleave(units)  # a denominator pulls the other way
+        sign = sums.new_tensor([1.0, -1.0]).repeat_interleave(units)  # the denominator enters with a minus
         slope_t, sums_t = slope.T.contiguous(), (sums * sign).T.contiguous()
-        c_frames, of_frames = c.unbind(1), of_potentials.unbind(1)
-        upstream, of_terms, of_gates = of_last, [], []
+        c_frames, grad_frames = c.unbind(1), grad_potentials.unbind(1)
+        upstream, grad_terms, grad_gates = grad_last, [], []
         for step in reversed(range(len(opened))):
             frame, within = divmod(step, unfolds)
             if within == unfolds - 1:
-                upstream = upstream + of_frames[frame]
-            of_numerator = upstream / denominators[step]
-            of_term = torch.cat([of_numerator, of_numerator * potentials[step + 1]], dim=1)  # [W,2U], but for the sign
-            of_gate = torch.ops.aten.sigmoid_backward(of_term @ sums_t, opened[step])  # [W,S], of what σ is taken of
-            upstream = torch.addmm(of_numerator * c_frames[frame], of_gate, slope_t)
-            of_terms.append(of_term)
-            of_gates.append(of_gate)
+                upstream = upstream + grad_frames[frame]
+            grad_numerator = upstream / denominators[step]
+            grad_term = torch.cat(
+                [grad_numerator, grad_numerator * potentials[step + 1]], dim=1
+            )  # [W,2U], up to the sign
+            grad_gate = torch.ops.aten.sigmoid_backward(grad_term @ sums_t, opened[step])  # [W,S], of the argument of σ
+            upstream = torch.addmm(grad_numerator * c_frames[frame], grad_gate, slope_t)
+            grad_terms.append(grad_term)
+            grad_gates.append(grad_gate)
         before, open_ = torch.cat(potentials[:-1]), torch.cat(opened)  # [N W, …] for N steps
-        of_term, of_gate = torch.cat(of_terms[::-1]) * sign, torch.cat(of_gates[::-1])
-        of_c = torch.addcmul(of_term[:, units:], of_term[:, :units], before)
-        of_fixed, of_c = (each.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for each in (of_term, of_c))
-        return upstream, of_c, of_fixed, before.T @ of_gate, -of_gate.sum(0), open_.T @ of_term, None
+        grad_term, grad_gate = torch.cat(grad_terms[::-1]) * sign, torch.cat(grad_gates[::-1])
+        grad_c = torch.addcmul(grad_term[:, units:], grad_term[:, :units], before)
+        grad_fixed, grad_c = (
+            each.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for each in (grad_term, grad_c)
+        )
+        return upstream, grad_c, grad_fixed, before.T @ grad_gate, -grad_gate.sum(0), open_.T @ grad_term, None
 
 
 class Synapses(nn.Module):
-    """The synapses of a signed matrix [P,U] as lists of S parameters, in row order."""
+    """Parameters of the S synapses of a signed matrix [P,U], in row order."""
 
     pre: Tensor
     post: Tensor
@@ -123,8 +127,8 @@ class Synapses(nn.Module):
         super().__init__()
         signs = torch.from_numpy(polarity).float()
         source, target = signs.nonzero().unbind(1)
-        self.register_buffer("pre", nn.functional.one_hot(source, len(signs)).T.float())  # [P,S]: who is listened to
-        self.register_buffer("post", nn.functional.one_hot(target, signs.shape[1]).float())  # [S,U]: who listens
+        self.register_buffer("pre", nn.functional.one_hot(source, len(signs)).T.float())  # [P,S], source
+        self.register_buffer("post", nn.functional.one_hot(target, signs.shape[1]).float())  # [S,U], target
         count = len(source)
         self.w = nn.Parameter(inverse_softplus(uniform(count, 0.001, 1.0)))  # before softplus
         self.sigma = nn.Parameter(uniform(count, 3.0, 8.0))
@@ -134,8 +138,7 @@ class Synapses(nn.Module):
     def matrices(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return slope [P,S], threshold [S], sums [S,2U]: σ(v @ slope - threshold) @ sums is Σ w σ e ‖ Σ w σ.
 
-        Gathering and scattering as two small dense products: with the 60 synapses of an NCP that is fewer and faster
-        operations than indexing.
+        Two small dense products gather and scatter: for the 60 synapses of an NCP that is faster than indexing.
         """
         w = softplus(self.w)
         sums = torch.cat([(w * self.erev)[:, None] * self.post, w[:, None] * self.post], dim=1)
@@ -143,13 +146,10 @@ class Synapses(nn.Module):
 
 
 def uniform(count: int, low: float, high: float) -> Tensor:
-    """Return [count] numbers drawn between low and high."""
+    """Return [count] uniform random numbers between low and high."""
     return torch.empty(count).uniform_(low, high)
 
 
 def inverse_softplus(y: Tensor) -> Tensor:
-    """Return x with softplus(x) = y, for y > 0: parameters start where the literature has them."""
+    """Return x with softplus(x) = y, for y > 0."""
     return y + (-(-y).expm1()).log()
-
-
-cell = LTC

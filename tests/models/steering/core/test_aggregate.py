@@ -9,7 +9,7 @@ from models.steering.spatial.gatv2 import GATv2Layer, attend
 
 @pytest.mark.parametrize("loops", [False, True])
 @pytest.mark.parametrize("edges", [1, 20, 10**6])
-def test_chunks_hold_each_node_once_with_its_neighbours(make_batch, monkeypatch, loops, edges):
+def test_chunks_have_each_node_once_with_its_neighbours(make_batch, monkeypatch, loops, edges):
     monkeypatch.setattr(module, "EDGES", edges)
     batch = make_batch([13, 0, 1, 30])
     rows = [row.tolist() for row in batch.indices.split(batch.degree.tolist())]
@@ -45,15 +45,15 @@ def test_same_bits_each_time(make_batch, layer):
 
 
 @pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])
-def test_nothing_per_edge_is_kept_for_backward(make_batch, layer):
+def test_no_row_per_edge_is_stored_for_backward(make_batch, layer):
     batch = make_batch([150])
     nodes, edges = len(batch.degree), len(batch.indices)
-    net, kept = layer(4, 8), []
+    net, saved = layer(4, 8), []
     operator = layer.operator(batch, torch.float32)
-    with torch.autograd.graph.saved_tensors_hooks(lambda tensor: kept.append(tensor.numel()) or tensor, lambda t: t):
+    with torch.autograd.graph.saved_tensors_hooks(lambda tensor: saved.append(tensor.numel()) or tensor, lambda t: t):
         net(torch.randn(nodes, 4, requires_grad=True), operator)
     assert edges > 10 * nodes
-    assert max(kept) <= 8 * nodes
+    assert max(saved) <= 8 * nodes
 
 
 @pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])

@@ -3,14 +3,10 @@ import torch
 from models.steering.core.batch import ImageBatch
 
 
-def test_a_batch_moves_but_for_where_frames_begin(make_batch):
+def test_ptr_stays_on_the_cpu(make_batch, make_sets):
     batch = make_batch([5, 3]).to("meta")
-    assert batch.frames == 2
     assert {getattr(batch, name).device.type for name in ("xyz", "cls", "degree", "indices")} == {"meta"}
     assert batch.ptr.tolist() == [0, 5, 8]
-
-
-def test_batches_of_sets_and_images_move_likewise(make_sets):
     batch = make_sets([9, 5]).to("meta")
     tensors = [batch.xyz, batch.cls]
     tensors += [getattr(level, name) for level in batch.levels for name in ("centres", "neighbours")]

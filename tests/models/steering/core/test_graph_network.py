@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from models.steering.core.batch import GraphBatch
-from models.steering.core.graph_network import GraphNetwork
+from models.steering.core.graph_network import GraphKnobs, GraphNetwork
 from models.steering.spatial.edgeconv import EdgeConvLayer
 from models.steering.spatial.gatv2 import GATv2Layer
 from models.steering.spatial.gnn import GCNLayer
@@ -15,7 +15,7 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 @pytest.fixture(params=[GCNLayer, EdgeConvLayer, GATv2Layer])
 def network(request):
     torch.manual_seed(0)
-    return GraphNetwork(request.param, 5, layers=(8, 16), semantics=1.0).double()
+    return GraphNetwork(request.param, 5, GraphKnobs(layers=(8, 16), semantics=1.0)).double()
 
 
 def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
@@ -27,10 +27,12 @@ def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
     return GraphBatch(batch.xyz[rows], batch.cls[rows], torch.tensor([0, end - start]), batch.degree[rows], indices)
 
 
-def test_indices_may_be_as_narrow_as_files_give_them(make_batch, network):
+def test_dtypes_of_files(make_batch, network):
     batch = make_batch([40, 7])
     narrow = dataclasses.replace(batch, indices=batch.indices.int())
     torch.testing.assert_close(network(narrow), network(batch), rtol=0, atol=0)
+    single = dataclasses.replace(batch, xyz=batch.xyz.float())
+    torch.testing.assert_close(network(single), network(batch), rtol=0, atol=1e-5)
 
 
 def test_order_of_points_changes_nothing(make_batch, network):
@@ -61,9 +63,3 @@ def test_without_semantics_classes_change_nothing(make_batch, network):
     assert not torch.allclose(network(batch), network(other))
     network.semantics = 0.0
     assert torch.equal(network(batch), network(other))
-
-
-def test_float32_clouds_enter_a_float64_network(make_batch, network):
-    batch = make_batch([15])
-    single = dataclasses.replace(batch, xyz=batch.xyz.float())
-    torch.testing.assert_close(network(single), network(batch), rtol=0, atol=1e-5)

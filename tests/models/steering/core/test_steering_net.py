@@ -1,20 +1,23 @@
+"""Networks of each combination: shared frames, mirroring, motion, mixed precision, entries of params.yaml."""
+
 import dataclasses
-import inspect
 import json
 
 import pytest
 import torch
 
-from models.steering.core import steering_net
 from models.steering.core.batch import GraphBatch, ImageBatch
-from models.steering.core.network_file import Network, names
-from models.steering.core.steering_net import GENERAL, KINDS, build, parameter_count, resolved
-from pipeline.sections.models import Model
+from models.steering.core.network_file import load, names
+from models.steering.core.steering_net import KINDS, SteeringNet, build, parameter_count
+from models.steering.temporal.ncp import CELLS
+from pipeline.base.errors import InputError
+from pipeline.sections.models import Model, resolve
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
-KIND = {name: Network("spatial", name).module.INPUT for name in names("spatial") if name != "blind"}  # it sees nothing
-RECURRENT = [*((name, {}) for name in names("temporal")), *(("ncp", {"cell": name}) for name in names("cell"))]
+KIND = {name: load("spatial", name).kind for name in names("spatial") if name != "blind"}  # blind has no input
+RECURRENT = [("lstm", {}), *(("ncp", {"cell": name}) for name in CELLS)]
+COUNTS = [20, 9, 30, 12, 1, 25]  # points per frame
 IMAGE = torch.randint(0, 256, (6, 32, 40, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
 MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * torch.tensor(
     [0.2, 0.5, 20, 1]
@@ -22,14 +25,28 @@ MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manua
 CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (32, 40)}}
 
 
-def net_of(line: dict[str, object]) -> steering_net.SteeringNet:
-    """The line's network, whatever its input."""
+def build_any(line: dict[str, object]) -> SteeringNet:
+    """Build the network of an entry with an input of its kind."""
+    torch.manual_seed(0)
     kind = KIND.get(line["spatial"], "graph")
     return build(line, kind, **CONTENTS[kind])
 
 
+@pytest.fixture
+def frames(make_batch, make_sets):
+    """frames(spatial) → a batch of six frames for this network."""
+    return lambda spatial: {
+        "graph": lambda: make_batch(COUNTS), "pointnet2": lambda: make_sets(COUNTS), "image": lambda: ImageBatch(IMAGE)
+    }[KIND[spatial]]()  # fmt: skip
+
+
+@pytest.fixture
+def dt_s():
+    return torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 0.1 + 0.05
+
+
 def select(batch: GraphBatch, frames: list[int]) -> GraphBatch:
-    """The batch of these frames, in this order, built by hand."""
+    """Return the batch of these frames, in this order, built by hand."""
     edge_ptr = torch.cat([torch.zeros(1, dtype=torch.int64), batch.degree.long().cumsum(0)])[batch.ptr]
     pieces, start = [], 0
     for frame in frames:
@@ -43,11 +60,9 @@ def select(batch: GraphBatch, frames: list[int]) -> GraphBatch:
 
 @pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
 @pytest.mark.parametrize("spatial", [name for name in KIND if KIND[name] == "graph"])
-def test_shared_frames_equal_naive_windows(make_batch, make_line, spatial, temporal, knobs):
-    torch.manual_seed(0)
-    net = net_of(make_line(spatial, temporal, **knobs)).double()
+def test_shared_frames_equal_naive_windows(make_batch, make_line, dt_s, spatial, temporal, knobs):
+    net = build_any(make_line(spatial, temporal, **knobs)).double()
     batch = make_batch([9, 12, 7, 9, 0, 20])
-    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
 
     def loss_and_gradients(predictions):
         loss = (predictions - torch.arange(3)).square().mean()
@@ -56,102 +71,63 @@ def test_shared_frames_equal_naive_windows(make_batch, make_line, spatial, tempo
     shared = net(batch, WINDOWS, dt_s)
     own = torch.arange(4)[None]
     naive = torch.cat([net(select(batch, window.tolist()), own, dt_s[w : w + 1]) for w, window in enumerate(WINDOWS)])
-    assert shared.shape == (3,)
     torch.testing.assert_close(shared, naive, **TOLERANCE)
     loss, gradients = loss_and_gradients(shared)
     torch.testing.assert_close((loss, gradients), loss_and_gradients(naive), **TOLERANCE)
-    assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+    assert all(gradient.abs().sum() > 0 for gradient in gradients)
 
 
 @pytest.mark.parametrize("spatial", [name for name in KIND if KIND[name] != "graph"])
-def test_shared_frames_equal_naive_windows_for_sets_and_images(make_sets, make_line, spatial):
-    torch.manual_seed(0)
-    counts = [20, 9, 30, 12, 1, 25]
-    net = net_of(make_line(spatial)).double()
-    of_sets = KIND[spatial] == "pointnet2"
-    batch = make_sets(counts) if of_sets else ImageBatch(IMAGE)
-    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
-    shared = net(batch, WINDOWS, dt_s)
-    frames = [make_sets(counts, only=n) if of_sets else ImageBatch(IMAGE[n : n + 1]) for n in range(6)]
-    features = torch.cat([net.encode(frame) for frame in frames])
-    naive = torch.cat([
-        net.temporal(net.temporal.sense(features[window])[None], dt_s[w : w + 1])[0][:, -1, 0]
-        for w, window in enumerate(WINDOWS)
-    ])  # fmt: skip
-    torch.testing.assert_close(shared, naive, **TOLERANCE)
+def test_shared_sets_and_images_equal_single_ones(make_sets, make_line, frames, dt_s, spatial):
+    net = build_any(make_line(spatial)).double()
+    shared = net(frames(spatial), WINDOWS, dt_s)
+    sets = KIND[spatial] == "pointnet2"
+    singles = [make_sets(COUNTS, only=n) if sets else ImageBatch(IMAGE[n : n + 1]) for n in range(6)]
+    features = torch.cat([net.encode(frame) for frame in singles])
+    torch.testing.assert_close(shared, net.recall(features, WINDOWS, dt_s), **TOLERANCE)
     gradients = torch.autograd.grad(shared.square().sum(), list(net.parameters()))
-    assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+    assert all(gradient.abs().sum() > 0 for gradient in gradients)
 
 
-@pytest.mark.parametrize("temporal", names("temporal"))
+@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
 @pytest.mark.parametrize("spatial", KIND)
-def test_a_mirrored_world_steers_an_equivariant_network_the_other_way(
-    make_batch, make_sets, make_line, spatial, temporal
-):
-    torch.manual_seed(0)
-    counts = [20, 9, 30, 12, 1, 25]
-    batch = {"graph": make_batch(counts), "pointnet2": make_sets(counts), "image": ImageBatch(IMAGE)}[KIND[spatial]]
-    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
-    plain, equivariant = (net_of(make_line(spatial, temporal, equivariant=on)).double() for on in (False, True))
-    here, there = equivariant(batch, WINDOWS, dt_s), equivariant(batch.mirrored(), WINDOWS, dt_s)
-    torch.testing.assert_close(there, -here, **TOLERANCE)
-    assert here.abs().min() > 1e-6
+def test_mirrored_input_negates_an_equivariant_network(make_line, frames, dt_s, spatial, temporal, knobs):
+    batch, signs = frames(spatial), torch.tensor([-1, -1, 1, 1])
+    for motion, steered in ((None, None), (MOTION.clone().requires_grad_(), MOTION * signs)):
+        kind = "none" if motion is None else "visual"
+        net = build_any(make_line(spatial, temporal, motion=kind, equivariant=True, **knobs)).double()
+        output = net(batch, WINDOWS, dt_s, motion)
+        torch.testing.assert_close(net(batch.mirrored(), WINDOWS, dt_s, steered), -output, **TOLERANCE)
+        assert output.abs().min() > 1e-6
+    (gradient,) = torch.autograd.grad(output.square().sum(), motion)
+    assert (gradient.abs() > 0).all()
+    plain = build_any(make_line(spatial, temporal, **knobs)).double()
     assert (plain(batch, WINDOWS, dt_s) + plain(batch.mirrored(), WINDOWS, dt_s)).abs().max() > 1e-6
-    assert parameter_count(plain) == parameter_count(equivariant)
 
 
 @pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
-@pytest.mark.parametrize("spatial", KIND)
-def test_so_it_does_when_the_motion_is_mirrored_too(make_batch, make_sets, make_line, spatial, temporal, knobs):
-    torch.manual_seed(0)
-    counts = [20, 9, 30, 12, 1, 25]
-    batch = {"graph": make_batch(counts), "pointnet2": make_sets(counts), "image": ImageBatch(IMAGE)}[KIND[spatial]]
-    dt_s = torch.rand(WINDOWS.shape, dtype=torch.float64) * 0.1 + 0.05
-    net = net_of(make_line(spatial, temporal, motion="visual", equivariant=True, **knobs)).double()
-    motion = MOTION.clone().requires_grad_()
-    here = net(batch, WINDOWS, dt_s, motion)
-    there = net(batch.mirrored(), WINDOWS, dt_s, motion * torch.tensor([-1, -1, 1, 1]))
-    torch.testing.assert_close(there, -here, **TOLERANCE)
-    assert here.abs().min() > 1e-6
-    (heard,) = torch.autograd.grad(here.square().sum(), motion)
-    assert (heard.abs() > 0).all()  # of every frame, all that it did
-
-
-@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
-def test_all_of_a_network_with_motion_learns(make_batch, make_line, temporal, knobs):
-    torch.manual_seed(0)
-    net = net_of(make_line("gnn", temporal, motion="lidar", **knobs)).double()
-    batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
-    left_open = net(batch, WINDOWS, dt_s, MOTION)
-    assert left_open.abs().max() < 3  # deviations of what the measured angle leaves open
-    gradients = torch.autograd.grad(left_open.square().sum(), list(net.parameters()))
-    assert all(gradient.abs().sum() > 0 for gradient in gradients)  # nothing is cut off
+def test_all_parameters_of_a_network_with_motion_have_gradients(make_line, frames, dt_s, temporal, knobs):
+    net = build_any(make_line("gnn", temporal, motion="lidar", **knobs)).double()
+    residual = net(frames("gnn"), WINDOWS, dt_s, MOTION)
+    gradients = torch.autograd.grad(residual.square().sum(), list(net.parameters()))
+    assert all(gradient.abs().sum() > 0 for gradient in gradients)
     with pytest.raises(ValueError, match="motion"):
-        net(batch, WINDOWS, dt_s)
+        net(frames("gnn"), WINDOWS, dt_s)
 
 
-def test_without_motion_a_seed_gives_the_numbers_that_it_always_gave(make_batch, make_line):
+@pytest.mark.parametrize(("temporal", "expected"), [("ncp", 0.61231783739338), ("lstm", 0.26132779169831866)])
+def test_a_seed_gives_the_same_numbers_in_all_versions(make_batch, make_line, temporal, expected):
     batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
-    always = {"ncp": 0.61231783739338, "lstm": 0.26132779169831866}  # of the code that knew no motion
-    for temporal, knobs in (("ncp", {}), ("ncp", {"motion": "none"}), ("lstm", {})):
-        torch.manual_seed(3)
-        net = net_of(make_line("gnn", temporal, **knobs)).double()
-        assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(always[temporal], rel=1e-9)
+    torch.manual_seed(3)
+    net = build(make_line("gnn", temporal)).double()
+    assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("spatial", KIND)
-def test_an_input_of_another_kind_is_refused(make_line, spatial):
+def test_input_of_another_kind_is_refused(make_line, spatial):
     for kind in KINDS.keys() - {KIND[spatial]}:
         with pytest.raises(ValueError, match=f"^spatial = '{spatial}' expects {KINDS[KIND[spatial]]}.*{KINDS[kind]}"):
             build(make_line(spatial), kind, levels=2, image_size=(32, 40))
-
-
-def test_same_seed_same_network(make_line):
-    weights = []
-    for _ in range(2):
-        torch.manual_seed(5)
-        weights.append(build(make_line()).state_dict())
-    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
 def test_only_the_last_frames_prediction_is_returned(make_batch, make_line):
@@ -159,103 +135,66 @@ def test_only_the_last_frames_prediction_is_returned(make_batch, make_line):
     batch = make_batch([10, 10])
     dt_s = torch.full((1, 1), 0.1, dtype=torch.float64)
     moved = dataclasses.replace(batch, xyz=torch.cat([batch.xyz[:10], batch.xyz[10:] + 5]))
-    first, last = torch.tensor([[0]]), torch.tensor([[1]])
-    assert torch.equal(net(batch, first, dt_s), net(moved, first, dt_s))
-    assert not torch.equal(net(batch, last, dt_s), net(moved, last, dt_s))
+    for frame, equal in ((0, True), (1, False)):
+        window = torch.tensor([[frame]])
+        assert torch.equal(net(batch, window, dt_s), net(moved, window, dt_s)) == equal
 
 
-@pytest.mark.parametrize("cell", names("cell"))
+@pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("spatial", KIND)
-def test_mixed_precision_keeps_the_recursion_exact(make_batch, make_sets, make_line, spatial, cell):
-    torch.manual_seed(0)
-    net = net_of(make_line(spatial, cell=cell))
-    counts = [12, 12, 12]
-    batch = {"graph": make_batch(counts), "pointnet2": make_sets(counts), "image": ImageBatch(IMAGE)}[KIND[spatial]]
-    dt_s = torch.full((1, 3), 0.1)
-    windows = torch.tensor([[0, 1, 2]])
+def test_mixed_precision_keeps_the_recursion_in_float32(make_line, frames, spatial, cell):
+    net = build_any(make_line(spatial, cell=cell))
+    arguments = (frames(spatial), WINDOWS[:1], torch.full((1, 4), 0.1))
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        mixed = net(batch, windows, dt_s)
+        mixed = net(*arguments)
         mixed.sum().backward()
     assert mixed.dtype == torch.float32
     assert all(parameter.grad.isfinite().all() for parameter in net.parameters())
-    torch.testing.assert_close(mixed, net(batch, windows, dt_s), rtol=0, atol=0.1)
+    torch.testing.assert_close(mixed, net(*arguments), rtol=0, atol=0.1)
 
 
 @pytest.mark.parametrize(
-    ("networks", "wrong", "message"),
+    ("networks", "wrong", "words"),
     [
-        ({}, {"spatial": "gru"}, "^spatial = 'gru' .*cnn, edgeconv, gatv2, gnn, pointnet2"),
-        ({}, {"spatial": "gatv"}, "^spatial = 'gatv' .*did you mean gatv2"),
-        ({}, {"temporal": "gru"}, "^temporal = 'gru' .*lstm, ncp"),
-        ({}, {"cell": "cfcc"}, "^cell = 'cfcc' .*cfc, eq4, ltc.*did you mean cfc"),
-        ({}, {"cell": 4}, "^cell = 4: .*string"),
-        (
-            {},
-            {"width": 0.5},
-            "^width = 0.5 .*nothing to spatial: gnn with temporal: ncp.*layers, semantics, cell, wiri",
-        ),
-        ({}, {"units": 7}, "^units = 7 .*nothing to .*: leave it out"),
-        (
-            {"temporal": "lstm"},
-            {"cell": "ltc"},
-            "^cell = 'ltc' .*temporal: lstm, which take layers, semantics, units: ",
-        ),
-        ({"temporal": "lstm"}, {"wiring": {"inter": 3}}, "^wiring means nothing to"),
-        ({}, {"semantic": 1.0}, "^semantic = 1.0 .*did you mean semantics"),
-        ({}, {"equivarient": True}, "^equivarient = True .*did you mean equivariant"),
-        ({}, {"semantics": 1.5}, "^semantics = 1.5: .*less than or equal to 1"),
-        ({}, {"semantics": float("nan")}, "^semantics = nan: "),
-        ({}, {"layers": []}, r"^layers = \[\]: .*at least 1"),
-        ({}, {"layers": [8, 0]}, "^layers.1 = 0: "),
-        ({"spatial": "pointnet2"}, {"width": 5}, "^width = 5: .*less than or equal to 4"),
-        ({"spatial": "cnn"}, {"features": 30}, "^features = 30: .*multiple of 8"),
-        ({"temporal": "lstm"}, {"units": "many"}, "^units = 'many': "),
-        ({}, {"wiring": {"comand": 5}}, "^wiring.comand = 5: .*did you mean command"),
-        ({}, {"wiring": {"inter": 0}}, "^wiring.inter = 0: "),
-        ({}, {"wiring": {"motor_fanin": 7}}, "^wiring.motor_fanin = 7, but .*command = 6"),
-        ({}, {"wiring": 3}, "^wiring = 3: "),
+        ({}, {"spatial": "gru"}, ["spatial = 'gru'", "cnn, edgeconv, gatv2, gnn, pointnet2"]),
+        ({}, {"temporal": "gru"}, ["temporal = 'gru'", "lstm, ncp"]),
+        ({}, {"cell": "gru"}, ["cell", "'ltc', 'eq4' or 'cfc'"]),
+        ({}, {"width": 0.5}, ["width", "spatial = gnn, temporal = ncp", "layers, semantics, cell, wiring"]),
+        ({"temporal": "lstm"}, {"cell": "ltc"}, ["cell", "temporal = lstm"]),
+        ({}, {"semantic": 1.0}, ["semantic", "did you mean semantics"]),
+        ({}, {"equivarient": True}, ["equivarient", "did you mean equivariant"]),
+        ({}, {"semantics": 1.5}, ["semantics", "less than or equal to 1"]),
+        ({}, {"semantics": float("nan")}, ["semantics", "nan"]),
+        ({}, {"layers": []}, ["layers", "at least 1"]),
+        ({}, {"layers": [8, 0]}, ["layers.1"]),
+        ({"spatial": "pointnet2"}, {"width": 5}, ["width", "less than or equal to 4"]),
+        ({"temporal": "lstm"}, {"units": "many"}, ["units", "many"]),
+        ({}, {"wiring": {"comand": 5}}, ["wiring.comand"]),
+        ({}, {"wiring": {"inter": 0}}, ["wiring.inter"]),
     ],
 )
-def test_what_means_nothing_is_refused_by_its_key(make_line, networks, wrong, message):
-    with pytest.raises(ValueError, match=message) as refusal:
-        net_of(make_line(**networks) | wrong)
+def test_wrong_entries_are_refused_by_key(make_line, networks, wrong, words):
+    with pytest.raises(InputError) as refusal:
+        resolve(Model.model_validate(make_line(**networks) | wrong))
+    assert all(word in str(refusal.value) for word in words)
     assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("temporal", names("temporal"))
 @pytest.mark.parametrize("spatial", KIND)
-def test_a_resolved_line_says_all_and_builds_the_same(make_line, spatial, temporal):
+def test_resolved_entry_is_complete_and_builds_the_same_network(make_line, spatial, temporal):
     line = make_line(spatial, temporal)
-    whole = resolved(line)
-    assert {*steering_net.knobs(line), *line} == {*whole}
-    assert json.loads(json.dumps(whole)) == whole == resolved(whole)
-    assert line.items() <= {**whole, "wiring": line.get("wiring")}.items()
-    weights = []
-    for settings in (line, whole):
-        torch.manual_seed(0)
-        weights.append(net_of(settings).state_dict())
+    resolved = resolve(Model.model_validate(line))
+    assert json.loads(json.dumps(resolved)) == resolved == resolve(Model.model_validate(resolved))
+    weights = [build_any(each).state_dict() for each in (line, resolved)]
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
-def test_defaults_stand_in_a_resolved_line(make_line):
-    whole = resolved({"spatial": "gnn", "temporal": "ncp", "wiring": {"inter": 10}})
-    assert (whole["layers"], whole["semantics"], whole["cell"]) == ([32, 32, 64], 0.0, "ltc")
-    assert (whole["wiring"]["inter"], whole["wiring"]["command"]) == (10, 6)
-
-
-def test_the_files_that_a_line_names(make_line):
-    assert steering_net.modules(make_line("gatv2", cell="cfc")) == [
-        "models.steering.spatial.gatv2", "models.steering.temporal.ncp", "models.steering.core.cell.cfc"
-    ]  # fmt: skip
-    assert steering_net.modules(make_line("cnn", "lstm"))[1:] == ["models.steering.temporal.lstm"]
-
-
-def test_a_lines_general_settings_are_those_of_its_section():
-    assert set(GENERAL) == set(Model.model_fields)
-
-
-def test_what_a_newcomer_reads_first_fits_a_screen():
-    assert len(inspect.getdoc(steering_net).splitlines()) <= 20
+def test_resolved_entry_has_defaults():
+    entry = Model(input="semantic", spatial="gnn", temporal="ncp", window=8, wiring={"inter": 10})
+    resolved = resolve(entry)
+    assert (resolved["layers"], resolved["semantics"], resolved["cell"]) == ([32, 32, 64], 0.0, "ltc")
+    assert (resolved["wiring"]["inter"], resolved["wiring"]["command"]) == (10, 6)
 
 
 def test_parameter_count_of_the_default_line():
@@ -263,7 +202,7 @@ def test_parameter_count_of_the_default_line():
     spatial = (25 + 1) * 32 + (32 + 1) * 32 + (32 + 1) * 64 + (128 + 1) * 32
     assert parameter_count(build(line)) == spatial + 4 * (32 * 6 + 60) + 3 * 19 + 2 * 32 + 2
     assert parameter_count(build({**line, "cell": "eq4"})) == spatial + (32 * 6 + 60) + 19 + 32 * 19 + 2
-    layers = [(32, 12, 32 * 6), (12, 6, 12 * 4), (6, 1, 6)]  # heard, neurons, synapses between
-    cfc = sum(2 * (synapses + own**2) + 2 * (heard + own) * own + 4 * own for heard, own, synapses in layers)
+    layers = [(32, 12, 32 * 6), (12, 6, 12 * 4), (6, 1, 6)]  # inputs, neurons, synapses between
+    cfc = sum(2 * (synapses + own**2) + 2 * (inputs + own) * own + 4 * own for inputs, own, synapses in layers)
     assert parameter_count(build({**line, "cell": "cfc"})) == spatial + cfc + 2
     assert parameter_count(build({**line, "temporal": "lstm"})) == spatial + 4 * 32 * (32 + 32 + 2) + 33

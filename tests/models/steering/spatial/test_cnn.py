@@ -22,7 +22,7 @@ def images(count: int = 3, size: tuple[int, int] = (33, 50)) -> ImageBatch:
 
 
 def test_the_layers_are_those_of_the_ncp_paper(network):
-    """Second route: one image, one layer, one map after the other, with padding written out."""
+    """Reference: one image, layer and map at a time, with explicit padding."""
     batch = images()
     convolutions = [layer for layer in network.convolutions if isinstance(layer, torch.nn.Conv2d)]
     assert [(c.out_channels, c.kernel_size[0], c.stride[0]) for c in convolutions] == [
@@ -56,7 +56,7 @@ def test_an_image_of_one_colour_is_finite():
     assert not standardise(torch.full((1, 8, 8, 3), 77, dtype=torch.uint8), torch.float32).any()
 
 
-def test_features_are_shared_out_among_the_maps():
+def test_features_are_a_multiple_of_the_maps():
     assert SteeringCNN(16, (32, 32))(images(size=(32, 32))).shape == (3, 16)
-    with pytest.raises(ValueError, match=r"^features = 30: .* multiple of 8"):
+    with pytest.raises(ValueError, match=r"^features = 30, .* multiple of cnn's 8"):
         SteeringCNN(30, (32, 32))

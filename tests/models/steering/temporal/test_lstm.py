@@ -1,13 +1,13 @@
 import torch
 
-from models.steering.temporal.lstm import LSTM
+from models.steering.temporal.lstm import LSTM, Knobs
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 
 
 def test_lstm_equals_torch_forward_and_gradients():
     torch.manual_seed(0)
-    cell = LSTM(5, units=7).double()
+    cell = LSTM(5, Knobs(units=7)).double()
     peer = torch.nn.LSTM(5, 7, batch_first=True).double()
     for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
         getattr(peer, f"{name}_l0").data = getattr(cell, name).data.clone()

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from models.steering.core.batch import GraphBatch
 from models.steering.core.graph_network import GraphNetwork
+from models.steering.core.knobs import Sizes
 from models.steering.core.steering_net import SteeringNet
 from models.steering.spatial import blind, edgeconv, gatv2, gnn
 from models.steering.temporal.lstm import LSTM
@@ -15,10 +16,10 @@ from pipeline.live.export.plain import Edges, Recurrent, Spatial, convolved, see
 
 POINTS = 50
 NETWORKS = [
-    gnn.GCN(6, layers=(32, 8), semantics=1.0),  # wider than its input, then narrower
-    gnn.GCN(6, layers=(16,)),
-    edgeconv.network(6, layers=(16, 8), semantics=0.5),
-    gatv2.network(6, layers=(16, 6), semantics=1.0),  # four heads, and two
+    gnn.GCN(6, gnn.Knobs(layers=(32, 8), semantics=1.0)),  # wider than its input, then narrower
+    gnn.GCN(6, gnn.Knobs(layers=(16,))),
+    edgeconv.Knobs(layers=(16, 8), semantics=0.5).build(Sizes(6)),
+    gatv2.Knobs(layers=(16, 6), semantics=1.0).build(Sizes(6)),  # four heads, and two
     blind.Blind(6),
 ]
 

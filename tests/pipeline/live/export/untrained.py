@@ -8,6 +8,7 @@ import torch
 
 from models.steering.core import steering_net
 from pipeline.fitting import checkpoint
+from pipeline.sections.models import Model, resolve
 from pipeline.train import frames, predict
 from pipeline.train.predict import Target, Trained
 from tests import artefacts
@@ -33,7 +34,7 @@ def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings
     torch.manual_seed(0)
     net = steering_net.build(line, **contents).eval()
     target = Target(0.0, 0.1, artefacts.WHEELBASE_M, 1.0)
-    return Trained("net", 0, None, steering_net.resolved(line), contents, target, net)
+    return Trained("net", 0, None, resolve(Model.model_validate(line)), contents, target, net)
 
 
 def save(trained: Trained, folder: Path) -> Path:

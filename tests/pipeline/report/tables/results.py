@@ -48,7 +48,6 @@ def result(model: str, nmse: float = 0.2, odometry: dict[str, float] | None = No
         "seeds": [0],
         "drives": {"train": ["one"], "val": [], "test": list(drives)},
         "parameters": 9259,
-        "encode_ms_per_frame": 0.7,
         "wheelbase_m": 2.71,
         "path": "bicycle",
         "variant": {"k": 6, "keep_inter_class": 0.2, "accumulate": None},

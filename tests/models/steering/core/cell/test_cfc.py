@@ -6,7 +6,7 @@ import torch
 
 from models.steering.core.cell.cfc import CfC
 from models.steering.core.recurrent import NOMINAL_STEP_S
-from models.steering.core.wiring import Sizes, ncp
+from models.steering.core.wiring import Layout, ncp
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -18,7 +18,7 @@ HEADS = ["ff1", "ff2", "time_a", "time_b"]
 
 
 class Layered(PeerWiring):
-    """ncps's description of our wiring: it asks for the neurons of inter, command and motor, in this order."""
+    """Our wiring as ncps describes it, with the layers inter, command and motor in this order."""
 
     def __init__(self, wiring):
         super().__init__(wiring.units)
@@ -39,7 +39,7 @@ class Layered(PeerWiring):
 @pytest.mark.parametrize("motor", [1, 2])
 def test_equals_ncps_forward_and_gradients(motor):
     torch.manual_seed(0)
-    wiring = ncp(7, Sizes(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3), motor=motor)
+    wiring = ncp(7, Layout(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3), motor=motor)
     ours, peer = CfC(wiring).double(), WiredCfCCell(None, Layered(wiring)).double()
     pairs = list(zip([ours.inter, ours.command, ours.motor], peer.children(), strict=True))
     with torch.no_grad():
@@ -75,14 +75,14 @@ def test_equals_ncps_forward_and_gradients(motor):
         assert of_w.abs().min() > 0
 
 
-def test_the_wiring_decides_what_f_and_g_hear():
-    """A feature reaches the states of the inter neurons that it feeds; the gates hear all, as in ncps."""
+def test_wiring_limits_the_inputs_of_f_and_g():
+    """The gates a and b get all inputs, as in ncps."""
     wiring = ncp(5)
     cell = CfC(wiring)
-    fed = torch.from_numpy(wiring.sensory[:, 7:] != 0)  # [D, inter]
+    synapses = torch.from_numpy(wiring.sensory[:, 7:] != 0)  # [D, inter]
     f, g, a, b = cell.inter.weight.dense()[:5].ne(0).chunk(4, dim=1)
-    assert torch.equal(f, fed)
-    assert torch.equal(g, fed)
+    assert torch.equal(f, synapses)
+    assert torch.equal(g, synapses)
     assert a.all()
     assert b.all()
 

@@ -8,10 +8,10 @@ from scipy.special import expit
 
 from models.steering.core.cell.eq4 import Eq4
 from models.steering.core.recurrent import NOMINAL_STEP_S
-from models.steering.core.wiring import Sizes, ncp
+from models.steering.core.wiring import Layout, ncp
 
 DT_S = torch.tensor([[0.1, 0.31, 0.02, 0.1], [0.08, 0.1, 0.12, 0.6]], dtype=torch.float64)
-WIRING = ncp(5, Sizes(inter=6, command=5, sensory_fanout=3, inter_fanout=3, motor_fanin=3), motor=2)
+WIRING = ncp(5, Layout(inter=6, command=5, sensory_fanout=3, inter_fanout=3, motor_fanin=3), motor=2)
 
 
 def cell_of(unfolds: int) -> Eq4:
@@ -71,8 +71,8 @@ def test_small_steps_reach_the_ode_solvers_solution():
     assert runs[0].abs().max() < 1e-9
 
 
-def test_exact_where_nothing_recurs():
-    """Neurons that hear only the input: h relaxes to w x + b, in however few steps."""
+def test_exact_without_recurrence():
+    """Neurons without internal synapses relax to w x + b, with any number of steps."""
     cell, x = cell_of(1), features()
     with torch.no_grad():
         cell.internal.w.zero_()
@@ -101,7 +101,7 @@ def test_extreme_inputs_and_pauses_stay_finite(size, dt_s):
         assert tensor.isfinite().all()
 
 
-def test_synapses_start_with_the_wirings_sign():
+def test_synapses_start_with_the_sign_of_the_wiring():
     cell = Eq4(WIRING)
     assert np.array_equal(cell.sensory.dense().sign().detach().numpy(), WIRING.sensory)
     assert np.array_equal(cell.internal.dense().sign().detach().numpy(), WIRING.internal)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.core.cell.ltc import LTC, Unfolded, inverse_softplus
+from models.steering.core.cell.ltc import LTC, Unfolded
 from models.steering.core.recurrent import NOMINAL_STEP_S
-from models.steering.core.wiring import Sizes, ncp
+from models.steering.core.wiring import Layout, ncp
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -47,7 +47,7 @@ def pair(wiring):
 @pytest.mark.parametrize("motor", [1, 2])
 def test_equals_ncps_forward_and_gradients(motor):
     torch.manual_seed(0)
-    wiring = ncp(7, Sizes(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3), motor=motor)
+    wiring = ncp(7, Layout(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3), motor=motor)
     ours, peer, matches = pair(wiring)
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
     dt_s = torch.rand(3, 5, dtype=torch.float64) * 0.3 + 0.01  # irregular, and different in each window
@@ -72,15 +72,8 @@ def test_equals_ncps_forward_and_gradients(motor):
         assert gradient.abs().max() > 1e-9
 
 
-def test_gradients_through_dt():
-    cell = LTC(ncp(4, Sizes(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).double()
-    sensed = cell.sense(torch.randn(2, 3, 4, dtype=torch.float64)).detach()
-    dt_s = torch.full((2, 3), 0.1, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda dt: cell(sensed, dt)[0], dt_s)
-
-
 def step_by_step(v, c, fixed, slope, threshold, sums, unfolds):
-    """What `Unfolded` does, with autograd's own gradients."""
+    """`Unfolded` with autograd's gradients."""
     after = []
     for c_frame, fixed_frame in zip(c.unbind(1), fixed.unbind(1), strict=True):
         for _ in range(unfolds):
@@ -92,8 +85,8 @@ def step_by_step(v, c, fixed, slope, threshold, sums, unfolds):
 
 
 def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
-    """v, c, fixed, slope, threshold, sums: as a cell makes them of a random wiring."""
-    cell = LTC(ncp(5, Sizes(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).to(dtype)
+    """v, c, fixed, slope, threshold, sums of a cell with a random wiring."""
+    cell = LTC(ncp(5, Layout(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).to(dtype)
     units = len(cell.leak)
     v = torch.rand(windows, units, dtype=dtype)
     c = torch.rand(windows, frames, units, dtype=dtype) * 30 + 1
@@ -101,13 +94,13 @@ def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
     return [each.detach().requires_grad_() for each in (v, c, fixed, *cell.internal.matrices())]
 
 
-def test_written_out_gradients_are_the_derivatives():
+def test_explicit_gradients():
     torch.manual_seed(0)
     assert torch.autograd.gradcheck(lambda *of: Unfolded.apply(*of, 3), inputs_of_steps(windows=2, frames=2))
 
 
 @pytest.mark.parametrize(("dtype", "atol"), [(torch.float64, 1e-12), (torch.float32, 1e-6)])
-def test_all_steps_at_once_equal_one_after_the_other(dtype, atol):
+def test_all_steps_at_once_equal_single_steps(dtype, atol):
     torch.manual_seed(1)
     inputs = inputs_of_steps(dtype=dtype)
     ours, plain = Unfolded.apply(*inputs, 6), step_by_step(*inputs, 6)
@@ -117,22 +110,7 @@ def test_all_steps_at_once_equal_one_after_the_other(dtype, atol):
         torch.testing.assert_close(got, expected, rtol=0, atol=atol * max(1, expected.abs().max().item()))
 
 
-def test_a_window_in_two_pieces_has_the_gradients_of_the_whole():
-    torch.manual_seed(2)
-    cell = LTC(ncp(4)).double()
-    x, dt_s = torch.randn(2, 6, 4, dtype=torch.float64), torch.rand(2, 6, dtype=torch.float64) + 0.05
-    whole, _ = cell(cell.sense(x), dt_s)
-    first, state = cell(cell.sense(x[:, :2]), dt_s[:, :2])
-    second, _ = cell(cell.sense(x[:, 2:]), dt_s[:, 2:], state)
-    pieces = torch.cat([first, second], dim=1)
-    torch.testing.assert_close(pieces, whole, **TOLERANCE)
-    parameters = list(cell.parameters())
-    of_whole, of_pieces = (torch.autograd.grad(each.square().sum(), parameters) for each in (whole, pieces))
-    for got, expected in zip(of_pieces, of_whole, strict=True):
-        torch.testing.assert_close(got, expected, **TOLERANCE)
-
-
-def test_long_pause_forgets_and_no_pause_keeps():
+def test_state_decays_over_a_long_pause():
     cell = LTC(ncp(4)).double()
     sensed = cell.sense(torch.randn(1, 1, 4, dtype=torch.float64))
     one, two = (torch.rand(1, 19, dtype=torch.float64) for _ in range(2))
@@ -144,7 +122,7 @@ def test_long_pause_forgets_and_no_pause_keeps():
     assert (after(60.0, one) - after(60.0, two)).abs().max() < 0.1 * (one - two).abs().max()
 
 
-def test_starts_where_the_literature_does():
+def test_initial_values_are_those_of_ncps():
     cell = LTC(ncp(32))
     for parameter, low, high in [
         (cell.sensory.w, 0.001, 1), (cell.internal.w, 0.001, 1), (cell.capacity, 0.4, 0.6), (cell.leak, 0.001, 1),
@@ -153,14 +131,3 @@ def test_starts_where_the_literature_does():
         assert positive.min() >= low - 1e-6
         assert positive.max() <= high + 1e-6
     assert cell.internal.erev.abs().eq(1).all()
-
-
-def test_only_existing_synapses_are_parameters():
-    wiring = ncp(32)
-    synapses = np.count_nonzero(wiring.sensory) + np.count_nonzero(wiring.internal)
-    assert sum(p.numel() for p in LTC(wiring).parameters()) == 4 * synapses + 3 * 19 + 2 * 32 + 2
-
-
-def test_inverse_softplus():
-    y = torch.tensor([1e-3, 0.5, 1.0, 30.0], dtype=torch.float64)
-    torch.testing.assert_close(torch.nn.functional.softplus(inverse_softplus(y)), y, **TOLERANCE)

@@ -96,7 +96,10 @@ def _explain(error: OSError, kept: str) -> str:
 
 def _dangling(path: Path) -> Path | None:
     """Return the link that leads nowhere, `path` or a folder on the way to it."""
-    return next((link for link in (path, *path.parents) if link.is_symlink() and not link.exists()), None)
+    try:
+        return next((link for link in (path, *path.parents) if link.is_symlink() and not link.exists()), None)
+    except OSError:  # a name above 255 characters
+        return None
 
 
 def _starter(stage: str) -> int:

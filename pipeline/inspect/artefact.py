@@ -33,10 +33,8 @@ def describe(path: Path) -> Content:
 
 
 def _folder(folder: Path) -> Content | None:
-    if raw_drive.is_drive(folder):
-        return raw_drive.describe(folder)
     if drives := raw_drive.drives_below(folder):
-        return raw_drive.describe_root(drives)
+        return raw_drive.describe(drives)
     if (folder / "index.json").is_file():
         index = read_json(folder / "index.json", stage=folder.name)
         if "kinds" not in index:  # motion/index.json lists folders

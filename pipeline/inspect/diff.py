@@ -1,6 +1,6 @@
 """Compare two artefacts file by file: HDF5 by dataset and frame, CSV, JSON and checkpoints by key, others by byte.
 
-Each file is read as columns: name → frame number → value. A value that belongs to no frame has the frame None.
+Each file is read as columns: name → frame number → value, or function that reads the value.
 """
 
 import csv
@@ -20,7 +20,8 @@ from pipeline.base.store import DriveReader
 from pipeline.inspect.drive_file import open_drive
 from pipeline.inspect.reading import read_errors
 
-Column = Mapping[int | None, Any]
+Column = Mapping[int, Any]
+_NO_FRAME = -1
 _MAX_TEXT = 60  # characters of a value in a message
 
 
@@ -87,26 +88,24 @@ def compare(name: str, a: Path, b: Path, tolerance: float) -> Iterator[Differenc
 
 
 def _compare_column(name: str, key: str, a: Column, b: Column, tolerance: float) -> Iterator[Difference]:
-    texts = [
-        f"{len(frames)} frames only in {which}, first {min(frames)}"
-        for which, frames in (("A", a.keys() - b.keys()), ("B", b.keys() - a.keys()))
-        if frames
-    ]
-    largest, frames = 0.0, []
+    sides = (("A", a.keys() - b.keys()), ("B", b.keys() - a.keys()))
+    texts = [f"{len(alone)} frames only in {which}, first {min(alone)}" for which, alone in sides if alone]
+    frames: list[int] = []
+    largest = 0.0
     for frame in (frame for frame in a if frame in b):
         x, y = (column[frame]() if callable(column[frame]) else column[frame] for column in (a, b))
         distances = _distances(x, y)
         if (distances > tolerance).any():
             texts += [] if frames else [_text(x, y)]
             frames.append(frame)
-            largest = max(largest, distances[np.isfinite(distances)].max(initial=0.0))
+            largest = max(largest, float(distances[np.isfinite(distances)].max(initial=0.0)))
     if texts:
-        numbers = [frame for frame in frames if frame is not None]
-        yield Difference(name, key, ", ".join(texts), len(numbers), min(numbers, default=None), float(largest))
+        numbers = [frame for frame in frames if frame != _NO_FRAME]
+        yield Difference(name, key, ", ".join(texts), len(numbers), min(numbers, default=None), largest)
 
 
 def _distances(x: Any, y: Any) -> np.ndarray:
-    """Return absolute differences; infinity where values differ that are no numbers, or no numbers of one form.
+    """Return absolute differences; infinity where values differ, but not as numbers of one dtype and shape.
 
     NaN equals NaN.
     """
@@ -161,7 +160,7 @@ def flatten(value: Any, key: str = "") -> dict[str, Any]:
 
 
 def _leaves(value: Any) -> dict[str, Column]:
-    return {key: {None: leaf} for key, leaf in flatten(value).items()}
+    return {key: {_NO_FRAME: leaf} for key, leaf in flatten(value).items()}
 
 
 def _read_json(path: Path) -> dict[str, Column]:
@@ -199,7 +198,7 @@ def _drive_columns(file: DriveReader) -> dict[str, Column]:
     columns = _leaves(header)
     for name in sorted({*file.names} - {"frame"}):
         columns[name] = _dataset(file, name)
-        columns[f"unit of {name}"] = {None: str(file.dataset(name).attrs.get("unit", ""))}
+        columns[f"unit of {name}"] = {_NO_FRAME: str(file.dataset(name).attrs.get("unit", ""))}
     return columns
 
 
@@ -220,4 +219,4 @@ def _dataset(file: DriveReader, name: str) -> Column:
         if starts[-1] == length:
             ends = zip(frames, starts, starts[1:], strict=False)
             return {frame: partial(file.rows, name, start, stop) for frame, start, stop in ends}
-    return {None: file[name]}
+    return {_NO_FRAME: file[name]}

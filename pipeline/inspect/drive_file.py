@@ -49,15 +49,14 @@ def summary(path: Path) -> dict[str, Any]:
     """Return stage, drive, bytes, frames, attributes and params of a drive's file. Raises InputError."""
     with open_drive(path) as file:
         frames, times = file.frame.tolist(), file.time_s
-        first, last = (frames[0], frames[-1]) if frames else (None, None)
         return {
             "stage": str(file.attrs["stage"]),
             "drive": file.drive,
             "bytes": path.stat().st_size,
             "frames": len(frames),
-            "first": first,
-            "last": last,
-            "missing": spans(gaps(frames, first, last)) if frames else "",
+            "first": frames[0] if frames else None,
+            "last": frames[-1] if frames else None,
+            "missing": spans(gaps(frames, frames[0], frames[-1])) if frames else "",
             "duration_s": float(times[-1] - times[0]) if frames else 0.0,
             "attributes": {name: _plain(value) for name, value in sorted(file.attrs.items()) if name not in _HEADER},
             "params": file.params,

@@ -57,9 +57,8 @@ def read(path: Path, frame: int | None) -> FrameView:
         for name in sorted({*file.names} - {"frame"}):
             if file.shape(name) == file.frame.shape:
                 view.values[name] = file.row(name, row).item()
-        reader = _READERS.get(str(file.attrs["stage"]))
-        if reader:
-            reader(file, row, view)
+        _read_images(file, row, view)
+        _read_points(file, row, view)
         return view
 
 
@@ -72,38 +71,33 @@ def _choose(frame: int | None, frames: np.ndarray, path: Path) -> int:
     return int(frames[0]) if frame is None else frame
 
 
-def _read_ingest(file: DriveReader, row: int, view: FrameView) -> None:
-    present = {name for name in ("image", "depth", "cls", "lidar") if view.values.get(f"has_{name}")}
-    if "image" in present:
+def _has(file: DriveReader, name: str, view: FrameView) -> bool:
+    """Return whether a frame has a dataset: those of stage ingest have gaps."""
+    return name in file and bool(view.values.get(f"has_{name}", True))
+
+
+def _read_images(file: DriveReader, row: int, view: FrameView) -> None:
+    if _has(file, "image", view):
         view.rgb = file.row("image", row)
-    if "depth" in present:
-        view.depth_m = to_metres(file.row("depth", row))
-    if "cls" in present:
+    for name in ("depth", "depth_m"):
+        if _has(file, name, view):
+            view.depth_m = to_metres(file.row(name, row))
+    if _has(file, "cls", view) and len(file.shape("cls")) == 3:  # not of points
         view.cls = file.row("cls", row)
-    if "lidar" in present:
+
+
+def _read_points(file: DriveReader, row: int, view: FrameView) -> None:
+    if _has(file, "lidar", view):
         calibrated = "T_cam_velo" in file
         T_cam_velo = file["T_cam_velo"] if calibrated else _CAMERA_AXES
         view.cloud = lidar_cloud(_ragged(file, "lidar", "lidar_ptr", row), T_cam_velo, file["K"], view.cls)
-
-
-def _read_perception(file: DriveReader, row: int, view: FrameView) -> None:
-    view.depth_m = to_metres(file.row("depth_m", row))
-    view.cls = file.row("cls", row)
-
-
-def _read_cloud(file: DriveReader, row: int, view: FrameView) -> None:
-    if "image" in file:  # a graph variant of images
-        view.rgb = file.row("image", row)
-        return
-    xyz = _ragged(file, "xyz", "ptr", row)
-    view.cloud = (xyz, _ragged(file, "cls", "ptr", row))
-    if "indices" in file:
+    elif "xyz" in file:
+        view.cloud = (_ragged(file, "xyz", "ptr", row), _ragged(file, "cls", "ptr", row))
+    if "indices" in file and view.cloud:
+        xyz = view.cloud[0]
         nodes = np.repeat(np.arange(len(xyz)), _ragged(file, "degree", "ptr", row))
         pairs = np.stack([nodes, _ragged(file, "indices", "indices_ptr", row)], axis=1)
         view.edges = xyz[pairs[pairs[:, 0] < pairs[:, 1]]]  # each edge is stored in both directions
-
-
-_READERS = {"ingest": _read_ingest, "perception": _read_perception, "clouds": _read_cloud, "graphs": _read_cloud}
 
 
 def _ragged(file: DriveReader, name: str, pointers: str, row: int) -> np.ndarray:

@@ -1,13 +1,11 @@
 """Trace an artefact back through dvc.lock to its stage, the stages before it, and the raw drive."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pipeline.base import yaml_file
-from pipeline.base.errors import InputError
 from pipeline.inspect import drive_file
-from pipeline.inspect.diff import flatten
 from pipeline.inspect.reading import read_errors
 
 Stages = Mapping[str, Mapping[str, Any]]
@@ -30,19 +28,13 @@ def read_lock(project: Path) -> Stages:
     fix = "Restore it: git checkout dvc.lock. Or delete it, then run: dvc repro"
     with read_errors(lock, fix):
         stages = yaml_file.read(lock)["stages"]
-        if not all(isinstance(outputs(stage), dict) and isinstance(inputs(stage), dict) for stage in stages.values()):
-            raise ValueError("stages expected")
+        for stage in stages.values():
+            _paths(stage, "deps"), _paths(stage, "outs")
     return stages
 
 
-def outputs(stage: Mapping[str, Any]) -> dict[str, int]:
-    """Return path → bytes of a stage's outputs."""
-    return {out["path"]: out.get("size", 0) for out in stage.get("outs", [])}
-
-
-def inputs(stage: Mapping[str, Any]) -> dict[str, str]:
-    """Return path → hash of a stage's dependencies."""
-    return {dep["path"]: dep.get("md5", "") for dep in stage.get("deps", [])}
+def _paths(stage: Mapping[str, Any], kind: str) -> list[str]:
+    return [entry["path"] for entry in stage.get(kind, [])]
 
 
 def trace(path: Path) -> dict[str, str]:
@@ -55,10 +47,9 @@ def trace(path: Path) -> dict[str, str]:
     names = _makers(place.relative_to(project).as_posix(), stages)
     facts = {"made by": ", ".join(names) or f"unknown: no stage in {project / 'dvc.lock'} writes it"}
     if len(names) == 1:
-        facts["inputs"] = ", ".join(_inputs(names[0], stages)) or "none"
+        inputs = (path for path in _paths(stages[names[0]], "deps") if _makers(path, stages))
+        facts["inputs"] = ", ".join(inputs) or "none"
         facts["stages before"] = ", ".join(_upstream(names[0], stages)) or "none"
-        changed = "; ".join(_changed_params(stages[names[0]], project / "params.yaml"))
-        facts["params since then"] = changed or "unchanged"
     return facts
 
 
@@ -68,40 +59,16 @@ def _overlap(a: str, b: str) -> bool:
 
 
 def _makers(path: str, stages: Stages) -> list[str]:
-    return [name for name, stage in stages.items() if any(_overlap(path, out) for out in outputs(stage))]
-
-
-def _inputs(name: str, stages: Stages) -> Iterator[str]:
-    for path, md5 in inputs(stages[name]).items():
-        for maker in _makers(path, stages):
-            changed = any(out["path"] == path and out.get("md5") != md5 for out in stages[maker]["outs"])
-            yield f"{path}{' (made again since)' if changed else ''}"
+    return [name for name, stage in stages.items() if any(_overlap(path, out) for out in _paths(stage, "outs"))]
 
 
 def _upstream(name: str, stages: Stages) -> list[str]:
     """Return all stages that `name` depends on, the nearest first."""
     found = [name]
     for stage in found:  # grows
-        for path in inputs(stages[stage]):
+        for path in _paths(stages[stage], "deps"):
             found += [maker for maker in _makers(path, stages) if maker not in found]
     return found[1:]
-
-
-def _changed_params(stage: Mapping[str, Any], params: Path) -> Iterator[str]:
-    """Yield the params that differ between the stage's last run and params.yaml now."""
-    try:
-        now = yaml_file.read(params)
-    except (InputError, OSError) as error:
-        yield f"not compared: {error}"
-        return
-    for key, value in (pair for file in stage.get("params", {}).values() for pair in file.items()):
-        current = now
-        for part in key.split("."):
-            current = current.get(part) if isinstance(current, dict) else None
-        before, after = flatten(value, key), flatten(current, key)
-        for name in dict.fromkeys([*before, *after]):
-            if before.get(name) != after.get(name):
-                yield f"{name} was {before.get(name)}, is {after.get(name)} in params.yaml"
 
 
 def raw_drive(path: Path, drive: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import load, load_entry, names
-from pipeline.inspect.lineage import outputs, read_lock
+from pipeline.inspect.lineage import read_lock
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.models import Model
 
@@ -54,12 +54,10 @@ def check(folder: Path) -> Project:
         return project
     project.unused = [stage for stage in due if stage.startswith("graphs@") and stage not in used]
     project.due = {stage: reason for stage, reason in due.items() if stage not in project.unused}
-    project.due_bytes = sum(size for stage in project.due for size in outputs(lock.get(stage, {})).values())
+    project.due_bytes = sum(out.get("size", 0) for stage in project.due for out in lock.get(stage, {}).get("outs", []))
     if project.due_bytes > project.free_bytes:
-        gigabytes = (
-            f"{project.free_bytes / 1e9:.1f} GB free, the stages that are due wrote {project.due_bytes / 1e9:.1f}"
-        )
-        project.problems.append(f"disk of {folder}: {gigabytes} GB in their last run. Free some space")
+        problem = f"the stages that have to run wrote {project.due_bytes / 1e9:.1f} GB in their last run"
+        project.problems.append(f"{problem}, {project.free_bytes / 1e9:.1f} GB are free. Free some space")
     return project
 
 
@@ -105,11 +103,6 @@ def due_stages(folder: Path) -> dict[str, str]:
 
 
 def _reason(parts: list[Any]) -> str:
-    """Return what `dvc status` lists for one stage as text, at most three names of each kind of change."""
-    texts = []
-    for part in parts:
-        for kind, entries in part.items() if isinstance(part, dict) else [(str(part), {})]:
-            names = [str(name) for name in (entries if isinstance(entries, dict) else [entries])]
-            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-            texts.append(f"{kind}: {', '.join(names[:3])}{more}" if names else kind)
-    return "; ".join(texts)
+    """Return what `dvc status` lists for one stage as text."""
+    changes = [part.items() if isinstance(part, dict) else [(str(part), "")] for part in parts]
+    return "; ".join(f"{kind}: {', '.join(names)}" if names else kind for change in changes for kind, names in change)

@@ -23,7 +23,7 @@ from pipeline.kitti.raw import read_scan
 _PARTLY = 0.1  # share of missing frames above which an archive was partly extracted; KITTI itself lacks single frames
 _MAX_PROBLEMS = 3  # of damaged files of one modality, in words
 _MAX_BYTES = 1 << 28
-_PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"\x00\x00\x00\x00IEND\xaeB`\x82"
+_PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
 
 @dataclass
@@ -42,7 +42,7 @@ class DriveCheck:
 
 def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> list[DriveCheck]:
     """Check one drive, or all drives below a root, as :func:`check` does. Raises InputError if there is none."""
-    folders = [root] if raw_drive.is_drive(root) else raw_drive.drives_below(root)
+    folders = raw_drive.drives_below(root)
     if not folders:
         fix = "Expected <date>/<date>_drive_NNNN_sync in it"
         near = [path for path in root.iterdir() if raw_drive.drives_below(path)] if root.is_dir() else []
@@ -154,28 +154,18 @@ def _list(frames: Iterable[int]) -> str:
 
 
 def _reader(name: str, deep: bool) -> Callable[[Path], object]:
-    if name == "oxts":
-        return oxts.read_row
-    if name == "velodyne_points":
-        return read_scan if deep else _check_scan_size
-    return read_png if deep else _check_png_ends
+    readers = {"oxts": oxts.read_row, "velodyne_points": read_scan if deep else _check_size}
+    return readers.get(name, read_png if deep else _check_size)
 
 
-def _check_scan_size(path: Path) -> None:
+def _check_size(path: Path) -> None:
+    """Check the size of a scan or an image, and the end of an image. Raises DamagedFile."""
     size = check_file(path, _MAX_BYTES)
-    if not size or size % 16:
-        raise DamagedFile("is empty" if not size else "is cut short: its size is not a multiple of 16 bytes")
-
-
-def _check_png_ends(path: Path) -> None:
-    if not check_file(path, _MAX_BYTES):
-        raise DamagedFile("is empty")
     with path.open("rb") as file:
-        start = file.read(len(_PNG_START))
-        file.seek(-min(len(_PNG_END), path.stat().st_size), 2)
-        end = file.read()
-    if start != _PNG_START or end != _PNG_END:
-        raise DamagedFile("is not a PNG file" if start != _PNG_START else "is cut short")
+        file.seek(max(0, size - len(_PNG_END)))
+        complete = file.read() == _PNG_END if path.suffix == ".png" else size % 16 == 0
+    if not size or not complete:
+        raise DamagedFile("is cut short" if size else "is empty")
 
 
 def _check_calibration(date: Path, cameras: Sequence[int], scans: bool) -> None:

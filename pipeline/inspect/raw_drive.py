@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-from pipeline.inspect.reading import gaps, spans
 from pipeline.kitti.raw import RawDrive
 
 _DRIVE = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}_sync")
@@ -19,11 +18,11 @@ def is_drive(folder: Path) -> bool:
 
 
 def drives_below(root: Path) -> list[Path]:
-    """Return the drives' folders, sorted, below a KITTI raw root or in one of its date folders."""
-    if not root.is_dir():
-        return []
-    dates = [root] if _DATE.fullmatch(root.name) else [path for path in root.iterdir() if _DATE.fullmatch(path.name)]
-    folders = (path for date in dates if date.is_dir() for path in date.iterdir())
+    """Return the folders of the drives, sorted, below a KITTI raw root or one of its dates; of a drive, itself."""
+    if is_drive(root):
+        return [root]
+    dates = [root] if _DATE.fullmatch(root.name) else root.iterdir() if root.is_dir() else []
+    folders = (path for date in dates if _DATE.fullmatch(date.name) and date.is_dir() for path in date.iterdir())
     return sorted(path for path in folders if _DRIVE.fullmatch(path.name) and path.is_dir())
 
 
@@ -52,21 +51,10 @@ def calibration(folder: Path) -> list[str]:
     return [name for name in _CALIBRATION if (folder.parent / f"calib_{name}.txt").is_file()]
 
 
-def describe(folder: Path) -> dict[str, Any]:
-    """Return the number of files and the range of frames of each modality of a drive."""
-    rows = []
-    for name, files in modalities(folder).items():
-        if files:
-            first, last = min(files), max(files)
-            missing = spans(gaps(list(files), first, last))
-            rows.append({"modality": name, "files": len(files), "first": first, "last": last, "missing": missing})
-    return {"kind": "raw drive", "drive": name_of(folder), "calibration": calibration(folder), "modalities": rows}
-
-
-def describe_root(folders: list[Path]) -> dict[str, Any]:
-    """Return the number of files of each drive and modality."""
+def describe(folders: list[Path]) -> dict[str, Any]:
+    """Return a table of drives: number of files of each modality, and calibration."""
     rows = []
     for folder in folders:
         counts = {name: len(files) for name, files in modalities(folder).items() if files}
-        rows.append({"drive": name_of(folder)} | counts)
-    return {"kind": "folder of raw drives", "drives": rows}
+        rows.append({"drive": name_of(folder), **counts, "calibration": calibration(folder)})
+    return {"kind": "raw drives", "drives": rows}

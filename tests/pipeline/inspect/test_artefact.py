@@ -86,13 +86,11 @@ def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> N
 
 def test_raw_drive_and_raw_root(tmp_path: Path) -> None:
     folder = kitti_drive.write_drive(tmp_path, frames=[0, 1, 4])
-    content = artefact.describe(folder)
-    rows = {row["modality"]: row for row in content["modalities"]}
-    assert (rows["image_02"]["files"], rows["image_02"]["missing"]) == (3, "2-3")
-    assert content["calibration"] == ["cam_to_cam", "velo_to_cam"]
-    for root in (tmp_path, folder.parent):
-        (row,) = artefact.describe(root)["drives"]
+    for path in (tmp_path, folder.parent, folder):
+        (row,) = artefact.describe(path)["drives"]
+        calibration = row.pop("calibration")
         assert row == {"drive": kitti_drive.DRIVE, "oxts": 3, "image_02": 3, "velodyne_points": 3}
+        assert calibration == ["cam_to_cam", "velo_to_cam"]
 
 
 @pytest.mark.parametrize(

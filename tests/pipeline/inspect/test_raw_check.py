@@ -55,6 +55,12 @@ def change_format(path: Path) -> None:
     path.write_bytes(b"JFIF" + path.read_bytes())
 
 
+def flip_bit(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 8
+    path.write_bytes(content)
+
+
 def make_pipe(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
@@ -70,9 +76,7 @@ def link_to_nothing(path: Path) -> None:
     path.symlink_to("nothing")
 
 
-@pytest.mark.parametrize(
-    "damage", [empty, cut, cut_to_header, change_format, make_pipe, link_to_device, link_to_nothing]
-)
+@pytest.mark.parametrize("damage", [empty, cut, cut_to_header, make_pipe, link_to_device, link_to_nothing])
 @pytest.mark.parametrize("deep", [False, True])
 def test_damaged_image(folder: Path, damage: Callable[[Path], None], deep: bool) -> None:
     damage(image(folder, 7))
@@ -83,10 +87,9 @@ def test_damaged_image(folder: Path, damage: Callable[[Path], None], deep: bool)
     assert result.fix == f"unzip -o 2011_09_26_drive_0001_sync.zip '*/image_02/*' -d {folder.parent.parent}"
 
 
-def test_flipped_bit_is_found_by_decoding(folder: Path) -> None:
-    content = bytearray(image(folder, 7).read_bytes())
-    content[len(content) // 2] ^= 8
-    image(folder, 7).write_bytes(content)
+@pytest.mark.parametrize("damage", [flip_bit, change_format])
+def test_damage_that_is_found_by_decoding(folder: Path, damage: Callable[[Path], None]) -> None:
+    damage(image(folder, 7))
     assert not check(folder).problems
     assert len(check(folder, deep=True).problems) == 1
 

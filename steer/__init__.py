@@ -1,1 +1,1 @@
-"""The command line of people who have a model: steer predict, import, show, doctor, export."""
+"""Command line for users of a trained model: steer predict, import, show, diff, doctor, export."""

@@ -1,4 +1,4 @@
-"""python -m steer, where the command steer is not on the path."""
+"""Run the command with `python -m steer`, without `steer` on the path."""
 
 from steer.app import app
 

@@ -1,45 +1,97 @@
-"""The options that all commands share, and how a command says what it found."""
+"""Options that all commands share, and their output: text for people, or one JSON object."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+import sys
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="say nothing but errors")]
-Json = Annotated[bool, typer.Option("--json", help="say the result as one JSON object, and nothing else")]
-Debug = Annotated[bool, typer.Option("--debug", help="show the whole trace of an error")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
+Json = Annotated[bool, typer.Option("--json", help="print the result as one JSON object, and nothing else")]
+Debug = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
+_PIPE_WIDTH = 200  # columns where the output is not a terminal
 
 
-@dataclass(frozen=True)
-class Voice:
-    """How much a command says on its standard output."""
+class Output:
+    """Standard output of a command."""
 
-    quiet: bool = False
-    json: bool = False
+    def __init__(self, quiet: bool = False, as_json: bool = False) -> None:
+        from rich.console import Console  # not imported for help
+
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # names that are not UTF-8
+        self.visible = not (quiet or as_json)
+        """Whether text and progress bars are shown."""
+        self._json = as_json
+        width = None if sys.stdout.isatty() else _PIPE_WIDTH
+        self.console = Console(quiet=not self.visible, width=width, markup=False, highlight=False, emoji=False)
 
     @property
     def talks(self) -> bool:
-        """Whether people read along: lines, progress bars."""
-        return not (self.quiet or self.json)
+        """Same as `visible`."""
+        return self.visible
 
     def line(self, text: str) -> None:
-        """Say a line to people."""
-        if self.talks:
-            print(text, flush=True)
+        """Print a line of text."""
+        self.console.print(text, soft_wrap=True)
+
+    def facts(self, content: Mapping[str, Any]) -> None:
+        """Print names and values; of a list of mappings, a table."""
+        from rich.table import Table
+
+        grid = Table.grid(padding=(0, 2))
+        for name, value in content.items():
+            if not _is_table(value):
+                grid.add_row(f"  {name}", _text(name, value))
+        self.console.print(grid)
+        for value in content.values():
+            if _is_table(value):
+                self.table(value)
+
+    def table(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Print mappings as the rows of a table, a column for each key."""
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table
+
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        table = Table(box=SIMPLE_HEAD, pad_edge=False)
+        for name in names:
+            table.add_column(name, overflow="fold")
+        for row in rows:
+            table.add_row(*(_text(name, row.get(name)) for name in names))
+        self.console.print(table)
 
     def result(self, content: Mapping[str, Any]) -> None:
-        """Say the result to machines, if they are asked for; what is not finite is null."""
-        if self.json:
-            print(json.dumps(_plain(content), indent=1, allow_nan=False), flush=True)
+        """Print the result as JSON, if ``--json`` is given; numbers that are not finite become null."""
+        if self._json:
+            print(json.dumps(_finite(content), indent=1, allow_nan=False), flush=True)
 
 
-def _plain(value: Any) -> Any:
+Voice = Output  # in steer.predict, steer.export, steer.import_recording
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
+
+
+def _text(name: str, value: Any) -> str:
+    """Return a value as people read it; `name` decides the unit."""
+    if value is None or value in ([], {}, ""):
+        return "-"
+    if name == "bytes":
+        from rich.filesize import decimal
+
+        return decimal(int(value))
     if isinstance(value, Mapping):
-        return {str(key): _plain(each) for key, each in value.items()}
+        return ", ".join(f"{key}: {_text('', inner)}" for key, inner in value.items())
+    if isinstance(value, list):
+        return (" × " if name == "shape" else ", ").join(_text("", inner) for inner in value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), -float("inf"))):
-        return None
-    return value
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and value - value != 0 else value

@@ -1,74 +1,57 @@
-"""steer show: what an artefact holds, where it came from, and a picture of a frame."""
+"""steer show: describe an artefact, trace its origin, and draw a frame."""
 
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from steer.options import Debug, Json, Quiet, Voice
+from steer.options import Debug, Json, Output, Quiet
 
 
 def show(
     path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="an artefact of a stage, or a raw drive")],
-    frame: Annotated[int | None, typer.Option(min=0, help="this frame's numbers, and a picture of it")] = None,
-    out: Annotated[Path | None, typer.Option(help="the picture, a PNG; default NAME-frame-N.png here")] = None,
-    ply: Annotated[
-        Path | None, typer.Option(help="write the frame's points to this PLY file, in class colours")
-    ] = None,
-    view: Annotated[bool, typer.Option("--view", help="turn the frame's points in Open3D's viewer")] = False,
+    frame: Annotated[int | None, typer.Option(min=0, help="show this frame only, and draw it")] = None,
+    out: Annotated[Path | None, typer.Option(help="name of the PNG; default NAME-frame-N.png")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """What an artefact of any stage holds, and where it came from, back to the raw drive.
+    """Describe an artefact of any stage, and trace it back to the raw drive; or draw one of its frames.
 
-    Where it came from is read from the dvc.lock of the project in which it lies: each stage's command and settings,
-    hashes of what it read, and whether the code there is still that which made it.
-
-        steer show data/graphs/semantic/2026_01_03_drive_0001.h5
-
-        steer show data/clouds/pseudo/2026_01_03_drive_0001.h5 --frame 40 --ply frame.ply
-
-        steer show data/train/sa-gnn-ncp --json
-
-        steer show data/raw/2011_09_26/2011_09_26_drive_0052_sync --frame 10 --out street.png
+    \b
+    steer show data
+    steer show data/graphs/semantic/2026_01_03_drive_0001.h5
+    steer show data/graphs/semantic/2026_01_03_drive_0001.h5 --frame 40
+    steer show data/train/sa-gnn-ncp --json
+    steer show data/raw/2011_09_26/2011_09_26_drive_0052_sync --frame 10 --out street.png
     """
-    from pipeline.inspect import artefact, lineage, origin, words
+    from pipeline.inspect import artefact, lineage
 
-    voice = Voice(quiet, as_json)
-    told = artefact.describe(path)
-    chain, raw = lineage.chain(path), origin.of_drives(path, told.get("made_of", []))
-    for line in words.artefact(told):
-        voice.line(line)
-    if told["kind"] not in ("raw drive", "folder of raw drives"):
-        for line in words.provenance(chain, raw):
-            voice.line(line)
-    shown = _show_frame(path, frame, out, ply, view, voice) if (frame is not None or out or ply or view) else {}
-    voice.result({**told, "provenance": {**chain, "raw": raw}, **shown})
+    output = Output(quiet, as_json)
+    if frame is not None or out:
+        output.result(_show_frame(path, frame, out, output))
+        return
+    content = artefact.describe(path)
+    origin: dict[str, str] = {}
+    if "raw drive" not in content["kind"]:
+        origin = lineage.trace(path)
+        raw = lineage.raw_drive(path, content["drive"]) if "drive" in content else ""
+        origin |= {"raw drive": raw} if raw else {}
+    output.facts(content)
+    output.facts(origin)
+    output.result(content | {"origin": origin})
 
 
-def _show_frame(
-    path: Path, frame: int | None, out: Path | None, ply: Path | None, view: bool, voice: Voice
-) -> dict[str, Any]:
-    """Say a frame's numbers, write what is asked for, and return what was."""
-    from pipeline.inspect import frame_picture, frame_view, points
+def _show_frame(path: Path, frame: int | None, out: Path | None, output: Output) -> dict[str, Any]:
+    """Print a frame's numbers, draw it, and return what was written."""
+    from pipeline.inspect import frame_picture, frame_view
 
-    seen = frame_view.read(path, frame)
-    name = path.resolve().stem
-    title = f"{Path(*path.absolute().parts[-3:])}, frame {seen.frame}"
-    voice.line(f"frame {seen.frame}: " + ", ".join(f"{key} {value:.6g}" for key, value in seen.values.items()))
-    written: dict[str, Any] = {"frame": seen.frame, "values": seen.values}
-    if out or (seen.drawable and frame is not None):
-        picture = out or Path(f"{name}-frame-{seen.frame}.png")
-        frame_picture.draw(picture, title, seen)
-        voice.line(f"picture: {picture}")
-        written["picture"] = str(picture)
-    elif frame is not None:
-        voice.line("picture: none, as these are numbers alone")
-    if ply:
-        count = points.write_ply(ply, title, seen.cloud)
-        voice.line(f"points: {ply}, {count} in the camera frame, m")
-        written["ply"] = str(ply)
-    if view:
-        points.view(title, seen.cloud)
-    return {"shown": written}
+    view = frame_view.read(path, frame)
+    title = f"{Path(*path.absolute().parts[-3:])}, frame {view.frame}"
+    content: dict[str, Any] = {"path": str(path), "frame": view.frame, **view.values}
+    if out or view.drawable:
+        picture = out or Path(f"{path.absolute().stem}-frame-{view.frame}.png")
+        frame_picture.draw(picture, title, view)
+        content["picture"] = str(picture)
+    output.facts(content)
+    return content

@@ -1,1 +1,1 @@
-"""What an artefact holds and where it came from, and what a raw folder or a project lacks: for people, for no stage."""
+"""Describe and compare artefacts, and check raw drives and the project: for the command line, not for stages."""

@@ -1,125 +1,121 @@
-"""What a file or folder is, of whichever stage, and what it holds: JSON-able."""
+"""Describe a file or folder of any stage as JSON-able values; lists of mappings are tables."""
 
-from collections.abc import Callable
+import csv
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
-from pipeline.inspect import drive_file, raw_listing, trained
-from pipeline.inspect.apart import apart
-from pipeline.inspect.reading import json_object, mapping, size_of
+from pipeline.base.params import SECTIONS, SPLITS
+from pipeline.base.store import read_json
+from pipeline.inspect import drive_file, raw_drive
+from pipeline.inspect.diff import flatten
+from pipeline.inspect.reading import read_errors, size_of
 
 Content = dict[str, Any]
-# Files that are told with their folder.
-_OF_A_FOLDER = (
-    "index.json", "summary.json", "config.json", "metrics.json", "best.pt", "last.pt", "encoder.pt", "curve.csv",
-    "predictions.csv", "structure.json", "neurons.json", "table.md", "table.csv", "index.html",
-)  # fmt: skip
+_STAGES = (*SECTIONS, "scores", "report")
 
 
 def describe(path: Path) -> Content:
-    """Return what an artefact holds: ``kind``, ``path``, ``bytes`` and what is particular to its kind.
+    """Return ``kind``, ``path``, ``bytes`` and what is specific to the kind.
 
-    ``made_of`` names the drives that it is made of, where it says so.
+    A file of a model, of the encoder or of results is described with its folder.
 
-    Raises InputError if nothing is there, it is damaged, or nothing that a stage writes.
+    Raises InputError if `path` is missing, damaged, or not an artefact.
     """
-    if not path.exists():
-        raise InputError(f"{path} is missing: give a file or folder that a stage wrote, or a KITTI raw drive's folder")
     if path.is_file():
-        if path.name in _OF_A_FOLDER:
-            return describe(path.absolute().parent)
-        if path.suffix not in (".h5", ".hdf5"):
-            raise InputError(f"{path} is no artefact of a stage: give a drive's .h5 file, or a folder")
-        return apart(drive_file.describe, path)
-    if not path.is_dir():
-        raise InputError(f"{path} is no plain file and no folder: give an artefact of a stage")
-    for is_one, tell in _KINDS:
-        if is_one(path):
-            return {"path": str(path), "bytes": size_of(path), **tell(path)}
-    raise InputError(f"{path} holds nothing that a stage writes, and no KITTI raw drive: give one of the files in it")
+        return drive_file.describe(path) if path.suffix == ".h5" else describe(path.absolute().parent)
+    content = _folder(path) if path.is_dir() else None
+    if content is None:
+        problem = "holds no artefact of a stage and no raw drive" if path.is_dir() else "no file or folder of this name"
+        raise InputError(problem, path, "Pass data/, a folder or an .h5 file in it, or a KITTI raw drive")
+    return {"kind": content.pop("kind"), "path": str(path), "bytes": size_of(path), **content}
 
 
-def _has(*names: str) -> Callable[[Path], bool]:
-    return lambda folder: all((folder / name).is_file() for name in names)
+def _folder(folder: Path) -> Content | None:
+    if drives := raw_drive.drives_below(folder):
+        return raw_drive.describe(drives)
+    if (folder / "index.json").is_file():
+        index = read_json(folder / "index.json", stage=folder.name)
+        if "kinds" not in index:  # motion/index.json lists folders
+            return _drives(folder, index)
+    if (folder / "config.json").is_file():
+        return _network(folder)
+    if (folder / "metrics.json").is_file():
+        return _metrics(folder)
+    if pictures := sorted(folder.glob("????_??_??_drive_????.png")):
+        return {"kind": "pictures", "drives": [{"drive": path.stem, "bytes": size_of(path)} for path in pictures]}
+    return _parts(folder)
 
 
-def _drives(folder: Path) -> Content:
-    """Tell a folder with an index of drives: of each its split, frames and bytes."""
-    index = json_object(folder / "index.json")
-    if "kinds" in index:  # stage motion: a folder for each way of measuring
-        return _folders(folder)
+def _drives(folder: Path, index: Content) -> Content:
+    """Describe a folder with one file per drive: split, frames and gaps of each drive."""
     splits = index.get("drives")
     if not isinstance(splits, dict) or not all(Path(drive).name == drive for drive in splits):
-        raise InputError(f"{folder / 'index.json'} is damaged: it has no drives with their splits. dvc repro makes it")
-    drives, lacking, first = {}, [], None
+        raise InputError("expected drives with their splits", folder / "index.json", "Make it again: dvc repro")
+    rows: list[Content] = []
+    content: Content = {"kind": "folder of drives"}
     for drive, split in splits.items():
         path = folder / f"{drive}.h5"
+        row = {"drive": drive, "split": split}
         if not path.is_file():
-            lacking.append(drive)
+            rows.append(row | {"missing": "file is missing"})
             continue
-        told = apart(drive_file.summary, path)
-        first = first or {"stage": told["stage"], "settings": told["settings"]}
-        drives[drive] = {"split": str(split), "bytes": told["bytes"], **told["frames"]}
-    count = sum(drive["count"] for drive in drives.values())
-    return {
-        "kind": "folder of drives",
-        **(first or {}),
-        "frames": count,
-        "drives": drives,
-        "lacking": lacking,
-        "made_of": list(splits),
-    }
+        summary = drive_file.summary(path)
+        content |= {"stage": summary["stage"], "params": summary["params"]}
+        rows.append(row | {key: summary[key] for key in ("frames", "first", "last", "missing", "bytes")})
+    return content | {"frames": sum(row.get("frames", 0) for row in rows), "drives": rows}
 
 
-def _folders(folder: Path) -> Content:
-    """Tell a folder of artefacts, as data/clouds or data/: of each what it is, or what is wrong with it."""
-    parts: Content = {}
-    for part in _parts(folder):
+def _network(folder: Path) -> Content:
+    """Describe a trained model or the encoder by its config.json and the last line of its curve.csv."""
+    stage = "encoder" if (folder / "encoder.pt").is_file() else f"train@{folder.name}"
+    config = read_json(folder / "config.json", stage=stage)
+    splits = config.pop("splits", None) or {}
+    drives = len(config.pop("frames_per_drive", ())) or dict(Counter(splits.values()))
+    content: Content = {"kind": stage.partition("@")[0].replace("train", "model"), "drives": drives, **config}
+    content["checkpoints"] = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.pt"))
+    curve = folder / "curve.csv"
+    if curve.is_file():
+        with read_errors(curve), curve.open(newline="", encoding="utf-8") as file:
+            content["end_of_curve"] = [*csv.DictReader(file, strict=True)][-1]
+    return content
+
+
+def _metrics(folder: Path) -> Content:
+    """Describe metrics.json: a row for each number that has splits, the other numbers one by one."""
+    metrics = read_json(folder / "metrics.json", stage=folder.name)
+    content: Content = {"kind": "metrics", "model": metrics.get("model"), "line": metrics.pop("line", None)}
+    rows: dict[str, Content] = {}
+    for key, value in flatten(metrics).items():
+        keys = key.split(".")
+        if not isinstance(value, int | float) or "[" in key or "by_drive" in keys:
+            continue
+        split = next((part for part in keys if part in SPLITS), None)
+        if split is None:
+            content[key] = value
+        else:
+            name = ".".join(part for part in keys if part != split)
+            rows.setdefault(name, {"metric": name} | dict.fromkeys(SPLITS))[split] = value
+    return content | {"metrics": [*rows.values()]}
+
+
+def _parts(folder: Path) -> Content | None:
+    """Describe data/, or one of its folders that holds several artefacts, as graphs/: one row each."""
+    inside = folder.absolute().name in _STAGES
+    rows: list[Content] = []
+    for part in sorted(path for path in folder.iterdir() if not path.name.startswith(".")):
+        if not (inside or part.name in _STAGES) or not part.is_dir():
+            continue
         try:
-            told = describe(part)
+            content = describe(part)
         except InputError as error:
-            parts[part.name] = {"error": str(error)}
+            rows.append({"folder": part.name, "problem": str(error)})
             continue
-        inner = mapping(told.get("parts"))
-        parts |= {f"{part.name}/{name}": one for name, one in inner.items()} or {part.name: _in_short(told)}
-    return {"kind": "folder of artefacts", "parts": parts}
-
-
-def _in_short(told: Content) -> Content:
-    short = {key: told[key] for key in ("kind", "bytes", "frames", "parameters", "best_epoch") if key in told}
-    return short | ({"drives": len(told["drives"])} if told["kind"].startswith("folder of") else {})
-
-
-def _parts(folder: Path, levels: int = 2) -> list[Path]:
-    """Return the folders in `folder` that are artefacts or hold some: data/ holds graphs/, and that variants."""
-    hidden = (part for part in sorted(folder.iterdir()) if part.is_dir() and not part.name.startswith("."))
-    of_a_stage = [is_one for is_one, _ in _KINDS[:-1]]
-    return [
-        part
-        for part in hidden
-        if any(is_one(part) for is_one in of_a_stage) or (levels > 1 and _parts(part, levels - 1))
-    ]
-
-
-def _drawn(folder: Path) -> list[str]:
-    """Return the drives of which stage pictures drew something into a folder."""
-    return sorted(path.stem for path in folder.glob("????_??_??_drive_????.png"))
-
-
-def _is_model(folder: Path) -> bool:
-    networks = (found for name in ("best.pt", "last.pt") for found in folder.rglob(name))
-    return (folder / "config.json").is_file() and any(networks)
-
-
-_KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path], Content]], ...] = (
-    (raw_listing.is_drive, raw_listing.drive),
-    (raw_listing.is_root, raw_listing.root),
-    (_has("index.json"), _drives),
-    (_is_model, trained.model),
-    (_has("config.json"), trained.encoder),
-    (_has("metrics.json", "predictions.csv"), trained.evaluation),
-    (_has("metrics.json"), trained.figures),
-    (lambda folder: bool(_drawn(folder)), lambda folder: {"kind": "pictures", "made_of": _drawn(folder)}),
-    (lambda folder: bool(_parts(folder)), _folders),
-)
+        if content["kind"] == "folder of artefacts":
+            rows += [row | {"folder": f"{part.name}/{row['folder']}"} for row in content["parts"]]
+        else:
+            drives = content.get("drives")
+            counts = {"drives": len(drives), "frames": content.get("frames")} if isinstance(drives, list) else {}
+            rows.append({"folder": part.name, "kind": content["kind"], **counts, "bytes": content["bytes"]})
+    return {"kind": "folder of artefacts", "parts": rows} if any("kind" in row for row in rows) else None

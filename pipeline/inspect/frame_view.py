@@ -1,4 +1,4 @@
-"""One frame of an artefact: its numbers, what can be drawn of it, and its points."""
+"""Read one frame of a drive's file or of a raw drive: numbers, images, and points."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,21 +13,21 @@ from pipeline.camera.geometry import transform
 from pipeline.camera.images import to_metres
 from pipeline.camera.pixels import read_pixels
 from pipeline.graphs.cloud import Cloud, lidar_cloud
-from pipeline.inspect import drive_file, file_check, raw_listing
-from pipeline.inspect.apart import apart
-from pipeline.kitti.calibration import read_camera
+from pipeline.inspect import raw_drive
+from pipeline.inspect.drive_file import open_drive
 from pipeline.kitti.raw import read_scan
 
-# From velodyne's axes (x forward, y left, z up) to the camera's (x right, y down, z forward), if nothing is calibrated.
+_CAMERAS = (2, 0, 3, 1)
+# LiDAR (x forward, y left, z up) to camera (x right, y down, z forward), for drives without calibration.
 _CAMERA_AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)
 
 
 @dataclass
 class FrameView:
-    """What an artefact holds of one frame; what it does not hold is None.
+    """One frame; what the artefact does not have is None.
 
-    rgb uint8 [H,W,3]; depth_m [H,W], 0: none; cls uint8 [H,W] trainIds; cloud: xyz [P,3] in the camera frame, trainIds
-    [P]; edges int [E,2] pairs of points; centres int [C] points; values: numbers of the frame, by dataset.
+    values: dataset → number; rgb uint8 [H,W,3]; depth_m [H,W], 0: invalid; cls uint8 [H,W] trainIds; cloud: xyz [P,3]
+    in the camera frame, m, and trainIds [P]; edges: both ends of each edge [E,2,3], m.
     """
 
     frame: int
@@ -37,138 +37,85 @@ class FrameView:
     cls: np.ndarray | None = None
     cloud: Cloud | None = None
     edges: np.ndarray | None = None
-    centres: np.ndarray | None = None
 
     @property
     def drawable(self) -> bool:
+        """Whether there is an image or a cloud."""
         return any(part is not None for part in (self.rgb, self.depth_m, self.cls, self.cloud))
 
 
 def read(path: Path, frame: int | None) -> FrameView:
-    """Read frame `frame` (None: the first) of a drive's file or of a raw drive's folder.
-
-    Raises InputError if it has no such frame, or is neither.
-    """
+    """Read frame `frame` (None: the first) of a drive's file or of a raw drive's folder. Raises InputError."""
     if path.is_dir():
-        if not raw_listing.is_drive(path):
-            raise InputError(f"{path} holds several drives or none: give one drive's file, as {path}/DRIVE.h5")
-        return _of_raw(path, frame)
-    return apart(of_file, path, frame)
-
-
-def of_file(path: Path, frame: int | None) -> FrameView:
-    """Read a frame of a drive's file, as :func:`read` does, but in this process."""
-    with drive_file.opened(path) as file:
-        numbers = drive_file.vector(file, "frame")
-        number = _chosen(frame, [int(one) for one in numbers], path)
-        index = int(np.searchsorted(numbers, number))
-        view = FrameView(number, _values(file, index))
-        _READERS.get(str(file.attrs["stage"]), _nothing)(file, index, view)
+        if not raw_drive.is_drive(path):
+            raise InputError("expected the file of one drive, got a folder", path, f"Pass {path}/DRIVE.h5")
+        return _read_raw(path, frame)
+    with open_drive(path) as file:
+        number = _choose(frame, file.frame, path)
+        row = int(np.searchsorted(file.frame, number))
+        view = FrameView(number)
+        for name in sorted({*file.names} - {"frame"}):
+            if file.shape(name) == file.frame.shape:
+                view.values[name] = file.row(name, row).item()
+        _read_images(file, row, view)
+        _read_points(file, row, view)
         return view
 
 
-def _chosen(frame: int | None, numbers: list[int], path: Path) -> int:
-    if not numbers:
-        raise InputError(f"{path} has no frames")
-    if frame is None:
-        return numbers[0]
-    if frame not in numbers:
-        near = min(numbers, key=lambda number: abs(number - frame))
-        raise InputError(f"{path} has no frame {frame}: it has {numbers[0]} to {numbers[-1]}, the nearest is {near}")
-    return frame
+def _choose(frame: int | None, frames: np.ndarray, path: Path) -> int:
+    if not len(frames):
+        raise InputError("has no frames", path)
+    if frame is not None and frame not in frames:
+        nearest = frames[np.argmin(np.abs(frames.astype(np.int64) - frame))]
+        raise InputError(f"has no frame {frame}", path, f"Frames: {frames[0]} to {frames[-1]}, nearest {nearest}")
+    return int(frames[0]) if frame is None else frame
 
 
-def _values(file: DriveReader, index: int) -> dict[str, Any]:
-    """Return the frame's entries of all datasets that hold a number per frame."""
-    count = len(file.frame)
-    names = [one["name"] for one in drive_file.datasets(file) if one["shape"] == [count]]
-    return {
-        name: file.row(name, index).item() for name in sorted(names) if name != "frame" and not name.endswith("ptr")
-    }
+def _has(file: DriveReader, name: str, view: FrameView) -> bool:
+    """Return whether a frame has a dataset: those of stage ingest have gaps."""
+    return name in file and bool(view.values.get(f"has_{name}", True))
 
 
-def _nothing(file: DriveReader, index: int, view: FrameView) -> None:
-    """Labels and motion are numbers."""
+def _read_images(file: DriveReader, row: int, view: FrameView) -> None:
+    if _has(file, "image", view):
+        view.rgb = file.row("image", row)
+    for name in ("depth", "depth_m"):
+        if _has(file, name, view):
+            view.depth_m = to_metres(file.row(name, row))
+    if _has(file, "cls", view) and len(file.shape("cls")) == 3:  # not of points
+        view.cls = file.row("cls", row)
 
 
-def _of_ingest(file: DriveReader, index: int, view: FrameView) -> None:
-    def has(what: str) -> bool:
-        return f"has_{what}" in file and bool(file.row(f"has_{what}", index))
-
-    if has("image"):
-        view.rgb = drive_file.row(file, "image", index)
-    if has("depth"):
-        view.depth_m = to_metres(drive_file.row(file, "depth", index))
-    if has("cls"):
-        view.cls = drive_file.row(file, "cls", index)
-    if has("lidar"):
-        scan = drive_file.ragged(file, "lidar", "lidar_ptr", index)
+def _read_points(file: DriveReader, row: int, view: FrameView) -> None:
+    if _has(file, "lidar", view):
         calibrated = "T_cam_velo" in file
-        view.cloud = lidar_cloud(scan, file["T_cam_velo"] if calibrated else _CAMERA_AXES, file["K"], view.cls)
+        T_cam_velo = file["T_cam_velo"] if calibrated else _CAMERA_AXES
+        view.cloud = lidar_cloud(_ragged(file, "lidar", "lidar_ptr", row), T_cam_velo, file["K"], view.cls)
+    elif "xyz" in file:
+        view.cloud = (_ragged(file, "xyz", "ptr", row), _ragged(file, "cls", "ptr", row))
+    if "indices" in file and view.cloud:
+        xyz = view.cloud[0]
+        nodes = np.repeat(np.arange(len(xyz)), _ragged(file, "degree", "ptr", row))
+        pairs = np.stack([nodes, _ragged(file, "indices", "indices_ptr", row)], axis=1)
+        view.edges = xyz[pairs[pairs[:, 0] < pairs[:, 1]]]  # each edge is stored in both directions
 
 
-def _of_perception(file: DriveReader, index: int, view: FrameView) -> None:
-    view.depth_m = to_metres(drive_file.row(file, "depth_m", index))
-    view.cls = drive_file.row(file, "cls", index)
+def _ragged(file: DriveReader, name: str, pointers: str, row: int) -> np.ndarray:
+    start, stop = (int(end) for end in file.rows(pointers, row, row + 2))
+    return file.rows(name, start, stop)
 
 
-def _of_cloud(file: DriveReader, index: int, view: FrameView) -> None:
-    if "image" in file:  # a variant of images
-        view.rgb = drive_file.row(file, "image", index)
-        return
-    xyz, cls = (drive_file.ragged(file, name, "ptr", index) for name in ("xyz", "cls"))
-    view.cloud = (xyz, cls)
-    if "indices" in file:
-        degree = drive_file.ragged(file, "degree", "ptr", index)
-        neighbours = drive_file.ragged(file, "indices", "indices_ptr", index).astype(np.int64)
-        view.edges = _edges(degree, neighbours, file.path)
-    elif "centres_1" in file:
-        view.centres = drive_file.ragged(file, "centres_1", "centres_1_ptr", index).astype(np.int64)
-        if (view.centres >= len(xyz)).any():
-            raise InputError(f"{file.path} is damaged: centres of row {index} are none of its points")
-
-
-def _edges(degree: np.ndarray, neighbours: np.ndarray, path: Path) -> np.ndarray:
-    """Return each undirected edge once, [E,2], of a frame's symmetric CSR matrix."""
-    if degree.sum(dtype=np.int64) != len(neighbours) or (neighbours >= len(degree)).any():
-        raise InputError(f"{path} is damaged: degrees and neighbours do not belong together")
-    pairs = np.stack([np.repeat(np.arange(len(degree)), degree), neighbours], axis=1)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
-
-
-_READERS = {"ingest": _of_ingest, "perception": _of_perception, "clouds": _of_cloud, "graphs": _of_cloud}
-
-
-def _of_raw(folder: Path, frame: int | None) -> FrameView:
-    cameras = [2, 0, 3, 1]
-    images = {camera: raw_listing.files(folder, f"image_{camera:02d}") for camera in cameras}
-    scans = raw_listing.files(folder, "velodyne_points")
-    known = sorted({*scans.sizes, *(number for one in images.values() for number in one.sizes)})
-    number = _chosen(frame, known, folder)
-    camera = next((camera for camera in cameras if number in images[camera].sizes), None)
-    view = FrameView(number)
-    for files in (scans, *([images[camera]] if camera is not None else [])):
-        _check_raw(files, number)
-    if camera is not None:
-        pixels = read_pixels(images[camera].path(number))
-        view.rgb = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=-1)
-    if number in scans.sizes:
-        xyz = transform(_extrinsics(folder, camera), read_scan(scans.path(number))[:, :3].astype(np.float64))
+def _read_raw(folder: Path, frame: int | None) -> FrameView:
+    files = raw_drive.modalities(folder)
+    images = [files[raw_drive.image_folder(camera)] for camera in _CAMERAS]
+    scans = files["velodyne_points"]
+    frames = np.array(sorted({*scans, *(number for paths in images for number in paths)}))
+    view = FrameView(_choose(frame, frames, folder))
+    for paths in reversed(images):
+        if view.frame in paths:
+            pixels = read_pixels(paths[view.frame])
+            view.rgb = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=-1)
+    if view.frame in scans:
+        xyz = transform(_CAMERA_AXES, read_scan(scans[view.frame])[:, :3].astype(np.float64))
         view.cloud = (xyz.astype(np.float32), np.full(len(xyz), VOID, np.uint8))
     return view
-
-
-def _check_raw(files: raw_listing.Files, number: int) -> None:
-    """Raise InputError if the frame's file is damaged, or one that would be read without end."""
-    alone = files._replace(sizes={frame: size for frame, size in files.sizes.items() if frame == number})
-    for fault in file_check.damaged(alone, None, deep=False).values():
-        raise InputError(f"{files.path(number)} {fault}. Extract it again: steer doctor says how")
-
-
-def _extrinsics(folder: Path, camera: int | None) -> np.ndarray:
-    """Return [4,4], velodyne to camera: of the date's calibration, or of axes alone where there is none."""
-    files = (folder.parent / name for name in raw_listing.CALIBRATION[:2])
-    if camera is None or not all(file.is_file() for file in files):
-        return _CAMERA_AXES
-    T = read_camera(folder.parent, camera).T_cam_velo
-    return _CAMERA_AXES if T is None else T

@@ -1,186 +1,180 @@
-"""What a raw drive lacks, what of it is damaged, and what to extract: for people with half an archive."""
+"""Check the files of a KITTI raw drive: missing, partly extracted or damaged ones, calibration, and timestamps."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import InputError
-from pipeline.inspect import file_check, label_check, raw_listing
-from pipeline.inspect.phrases import spans
-from pipeline.inspect.raw_listing import Files, gaps_between
+from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.executors import default_workers
+from pipeline.base.files import check_file
+from pipeline.camera.pixels import read_pixels
+from pipeline.inspect import raw_drive
+from pipeline.inspect.raw_drive import image_folder
+from pipeline.inspect.reading import gaps, spans
 from pipeline.kitti import oxts
 from pipeline.kitti.calibration import cameras_in, read_camera
+from pipeline.kitti.raw import read_scan
 
-HALF_EXTRACTED = 0.1  # share of missing frames from which an archive was not extracted; KITTI itself lacks single ones
-
-
-_MOST_CALIBRATION_BYTES = 1 << 20
+_PARTLY = 0.1  # share of missing frames above which an archive was partly extracted; KITTI itself lacks single frames
+_MAX_PROBLEMS = 3  # of damaged files of one modality, in words
+_MAX_BYTES = 1 << 28
+_PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
 
 @dataclass
 class DriveCheck:
-    """What was found of one drive: ``modalities`` as JSON, what must be done, and what is worth knowing."""
+    """Result for one drive. Problems make labels or frames of the drive unusable, notes do not."""
 
     drive: str
-    folder: Path
-    modalities: dict[str, dict[str, Any]] = field(default_factory=dict)
-    must: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    extract: set[str] = field(default_factory=set)  # modalities that have to be extracted again
-    frames: int = 0
+    files: dict[str, int] = field(default_factory=dict)
+    """Modality → number of files."""
     calibration: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    fix: str = ""
+    """Command that extracts again what is missing or damaged; empty if nothing is."""
 
-    def advice(self) -> str:
-        """Return the command that extracts what is missing; nothing if nothing is."""
-        commands, root = [], self.folder.parent.parent
-        parts = sorted(self.extract - {"calib"})
-        if parts:
-            wanted = " ".join(f"'*/{part}/*'" for part in parts)
-            commands.append(f"unzip -o {self.drive}_sync.zip {wanted} -d {root}")
-        if "calib" in self.extract:
-            commands.append(f"unzip -o {self.drive[:10]}_calib.zip -d {root}")
-        return " && ".join(commands)
+
+def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> list[DriveCheck]:
+    """Check one drive, or all drives below a root, as :func:`check` does. Raises InputError if there is none."""
+    folders = raw_drive.drives_below(root)
+    if not folders:
+        fix = "Expected <date>/<date>_drive_NNNN_sync in it"
+        near = [path for path in root.iterdir() if raw_drive.drives_below(path)] if root.is_dir() else []
+        raise InputError("holds no drives", root, f"Pass {near[0]}" if near else fix)
+    with ThreadPoolExecutor(default_workers()) as pool:  # disks and decoders work in parallel
+        return list(pool.map(partial(check, cameras=cameras, lidar=lidar, deep=deep), folders))
 
 
 def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> DriveCheck:
     """Check one drive's folder.
 
     Args:
-        cameras: those that the project may take; the first that has images is meant to be whole.
-        lidar: whether the project reads scans.
-        deep: decode every file.
+        cameras: ``ingest.cameras``: the first of them that has images must be complete.
+        lidar: whether scans are used.
+        deep: decode every image and scan.
     """
-    found = DriveCheck(folder.absolute().name.removesuffix("_sync"), folder)
-    listed = {name: raw_listing.files(folder, name) for name in raw_listing.MODALITIES}
-    expected = _expected(folder, listed)
-    found.frames, found.calibration = len(listed["oxts"].sizes), raw_listing.calibration(folder)
-    with_images = [camera for camera in cameras if listed[_images(camera)].sizes]
-    wanted = {"oxts", *(_images(camera) for camera in with_images[:1] or cameras)}
-    wanted |= {"velodyne_points"} if lidar else set()
-    for name, files in listed.items():
-        if files.present or name == "oxts":
-            _of_modality(found, name, files, expected, deep, name in wanted)
-    _of_oxts(found, listed["oxts"])
-    scans = lidar and bool(listed["velodyne_points"].sizes)
-    _of_calibration(found, with_images[:1], scans)
-    others = [camera for camera in range(4) if listed[_images(camera)].sizes]
-    if others and not with_images:
-        found.must.append(f"has images of cameras {others} alone, and ingest.cameras takes {list(cameras)}")
-    elif not others and not scans and not found.extract - {"oxts"}:
-        found.notes.append("has neither images nor scans: labels alone can be made of it")
-    return found
-
-
-def _images(camera: int) -> str:
-    return f"image_{camera:02d}"
-
-
-def _expected(folder: Path, listed: dict[str, Files]) -> list[int]:
-    """Return the frames that a whole drive has: those of its packets and timestamps, or of whatever is there."""
-    known = {frame for files in listed.values() for frame in files.sizes}
-    if not known:
-        return []
-    lines = raw_listing.stamps(folder, "oxts") or 0
-    last = max(known)
-    if lines > last + 1 and lines != len(
-        listed["oxts"].sizes
-    ):  # as many as packets: a drive that was cut out of a longer one
-        last = lines - 1
-    return list(range(min(known) if lines <= last else 0, last + 1))
-
-
-def _of_modality(found: DriveCheck, name: str, files: Files, expected: list[int], deep: bool, wanted: bool) -> None:
-    """Check one modality. What is wrong with one that is not `wanted` is worth knowing, no more."""
-    missing = [frame for frame in expected if frame not in files.sizes]
-    faults = file_check.damaged(files, _size(found.folder.parent, name), deep)
-    found.modalities[name] = {
-        "files": len(files.sizes),
-        "bytes": sum(max(size, 0) for size in files.sizes.values()),
-        "stamps": raw_listing.stamps(found.folder, name),
-        "missing": runs(missing),
-        "damaged": dict(sorted(faults.items())),
-    }
-    wrong = [f"frame {_frames(frames)} {fault}" for fault, frames in file_check.by_fault(faults).items()]
-    if not files.sizes:
-        wrong.append("nothing was extracted" if files.present else "its folder is missing")
-    elif missing:
-        text = f"lacks {len(missing)} of {len(expected)} frames: {spans(runs(missing))}"
-        (wrong if len(missing) > HALF_EXTRACTED * len(expected) else found.notes).append(f"{name} {text}")
-    if wanted and wrong:
-        found.extract.add(name)
-    if files.odd:
-        wrong.append(f"{files.odd[0]} is not named as KITTI names frames ({len(files.odd)} such): rename or remove it")
-    (found.must if wanted else found.notes).extend(one if one.startswith(name) else f"{name}: {one}" for one in wrong)
-    thin = file_check.thin(files) if files.suffix == ".bin" else []
-    if thin:
-        found.notes.append(f"{name}: scans of less than half the usual size: {spans(runs(thin))}")
-
-
-def _frames(frames: list[int]) -> str:
-    return f"{frames[0]} (and {len(frames) - 1} more: {spans(runs(frames[1:]))})" if len(frames) > 1 else str(frames[0])
-
-
-def runs(frames: list[int]) -> list[list[int]]:
-    """Return [first, last] of each run of consecutive numbers in ascending `frames`."""
-    if not frames:
-        return []
-    cuts = gaps_between(frames)
-    return [
-        [first, last]
-        for first, last in zip(
-            [frames[0], *(end + 1 for _, end in cuts)], [*(start - 1 for start, _ in cuts), frames[-1]], strict=True
-        )
-    ]
-
-
-def _of_oxts(found: DriveCheck, files: Files) -> None:
-    """Judge times and labels by the packets that are sound."""
-    if not files.sizes:
-        return
-    times, stamps = None, files.folder.parent / "timestamps.txt"
+    result = DriveCheck(raw_drive.name_of(folder), calibration=raw_drive.calibration(folder))
     try:
-        times = oxts.read_times(stamps, list(files.sizes))
+        files = raw_drive.modalities(folder)
     except InputError as error:
-        found.must.append(str(error).replace(f"{stamps}", "oxts/timestamps.txt", 1))
-        found.extract.add("oxts")
-    sound = [row for row, frame in enumerate(files.sizes) if frame not in found.modalities["oxts"]["damaged"]]
-    numbers = list(files.sizes)
-    rows = np.array([oxts.read_row(files.path(numbers[row])) for row in sound]).reshape(-1, len(oxts.COLUMNS))
-    found.modalities["oxts"] |= label_check.summary(rows)
-    found.must += [f"labels: it {why}; extract it again, or leave it out" for why in label_check.impossible(rows)]
-    said = label_check.implausible(rows, None if times is None else times[sound])
-    found.notes += [f"labels: it {why}" for why in said]
+        result.problems.append(str(error))
+        return result
+    with_images = [camera for camera in cameras if files[image_folder(camera)]]
+    required = {"oxts", *(image_folder(camera) for camera in with_images[:1] or cameras)}
+    required |= {"velodyne_points"} if lidar else set()
+    first, last = _expected_range(folder, files)
+    damaged = set()
+    for name, paths in files.items():
+        if not (paths or name == "oxts" or (folder / name).is_dir()):
+            continue
+        result.files[name] = len(paths)
+        problems, notes = _check_frames(list(paths), first, last, (folder / name).is_dir())
+        problems += _damaged_files(paths, _reader(name, deep))
+        if name == "oxts" and paths:
+            problems += _input_error(oxts.read_times, folder / "oxts" / "timestamps.txt", list(paths))
+        if name in required and problems:
+            damaged.add(name)
+        (result.problems if name in required else result.notes).extend(f"{name}: {text}" for text in problems)
+        result.notes += [f"{name}: {text}" for text in notes]
+    scans = lidar and bool(files["velodyne_points"])
+    calibration = _input_error(_check_calibration, folder.parent, with_images[:1], scans)
+    result.problems += [f"calibration: {text}" for text in calibration]
+    others = [camera for camera in raw_drive.CAMERAS if files[image_folder(camera)]]
+    if others and not with_images:
+        result.problems.append(f"has images of cameras {others} only, expected one of ingest.cameras = {list(cameras)}")
+    elif not others and not scans and damaged <= {"oxts"}:
+        result.notes.append("has neither images nor scans: only labels can be computed")
+    result.fix = _unzip(folder, damaged, bool(calibration))
+    return result
 
 
-def _of_calibration(found: DriveCheck, cameras: list[int], scans: bool) -> None:
-    date = found.folder.parent
-    needed = ["calib_cam_to_cam.txt"] if cameras or scans else []
-    needed += ["calib_velo_to_cam.txt"] if scans else []
-    lacking = [name for name in needed if not (date / name).is_file()]
+def _input_error(function: Callable[..., object], *arguments: Any) -> list[str]:
+    """Return the error that a function raises as text; empty if it raises none."""
     try:
-        for name in lacking:
-            raise InputError(f"{date / name} is missing")
-        for name in needed:
-            if (date / name).stat().st_size > _MOST_CALIBRATION_BYTES:
-                raise InputError(f"{date / name} is no calibration file: it has {(date / name).stat().st_size} bytes")
-        for camera in cameras:
-            if camera in cameras_in(date):
-                read_camera(date, camera)
-        if cameras and not set(cameras) & set(cameras_in(date)):
-            raise InputError(f"{date}/calib_cam_to_cam.txt has none of its cameras ({cameras})")
+        function(*arguments)
     except (InputError, ValueError, np.linalg.LinAlgError) as error:
-        found.must.append(f"calibration of {date.name} cannot be used: {error}")
-        found.extract.add("calib")
+        return [str(error)]
+    return []
 
 
-def _size(date: Path, name: str) -> tuple[int, int] | None:
-    if not name.startswith("image_"):
-        return None
-    camera = int(name.removeprefix("image_"))
-    try:
-        return read_camera(date, camera).size if camera in cameras_in(date) else None
-    except (InputError, ValueError, np.linalg.LinAlgError):  # _of_calibration tells it
-        return None
+def _unzip(folder: Path, damaged: set[str], calibration: bool) -> str:
+    drive, root = raw_drive.name_of(folder), folder.absolute().parent.parent
+    parts = " ".join(f"'*/{name}/*'" for name in sorted(damaged))
+    commands = [f"unzip -o {drive}_sync.zip {parts} -d {root}"] if parts else []
+    commands += [f"unzip -o {drive[:10]}_calib.zip -d {root}"] if calibration else []
+    return " && ".join(commands)
+
+
+def _expected_range(folder: Path, files: dict[str, dict[int, Path]]) -> tuple[int, int]:
+    """Return the first and last frame of the complete drive, by its files and by oxts/timestamps.txt."""
+    frames = {frame for paths in files.values() for frame in paths}
+    if not frames:
+        return 0, -1
+    stamps = folder / "oxts" / "timestamps.txt"
+    lines = stamps.read_bytes().rstrip(b"\n").count(b"\n") + 1 if stamps.is_file() else 0
+    if lines == len(files["oxts"]) or lines <= max(frames):  # may be an excerpt of a longer drive
+        return (min(frames) if lines and lines <= max(frames) else 0), max(frames)
+    return 0, lines - 1
+
+
+def _check_frames(frames: list[int], first: int, last: int, exists: bool) -> tuple[list[str], list[str]]:
+    """Return problems and notes on missing frames of one modality."""
+    if not frames:
+        return ["no files, archive not extracted" if exists else "folder is missing"], []
+    missing = gaps(frames, first, last)
+    count, expected = sum(stop - start + 1 for start, stop in missing), last - first + 1
+    texts = [f"{count} of {expected} frames are missing: {spans(missing)}"] if missing else []
+    return (texts, []) if count > _PARTLY * expected else ([], texts)
+
+
+def _damaged_files(paths: dict[int, Path], read: Callable[[Path], object]) -> list[str]:
+    """Return the problems of files that cannot be read, a line for each kind."""
+    frames: dict[str, list[int]] = {}
+    for frame, path in paths.items():
+        try:
+            read(path)
+        except DamagedFile as error:
+            problem = error.problem.replace(str(path), "").strip(": ")
+            frames.setdefault(problem, []).append(frame)
+        except OSError as error:
+            frames.setdefault(f"cannot be read ({error.strerror})", []).append(frame)
+    texts = [f"frame {_list(numbers)} {problem}" for problem, numbers in frames.items()]
+    rest = [number for numbers in [*frames.values()][_MAX_PROBLEMS:] for number in numbers]
+    return texts[:_MAX_PROBLEMS] + ([f"frame {_list(sorted(rest))}: damaged as well"] if rest else [])
+
+
+def _list(frames: Iterable[int]) -> str:
+    return spans([(frame, frame) for frame in frames])
+
+
+def _reader(name: str, deep: bool) -> Callable[[Path], object]:
+    readers = {"oxts": oxts.read_row, "velodyne_points": read_scan if deep else _check_size}
+    return readers.get(name, read_pixels if deep else _check_size)
+
+
+def _check_size(path: Path) -> None:
+    """Check the size of a scan or an image, and the end of an image. Raises DamagedFile."""
+    size = check_file(path, _MAX_BYTES)
+    with path.open("rb") as file:
+        file.seek(max(0, size - len(_PNG_END)))
+        complete = file.read() == _PNG_END if path.suffix == ".png" else size % 16 == 0
+    if not size or not complete:
+        raise DamagedFile("is cut short" if size else "is empty")
+
+
+def _check_calibration(date: Path, cameras: Sequence[int], scans: bool) -> None:
+    """Raise InputError or ValueError if the calibration of the used camera and of the LiDAR cannot be read."""
+    names = (["cam_to_cam"] if cameras or scans else []) + (["velo_to_cam"] if scans else [])
+    for path in (date / f"calib_{name}.txt" for name in names):
+        if not path.is_file():
+            raise InputError("file is missing", path)
+    for camera in cameras:
+        if camera not in cameras_in(date):
+            raise InputError(f"has no camera {camera}", date / "calib_cam_to_cam.txt")
+        read_camera(date, camera)

@@ -1,21 +1,20 @@
-"""Reading what may be anything: files of other tools, half-copied ones, flipped bits. All end in one line."""
+"""Helpers shared by the commands: read errors, sizes, and gaps between frame numbers."""
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from pipeline.base.errors import InputError
 
-_MOST_BYTES = 64 << 20  # of a text file that is read whole; the largest that stages write have some 100 kB
+_MAX_SPANS = 8
 
 
 @contextmanager
-def damage_told(path: Path, hint: str = "Make or fetch it again: dvc repro, dvc pull") -> Iterator[None]:
-    """Make one InputError of whatever is raised by libraries that read a damaged file.
+def read_errors(path: Path, fix: str = "Make it again: dvc repro. Or fetch it: dvc pull") -> Iterator[None]:
+    """Raise InputError for whatever a library raises on a damaged file; errors of the system stay as they are.
 
-    HDF5 raises a dozen kinds, from KeyError to MemoryError. What the system says (no permission, …) stays.
+    HDF5 and YAML raise many kinds, from KeyError to RecursionError.
     """
     try:
         yield
@@ -24,31 +23,8 @@ def damage_told(path: Path, hint: str = "Make or fetch it again: dvc repro, dvc 
     except Exception as error:
         if isinstance(error, OSError) and error.errno:
             raise
-        said = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(f"{path} is damaged ({said}). {hint}") from error
-
-
-def text(path: Path) -> str:
-    """Return a text file's content. Raises InputError if it is large or not UTF-8."""
-    if path.stat().st_size > _MOST_BYTES:
-        raise InputError(f"{path} is damaged: {path.stat().st_size} bytes are too many for what it should hold")
-    with damage_told(path):
-        return path.read_text(encoding="utf-8")
-
-
-def json_object(path: Path) -> dict[str, Any]:
-    """Return the JSON object that a file holds. Raises InputError if it holds anything else."""
-    content = text(path)
-    with damage_told(path):  # RecursionError too
-        value = json.loads(content)
-    if not isinstance(value, dict):
-        raise InputError(f"{path} is damaged: it holds {type(value).__name__}, not a JSON object")
-    return value
-
-
-def mapping(value: Any) -> dict[str, Any]:
-    """Return `value` if it is a mapping, else an empty one: what stands in a file may be of another kind."""
-    return value if isinstance(value, dict) else {}
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"file is damaged ({reason})", path, fix) from error
 
 
 def size_of(path: Path) -> int:
@@ -56,3 +32,15 @@ def size_of(path: Path) -> int:
     if not path.is_dir():
         return path.stat().st_size
     return sum(file.lstat().st_size for file in path.rglob("*") if not file.is_dir())
+
+
+def gaps(frames: Sequence[int], first: int, last: int) -> list[tuple[int, int]]:
+    """Return (first, last) of each run missing from ascending `frames` between `first` and `last`, both included."""
+    edges = [first - 1, *frames, last + 1]
+    return [(start + 1, stop - 1) for start, stop in pairwise(edges) if stop > start + 1]
+
+
+def spans(runs: Sequence[tuple[int, int]]) -> str:
+    """Return runs of frame numbers as text: 3, 7-9."""
+    texts = [str(first) if first == last else f"{first}-{last}" for first, last in runs[:_MAX_SPANS]]
+    return ", ".join([*texts, f"… ({len(runs)} in total)"] if len(runs) > _MAX_SPANS else texts)

@@ -1,19 +1,17 @@
-"""The command steer as a shell sees it: quick help, one line for an error, its trace if asked for."""
+"""The command steer: quick help, one line for an error, a traceback with --debug."""
 
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from pipeline.base.resume import ROOT
+from steer.app import app
 
-HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm")
-
-
-def steer(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "steer", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
+VERBS = {"predict", "import", "show", "diff", "doctor", "export"}
 
 
 def test_help_imports_nothing_large() -> None:
@@ -22,22 +20,35 @@ def test_help_imports_nothing_large() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_help_names_the_verbs_and_each_has_an_example() -> None:
-    done = steer("--help")
-    assert done.returncode == 0
-    verbs = [line.split()[1] for line in done.stdout.splitlines() if line.startswith("│ ") and line[2].islower()]
-    assert "predict" in verbs
-    for verb in verbs:
-        assert f"steer {verb} " in steer(verb, "--help").stdout.replace("Usage: steer", "")
+def test_help_of_each_verb_has_an_example() -> None:
+    listed = CliRunner().invoke(app, ["--help"]).stdout.partition("Commands:")[2]
+    assert {line.split()[0] for line in listed.splitlines() if line.startswith("  ") and line[2] != " "} == VERBS
+    for verb in VERBS:
+        text = CliRunner().invoke(app, [verb, "--help"]).stdout
+        assert f"steer {verb} " in text.replace(f"steer {verb} [OPTIONS]", "")
 
 
-@pytest.mark.slow
-def test_an_error_is_one_line_and_a_trace_only_if_asked_for(tmp_path: Path) -> None:
-    done = steer("predict", tmp_path, "--model", tmp_path / "none")
-    assert done.returncode == 1
-    assert done.stdout == ""
-    assert (
-        done.stderr
-        == f"error: {tmp_path}/none is not a trained model, best.pt is missing: train it: dvc repro train@none\n"
-    )
-    assert "Traceback" in steer("predict", tmp_path, "--model", tmp_path / "none", "--debug").stderr
+def test_error_is_one_line_and_debug_shows_the_traceback(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "steer", "show", str(tmp_path / "none")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith(f"error: {tmp_path}/none: ")
+    assert done.stderr.count("\n") == 1
+    done = subprocess.run([*command, "--debug"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert "Traceback" in done.stderr
+
+
+@pytest.mark.parametrize("verb", ["show", "diff", "doctor"])
+@pytest.mark.parametrize("name", ["x" * 300, "bad\udcff", "loop", "/", "pipe/below"])
+def test_names_that_cannot_be_read_give_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loop").symlink_to("loop")
+    path = str(tmp_path / name)
+    if name == "bad\udcff":
+        Path(path).mkdir()
+    result = CliRunner().invoke(app, [verb, path, str(tmp_path / "none")] if verb == "diff" else [verb, path])
+    assert result.exit_code == 1
+    assert result.output.startswith("error: ")
+    assert result.output.count("\n") == 1

@@ -1,27 +1,29 @@
-"""The chain of stages is that of DVC's own lock, and its hashes are DVC's own."""
+"""Origin of an artefact by dvc.lock, and the stages that DVC would run."""
 
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 
+from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.inspect import lineage, stages_due, words
+from pipeline.inspect import lineage, project
+from tests import kitti_drive
 
 PIPELINE = """
 stages:
   ingest:
-    cmd: mkdir -p data/ingest && cp code/ingest/a.py data/ingest/
-    deps: [code/ingest]
+    cmd: mkdir -p data/ingest && cp code.py data/ingest/
+    deps: [code.py]
     params: [ingest]
     outs: [data/ingest]
   labels:
-    cmd: mkdir -p data/labels && cp data/ingest/a.py data/labels/
-    deps: [data/ingest, code/labels.py]
+    cmd: mkdir -p data/labels && cp data/ingest/code.py data/labels/
+    deps: [data/ingest, labels.py]
     params: [labels.wheelbase_m]
     outs: [data/labels]
   train:
@@ -42,15 +44,11 @@ def dvc(folder: Path, *command: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project that ran to its end."""
-    folder = tmp_path_factory.mktemp("made")
-    files = {
-        "dvc.yaml": PIPELINE, "params.yaml": PARAMS, "code/ingest/a.py": "a\n", "code/ingest/deep/b.py": "b\n",
-        "code/ingest/c.pyc": "left by Python", "code/labels.py": "labels\n", ".dvcignore": "*.py[co]\n",
-    }  # fmt: skip
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in which all stages ran."""
+    folder = tmp_path_factory.mktemp("finished")
+    files = {"dvc.yaml": PIPELINE, "params.yaml": PARAMS, "code.py": "a\n", "labels.py": "labels\n"}
     for name, content in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(content)
     dvc(folder, "init", "--no-scm", "--quiet")
     dvc(folder, "repro", "--quiet")
@@ -58,107 +56,60 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def project(made: Path, tmp_path: Path) -> Path:
-    shutil.copytree(made, tmp_path / "project")
+def copy(finished: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished, tmp_path / "project")
     return tmp_path / "project"
 
 
-def stages(path: Path) -> dict[str, dict[str, Any]]:
-    return {stage["name"]: stage for stage in lineage.chain(path)["stages"]}
-
-
 @pytest.mark.slow
-def test_the_chain_goes_back_to_the_first_stage_and_nothing_has_changed(project: Path) -> None:
-    chain = stages(project / "data/train/small/labels/a.py")
-    assert list(chain) == ["train@small", "labels", "ingest"]
-    assert chain["ingest"]["cmd"].startswith("mkdir -p data/ingest")
-    assert chain["ingest"]["settings"] == {"ingest": {"size": [1, 2]}}
-    assert chain["labels"]["inputs"] == {"data/ingest": chain["ingest"]["outputs"]["data/ingest"]}
-    assert chain["ingest"]["code"] == {"code/ingest": "same"}
-    assert chain["labels"]["code"] == {"code/labels.py": "same"}
-    assert all(not stage["settings_now"] and not stage["remade"] for stage in chain.values())
-    assert list(stages(project / "data/train")) == ["train@large", "train@small", "labels", "ingest"]
-
-
-@pytest.mark.slow
-def test_what_dvc_ignores_changes_nothing_and_an_edit_does(project: Path) -> None:
-    (project / "code/ingest/d.pyc").write_text("another")
-    assert stages(project / "data/labels")["ingest"]["code"] == {"code/ingest": "same"}
-    (project / "code/ingest/deep/b.py").write_text("edited")
-    (project / "code/labels.py").unlink()
-    (project / "params.yaml").write_text(PARAMS.replace("2.7", "2.9"))
-    chain = lineage.chain(project / "data/labels")
-    told = {stage["name"]: stage for stage in chain["stages"]}
-    assert told["ingest"]["code"] == {"code/ingest": "changed"}
-    assert told["labels"]["code"] == {"code/labels.py": "missing"}
-    assert told["labels"]["settings_now"] == {"labels.wheelbase_m": 2.9}
-    text = "\n".join(words.provenance(chain, []))
-    assert "changed since it was made: code/ingest (changed)" in text
-    assert "params.yaml says otherwise now: labels.wheelbase_m: 2.9" in text
-
-
-@pytest.mark.slow
-def test_an_input_that_was_made_again_is_told_and_so_is_an_output_that_was_written_since(project: Path) -> None:
-    (project / "code/ingest/a.py").write_text("another\n")
-    dvc(project, "repro", "--quiet", "ingest")
-    chain = lineage.chain(project / "data/labels")
-    assert chain["stages"][0]["remade"] == ["data/ingest"]
-    assert chain["altered"] == []
-    with (project / "data/labels/a.py").open("a") as file:
-        file.write("more")
-    chain = lineage.chain(project / "data/labels")
-    assert chain["altered"] == ["data/labels"]
-    text = "\n".join(words.provenance(chain, []))
-    assert "MADE AGAIN SINCE" in text
-    assert "data/labels has other sizes than dvc.lock says" in text
+def test_stage_and_the_stages_before(finished: Path) -> None:
+    assert lineage.trace(finished / "data/train/small/labels/code.py") == {
+        "made by": "train@small", "inputs": "data/labels", "stages before": "labels, ingest",
+    }  # fmt: skip
+    assert set(lineage.trace(finished / "data/train")["made by"].split(", ")) == {"train@large", "train@small"}
+    assert "no stage" in lineage.trace(finished / "labels.py")["made by"]
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:_NoneStep:DeprecationWarning")  # DVC's own, in pygtrie
-def test_stages_are_due_with_what_follows_them_in_the_order_of_the_run(project: Path) -> None:
-    assert stages_due.due(project) == {}
-    (project / "code/labels.py").write_text("edited")
-    due = stages_due.due(project)
-    assert next(iter(due)) == "labels"
-    assert due["labels"] == "changed deps: code/labels.py"
-    assert {name: due[name] for name in due if name != "labels"} == dict.fromkeys(
-        ("train@small", "train@large"), "follows labels"
-    )
-    (project / "dvc.lock").unlink()
-    assert set(stages_due.due(project).values()) == {"it has not run here"}
-    (project / "dvc.yaml").write_text("stages: [")
-    with pytest.raises(InputError, match="DVC cannot say which stage has to run"):
-        stages_due.due(project)
+def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
+    assert project.due_stages(copy) == {}
+    (copy / "labels.py").write_text("edited")
+    due = project.due_stages(copy)
+    assert next(iter(due.items())) == ("labels", "changed deps: labels.py")
+    assert {due[name] for name in due if name != "labels"} == {"needs labels"}
+    (copy / "dvc.lock").unlink()
+    assert set(project.due_stages(copy).values()) == {"has not run here"}
+    (copy / "dvc.yaml").write_text("stages: [")
+    with pytest.raises(InputError, match="dvc status failed"):
+        project.due_stages(copy)
 
 
-def test_without_a_lock_nothing_is_claimed(tmp_path: Path) -> None:
-    (tmp_path / "data/labels").mkdir(parents=True)
-    assert "no dvc.lock" in lineage.chain(tmp_path / "data/labels")["why"]
-    (tmp_path / "dvc.yaml").write_text(PIPELINE)
-    assert "no dvc repro ended here" in lineage.chain(tmp_path / "data/labels")["why"]
-    (tmp_path / "dvc.lock").write_text("stages: {ingest: {outs: [{path: data/ingest}]}}")
-    chain = lineage.chain(tmp_path / "data/labels")
-    assert "knows no stage that made this" in chain["why"]
-    assert any("not known stage by stage" in line for line in words.provenance(chain, []))
+def test_without_dvc_lock_the_origin_is_unknown(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    assert lineage.trace(tmp_path / "data")["made by"].startswith("unknown")
 
 
 @pytest.mark.parametrize(
     "content",
-    ["", "[]", "null", "stages: 3", "stages: {a: 3}", "[" * 100_000, "a: [", "stages: &a {b: *a}", "\x00", "a: !!x b"],
+    ["", "[]", "stages: 3", "stages: {a: 3}", "[" * 100_000, "a: [", "\x00", "stages: {a: {outs: 3}}"],
 )
-def test_a_damaged_lock_is_one_line(tmp_path: Path, content: str) -> None:
+def test_damaged_lock_is_named(tmp_path: Path, content: str) -> None:
     (tmp_path / "dvc.lock").write_text(content)
-    with pytest.raises(InputError, match=r"dvc\.lock is damaged"):
-        lineage.chain(tmp_path / "data")
+    with pytest.raises(InputError, match=r"dvc\.lock") as raised:
+        lineage.trace(tmp_path)
+    assert len(str(raised.value)) < 1000
 
 
-def test_a_lock_of_another_shape_and_damaged_params_are_told_as_far_as_they_go(tmp_path: Path) -> None:
-    (tmp_path / "data").mkdir()
-    (tmp_path / "dvc.lock").write_text(
-        "stages: {a: {outs: [{path: data}, 3], deps: [{path: ../up}, {path: 3}], params: {x: 4}}, b: {outs: 3}}"
-    )
-    (tmp_path / "params.yaml").write_text("a: &a [1]\nb: *a\n")
-    chain = lineage.chain(tmp_path / "data")
-    assert [stage["name"] for stage in chain["stages"]] == ["a"]
-    assert "aliases" in chain["unread"]
-    assert any("not compared" in line for line in words.provenance(chain, []))
+def test_raw_drive_of_an_artefact(tmp_path: Path) -> None:
+    folder = kitti_drive.write_drive(tmp_path / "raw")
+    path = tmp_path / f"ingest/{kitti_drive.DRIVE}.h5"
+    with store.DriveWriter(path, stage="ingest", drive=kitti_drive.DRIVE, params={}) as file:
+        file.attrs |= {"source": "kitti"}
+        file.put("frame", np.arange(4, dtype=np.int32))
+        file.put("time_s", np.arange(4) * 0.1)
+    labels = tmp_path / "labels/a.h5"
+    assert lineage.raw_drive(labels, kitti_drive.DRIVE) == str(folder)
+    folder.rename(tmp_path / "elsewhere")
+    assert lineage.raw_drive(labels, kitti_drive.DRIVE) == f"{folder} (missing)"
+    assert lineage.raw_drive(labels, "2011_09_26_drive_0002") == ""

@@ -1,0 +1,222 @@
+"""Compare two artefacts file by file: HDF5 by dataset and frame, CSV, JSON and checkpoints by key, others by byte.
+
+Each file is read as columns: name → frame number → value, or function that reads the value.
+"""
+
+import csv
+import filecmp
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
+from pipeline.inspect.drive_file import open_drive
+from pipeline.inspect.reading import read_errors
+
+Column = Mapping[int, Any]
+_NO_FRAME = -1
+_MAX_TEXT = 60  # characters of a value in a message
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One dataset, column or key in which two files differ."""
+
+    file: str
+    key: str
+    """Empty for the file itself."""
+    problem: str
+    frames: int = 0
+    """How many frames differ."""
+    first_frame: int | None = None
+    largest: float = 0.0
+    """Largest absolute difference of two numbers."""
+
+    def __str__(self) -> str:
+        texts = [self.problem]
+        if self.frames:
+            texts.append(f"frames: {self.frames}, first {self.first_frame}")
+        if self.largest:
+            texts.append(f"largest difference {self.largest:.6g}")
+        return ": ".join(filter(None, [self.file, self.key, ", ".join(texts)]))
+
+
+def pairs(a: Path, b: Path) -> list[tuple[str, Path, Path]]:
+    """Return (name, file of A, file of B) for two files, or for all files of two folders by relative path.
+
+    Hidden files and folders are left out. Raises InputError if a path is missing, or if their kinds differ.
+    """
+    fix = "Pass two files of one kind, or two folders"
+    for path in (a, b):
+        if not path.exists():
+            raise InputError("no such file or folder", path, fix)
+    if a.is_dir() != b.is_dir() or (a.is_file() and a.suffix != b.suffix):
+        raise InputError(f"cannot be compared with {b}, which is of another kind", a, fix)
+    if a.is_file():
+        return [(a.name, a, b)]
+    names = sorted({path.relative_to(top) for top in (a, b) for path in top.rglob("*") if path.is_file()})
+    visible = [name for name in names if not any(part.startswith(".") for part in name.parts)]
+    return [(str(name), a / name, b / name) for name in visible]
+
+
+def compare(name: str, a: Path, b: Path, tolerance: float) -> Iterator[Difference]:
+    """Yield the differences of two files; none if their bytes are equal. Raises InputError if a file is damaged.
+
+    Args:
+        tolerance: numbers that differ by at most this are equal.
+    """
+    if not (a.is_file() and b.is_file()):
+        yield Difference(name, "", f"only in {'A' if a.is_file() else 'B'}")
+    elif filecmp.cmp(a, b, shallow=False):
+        return
+    elif a.suffix != ".h5" and a.suffix not in _READERS:
+        yield Difference(name, "", f"{a.stat().st_size} and {b.stat().st_size} bytes, not the same")
+    else:
+        with _columns(a) as one, _columns(b) as other:
+            for key in dict.fromkeys([*one, *other]):
+                if key in one and key in other:
+                    yield from _compare_column(name, key, one[key], other[key], tolerance)
+                else:
+                    yield Difference(name, key, f"only in {'A' if key in one else 'B'}")
+
+
+def _compare_column(name: str, key: str, a: Column, b: Column, tolerance: float) -> Iterator[Difference]:
+    sides = (("A", a.keys() - b.keys()), ("B", b.keys() - a.keys()))
+    texts = [f"{len(alone)} frames only in {which}, first {min(alone)}" for which, alone in sides if alone]
+    frames: list[int] = []
+    largest = 0.0
+    for frame in (frame for frame in a if frame in b):
+        x, y = (column[frame]() if callable(column[frame]) else column[frame] for column in (a, b))
+        distances = _distances(x, y)
+        if (distances > tolerance).any():
+            texts += [] if frames else [_text(x, y)]
+            frames.append(frame)
+            largest = max(largest, float(distances[np.isfinite(distances)].max(initial=0.0)))
+    if texts:
+        numbers = [frame for frame in frames if frame != _NO_FRAME]
+        yield Difference(name, key, ", ".join(texts), len(numbers), min(numbers, default=None), largest)
+
+
+def _distances(x: Any, y: Any) -> np.ndarray:
+    """Return absolute differences; infinity where values differ, but not as numbers of one dtype and shape.
+
+    NaN equals NaN.
+    """
+    a, b = np.asarray(x), np.asarray(y)
+    if _form(x) != _form(y):
+        return np.array([np.inf])
+    if a.dtype.kind not in "iuf":
+        return np.where(a == b, 0.0, np.inf)
+    u, v = a.astype(np.float64), b.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # infinity minus infinity
+        distances = np.nan_to_num(np.abs(u - v), nan=np.inf)
+    smallest = np.finfo(np.float64).tiny  # of two int64 that are one float64
+    return np.where((a == b) | (np.isnan(u) & np.isnan(v)), 0.0, np.maximum(distances, smallest))
+
+
+def _form(value: Any) -> str:
+    """Return dtype and shape of an array; of another value its type, empty for numbers."""
+    if isinstance(value, np.ndarray | np.generic):
+        return f"{value.dtype} {value.shape}"
+    return "" if isinstance(value, int | float) and not isinstance(value, bool) else type(value).__name__
+
+
+def _text(x: Any, y: Any) -> str:
+    if isinstance(x, np.ndarray | np.generic) and _form(x) != _form(y):
+        return f"{_form(x)} and {_form(y)}"
+    return "values differ" if np.ndim(x) else f"{x!s:.{_MAX_TEXT}} and {y!s:.{_MAX_TEXT}}"
+
+
+@contextmanager
+def _columns(path: Path) -> Iterator[Mapping[str, Column]]:
+    if path.suffix == ".h5":
+        with open_drive(path) as file:
+            yield _drive_columns(file)
+    else:
+        with read_errors(path):
+            columns = _READERS[path.suffix](path)
+        yield columns
+
+
+def flatten(value: Any, key: str = "") -> dict[str, Any]:
+    """Return dotted key → leaf of nested mappings and lists; a tensor is one leaf, as an array."""
+    if hasattr(value, "detach"):  # a tensor; torch is not imported for JSON
+        value = value.detach().cpu()
+        return {key: (value.float() if str(value.dtype) == "torch.bfloat16" else value).numpy()}
+    if isinstance(value, Mapping) and value:
+        parts = {f"{key}.{name}" if key else str(name): inner for name, inner in value.items()}
+    elif isinstance(value, list | tuple) and value:
+        parts = {f"{key}[{number}]": inner for number, inner in enumerate(value)}
+    else:
+        return {key: value}
+    return {name: leaf for part, inner in parts.items() for name, leaf in flatten(inner, part).items()}
+
+
+def _leaves(value: Any) -> dict[str, Column]:
+    return {key: {_NO_FRAME: leaf} for key, leaf in flatten(value).items()}
+
+
+def _read_json(path: Path) -> dict[str, Column]:
+    return _leaves(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _read_checkpoint(path: Path) -> dict[str, Column]:
+    from pipeline.fitting import checkpoint
+
+    return _leaves(checkpoint.load(path))
+
+
+def _read_csv(path: Path) -> dict[str, Column]:
+    """Match rows by drive and frame, if the file has such columns, else by position."""
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = csv.DictReader(file, restval="", strict=True)
+        names = ((row, f"{row.get('drive', '')} {row.get('frame', number)}") for number, row in enumerate(rows))
+        return _leaves({name: {key: _number(cell) for key, cell in row.items()} for row, name in names})
+
+
+def _number(cell: str) -> float | str:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+_READERS: dict[str, Callable[[Path], dict[str, Column]]] = {
+    ".json": _read_json, ".csv": _read_csv, ".pt": _read_checkpoint,
+}  # fmt: skip
+
+
+def _drive_columns(file: DriveReader) -> dict[str, Column]:
+    header = {key: value for key, value in file.attrs.items() if key != "params"} | {"params": file.params}
+    columns = _leaves(header)
+    for name in sorted({*file.names} - {"frame"}):
+        columns[name] = _dataset(file, name)
+        columns[f"unit of {name}"] = {_NO_FRAME: str(file.dataset(name).attrs.get("unit", ""))}
+    return columns
+
+
+def _dataset(file: DriveReader, name: str) -> Column:
+    """Return frame number → value, or function that reads it: files of images are larger than the memory.
+
+    Of a pointer, the values are numbers of rows: one more row in the first frame would shift all others.
+    """
+    frames, length, own = file.frame.tolist(), file.shape(name)[0], f"{name}_ptr"
+    pointers = [dataset for dataset in file.names if dataset == "ptr" or dataset.endswith("_ptr")]
+    if name in pointers:
+        return dict(zip(frames, np.diff(file[name]), strict=True))
+    if own not in pointers and length == len(frames):
+        if len(file.shape(name)) == 1:
+            return dict(zip(frames, file[name], strict=True))
+        return {frame: partial(file.row, name, row) for row, frame in enumerate(frames)}
+    for starts in (file[pointer] for pointer in ([own] if own in pointers else pointers)):
+        if starts[-1] == length:
+            ends = zip(frames, starts, starts[1:], strict=False)
+            return {frame: partial(file.rows, name, start, stop) for frame, start, stop in ends}
+    return {_NO_FRAME: file[name]}

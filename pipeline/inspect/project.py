@@ -1,0 +1,108 @@
+"""Check a project: which stages DVC would run, missing raw drives, and disk space."""
+
+import json
+import os
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import InputError
+from pipeline.base.params import load, load_entry, names
+from pipeline.inspect.lineage import read_lock
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.models import Model
+
+
+@dataclass
+class Project:
+    """Result for one project."""
+
+    folder: Path
+    free_bytes: int
+    ingest: Ingest | None = None
+    due: dict[str, str] = field(default_factory=dict)
+    """Stage → why it has to run, in the order of the run."""
+    due_bytes: int = 0
+    """Size of the last outputs of these stages."""
+    unused: list[str] = field(default_factory=list)
+    """Stages that are due, but that no model needs."""
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def kitti_drives(self) -> list[str]:
+        """Return the drives that params.yaml takes from KITTI raw."""
+        sources = self.ingest.sources() if self.ingest else {}
+        return [drive for drive, source in sources.items() if source == "kitti"]
+
+
+def check(folder: Path) -> Project:
+    """Check a project's params.yaml, the stages that are due, and whether their outputs fit on the disk."""
+    project = Project(folder, shutil.disk_usage(folder).free)
+    params = folder / "params.yaml"
+    try:
+        project.ingest = load(Ingest, params)
+        used = {f"graphs@{load_entry(Model, 'models', name, params).input}" for name in names("models", params)}
+        command = running_command(folder)
+        if command:
+            project.notes.append(f"DVC is running here ({command}): run steer doctor again when it has ended")
+            return project
+        due = due_stages(folder)
+        lock = read_lock(folder)
+    except InputError as error:
+        project.problems.append(str(error))
+        return project
+    project.unused = [stage for stage in due if stage.startswith("graphs@") and stage not in used]
+    project.due = {stage: reason for stage, reason in due.items() if stage not in project.unused}
+    project.due_bytes = sum(out.get("size", 0) for stage in project.due for out in lock.get(stage, {}).get("outs", []))
+    if project.due_bytes > project.free_bytes:
+        problem = f"the stages that have to run wrote {project.due_bytes / 1e9:.1f} GB in their last run"
+        project.problems.append(f"{problem}, {project.free_bytes / 1e9:.1f} GB are free. Free some space")
+    return project
+
+
+def running_command(folder: Path) -> str:
+    """Return the command of a DVC process that runs a stage here; empty if there is none.
+
+    To ask DVC for its status then would compete for its locks, which can end the run.
+    """
+    try:
+        writers = json.loads((folder / ".dvc" / "tmp" / "rwlock").read_text())["write"].values()
+        for writer in writers:
+            os.kill(writer["pid"], 0)  # sends no signal; raises if the process has ended
+            return str(writer["cmd"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        pass
+    return ""
+
+
+def due_stages(folder: Path) -> dict[str, str]:
+    """Return stage → why it has to run, in the order of the run. Raises InputError if DVC fails.
+
+    Stages that depend on a stage that is due are due as well.
+    """
+    from dvc.exceptions import DvcException
+    from dvc.repo import Repo
+    from networkx import ancestors, topological_sort
+
+    try:
+        with Repo(str(folder)) as repo:
+            graph = repo.index.graph
+            names = {stage: stage.addressing.rpartition(":")[2] for stage in graph}
+            reasons = {address.rpartition(":")[2]: _reason(parts) for address, parts in repo.status().items()}
+            for stage in [stage for stage in graph if names[stage] in reasons]:
+                if not any(dep.hash_info for dep in stage.deps):
+                    reasons[names[stage]] = "has not run here"
+                for later in ancestors(graph, stage):  # an edge points from a stage to its inputs
+                    reasons.setdefault(names[later], f"needs {names[stage]}")
+            order = [names[stage] for stage in topological_sort(graph)][::-1]
+    except DvcException as error:
+        problem = f"dvc status failed: {' '.join(str(error).split()).rstrip('.')}"
+        raise InputError(problem, folder, "See: dvc status") from error
+    return {name: reasons[name] for name in order if name in reasons}
+
+
+def _reason(parts: list[Any]) -> str:
+    """Return what `dvc status` lists for one stage as text."""
+    changes = [part.items() if isinstance(part, dict) else [(str(part), "")] for part in parts]
+    return "; ".join(f"{kind}: {', '.join(names)}" if names else kind for change in changes for kind, names in change)

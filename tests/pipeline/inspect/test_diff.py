@@ -1,0 +1,197 @@
+"""Differences of drives' files, JSON, CSV, checkpoints and other files."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import torch
+
+from pipeline.base.errors import InputError
+from pipeline.fitting import checkpoint
+from pipeline.inspect import diff
+from pipeline.inspect.diff import Difference
+from tests.artefacts import write_dataset, write_labels
+
+DRIVE = "2026_01_01_drive_0001"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two folders, a and b, with the same labels and graphs of one drive."""
+    for name in "ab":
+        write_dataset(tmp_path / name, {DRIVE: "train"}, frames=12, points=30)
+    return tmp_path
+
+
+def compare_drives(folder: Path, stage: str, tolerance: float = 0.0) -> list[Difference]:
+    pair = (folder / name / stage / f"{DRIVE}.h5" for name in "ab")
+    return list(diff.compare(stage, *pair, tolerance))
+
+
+def change(folder: Path, stage: str, edit: Callable[[h5py.File], None]) -> None:
+    with h5py.File(folder / "b" / stage / f"{DRIVE}.h5", "r+") as file:
+        edit(file)
+
+
+def compare_texts(folder: Path, name: str, a: str, b: str, tolerance: float = 0.0) -> dict[str, Difference]:
+    for which, content in (("a", a), ("b", b)):
+        (folder / which).mkdir(exist_ok=True)
+        (folder / which / name).write_text(content)
+    found = diff.compare(name, folder / "a" / name, folder / "b" / name, tolerance)
+    return {difference.key: difference for difference in found}
+
+
+def test_equal_content_in_other_bytes_is_equal(folder: Path) -> None:
+    def reorder(file: h5py.File) -> None:
+        file["more"] = 1
+        del file["more"]
+
+    change(folder, "graphs/semantic", reorder)
+    first, second = (folder / name / f"graphs/semantic/{DRIVE}.h5" for name in "ab")
+    assert first.read_bytes() != second.read_bytes()
+    assert compare_drives(folder, "graphs/semantic") == []
+
+
+def test_values_of_frames(folder: Path) -> None:
+    def edit(file: h5py.File) -> None:
+        file["steering_rad"][3] += 0.25
+        file["steering_rad"][7] -= 0.5
+        file["speed_mps"][2] += 9.0
+
+    change(folder, "labels", edit)
+    speed, steering = compare_drives(folder, "labels")
+    assert (speed.key, speed.problem, speed.frames, speed.first_frame) == ("speed_mps", "8.0 and 17.0", 1, 2)
+    assert (steering.key, steering.frames, steering.first_frame) == ("steering_rad", 2, 3)
+    assert steering.largest == pytest.approx(0.5)
+    assert compare_drives(folder, "labels", tolerance=0.5) == [speed]
+
+
+def test_ragged_rows_belong_to_frames(folder: Path) -> None:
+    def edit(file: h5py.File) -> None:
+        file["xyz"][30 * 4 + 2, 1] += 2.0
+        file["degree"][30 * 11] += 1
+        pointer = file["indices_ptr"][:]
+        pointer[6] -= 1  # an edge of frame 5 becomes one of frame 6
+        file["indices_ptr"][:] = pointer
+
+    change(folder, "graphs/semantic", edit)
+    degree, indices, pointer, xyz = compare_drives(folder, "graphs/semantic")
+    assert (degree.key, degree.first_frame, degree.largest) == ("degree", 11, 1)
+    assert (indices.key, indices.frames, indices.first_frame) == ("indices", 2, 5)
+    rows = [int(shape.split("(")[1].rstrip(",)")) for shape in indices.problem.split(" and ")]
+    assert rows[0] - rows[1] == 1
+    assert (pointer.key, pointer.frames, pointer.largest) == ("indices_ptr", 2, 1)
+    assert (xyz.key, xyz.frames, xyz.first_frame) == ("xyz", 1, 4)
+    assert xyz.largest == pytest.approx(2.0, rel=1e-5)
+
+
+def test_frames_are_matched_by_number(tmp_path: Path) -> None:
+    frames = np.arange(10, 22)
+    for name, rows in (("a", slice(0, 9)), ("b", slice(2, 12))):
+        write_labels(tmp_path / name / f"labels/{DRIVE}.h5", DRIVE, 0.1 * np.sin(frames[rows]), frames[rows])
+    problems = {difference.problem for difference in compare_drives(tmp_path, "labels")}
+    assert problems == {"2 frames only in A, first 10, 3 frames only in B, first 19"}
+
+
+def test_params_datasets_dtypes_units_and_shapes(folder: Path) -> None:
+    def edit(file: h5py.File) -> None:
+        params = json.loads(file.attrs["params"])
+        params["labels"]["wheelbase_m"] = 2.5
+        file.attrs["params"] = json.dumps(params)
+        del file["valid"]
+        speed = file["speed_mps"][:]
+        del file["speed_mps"]
+        file["speed_mps"] = speed.astype(np.float32)
+        file["speed_mps"].attrs["unit"] = "km/h"
+        del file["yaw_rate_radps"]
+        file["yaw_rate_radps"] = np.zeros((12, 2))
+        file["yaw_rate_radps"].attrs["unit"] = "rad/s, left positive"
+
+    change(folder, "labels", edit)
+    problems = {difference.key: difference.problem for difference in compare_drives(folder, "labels")}
+    assert problems == {
+        "params.labels.wheelbase_m": "2.7 and 2.5",
+        "valid": "only in A",
+        "unit of valid": "only in A",
+        "speed_mps": "float64 () and float32 ()",
+        "unit of speed_mps": "m/s and km/h",
+        "yaw_rate_radps": "float64 () and float64 (2,)",
+    }
+
+
+def test_json_by_key(tmp_path: Path) -> None:
+    a = '{"test": {"nmse": 0.25, "frames": 9, "x": null}, "seeds": [0, 1], "on": true, "old": 1}'
+    b = '{"test": {"nmse": 0.5, "frames": 9.0, "x": 3}, "seeds": [0, 1, 2], "on": 1, "new": 1}'
+    found = compare_texts(tmp_path, "metrics.json", a, b)
+    assert {key: difference.problem for key, difference in found.items()} == {
+        "test.nmse": "0.25 and 0.5", "test.x": "None and 3", "seeds[2]": "only in B", "on": "True and 1",
+        "old": "only in A", "new": "only in B",
+    }  # fmt: skip
+    assert found["test.nmse"].largest == 0.25
+    assert "test.nmse" not in compare_texts(tmp_path, "metrics.json", a, b, tolerance=0.3)
+    assert compare_texts(tmp_path, "metrics.json", '{"a": [1, 2]}', '{"a":[1.0,2]}') == {}
+
+
+def test_csv_by_drive_and_frame(tmp_path: Path) -> None:
+    a = "drive,frame,rad\nx,1,\nx,2,0.5\ny,1,0.5\n"
+    b = "drive,frame,rad\ny,1,0.75\nx,2,0.25\nx,1,\nx,3,0.5\n"
+    found = compare_texts(tmp_path, "predictions.csv", a, b)
+    assert {key for key in found if key.startswith("x 3")} == {"x 3.drive", "x 3.frame", "x 3.rad"}
+    assert {key: difference.largest for key, difference in found.items() if difference.largest} == {
+        "x 2.rad": 0.25, "y 1.rad": 0.25,
+    }  # fmt: skip
+    assert set(compare_texts(tmp_path, "curve.csv", "epoch,loss\n0,1.0\n", "epoch,loss\n0,1.5\n")) == {" 0.loss"}
+
+
+@pytest.mark.parametrize(("name", "content"), [("a.csv", 'a,b\n"x'), ("a.json", "{"), ("a.pt", "no checkpoint")])
+def test_damaged_file_is_named(tmp_path: Path, name: str, content: str) -> None:
+    with pytest.raises(InputError, match=name):
+        compare_texts(tmp_path, name, content, f"{content} ")
+
+
+def test_checkpoints_by_tensor(tmp_path: Path) -> None:
+    net = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(2)}
+    other = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(3)}
+    other["w"][1, 2] = 1.5
+    paths = [tmp_path / name / "best.pt" for name in "ab"]
+    for path, state in zip(paths, (net, other), strict=True):
+        checkpoint.write(path, {"kind": "net", "epoch": 3, "net": state})
+    w, gone = diff.compare("best.pt", *paths, 0.0)
+    assert (w.key, w.problem, w.largest) == ("net.w", "values differ", 0.5)
+    assert (gone.key, gone.problem) == ("net.gone", "float32 (2,) and float32 (3,)")
+
+
+def test_folders_are_compared_file_by_file(tmp_path: Path) -> None:
+    for name in ("a/x/one.json", "a/table.md", "b/table.md", "b/x/two.json", "a/.resume/block.h5"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(name)
+    found = [each for pair in diff.pairs(tmp_path / "a", tmp_path / "b") for each in diff.compare(*pair, 0.0)]
+    assert [str(each) for each in found] == [
+        "table.md: 10 and 10 bytes, not the same", "x/one.json: only in A", "x/two.json: only in B",
+    ]  # fmt: skip
+
+
+def test_two_kinds_are_refused(tmp_path: Path) -> None:
+    folder, one, text = tmp_path / "a", tmp_path / "a/one.json", tmp_path / "a/table.md"
+    folder.mkdir()
+    for path in (one, text):
+        path.write_text("{}")
+    for a, b in ((folder, one), (one, folder), (one, tmp_path / "none.json"), (one, text)):
+        with pytest.raises(InputError) as raised:
+            diff.pairs(a, b)
+        assert "two files of one kind" in raised.value.fix
+
+
+def test_numbers_that_differ() -> None:
+    nan, inf = np.nan, np.inf
+    a, b = np.array([1.0, nan, nan, inf, inf, 2.0]), np.array([1.5, nan, 1.0, inf, -inf, 2.0])
+    assert (diff._distances(a, b) > 0).tolist() == [True, False, True, False, True, False]
+    assert (diff._distances(a, b) > 0.5).tolist() == [False, False, True, False, True, False]
+    assert diff._distances(np.array([250], np.uint8), np.array([5], np.uint8)).tolist() == [245]
+    big = np.array([2**60], np.int64)
+    assert diff._distances(big, big + 1) > 0  # equal as float64
+    assert diff._distances("a", "b") == inf

@@ -130,7 +130,7 @@ def _lifted(raw: store.DriveReader, rows: np.ndarray, max_points: int) -> Iterat
         scan = raw.rows("lidar", ptr[row], ptr[row + 1])
         xyz, _ = cloud.lidar_cloud(scan, raw["T_cam_velo"], raw["K"], None)
         rng = cloud.frame_rng(0, raw.drive, int(raw.frame[row]))
-        yield cloud.stored((xyz, classes_of(xyz)), max_points, rng)
+        yield cloud.downsample((xyz, classes_of(xyz)), max_points, rng)
 
 
 def classes_of(xyz: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Section ``perception``: running the unified encoder."""
+"""Section ``perception``: prediction of depth and classes with the unified encoder."""
 
 from typing import Annotated, Literal, Self
 
@@ -14,17 +14,17 @@ class Perception(Section):
     batch: Count
     depth_scale: Annotated[
         DepthScale,
-        Field(description="where metres come from: the network, the camera's height over the road, LiDAR, nowhere"),
+        Field(description="source of metric scale: the network, the camera's height over the road, LiDAR, none"),
     ] = "metric"
     camera_height_m: Annotated[Positive | None, Field(description="over the road; null: from the calibration")] = None
     reach: Annotated[
         Annotated[float, Field(ge=1)] | None,
-        Field(description="how many times as far as flat ground at its foot traffic is, at most; null: any"),
+        Field(description="limit for the depth of traffic, as a factor on that of flat ground; null: no limit"),
     ] = None
     precision: Literal["auto", "bfloat16", "float32"] = "auto"
 
     @model_validator(mode="after")
-    def _reach_is_of_metres(self) -> Self:
+    def _reach_needs_metres(self) -> Self:
         if self.reach and self.depth_scale == "none":
-            raise ValueError("reach is of depth in metres: leave it out with depth_scale: none")
+            raise ValueError("reach needs depth in metres: remove it, or choose another depth_scale than none")
         return self

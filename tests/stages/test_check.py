@@ -105,7 +105,7 @@ def load_model(line: dict[str, Any]) -> dict[str, Any]:
         ("models.sa-gnn-ncp.spatial", "cnn", "spatial = 'cnn' expects images, but input: semantic holds kNN"),
         ("models.sa-gnn-ncp.spatial", "pointnet2", "spatial = 'pointnet2' expects points .* holds kNN graphs"),
         ("graphs.lidar.crop_m", [9, 0, -9, 40], "needs left < right and near < far"),
-        ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m means nothing to images"),
+        ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m is not an option of images"),
         ("graphs.semantic.kk", 2, "unknown key graphs.semantic.kk"),
         ("models.sa-gnn-ncp.wiring", {"comand": 5}, "models.sa-gnn-ncp.wiring.comand = 5: .*did you mean command"),
         ("models.sa-gnn-ncp.wiring", {"motor_fanin": 7}, "models.sa-gnn-ncp.wiring.motor_fanin = 7, but .*command = 6"),

@@ -116,8 +116,9 @@ def _score_motion(
                 store.DriveReader(folder / f"{drive}.h5", stage="motion") as measured,
             ):
                 oxts = source["oxts"][np.searchsorted(source.frame, measured.frame)]
-                estimates = (measured[name] for name in ("yaw_rate_radps", "speed_mps", "valid"))
-                errors[kind].append(motion_scores.errors(*estimates, oxts[:, WU], oxts[:, VF], **car))
+                yaw_rate_radps, speed_mps, valid = (measured[name] for name in ("yaw_rate_radps", "speed_mps", "valid"))
+                drive_errors = motion_scores.errors(yaw_rate_radps, speed_mps, valid, oxts[:, WU], oxts[:, VF], **car)
+                errors[kind].append(drive_errors)
     return {kind: motion_scores.score(errors[kind]) for kind in motions}
 
 

@@ -20,7 +20,7 @@ def _add(name: str, command: Callable[..., object], kept: str, needs_arguments: 
     app.command(name, no_args_is_help=needs_arguments)(guarded(command, kept))
 
 
-_add("predict", predict.predict, "what is written is whole")
+_add("predict", predict.predict, "the frames so far are in .unfinished of the output folder")
 _add("import", import_recording.import_recording, "no drive is written; run the same command again")
 _add("show", show.show, "what is written is whole")
 _add("diff", diff.diff, "nothing is written")

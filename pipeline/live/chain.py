@@ -124,8 +124,8 @@ class Chain:
         for frame in frames:
             motion = frame.motion
             if motion.valid and abs(motion.speed_mps) >= target.min_speed_mps:
-                rates = np.float64(motion.yaw_rate_radps), np.float64(motion.speed_mps)
-                base_rad = float(label.steering_angle(*rates, target.wheelbase_m))
+                yaw_rate_radps, speed_mps = np.array(motion[:2], np.float64)
+                base_rad = float(label.steering_angle(yaw_rate_radps, speed_mps, target.wheelbase_m))
             if window and frame.number != window[-1].number + 1:
                 window.clear()
             dt_s = frame.time_s - window[-1].time_s if window else NOMINAL_STEP_S

@@ -101,9 +101,9 @@ def _convolve(layer: nn.Module, x: Tensor, neighbours: Tensor, valid: Tensor) ->
         return torch.where(valid.any(1, keepdim=True), own + largest, 0.0)
     if isinstance(layer, GATv2Layer):
         heads = layer.attention.shape  # (heads, outputs / heads)
-        left, right = layer.left(x), layer.right(x).unflatten(1, heads)
-        senders = torch.cat([left[:, None], left[neighbours]], dim=1).unflatten(2, heads)  # [N,1+D,heads,C]
-        scores = (nn.functional.leaky_relu(senders + right[:, None], SLOPE) * layer.attention).sum(3)
+        left, right = layer.left(x), layer.right(x).view(-1, 1, *heads)
+        senders = torch.cat([left[:, None], left[neighbours]], dim=1).view(x.shape[0], -1, *heads)  # [N,1+D,heads,C]
+        scores = (nn.functional.leaky_relu(senders + right, SLOPE) * layer.attention).sum(3)
         valid = nn.functional.pad(valid, (1, 0), value=True)
         alpha = scores.masked_fill(~valid[..., None], -torch.inf).softmax(1)
         return (alpha[..., None] * senders).sum(1).flatten(1) + layer.bias

@@ -42,7 +42,8 @@ class Overlay:
         """Draw the next frame: the predicted path in green, the driven one, if known, in red."""
         import cv2
 
-        image = cv2.resize(frame.source_image, self._size[::-1], interpolation=cv2.INTER_AREA)
+        resized = cv2.resize(frame.source_image, self._size[::-1], interpolation=cv2.INTER_AREA)
+        image = np.asarray(resized, np.uint8)
         text = "waiting for a complete window"
         if frame.driven_rad is not None:
             self._draw_path(image, frame.driven_rad, DRIVEN, filled=False)

@@ -15,10 +15,9 @@ from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.mount import camera_height
 from pipeline.encoder import precomputed
-from pipeline.perception import batches
+from pipeline.perception import batches, depth_scale
 from pipeline.perception.batches import Batch
-from pipeline.perception.depth_scale import MODES
-from pipeline.perception.postprocess import DepthPostprocessor
+from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.sections.perception import Perception
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ def _count(path: Path) -> int:
 def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:
     from pipeline.encoder.perceive import passes
 
-    predict, scale = _predictor(encoder, drive, settings.precision), MODES[settings.depth_scale]
+    predict, mode = _predictor(encoder, drive, settings.precision), settings.depth_scale
     params = {"perception": settings.model_dump()}
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
@@ -79,10 +78,10 @@ def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: 
         with_image, size = np.flatnonzero(source["has_image"]), source.shape("image")[1:3]
         file.put("frame", source.frame[with_image])
         file.put("time_s", source.time_s[with_image], "s")
-        file.append("depth_m", np.zeros((0, *size), np.uint16), f"{scale.unit}, 0 = none")
+        file.append("depth_m", np.zeros((0, *size), np.uint16), f"{depth_scale.stored_unit(mode)}, 0 = none")
         file.append("cls", np.zeros((0, *size), np.uint8), "Cityscapes trainId")
         postprocess: DepthPostprocessor | None = None
-        images = batches.read(source, with_image, settings.batch, scans=scale.needs_scan)
+        images = batches.read(source, with_image, settings.batch, scans=depth_scale.needs_scan(mode))
         # One thread reads, others run the network, this one scales and writes.
         with closing(passes(lambda batch: (batch, *predict(batch)), images)) as results:
             for batch, depth, cls in results:

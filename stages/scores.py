@@ -18,7 +18,6 @@ from pipeline.encoder.truth import Truth, read_truth, visible
 from pipeline.kitti.oxts import VF, WU
 from pipeline.motion import kinds
 from pipeline.perception import motion_scores
-from pipeline.perception.depth_scale import MODES
 from pipeline.perception.scores import Scores, summary_line
 from pipeline.sections.labels import Labels
 
@@ -84,10 +83,10 @@ def _score_drive(
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
-        count, scale = len(perceived.frame), MODES[perceived.params["perception"]["depth_scale"]]
+        count, mode = len(perceived.frame), perceived.params["perception"]["depth_scale"]
         K = source["K"] if count else np.eye(3)  # a drive without images has no camera
         for depth, cls, truth in _read(source, perceived):
-            scores.add_frame(depth, cls, K, truth, scale, float(perceived.attrs["camera_height_m"]))
+            scores.add_frame(depth, cls, K, truth, mode, float(perceived.attrs["camera_height_m"]))
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path / "metrics.json", {**report, "motion": motion})
     lines = [f"{kind} motion: {motion_scores.summary_line(figures)}" for kind, figures in motion.items()]

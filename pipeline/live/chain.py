@@ -31,14 +31,14 @@ from pipeline.live.frame_state import FrameState, Motion
 from pipeline.live.settings import Settings
 from pipeline.live.source import Source
 from pipeline.motion.estimator import MotionEstimator
-from pipeline.perception.depth_scale import MODES
+from pipeline.perception.depth_scale import needs_scan
 from pipeline.train.predict import Trained
 
 
 def needs_scans(model: Trained, settings: Settings) -> bool:
     """Return whether the model's input is made from LiDAR scans."""
     lidar = "lidar" in _motion_kinds(model, settings) or settings.variant.source == "clouds/lidar"
-    return lidar or MODES[settings.perception.depth_scale].needs_scan
+    return lidar or needs_scan(settings.perception.depth_scale)
 
 
 def _motion_kinds(model: Trained, settings: Settings) -> set[str]:

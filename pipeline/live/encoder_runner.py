@@ -9,8 +9,7 @@ from pipeline.camera.frame import Camera
 from pipeline.camera.geometry import scan_depth
 from pipeline.encoder import precomputed
 from pipeline.encoder.perceive import load, perceive
-from pipeline.perception.depth_scale import MODES
-from pipeline.perception.postprocess import DepthPostprocessor
+from pipeline.perception.depth_scale import DepthPostprocessor, needs_scan
 from pipeline.sections.perception import Perception
 
 
@@ -23,7 +22,6 @@ class EncoderRunner:
             fix = "Choose the folder of an encoder with a network: --encoder"
             raise InputError(f"depth and classes are precomputed in {folder}, so new images have none", encoder, fix)
         self._network, self._settings, self._camera = load(encoder), settings, camera
-        self._needs_scan = MODES[settings.depth_scale].needs_scan
         self._postprocess = DepthPostprocessor(settings, camera.K, camera.height_m)
 
     def run(self, image: np.ndarray, scan: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -31,6 +29,6 @@ class EncoderRunner:
         camera = self._camera
         (depth,), (cls,) = perceive(self._network, image[None], camera.K, self._settings.precision)
         scan_m = None
-        if self._needs_scan and scan is not None and camera.T_cam_velo is not None:
+        if needs_scan(self._settings.depth_scale) and scan is not None and camera.T_cam_velo is not None:
             scan_m = scan_depth(scan, camera.T_cam_velo, camera.K, camera.size)
         return self._postprocess(depth, cls, scan_m), cls

@@ -22,8 +22,7 @@ from pipeline.train.predict import Trained
 Arrays = Mapping[str, np.ndarray]
 MANIFEST = "export.json"
 MAX_DRIVES, WINDOWS_PER_DRIVE = 4, 4
-USE = "output = recurrent(features of the window's frames, oldest first), features = spatial(frame), steering_rad = "
-USE += "base_rad + std_rad * output, left positive"
+USE = "steering_rad = base_rad + std_rad * recurrent(spatial features of a window, oldest first, ...), left positive"
 INPUTS = {
     "image": "uint8 [1, H, W, 3], RGB",
     "xyz": "float32 [points, 3], metres, camera frame: x right, y down, z forward",
@@ -103,12 +102,11 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
 def read_examples(model: Trained, graphs: Path) -> list[Example]:
     """Read windows of some drives, test drives first, evenly spread over each. Raises InputError without any."""
     splits = store.read_index(graphs, stage="graphs")
+    drives = [drive for split in reversed(SPLITS) for drive in store.of_split(splits, split)]
     examples: list[Example] = []
-    for drive in [drive for split in reversed(SPLITS) for drive in store.of_split(splits, split)]:
+    for drive in drives[:MAX_DRIVES]:
         with frames.open_graphs(graphs / f"{drive}.h5") as file:
             examples += _read_drive(model, drive, file)
-        if len({example.drive for example in examples}) == MAX_DRIVES:
-            break
     if not examples:
         raise InputError(f"no window of {model.window} consecutive frames for verification", graphs)
     return examples
@@ -142,13 +140,17 @@ def _pad(frame: Arrays) -> Arrays:
 
 def _largest_difference(path: Path, name: str, examples: list[Example]) -> float:
     program = torch.export.load(path).module()
-    differences = [0.0]
-    for drive_frames, window, output in (example[1:] for example in examples):
-        if name == "spatial":
-            results = [program(*map(torch.from_numpy, frame.values())).numpy() for frame in drive_frames]
-            differences.append(float(np.abs(np.concatenate(results) - window["features"][0]).max()))
+
+    def run(arrays: Arrays) -> np.ndarray:
+        return program(*map(torch.from_numpy, arrays.values())).numpy()
+
+    differences = []
+    for example in examples:
+        if name == "recurrent":
+            differences.append(np.abs(run(example.window) - example.output).max())
         else:
-            differences.append(abs(float(program(*map(torch.from_numpy, window.values()))) - output))
+            results = np.concatenate([run(frame) for frame in example.frames])
+            differences.append(np.abs(results - example.window["features"][0]).max())
     return float(np.max(differences))
 
 

@@ -1,79 +1,68 @@
-"""Scale the network's depth to metres: one object for each value of ``perception.depth_scale``."""
+"""Scale the network's depth to metres, by setting ``perception.depth_scale``, and convert it to stored depth.
 
-from typing import NamedTuple
+``metric``: the network predicts metres. ``camera_height``: the camera's height over the road determines the scale.
+``lidar_median``: the frame's LiDAR scan does. ``none``: stored depth has an unknown unit.
+"""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.geometry import back_project
-from pipeline.camera.images import DEPTH_UNITS_PER_M
+from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
+from pipeline.perception.ground_plane import limit_traffic_depth
+
+if TYPE_CHECKING:
+    from pipeline.sections.perception import DepthScale, Perception
 
 MIN_ROAD_PIXELS = 50
 MIN_TRUTH_PIXELS = 10
 
 
-class DepthFrame(NamedTuple):
-    """Depth of a frame and the data from which its scale can be estimated."""
-
-    depth: np.ndarray  # [H,W] in the network's unit, 0 = none
-    cls: np.ndarray  # trainIds [H,W]
-    scan_m: np.ndarray | None  # depth [H,W] in metres of the frame's LiDAR scan, 0 = none
-    K: np.ndarray  # [3,3]
-    camera_height_m: float  # over the road
+def needs_scan(mode: "DepthScale") -> bool:
+    return mode == "lidar_median"
 
 
-class Scale:
-    """Base class, and mode metric: the network predicts metres."""
+def stored_unit(mode: "DepthScale") -> str:
+    """Return the unit of stored depth."""
+    return f"1/{DEPTH_UNITS_PER_M} {'of an unknown unit' if mode == 'none' else 'm'}"
 
-    unit = f"1/{DEPTH_UNITS_PER_M} m"  # of stored depth
-    needs_scan = False
 
-    def factor(self, frame: DepthFrame) -> float | None:
-        """Return the factor from the network's to stored depth; None if it cannot be estimated from this frame."""
+def scoring_factor(mode: "DepthScale", depth: np.ndarray, truth_m: np.ndarray) -> float:
+    """Return the factor from stored depth [H,W] to metres for comparison with ground truth [H,W], 0 = unknown."""
+    return (median_ratio(depth, truth_m) or 1.0) if mode == "none" else 1.0
+
+
+class DepthPostprocessor:
+    """Converts the network's depth to stored depth for one drive; frames come in order."""
+
+    def __init__(self, settings: "Perception", K: np.ndarray, camera_height_m: float) -> None:
+        """`K` [3,3] at the size of the depth; the camera's height is over the road."""
+        self._settings, self._K, self._camera_height_m = settings, K, camera_height_m
+        self._factor = 0.0  # no depth before the first frame with a known scale
+
+    def __call__(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> np.ndarray:
+        """Return the stored depth of a frame, uint16 [H,W], 0 in the sky; see :func:`pipeline.camera.images.to_units`.
+
+        Args:
+            depth: float32 [H,W] in the network's unit; overwritten.
+            cls: trainIds [H,W].
+            scan_m: depth [H,W] in metres of the frame's LiDAR scan, 0 = none; None without a scan.
+        """
+        self._factor = self._estimate(depth, cls, scan_m) or self._factor
+        np.multiply(depth, self._factor, out=depth)
+        if self._settings.reach:
+            limit_traffic_depth(depth, cls, self._K, self._camera_height_m, self._settings.reach)
+        return to_units(np.where(cls == classes.SKY, 0, depth))
+
+    def _estimate(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> float | None:
+        """Return the factor to metres; None if it cannot be estimated from this frame."""
+        if self._settings.depth_scale == "camera_height":
+            return from_camera_height(depth, cls, self._K, self._camera_height_m)
+        if self._settings.depth_scale == "lidar_median":
+            return None if scan_m is None else median_ratio(depth, scan_m)
         return 1.0
-
-    def rescale(self, frame: DepthFrame, before: float) -> float:
-        """Scale the frame's depth in place and return the factor; `before`, that of the previous frame, if unknown."""
-        factor = self.factor(frame) or before
-        np.multiply(frame.depth, factor, out=frame.depth)
-        return factor
-
-    def scoring_factor(self, depth: np.ndarray, truth_m: np.ndarray) -> float:
-        """Return the factor from stored depth [H,W] to metres for comparison with ground truth [H,W], 0 = unknown."""
-        return 1.0
-
-
-class CameraHeight(Scale):
-    """The camera's height over the road, divided by its height over the road's points."""
-
-    def factor(self, frame: DepthFrame) -> float | None:
-        return from_camera_height(frame.depth, frame.cls, frame.K, frame.camera_height_m)
-
-
-class LidarMedian(Scale):
-    """Ratio of medians to each frame's LiDAR scan."""
-
-    needs_scan = True
-
-    def factor(self, frame: DepthFrame) -> float | None:
-        return None if frame.scan_m is None else median_ratio(frame.depth, frame.scan_m)
-
-
-class Unscaled(Scale):
-    """No scale: stored depth is the network's, and is compared with ground truth after scaling by the medians."""
-
-    unit = f"1/{DEPTH_UNITS_PER_M} of an unknown unit"
-
-    def scoring_factor(self, depth: np.ndarray, truth_m: np.ndarray) -> float:
-        return median_ratio(depth, truth_m) or 1.0
-
-
-MODES = {
-    "metric": Scale(),
-    "camera_height": CameraHeight(),
-    "lidar_median": LidarMedian(),
-    "none": Unscaled(),
-}
 
 
 def from_camera_height(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float) -> float | None:

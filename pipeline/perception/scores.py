@@ -1,14 +1,17 @@
 """Errors of predicted depth and classes against ground truth."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.camera import classes
 from pipeline.encoder.truth import Truth
-from pipeline.perception.depth_scale import Scale
+from pipeline.perception.depth_scale import scoring_factor
 from pipeline.perception.ground_plane import ground_plane_depth
+
+if TYPE_CHECKING:
+    from pipeline.sections.perception import DepthScale
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
@@ -94,21 +97,27 @@ class Scores:
         self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
 
     def add_frame(
-        self, depth: np.ndarray, cls: np.ndarray, K: np.ndarray, truth: Truth, scale: Scale, camera_height_m: float
+        self,
+        depth: np.ndarray,
+        cls: np.ndarray,
+        K: np.ndarray,
+        truth: Truth,
+        mode: "DepthScale",
+        camera_height_m: float,
     ) -> None:
         """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.
 
         Args:
-            depth: as stored [H,W], in the unit of `scale`, 0 = none.
+            depth: as stored [H,W], 0 = none.
             cls: trainIds [H,W].
             K: intrinsics [3,3].
             truth: ground truth of the same frame.
-            scale: mode that scaled the depth.
+            mode: perception.depth_scale of the depth.
             camera_height_m: over the ground.
         """
         if truth.depth_source:
             flat_m = np.where(depth > 0, ground_plane_depth(cls, K, camera_height_m), 0)
-            depth_m = depth * scale.scoring_factor(depth, truth.depth_m)
+            depth_m = depth * scoring_factor(mode, depth, truth.depth_m)
             self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
             self.add_depth(f"ground_plane_{truth.depth_source}", flat_m, truth.depth_m)
         if truth.has_cls:

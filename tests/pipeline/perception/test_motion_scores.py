@@ -57,7 +57,7 @@ def test_undefined_scores_are_none() -> None:
     assert "no measured frame" in motion_scores.summary_line(scores)
 
 
-def test_wheelbase_and_least_speed_are_those_of_the_labels() -> None:
+def test_wheelbase_and_minimum_speed_are_those_of_the_labels() -> None:
     assert errors(0.0, 1.0, wheelbase_m=3.0).true_rad == pytest.approx([np.arctan(3.0 * 0.2 / 6)] * 3)
     assert len(errors(0.0, 1.0, min_speed_mps=0.1).true_rad) == 4
     assert not len(errors(0.0, 1.0, min_speed_mps=7.0).yaw_radps)

@@ -20,7 +20,7 @@ def _add(name: str, command: Callable[..., object], kept: str, needs_arguments: 
     app.command(name, no_args_is_help=needs_arguments)(guarded(command, kept))
 
 
-_add("predict", predict.predict, "files in --out are complete")
+_add("predict", predict.predict, "the frames so far are in .unfinished of the output folder")
 _add("import", import_recording.import_recording, "no drive was written, repeat the command")
 _add("show", show.show, "files that were written are complete")
 _add("diff", diff.diff, "nothing was written")

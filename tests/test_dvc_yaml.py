@@ -20,8 +20,7 @@ BEYOND: dict[str, set[str]] = {
     "check": {"pipeline", "models"},  # it takes seconds, and is to find faults wherever they are
     "town": {"pipeline/kitti/ingest_file.py", "pipeline/kitti/tolerant.py"},  # the sample is rendered again
     "perception": {"pipeline/fitting/schedule.py"},  # a change of which makes another encoder anyway
-    # Flat ground; other networks, and another way to read images, make another perception anyway.
-    "scores": {"models/encoder", "pipeline/perception/batches.py"},
+    "scores": {"models/encoder"},  # flat ground; other networks make another perception anyway
     # These make another training anyway.
     "evaluate": {
         *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment", "noise")),

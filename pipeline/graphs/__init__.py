@@ -1,1 +1,1 @@
-"""Clouds, kNN graphs and neighbourhoods, and the files that networks read."""
+"""Point clouds, kNN graphs and neighbourhoods, and the graph files that networks read."""

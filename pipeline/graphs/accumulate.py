@@ -1,6 +1,4 @@
-"""Clouds that span time: those of the last frames, brought into a frame's own coordinates by measured motion."""
-
-from collections.abc import Iterable, Iterator, Mapping
+"""Clouds of several frames: transform the previous clouds into a frame's coordinates by measured motion."""
 
 import numpy as np
 
@@ -9,23 +7,20 @@ from pipeline.camera.geometry import transform
 from pipeline.graphs.cloud import Cloud
 
 
-def steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
-    """Return frame number → T_before_now float64 [4,4] of the frames of a motion file whose motion was measured.
-
-    Motion by images may have corrected the depth that it knows lengths from. ``clouds/pseudo``, which are lifted from
-    that depth, have not: so lengths are divided by that correction, and a street that stands still lies still, whatever
-    depth's scale. `source` ``clouds/lidar`` is in metres, as motion is.
-    """
-    measured = motion["valid"].astype(bool)
-    scale = motion["scale"] if "scale" in motion else np.ones(len(measured), np.float32)
-    rows = zip(motion.frame[measured], motion["T_before"][measured], scale[measured], strict=True)
-    return {int(number): of_clouds(T_before, factor, source) for number, T_before, factor in rows}
+def read_steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
+    """Return frame number → T_before_now float64 [4,4] of the valid frames of a motion file, see scaled_step."""
+    valid = motion["valid"].astype(bool)
+    scale = motion["scale"] if "scale" in motion else np.ones(len(valid), np.float32)
+    rows = zip(motion.frame[valid], motion["T_before"][valid], scale[valid], strict=True)
+    return {int(number): scaled_step(T_before, factor, source) for number, T_before, factor in rows}
 
 
-def of_clouds(T_before: np.ndarray, scale: float, source: str) -> np.ndarray:
-    """Return a measured step float32 [4,4] in the lengths of the clouds of `source`, float64; see :func:`steps`.
+def scaled_step(T_before: np.ndarray, scale: float, source: str) -> np.ndarray:
+    """Return a measured step float32 [4,4] in the length unit of the clouds of `source`, float64.
 
-    `scale` is what depth was multiplied by to measure it.
+    Visual odometry multiplies depth by `scale`; clouds/pseudo are lifted from uncorrected depth. So the step's
+    translation is divided by `scale`, and static objects coincide whatever the scale of depth. clouds/lidar are in
+    metres, as motion is.
     """
     T = T_before.astype(np.float64)
     if source == "clouds/pseudo":
@@ -33,32 +28,36 @@ def of_clouds(T_before: np.ndarray, scale: float, source: str) -> np.ndarray:
     return T
 
 
-def accumulated(
-    frame: Iterable[int], clouds: Iterable[Cloud], T_before: Mapping[int, np.ndarray], frames: int
-) -> Iterator[Cloud]:
-    """Yield of each frame its cloud and those of up to `frames` - 1 frames before, as it would see them now.
+class Accumulator:
+    """Combines each cloud with up to `frames` - 1 previous ones.
 
-    `frames` is the variant's, whatever a network's window. A cloud reaches as far back as the frames follow each other
-    by number and motion was measured, so not beyond a halt: there a frame's cloud is its own, since a car that stands
-    is not told from one whose motion could not be measured. What moves by itself leaves a trace; what the car has
-    passed lies behind the camera. At most `frames` clouds are held.
-
-    Args:
-        frame: KITTI frame numbers, ascending.
-        clouds: of each its xyz [P,3] and cls [P].
-        T_before: number of a frame → T_before_now, see :func:`steps`.
+    It reaches back as long as frame numbers are consecutive and motion is valid. So it starts anew after a halt, since
+    standstill cannot be told from unmeasured motion. Moving objects leave a trace, and objects that the car has passed
+    lie behind the camera.
     """
-    held: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
-    last = None
-    for number, cloud in zip(frame, clouds, strict=True):
-        if last is None or number != last + 1 or number not in T_before:
-            held = []
+
+    def __init__(self, frames: int) -> None:
+        self._frames = frames
+        self._clouds: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
+        self._last: int | None = None
+
+    def add(self, number: int, cloud: Cloud, T_before: np.ndarray | None) -> Cloud:
+        """Return the combined cloud of the next frame, in its coordinates.
+
+        Args:
+            number: KITTI frame number, ascending.
+            cloud: of the frame alone.
+            T_before: the step to this frame, see :func:`scaled_step`; None if it was not measured.
+        """
+        if self._last is None or number != self._last + 1 or T_before is None:
+            self._clouds = []
         else:
-            T_now_before = np.linalg.inv(T_before[number])
-            held = [(T_now_before @ T_before_then, then) for T_before_then, then in held[1 - frames :]]
-        held.append((np.eye(4), cloud))
-        last = number
-        yield (
-            np.concatenate([transform(T_now_then, xyz) for T_now_then, (xyz, _) in held]).astype(np.float32),
-            np.concatenate([cls for _, (_, cls) in held]),
+            T_now_before = np.linalg.inv(T_before)
+            previous = self._clouds[1 - self._frames :]
+            self._clouds = [(T_now_before @ T_before_then, then) for T_before_then, then in previous]
+        self._clouds.append((np.eye(4), cloud))
+        self._last = number
+        return (
+            np.concatenate([transform(T_now_then, xyz) for T_now_then, (xyz, _) in self._clouds]).astype(np.float32),
+            np.concatenate([cls for _, (_, cls) in self._clouds]),
         )

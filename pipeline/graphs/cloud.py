@@ -1,32 +1,54 @@
-"""A frame's semantic point cloud (paper eq. 6 and 7), as it is stored, and the writer of its file.
+"""Semantic point clouds (paper eq. 6 and 7): computation, sampling, and the writer of their file.
 
-Clouds are in the rectified camera frame, metres: x right, y down, z forward. The factor λ of eq. 7 is a model's own
-setting (`semantics`), so clouds always carry the class.
+Clouds are in the rectified camera frame, metres: x right, y down, z forward. The factor λ of eq. 7 is a setting of each
+model (`semantics`), so clouds always carry the class.
 """
 
 import zlib
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
+from pipeline.camera.frame import Camera, Frame
+from pipeline.camera.images import to_metres
+
+if TYPE_CHECKING:
+    from pipeline.sections.clouds import Clouds
 
 Cloud = tuple[np.ndarray, np.ndarray]
 """xyz float32 [P,3] in metres, cls uint8 [P]."""
 
-RESOLUTION_M = 1 / 1024  # coordinates are stored in steps of about a millimetre: far below any sensor, and files shrink
+RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and files compress better
+
+
+def stored_cloud(frame: Frame, kind: str, camera: Camera, drive: str, settings: "Clouds") -> Cloud:
+    """Return the cloud of a frame as stage clouds stores it.
+
+    `kind`: pseudo, for a frame with depth and classes, or lidar, for a frame with a scan of a calibrated sensor.
+    """
+    if kind == "pseudo":
+        assert frame.depth is not None
+        assert frame.cls is not None
+        cloud = pseudo_cloud(to_metres(frame.depth), frame.cls, camera.K, settings.max_depth_m)
+    else:
+        assert frame.scan is not None
+        assert camera.T_cam_velo is not None
+        cloud = lidar_cloud(frame.scan, camera.T_cam_velo, camera.K, frame.cls)
+    return downsample(cloud, settings.max_points, frame_rng(settings.seed, drive, frame.number))
 
 
 def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float) -> Cloud:
-    """Lift an image's pixels into 3D.
+    """Back-project the pixels of an image (paper eq. 6).
 
     Args:
         depth_m: [H,W] metres along the optical axis, 0 = invalid.
         cls: [H,W] Cityscapes trainIds.
         K: [3,3] intrinsics for this size.
-        max_depth_m: pixels farther away give no point.
+        max_depth_m: pixels beyond it give no point.
 
     Returns: xyz float32 [P,3], cls uint8 [P]. Sky, void and invalid pixels give no point.
     """
@@ -35,13 +57,13 @@ def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_
 
 
 def lidar_cloud(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np.ndarray | None) -> Cloud:
-    """Bring a scan into the camera frame and give each point the class of the pixel that it falls on.
+    """Transform a scan into the camera frame and assign each point the class of its pixel.
 
     Args:
-        scan: [P,≥3] velodyne x, y, z in metres; all around the car.
+        scan: [P,≥3] velodyne x, y, z in metres, in all directions.
         T_cam_velo: [4,4].
         K: [3,3] intrinsics for the size of `cls`.
-        cls: [H,W] trainIds of the same frame's image, or None if there is none.
+        cls: [H,W] trainIds of the same frame's image, or None without an image.
 
     Returns: xyz float32 [P,3], cls uint8 [P]; void for points outside the image or on sky pixels.
     """
@@ -52,30 +74,31 @@ def lidar_cloud(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np
         pixel = np.rint(np.nan_to_num(uv, nan=-1.0)).clip(-1, max(cls.shape)).astype(np.int64)
         inside = (pixel >= 0).all(axis=1) & (pixel[:, 0] < cls.shape[1]) & (pixel[:, 1] < cls.shape[0])
         labels[inside] = cls[pixel[inside, 1], pixel[inside, 0]]
-        labels[labels == classes.SKY] = classes.VOID  # no laser returns from the sky: a silhouette
+        labels[labels == classes.SKY] = classes.VOID  # the sky returns no laser pulse: a point at a silhouette
     return xyz.astype(np.float32), labels
 
 
-def stored(cloud: Cloud, max_points: int, rng: np.random.Generator) -> Cloud:
-    """Return a cloud as it is stored: at most `max_points`, drawn by `rng`, on the grid, in Morton order."""
+def downsample(cloud: Cloud, max_points: int, rng: np.random.Generator) -> Cloud:
+    """Return at most `max_points` random points with quantised coordinates, in Morton order."""
     xyz, cls = cloud
-    chosen = sample(len(xyz), max_points, rng)
-    return ordered((xyz[chosen], cls[chosen]))
+    drawn = sample(len(xyz), max_points, rng)
+    return ordered((xyz[drawn], cls[drawn]))
 
 
 def ordered(cloud: Cloud) -> Cloud:
-    """Return a cloud on the grid, in Morton order."""
+    """Return a cloud with quantised coordinates, in Morton order."""
     xyz, cls = quantise(cloud[0]), cloud[1]
     order = morton_order(xyz)
     return xyz[order], cls[order]
 
 
 def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iterable[Cloud]) -> dict[str, int]:
-    """Write a drive's clouds file, data/clouds/<kind>/<drive>.h5; return how many frames and points it holds.
+    """Write the clouds of a drive, data/clouds/<kind>/<drive>.h5; return its numbers of frames and points.
 
     Args:
-        frame: KITTI frame numbers [F]; time_s: their times [F].
-        clouds: of each frame its cloud, as it is stored.
+        frame: KITTI frame numbers [F].
+        time_s: their times [F].
+        clouds: of each frame, see :func:`stored_cloud`.
     """
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
@@ -90,63 +113,63 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iter
     return {"frames": len(counts), "points": sum(counts)}
 
 
-def check_any(summaries: Mapping[str, Mapping[str, int]], splits: Mapping[str, str]) -> None:
-    """Raise InputError if all frames of a split's drives together hold no point: nothing to learn of, or to judge by.
+def check_not_empty(summaries: Mapping[str, Mapping[str, int]], splits: Mapping[str, str]) -> None:
+    """Raise InputError if a split has frames but no point in any of them.
 
-    A frame without points is one in which nothing was seen; a drive without frames was recorded without what they take.
+    Single frames may be empty, and so may drives that lack images or scans.
 
     Args:
-        summaries: drive → what :func:`write`, or a writer of graphs, returned.
+        summaries: drive → numbers of frames and points, as :func:`write` returns them.
         splits: drive → its split.
     """
     for split in dict.fromkeys(splits.values()):
-        of_split = [summary for drive, summary in summaries.items() if splits[drive] == split]
-        frames = sum(summary["frames"] for summary in of_split)
-        if frames and not sum(summary["points"] for summary in of_split):
+        drives = [summary for drive, summary in summaries.items() if splits[drive] == split]
+        frames = sum(summary["frames"] for summary in drives)
+        if frames and not sum(summary["points"] for summary in drives):
             raise InputError(f"no point in any of the {frames} frames of the {split} drives")
 
 
 def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
-    """Return a generator that depends on the frame alone, so that no result depends on the order of work."""
+    """Return a random generator that depends only on seed, drive and frame number, not on the order of work."""
     return np.random.default_rng([seed, zlib.crc32(drive.encode()), frame])
 
 
 def cropped(xyz: np.ndarray, left_near_right_far_m: tuple[float, float, float, float] | None) -> np.ndarray:
-    """Return the indices of the points [P,3] whose x and z (camera frame) lie in the crop; all if there is none."""
+    """Return the indices of the points [P,3] with x and z (camera frame) inside the crop; None: all."""
     if left_near_right_far_m is None:
         return np.arange(len(xyz))
     xz, bounds = xyz[:, [0, 2]], np.array(left_near_right_far_m)
     return np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
 
 
-def chosen_points(
+def sample_points(
     cloud: Cloud, left_near_right_far_m: tuple[float, float, float, float] | None, points: int, rng: np.random.Generator
 ) -> Cloud:
-    """Return at most `points` of a cloud's points that lie in the crop, drawn by `rng`, in the cloud's order."""
+    """Return at most `points` random points of a cloud inside the crop, in the cloud's order."""
     xyz, cls = cloud
     inside = cropped(xyz, left_near_right_far_m)
-    chosen = inside[sample(len(inside), points, rng)]
-    return xyz[chosen], cls[chosen]
+    sampled = inside[sample(len(inside), points, rng)]
+    return xyz[sampled], cls[sampled]
 
 
 def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
-    """Return at most `limit` of the indices 0..count-1, drawn without replacement, ascending: Morton order survives."""
+    """Draw at most `limit` of the indices 0..count-1 without replacement, ascending, which keeps Morton order."""
     if count <= limit:
         return np.arange(count)
-    chosen = np.zeros(count, bool)
-    chosen[rng.choice(count, limit, replace=False, shuffle=False)] = True
-    return np.flatnonzero(chosen)
+    drawn = np.zeros(count, bool)
+    drawn[rng.choice(count, limit, replace=False, shuffle=False)] = True
+    return np.flatnonzero(drawn)
 
 
 def quantise(xyz: np.ndarray) -> np.ndarray:
-    """Round coordinates to multiples of RESOLUTION_M, exact in float32 up to 16 km."""
+    """Round coordinates to multiples of RESOLUTION_M, which are exact in float32 up to 16 km."""
     return (np.rint(xyz / RESOLUTION_M) * RESOLUTION_M).astype(np.float32)
 
 
 def morton_order(xyz: np.ndarray) -> np.ndarray:
     """Return the permutation [P] that sorts points [P,3] along a Z-order curve.
 
-    Neighbours in space become neighbours in memory: kNN and sparse products run faster and files compress better.
+    Neighbours in space become neighbours in memory: kNN and sparse products are faster, files compress better.
     """
     grid = np.clip(np.floor(xyz / RESOLUTION_M) + 2**20, 0, 2**21 - 1).astype(np.uint64)
     code = _spread(grid[:, 0]) | (_spread(grid[:, 1]) << np.uint64(1)) | (_spread(grid[:, 2]) << np.uint64(2))
@@ -154,10 +177,14 @@ def morton_order(xyz: np.ndarray) -> np.ndarray:
 
 
 def _spread(x: np.ndarray) -> np.ndarray:
-    """Put two zero bits between the 21 low bits of each number (the usual bit trick)."""
-    for shift, mask in (
-        (32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):  # fmt: skip
+    """Insert two zero bits between the 21 low bits of each number."""
+    masks = {
+        32: 0x1F00000000FFFF,
+        16: 0x1F0000FF0000FF,
+        8: 0x100F00F00F00F00F,
+        4: 0x10C30C30C30C30C3,
+        2: 0x1249249249249249,
+    }
+    for shift, mask in masks.items():
         x = (x | (x << np.uint64(shift))) & np.uint64(mask)
     return x

@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 
 _FLANN = {"algorithm": 4, "leaf_max_size": 10, "reorder": True}  # FLANN_INDEX_KDTREE_SINGLE: one tree, exact
-_EXACT = {"checks": -1, "eps": 0.0, "sorted": True}  # checks: as many leaves as it takes
+_EXACT = {"checks": -1, "eps": 0.0, "sorted": True}  # checks = -1: unlimited
 
 
 @dataclass(frozen=True)
@@ -16,8 +16,8 @@ class Graph:
     """A symmetric graph on P nodes as CSR without self-loops.
 
     degree: uint8 [P], neighbours per node.
-    indices: uint16 or uint32 [sum(degree)], neighbour lists one after the other, ascending within a node.
-    edges_knn, edges_kept: directed kNN edges (the paper counts these: 600 for 100 points) before and after pruning.
+    indices: uint16 or uint32 [sum(degree)], concatenated neighbour lists, ascending within a node.
+    edges_knn, edges_kept: directed kNN edges before and after pruning, as the paper counts them (600 for 100 points).
     """
 
     degree: np.ndarray
@@ -27,21 +27,21 @@ class Graph:
 
 
 def build(xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng: np.random.Generator) -> Graph:
-    """Connect each point [P,3] to its `k` nearest, make the edges undirected, and prune those between classes.
+    """Connect each point [P,3] to its `k` nearest, make the edges undirected, and prune edges between classes.
 
-    Edges within a class of `cls` [P] stay; of those between classes, a fraction `keep_inter_class`, drawn by `rng`.
+    Edges within a class of `cls` [P] stay. Of the edges between classes, a random fraction `keep_inter_class` stays.
     Raises InputError if a point has more than 255 neighbours.
     """
-    return pruned(undirected(nearest(xyz, k)), cls, keep_inter_class, rng)
+    return prune(undirected(nearest(xyz, k)), cls, keep_inter_class, rng)
 
 
 def index_dtype(nodes: int) -> type[np.unsignedinteger]:
-    """Return the smallest type that numbers so many nodes."""
+    """Return the smallest dtype for indices of `nodes` nodes."""
     return np.uint16 if nodes <= 65_535 else np.uint32
 
 
 def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
-    """Return the indices [P,min(k,P-1)] of each point's nearest other points [P,3], nearest first."""
+    """Return the indices [P,min(k,P-1)] of the other points nearest to each point [P,3], nearest first."""
     count = len(xyz)
     k = min(k, count - 1)
     if k < 1:
@@ -50,17 +50,17 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
 
     points = np.ascontiguousarray(xyz, np.float32)
     neighbours, _ = cv2.flann_Index(points, _FLANN).knnSearch(points, k + 1, params=_EXACT)  # type: ignore[attr-defined]
-    own = neighbours == np.arange(count, dtype=np.int32)[:, None]  # mostly the first
-    # Where points coincide, a point may not find itself among k+1: then its last neighbour goes.
+    own = neighbours == np.arange(count, dtype=np.int32)[:, None]  # usually the first column
+    # Among coinciding points, a point may be missing from its own k+1 neighbours: then the last one is dropped.
     own[~own.any(axis=1), -1] = True
     return neighbours[~own].reshape(count, k)
 
 
 def undirected(neighbours: np.ndarray) -> Any:
-    """Return the symmetric matrix whose entry (i, j) says how many of the points i and j name the other: 1 or 2.
+    """Return the symmetric matrix of neighbour counts: 2 where i and j are neighbours of each other, 1 where one is.
 
     Args:
-        neighbours: [P,k], of each point.
+        neighbours: [P,k], the nearest points of each point.
     Returns:
         scipy.sparse.csr_array uint8 [P,P], ascending in each row.
     """
@@ -68,28 +68,28 @@ def undirected(neighbours: np.ndarray) -> Any:
 
     count, k = neighbours.shape
     starts = np.arange(count + 1, dtype=np.int32) * k
-    # Transposing puts entries in their place without comparing them, and leaves rows in order.
-    named = csr_array((np.ones(count * k, np.uint8), neighbours.ravel(), starts), shape=(count, count)).T.tocsr()
-    return named + named.T.tocsr()
+    # Transposing sorts the entries of each row without comparisons.
+    directed = csr_array((np.ones(count * k, np.uint8), neighbours.ravel(), starts), shape=(count, count)).T.tocsr()
+    return directed + directed.T.tocsr()
 
 
-def pruned(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> Graph:
-    """Return the graph of an :func:`undirected` matrix [P,P] without some of its edges; the others as of `build`."""
+def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> Graph:
+    """Return the graph of an :func:`undirected` matrix [P,P] after pruning; arguments as in :func:`build`."""
     starts, column = matrix.indptr, matrix.indices
     row = np.repeat(np.arange(len(cls), dtype=column.dtype), np.diff(starts))
     between = np.flatnonzero(cls[row] != cls[column])
-    between = between[row[between] < column[between]]  # of an edge's two entries the first
-    goes = np.ones(len(between), bool)
-    goes[rng.choice(len(between), round(keep_inter_class * len(between)), replace=False)] = False
+    between = between[row[between] < column[between]]  # the first of the two entries of an edge
+    dropped = np.ones(len(between), bool)
+    dropped[rng.choice(len(between), round(keep_inter_class * len(between)), replace=False)] = False
     entry = np.arange(len(column), dtype=column.dtype)
-    second = type(matrix)((entry, column, starts), shape=matrix.shape).T.tocsr().data  # entry (j, i) of entry (i, j)
-    gone = np.concatenate([between[goes], second[between[goes]]])
+    second = type(matrix)((entry, column, starts), shape=matrix.shape).T.tocsr().data  # (i, j) → entry (j, i)
+    removed = np.concatenate([between[dropped], second[between[dropped]]])
     keep = np.ones(len(column), bool)
-    keep[gone] = False
-    degree = np.diff(starts) - np.bincount(row[gone], minlength=len(cls))
+    keep[removed] = False
+    degree = np.diff(starts) - np.bincount(row[removed], minlength=len(cls))
     if degree.max(initial=0) > 255:
-        # Only many coinciding points can do this; k nearest distinct points bound it by about 12 k.
-        raise InputError(f"a point has {degree.max()} neighbours, more than 255: use a smaller k")
+        # Only coinciding points reach this: for distinct points the bound is about 12 k.
+        raise InputError(f"a point has {degree.max()} neighbours (at most 255)", fix="Set a smaller k")
     return Graph(
         degree.astype(np.uint8),
         column[keep].astype(index_dtype(len(cls))),

@@ -1,4 +1,4 @@
-"""PointNet++'s sampling and grouping (paper eq. 1; Qi et al. 2017): farthest points, and who is in their balls."""
+"""Sampling and grouping of PointNet++ (paper eq. 1; Qi et al. 2017): farthest point sampling and ball query."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ Size = tuple[int, float, int]
 
 @dataclass(frozen=True)
 class Level:
-    """One set abstraction's sampling and grouping of P points.
+    """Sampling and grouping of P points for one set abstraction.
 
-    centres: int64 [M], the points chosen.
+    centres: int64 [M], the sampled points.
     neighbours: int64 [M,n], the points in the ball around each centre.
     """
 
@@ -22,32 +22,32 @@ class Level:
 
 
 def levels(xyz: np.ndarray, sizes: Iterable[Size], rng: np.random.Generator) -> list[Level]:
-    """Sample and group the points [P,3], then the centres that this leaves, and so on: a level for each of `sizes`."""
-    made = []
-    # Points are stored along a curve through space, so the first of a ball would be one corner of it. The reference
-    # has no such order, and takes a random part of a crowded ball; so does this. Later levels are in the order in
-    # which they were chosen, farthest first, of which any beginning is evenly spread.
+    """Sample and group the points [P,3], then the resulting centres, and so on: a level for each of `sizes`."""
+    result = []
+    # Points are stored in Morton order, so the first points of a ball would be one corner of it. In the reference the
+    # order is random, hence the permutation. Later levels are in the order of farthest point sampling, in which the
+    # first points are evenly spread.
     order = rng.permutation(len(xyz))
     for count, radius_m, neighbours in sizes:
         centres = farthest_points(xyz, count)
-        made.append(Level(centres, ball_query(xyz, centres, radius_m, neighbours, order)))
+        result.append(Level(centres, ball_query(xyz, centres, radius_m, neighbours, order)))
         xyz = xyz[centres]
         order = np.arange(len(xyz))
-    return made
+    return result
 
 
 def farthest_points(xyz: np.ndarray, count: int) -> np.ndarray:
-    """Choose points one after the other, each the farthest from those before; the first point [P,3] is the first.
+    """Sample points [P,3] iteratively, each the farthest from the previous ones, starting with the first point.
 
-    Returns: indices int64 [min(count, P)], in the order of choice. Of equally far points the first is taken.
+    Returns: indices int64 [min(count, P)] in sampling order. Ties take the first point.
     """
     axes = _axes(xyz)
-    chosen = np.zeros(min(count, len(xyz)), np.int64)
-    nearest = np.full(len(xyz), np.inf)  # squared distance to the nearest chosen point
-    for step in range(1, len(chosen)):
-        np.minimum(nearest, _squared_distances(axes, chosen[step - 1]), out=nearest)
-        chosen[step] = nearest.argmax()
-    return chosen
+    sampled = np.zeros(min(count, len(xyz)), np.int64)
+    nearest = np.full(len(xyz), np.inf)  # squared distance to the nearest sample
+    for step in range(1, len(sampled)):
+        np.minimum(nearest, _squared_distances(axes, sampled[step - 1]), out=nearest)
+        sampled[step] = nearest.argmax()
+    return sampled
 
 
 def ball_query(
@@ -58,10 +58,10 @@ def ball_query(
     Args:
         xyz: [P,3] metres.
         centres: int [M], which of the points.
-        order: permutation [P] that says what "first" means; None is that of the points.
+        order: permutation [P] in which points are searched; None: the order of the points.
     Returns:
-        int64 [M,neighbours]. In a ball that holds fewer, the first is repeated, as in the reference: a maximum over
-        the neighbours does not notice.
+        int64 [M,neighbours]. Balls with fewer points repeat the first, as in the reference; a maximum over the
+        neighbours is not affected.
     """
     order = np.arange(len(xyz)) if order is None else order
     place = np.argsort(order)
@@ -75,9 +75,9 @@ def ball_query(
 
 
 def _axes(xyz: np.ndarray) -> Sequence[np.ndarray]:
-    """Return x, y and z, contiguous: four times as fast as rows of three.
+    """Return x, y and z as contiguous float64 arrays: four times faster than rows of three.
 
-    In float64, squared distances between coordinates in steps of 1/1024 m (as clouds are stored) are exact.
+    Squared distances between stored coordinates, multiples of 1/1024 m, are exact in float64.
     """
     return [np.ascontiguousarray(axis, np.float64) for axis in xyz.T]
 

@@ -1,1 +1,1 @@
-"""A trained model on what a camera sees, frame by frame."""
+"""Prediction on a stream of frames, and export of trained models."""

@@ -1,8 +1,8 @@
-"""From images to steering, frame by frame: the stages ingest … graphs and a trained network, without files.
+"""Predict steering from a stream of frames with the stages' per-frame functions, without files.
 
-A frame is read while the one before is perceived, and the one before that becomes a graph: each in a thread of its own.
-Memory holds a few frames and the features of a window. Numbers are those of the stages, as random draws depend on drive
-and frame alone, and a CPU perceives images one at a time there as well.
+Three steps run in threads of their own: reading, perception, and the network's input. Memory holds a few frames and the
+features of one window. Predictions equal those of stage evaluate: random draws depend on drive and frame number alone,
+and a CPU encodes one image at a time in both.
 """
 
 import time
@@ -15,107 +15,144 @@ import numpy as np
 import torch
 
 from models.steering.core.recurrent import NOMINAL_STEP_S
+from pipeline import label
 from pipeline.base.errors import InputError
+from pipeline.camera.frame import Camera
+from pipeline.camera.geometry import scale_K
+from pipeline.camera.images import resized
+from pipeline.camera.mount import camera_height
 from pipeline.fitting.prefetch import prefetch
-from pipeline.graphs import accumulate
-from pipeline.live.eyes import Eyes
-from pipeline.live.inputs import Inputs
-from pipeline.live.moment import Moment
-from pipeline.live.odometry import MeasuredAngle, Odometry
+from pipeline.graphs.accumulate import Accumulator, scaled_step
+from pipeline.graphs.cloud import stored_cloud
+from pipeline.graphs.graph_file import neighbours_of, sample_frame
+from pipeline.live.encoder_runner import EncoderRunner
+from pipeline.live.frame_state import FrameState, Motion
 from pipeline.live.settings import Settings
-from pipeline.live.view import View
-from pipeline.perception.depth_scale import MODES
+from pipeline.live.source import Source
+from pipeline.motion.estimator import MotionEstimator
+from pipeline.perception.depth_scale import needs_scan
 from pipeline.train.predict import Trained
 
 
-def takes_scans(model: Trained, settings: Settings) -> bool:
-    """Whether a model needs LiDAR scans, beside images."""
-    lidar = "lidar" in _motions(model, settings) or settings.graphs.source == "clouds/lidar"
-    return lidar or MODES[settings.perception.depth_scale].needs_scan
+def needs_scans(model: Trained, settings: Settings) -> bool:
+    """Return whether the model's input is made from LiDAR scans."""
+    lidar = "lidar" in _motion_kinds(model, settings) or settings.variant.source == "clouds/lidar"
+    return lidar or needs_scan(settings.perception.depth_scale)
 
 
-def _motions(model: Trained, settings: Settings) -> set[str]:
-    """The kinds of motion to be measured."""
-    spanning = settings.graphs.accumulate
-    return ({model.line["motion"]} | ({spanning.motion} if spanning else set())) - {"none"}
+def _motion_kinds(model: Trained, settings: Settings) -> set[str]:
+    accumulate = settings.variant.accumulate
+    return ({model.line["motion"]} | ({accumulate.motion} if accumulate else set())) - {"none"}
 
 
 class Chain:
-    """A trained model on what one camera sees."""
+    """Runs perception, motion, clouds, graphs and a trained network on the frames of one source."""
 
-    def __init__(self, model: Trained, settings: Settings, encoder: Path, view: View) -> None:
-        """Load the encoder of folder `encoder`, data/encoder, if the model's input needs one.
-
-        Raises InputError if the source cannot give what the model takes.
-        """
-        self.model, self._settings, kinds = model, settings, _motions(model, settings)
-        if takes_scans(model, settings) and not view.scans:
-            raise InputError(
-                f"model {model.name} takes LiDAR scans (input: {model.line['input']}, motion: {model.line['motion']}, "
-                f"depth_scale: {settings.perception.depth_scale}), and {view.name} has none: choose another model"
+    def __init__(self, model: Trained, settings: Settings, encoder: Path, source: Source) -> None:
+        """Load the encoder of the folder `encoder` if needed. Raises InputError if the source lacks an input."""
+        if needs_scans(model, settings) and not source.has_scans:
+            needs = (
+                f"model {model.name} needs LiDAR scans (input: {model.line['input']}, motion: {model.line['motion']})"
             )
-        self._eyes = Eyes(settings, encoder, view, settings.graphs.source == "ingest" and "visual" not in kinds)
-        self.camera_height_m = self._eyes.camera_height_m
-        size, T_cam_velo = settings.ingest.image_size, np.eye(4) if view.T_cam_velo is None else view.T_cam_velo
-        height_m = self.camera_height_m if settings.motion.road_scale else None
-        self._odometry = {kind: Odometry(kind, view.K_at(size), size, height_m, T_cam_velo) for kind in kinds}
-        self._inputs = Inputs(settings, view)
+            raise InputError(needs, source.name, "Choose a model without them")
+        self.model, self._settings, self._drive = model, settings, source.name
+        variant, size = settings.variant, settings.ingest.image_size
+        self.camera_height_m = settings.perception.camera_height_m or camera_height(source.T_cam_velo)
+        K = scale_K(source.K, source.size, size)
+        self._camera = Camera(size, K, source.T_cam_velo, self.camera_height_m)
+        kinds, self._encoder = _motion_kinds(model, settings), None
+        if variant.source != "ingest" or "visual" in kinds:
+            self._encoder = EncoderRunner(encoder, settings.perception, self._camera)
+        road_scale = settings.motion.road_scale
+        self._estimators = {kind: MotionEstimator(kind, self._camera, road_scale=road_scale) for kind in kinds}
+        self._accumulator = Accumulator(variant.accumulate.frames) if variant.accumulate else None
+        self._neighbours = None if variant.kind == "image" else neighbours_of(variant)
 
-    def angles(self, moments: Generator[Moment]) -> Generator[Moment]:
-        """Yield each frame with what the model predicts after it, in order; closes `moments`."""
-        seen = prefetch(self._eyes.perceived(prefetch(moments, 1)), 1)
-        return self._steered(prefetch(self._inputs.given(self._measured(seen)), 1))
+    def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
+        """Yield each frame with its prediction, in order; closes `frames`."""
+        perceived = prefetch(self._perceive(prefetch(frames, 1)), 1)
+        return self._predict(prefetch(self._build_inputs(perceived), 1))
 
-    def _measured(self, moments: Iterable[Moment]) -> Generator[Moment]:
-        """Add the motion that the network is told of, and the step by which clouds span time."""
-        spanning, source = self._settings.graphs.accumulate, self._settings.graphs.source
-        for moment in moments:
-            for kind, odometry in self._odometry.items():
-                step, motion = odometry.measure(moment)
-                if kind == self.model.line["motion"]:
-                    moment.motion = motion
-                if step and spanning and kind == spanning.motion:
-                    T_before, scale = step.T_before.astype(np.float32), float(np.float32(step.scale))  # as stored
-                    moment.T_before = accumulate.of_clouds(T_before, scale, source)
-            yield moment
+    def _perceive(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
+        torch.set_num_threads(1)  # of this thread, as in stage perception
+        for frame in frames:
+            frame.image = resized(frame.source_image, self._camera.size)
+            if self._encoder:
+                frame.depth, frame.cls = self._encoder.run(frame.image, frame.scan)
+            yield frame
 
-    def _steered(self, moments: Iterable[Moment]) -> Generator[Moment]:
-        """Add the angle that the network says after each frame that ends a whole window."""
-        model, window = self.model, self.model.window
-        angle = MeasuredAngle(model.target.wheelbase_m, model.target.min_speed_mps)
-        told = model.line["motion"] != "none"
-        held: deque[_Heard] = deque(maxlen=window)
-        for moment in moments:
-            base_rad = angle.of(moment.motion) if told else 0.0
-            if held and moment.number != held[-1].number + 1:
-                held.clear()
-            dt_s = moment.time_s - held[-1].time_s if held else NOMINAL_STEP_S
+    def _build_inputs(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
+        """Add motion and the spatial network's input; drop frames without the scan that it is made from."""
+        for frame in frames:
+            estimates = {kind: estimator.estimate(frame) for kind, estimator in self._estimators.items()}
+            frame.motion = Motion.from_estimate(estimates.get(self.model.line["motion"]))
+            if self._neighbours is None:
+                assert frame.image is not None
+                frame.arrays = {"image": frame.image[None]}
+            elif self._settings.variant.source == "clouds/lidar" and frame.scan is None:
+                continue
+            else:
+                T_before, accumulate = None, self._settings.variant.accumulate
+                if accumulate and (estimate := estimates[accumulate.motion]):
+                    stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
+                    T_before = scaled_step(*stored, self._settings.variant.source)
+                frame.arrays = self._points(frame, T_before)
+            yield frame
+
+    def _points(self, frame: FrameState, T_before: np.ndarray | None) -> dict[str, np.ndarray]:
+        """Return the arrays of a variant of points, as :mod:`pipeline.train.frames` reads them."""
+        variant, number = self._settings.variant, frame.number
+        assert self._neighbours
+        kind = variant.source.removeprefix("clouds/")
+        cloud = stored_cloud(frame, kind, self._camera, self._drive, self._settings.clouds)
+        if self._accumulator:
+            cloud = self._accumulator.add(number, cloud, T_before)
+        xyz, cls, rng = sample_frame(cloud, variant, self._drive, number)
+        arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, len(xyz)])}
+        for name, array in self._neighbours.compute(xyz, cls, rng).items():
+            arrays[name] = array if name == "degree" else array.astype(np.int64)
+            if name in self._neighbours.pointers:
+                arrays[f"{name}_ptr"] = np.array([0, len(array)])
+        return arrays
+
+    def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
+        """Add the angle predicted after each frame that completes a window."""
+        net, target, length = self.model.net, self.model.target, self.model.window
+        base_rad = 0.0
+        window: deque[_WindowFrame] = deque(maxlen=length)
+        for frame in frames:
+            motion = frame.motion
+            if motion.valid and abs(motion.speed_mps) >= target.min_speed_mps:
+                yaw_rate_radps, speed_mps = np.array(motion[:2], np.float64)
+                base_rad = float(label.steering_angle(yaw_rate_radps, speed_mps, target.wheelbase_m))
+            if window and frame.number != window[-1].number + 1:
+                window.clear()
+            dt_s = frame.time_s - window[-1].time_s if window else NOMINAL_STEP_S
             with torch.inference_mode():
-                features = model.net.encode(model.net.frames(moment.arrays))
-                motion = (base_rad, *moment.motion)
-                held.append(_Heard(moment.number, moment.time_s, dt_s, features, motion))
-                if len(held) == window:
-                    features = torch.cat([each.features for each in held])
-                    said = model.net.recall(features, *model.net.windows(_window(held)))
-                    moment.predicted_rad = float(np.float32(base_rad)) + model.target.std_rad * float(said)
-            moment.latency_s = time.perf_counter() - moment.began_s
-            yield moment
+                features = net.encode(net.frames(frame.arrays))
+                window.append(_WindowFrame(frame.number, frame.time_s, dt_s, features, (base_rad, *motion)))
+                if len(window) == length:
+                    features = torch.cat([each.features for each in window])
+                    output = net.recall(features, *net.windows(_arrays(window)))
+                    frame.predicted_rad = float(np.float32(base_rad)) + target.std_rad * float(output)
+            frame.latency_s = time.perf_counter() - frame.started_s
+            yield frame
 
 
-class _Heard(NamedTuple):
-    """A frame of the window, as the recurrent network hears of it."""
+class _WindowFrame(NamedTuple):
+    """A frame of the window, as the recurrent network takes it."""
 
     number: int
     time_s: float
     dt_s: float
     features: torch.Tensor  # [1,F]
-    motion: tuple[float, float, float, bool]  # columns pipeline.train.windows.MOTION
+    motion: tuple[float, np.float32, np.float32, bool]  # columns pipeline.train.windows.MOTION
 
 
-def _window(held: Sequence[_Heard]) -> dict[str, np.ndarray]:
-    """Return the arrays of a batch that is one window, without its frames."""
+def _arrays(window: Sequence[_WindowFrame]) -> dict[str, np.ndarray]:
+    """Return the arrays of a batch with one window, without its frames."""
     return {
-        "windows": np.arange(len(held))[None],
-        "dt_s": np.array([[each.dt_s for each in held]], np.float32),
-        "motion": np.array([each.motion for each in held], np.float32),
+        "windows": np.arange(len(window))[None],
+        "dt_s": np.array([[frame.dt_s for frame in window]], np.float32),
+        "motion": np.array([frame.motion for frame in window], np.float32),
     }

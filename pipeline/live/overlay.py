@@ -1,82 +1,83 @@
-"""The video that shows what a model says: the way that it would steer, laid on the street, and the angle in words."""
+"""Write a video with the predicted path, drawn on the street, and the angle as text."""
 
+from contextlib import nullcontext, suppress
+from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import av
 import numpy as np
 
 from pipeline import label
-from pipeline.base.errors import InputError
-from pipeline.camera.geometry import project
-from pipeline.live.moment import Moment
-from pipeline.live.view import View
+from pipeline.camera.geometry import project, scale_K
+from pipeline.live.frame_state import FrameState
+from pipeline.live.source import Source
 
 PREDICTED, DRIVEN = (0, 200, 60), (230, 40, 30)  # RGB
-FARTHEST_M, HALF_TRACK_M = 30.0, 0.8
-MAX_WIDTH = 1280  # px; larger videos say no more
+MAX_DISTANCE_M, HALF_TRACK_M = 30.0, 0.8
+MAX_WIDTH = 1280  # px
 STEP_M = 0.5
 TEXT_PX = 16
+# Fragments can be played without the index that other MP4 files end with, so a killed run leaves a playable video.
+CONTAINER = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
 
 
 class Overlay:
-    """A video file, MPEG-4 in MP4; a context manager. It is playable however the block ends."""
+    """An H.264 video in fragmented MP4; a context manager."""
 
-    def __init__(self, path: Path, view: View, fps: float, camera_height_m: float, wheelbase_m: float) -> None:
-        """Begin a video of a camera's images; its height is over the road. Raises InputError where none can be."""
-        import cv2
-
-        scale = min(1.0, MAX_WIDTH / view.size[1])
-        self._size = tuple(int(side * scale) // 2 * 2 for side in view.size)  # the format wants even sides
-        self._K = view.K_at((self._size[0], self._size[1]))
+    def __init__(self, path: Path, source: Source, camera_height_m: float, wheelbase_m: float) -> None:
+        """Open the video for the images of `source`; the camera's height is over the road."""
+        scale = min(1.0, MAX_WIDTH / source.size[1])
+        height, width = self._size = tuple(max(2, int(side * scale) // 2 * 2) for side in source.size)  # even for 4:2:0
+        self._K = scale_K(source.K, source.size, (height, width))
         self._height_m, self._wheelbase_m = camera_height_m, wheelbase_m
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, self._size[::-1])
-        if not self._writer.isOpened():
-            raise InputError(
-                f"{path} cannot be written as an MPEG-4 video: choose a folder for --out that can be written"
-            )
+        self._file = av.open(str(path), "w", format="mp4", options=CONTAINER)
+        self._stream = self._file.add_stream("libx264", rate=Fraction(source.fps).limit_denominator(1001))
+        self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
+        key_interval = str(max(1, round(source.fps)))  # a fragment per second
+        self._stream.options = {"preset": "veryfast", "tune": "zerolatency", "g": key_interval}
 
-    def add(self, moment: Moment) -> None:
-        """Draw the next frame: the predicted way in green, the driven one, where it is known, in red."""
+    def add(self, frame: FrameState) -> None:
+        """Draw the next frame: the predicted path in green, the driven one, if known, in red."""
         import cv2
 
-        image = cv2.resize(moment.image, self._size[::-1], interpolation=cv2.INTER_AREA)
-        said = "waiting for a whole window"
-        if moment.driven_rad is not None:
-            self._lay(image, moment.driven_rad, DRIVEN, filled=False)
-        if moment.predicted_rad is not None:
-            self._lay(image, moment.predicted_rad, PREDICTED, filled=True)
-            said = f"predicted {_words(moment.predicted_rad)}"
-        if moment.driven_rad is not None:
-            said += f"   driven {_words(moment.driven_rad)}"
-        image[: 2 * TEXT_PX] = image[: 2 * TEXT_PX] // 3  # so that words are legible on any street
-        text = f"{moment.time_s:6.1f} s   {said}"
-        cv2.putText(image, text, (10, round(1.4 * TEXT_PX)), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255,) * 3, 1, cv2.LINE_AA)
-        self._writer.write(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+        resized = cv2.resize(frame.source_image, self._size[::-1], interpolation=cv2.INTER_AREA)
+        image = np.asarray(resized, np.uint8)
+        text = "waiting for a complete window"
+        if frame.driven_rad is not None:
+            self._draw_path(image, frame.driven_rad, DRIVEN, filled=False)
+        if frame.predicted_rad is not None:
+            self._draw_path(image, frame.predicted_rad, PREDICTED, filled=True)
+            text = f"predicted {_degrees(frame.predicted_rad)}"
+        if frame.driven_rad is not None:
+            text += f"   driven {_degrees(frame.driven_rad)}"
+        image[: 2 * TEXT_PX] = image[: 2 * TEXT_PX] // 3  # darker behind the text
+        text, origin = f"{frame.time_s:6.1f} s   {text}", (10, round(1.4 * TEXT_PX))
+        cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+        self._file.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
 
-    def _lay(self, image: np.ndarray, steering_rad: float, colour: tuple[int, int, int], *, filled: bool) -> None:
-        """Draw where the rear wheels would go on a flat road if the wheel stayed so."""
+    def _draw_path(self, image: np.ndarray, steering_rad: float, colour: tuple[int, int, int], *, filled: bool) -> None:
+        """Draw the path of the rear wheels on a flat road for a constant steering angle."""
         import cv2
 
-        ways = int(FARTHEST_M / STEP_M)
-        ahead_left = label.path(
-            np.full(ways, steering_rad), np.ones(ways), np.arange(ways) * STEP_M, wheelbase_m=self._wheelbase_m
-        )
-        direction = np.gradient(ahead_left, axis=0)
-        to_left = np.stack([-direction[:, 1], direction[:, 0]], axis=1) / np.linalg.norm(direction, axis=1)[:, None]
+        steps = int(MAX_DISTANCE_M / STEP_M)
+        steering, speed_mps, time_s = np.full(steps, steering_rad), np.ones(steps), np.arange(steps) * STEP_M
+        centre = label.path(steering, speed_mps, time_s, wheelbase_m=self._wheelbase_m)
+        direction = np.gradient(centre, axis=0)
+        left = np.stack([-direction[:, 1], direction[:, 0]], axis=1) / np.linalg.norm(direction, axis=1)[:, None]
         sides = []
-        for side in (HALF_TRACK_M, -HALF_TRACK_M):
-            ground = ahead_left + side * to_left
-            xyz = np.stack([-ground[:, 1], np.full(ways, self._height_m), ground[:, 0]], axis=1)
+        for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
+            ground = centre + offset_m * left
+            xyz = np.stack([-ground[:, 1], np.full(steps, self._height_m), ground[:, 0]], axis=1)
             uv, z = project(xyz, self._K)
             sides.append(np.rint(uv[z > 1.0]).astype(np.int32))
-        band = np.concatenate([sides[0], sides[1][::-1]])
         if filled:
             shade = image.copy()
-            cv2.fillPoly(shade, [band], colour)
+            cv2.fillPoly(shade, [np.concatenate([sides[0], sides[1][::-1]])], colour)
             cv2.addWeighted(shade, 0.45, image, 0.55, 0, dst=image)
-        for line in sides:
-            cv2.polylines(image, [line], False, colour, 2, cv2.LINE_AA)
+        for side in sides:
+            cv2.polylines(image, [side], False, colour, 2, cv2.LINE_AA)
 
     def __enter__(self) -> Self:
         return self
@@ -84,10 +85,14 @@ class Overlay:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._writer.release()
+        with nullcontext() if error is None else suppress(av.FFmpegError):  # on a full disk, this fails again
+            try:
+                self._file.mux(self._stream.encode())
+            finally:
+                self._file.close()
 
 
-def _words(steering_rad: float) -> str:
+def _degrees(steering_rad: float) -> str:
     degrees = np.rad2deg(steering_rad)
     side = "left" if degrees > 0 else "right"
     return f"{abs(degrees):.1f} deg {side if abs(degrees) >= 0.05 else ''}".strip()

@@ -1,6 +1,5 @@
-"""What params.yaml says of the way from an image to a network's input, and whether a model was trained on that."""
+"""The sections of params.yaml that lead from an image to the network's input, compared with existing artefacts."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,52 +17,46 @@ from pipeline.sections.perception import Perception
 
 @dataclass(frozen=True)
 class Settings:
-    """The sections of a params file that the chain needs."""
+    """The sections that the chain needs."""
 
     ingest: Ingest
     perception: Perception
     motion: Motion
     clouds: Clouds
-    graphs: Variant
+    variant: Variant
 
 
 def read(params: Path, variant: str, data: Path) -> Settings:
-    """Read the sections for a model whose input is graph variant `variant`.
+    """Read the sections for a model with graph variant `variant` as input.
 
-    Raises InputError if the artefacts below `data` were made with other settings: then the network would see something
-    that it was not trained on. Those that are not on this machine are not asked.
+    Raises InputError if artefacts below `data` were made with other settings: the network was trained on those.
+    Artefacts that this machine lacks are not compared.
     """
-    settings = Settings(
-        load(Ingest, params),
-        load(Perception, params),
-        load(Motion, params),
-        load(Clouds, params),
-        load_entry(Variant, "graphs", variant, params),
-    )
-    source = settings.graphs.source
-    made_with: list[tuple[str, str, Section, set[str]]] = [
-        ("ingest", "ingest", settings.ingest, {"image_size"}),
-        ("perception", "perception", settings.perception, {*Perception.model_fields} - {"batch"}),
-        ("graphs", f"graphs/{variant}", settings.graphs, {*Variant.model_fields}),
-    ]
+    sections = load(Ingest, params), load(Perception, params), load(Motion, params), load(Clouds, params)
+    settings = Settings(*sections, load_entry(Variant, "graphs", variant, params))
+    source = settings.variant.source
+    _compare(settings.ingest, data / "ingest", params, {"image_size"})
+    _compare(settings.perception, data / "perception", params, {*Perception.model_fields} - {"batch"})
+    _compare(settings.variant, data / "graphs" / variant, params, {*Variant.model_fields})
     if source != "ingest":
-        made_with.append(("clouds", source, settings.clouds, {*Clouds.model_fields}))
-    for stage, folder, section, keys in made_with:
-        stored = _stored(data / folder, stage)
-        now = json.loads(section.model_dump_json())
-        for key in sorted(keys & stored.keys()):
-            if stored[key] != now[key]:
-                raise InputError(
-                    f"{params}: {stage}: {key} = {now[key]}, but {data / folder} was made with {stored[key]}, and the "
-                    "model trained on that: run dvc repro, or name the params file that it was trained with by --params"
-                )
+        _compare(settings.clouds, data / source, params, {*Clouds.model_fields})
     return settings
 
 
+def _compare(section: Section, folder: Path, params: Path, keys: set[str]) -> None:
+    """Raise InputError if the first file of a stage's folder was made with another value of one of `keys`."""
+    stage = getattr(type(section), "key", "graphs")  # an entry of graphs has no key of its own
+    stored, current = _stored(folder, stage), section.model_dump(mode="json")
+    for key in sorted(keys & stored.keys()):
+        if stored[key] != current[key]:
+            problem = f"{key} = {current[key]}, but {folder}, on which the model depends, was made with {stored[key]}"
+            fix = "Run dvc repro, or pass the params file of the model: --params"
+            raise InputError(problem, f"{params}: {stage}", fix)
+
+
 def _stored(folder: Path, stage: str) -> Mapping[str, Any]:
-    """Return the section that made a stage's folder; empty where there is none."""
-    for drive in store.indexed(folder):
-        path = folder / f"{drive}.h5"
+    """Return the section in a stage's files; empty without files."""
+    for path in (folder / f"{drive}.h5" for drive in store.indexed(folder)):
         if path.is_file():
             with store.DriveReader(path, stage=stage) as file:
                 section: Mapping[str, Any] = file.params.get(stage, {})

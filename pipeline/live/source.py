@@ -1,9 +1,10 @@
-"""What a live chain sees: a KITTI drive, a folder of images or a video, one frame at a time."""
+"""Sources of frames: a KITTI drive, a folder of images or a video."""
 
 import time
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,27 +15,30 @@ from pipeline.camera.images import Size, read_image
 from pipeline.camera.intrinsics import intrinsics
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
-from pipeline.live.moment import Moment
-from pipeline.live.view import View
+from pipeline.live.frame_state import FrameState
 from pipeline.train.windows import Car
 
-FPS = 10.0  # where nothing says it; KITTI's
+DEFAULT_FPS = 10.0  # KITTI's
+MIN_SIDE = 16  # px; nothing can be recognised in smaller images
 
 
 @dataclass
 class Source:
-    """Frames to come, and the camera that they are of."""
+    """A camera and its frames."""
 
-    view: View
-    moments: Generator[Moment]
-    count: int | None  # frames to come, where that is known
+    name: str  # of the drive; random draws depend on it
+    size: Size  # (H, W) of the images
+    K: np.ndarray  # [3,3] for that size
+    frames: Generator[FrameState]
+    count: int | None  # number of frames, if known
     fps: float
-    notes: list[str] = field(default_factory=list)  # what a user is to know, as it is met
+    T_cam_velo: np.ndarray | None = None  # [4,4]; None without LiDAR calibration
+    has_scans: bool = False
+    notes: list[str] = field(default_factory=list)  # for the user; grows while frames are read
 
 
-@dataclass(frozen=True)
-class Lens:
-    """How a user says a camera's intrinsics, one of them: see :func:`pipeline.camera.intrinsics.intrinsics`."""
+class Lens(NamedTuple):
+    """One of three ways to give a camera's intrinsics: see :func:`pipeline.camera.intrinsics.intrinsics`."""
 
     calib: Path | None = None
     fov_deg: float | None = None
@@ -42,110 +46,112 @@ class Lens:
 
 
 def open_source(path: Path, cameras: Sequence[int], lens: Lens, aspect: Size, scans: bool, car: Car) -> Source:
-    """Open what a user names: a KITTI drive's folder, a folder of images, or a video.
+    """Open a KITTI drive's folder, a folder of images, or a video.
 
     Args:
-        cameras: of a KITTI drive, the first of them that has images.
-        lens: of what is no KITTI drive.
-        aspect: (H, W) in any unit: images of another shape are cut at top and bottom, or at the sides, around the
-            optical axis, as a network has only seen this shape. A KITTI drive's stay whole.
-        scans: whether the LiDAR scans of a KITTI drive are wanted.
-        car: tells a KITTI drive's driven angles.
+        path: file or folder.
+        cameras: of a KITTI drive; the first one with images is used.
+        lens: intrinsics, if it is not a KITTI drive.
+        aspect: (H, W) of the training images in any unit. Footage with another aspect ratio is cropped to it around
+            the optical axis; KITTI drives are not cropped.
+        scans: whether to read the LiDAR scans of a KITTI drive.
+        car: for the ground truth of a KITTI drive.
     Raises:
-        InputError: it is none of them, is not calibrated, or cannot be read.
+        InputError: it is none of them, lacks a calibration, or cannot be read.
     """
     drive = RawDrive(path.resolve())
     if any(drive.images(camera) for camera in cameras):
         if lens != Lens():
-            raise InputError(f"{path} is a KITTI drive with a calibration of its own: leave out --calib, --fov and --K")
-        return _of_drive(drive, cameras, scans, car)
-    if drive.oxts or drive.scans:
-        raise InputError(f"{path} has no images of camera {' or '.join(map(str, cameras))}: extract image_02 as well")
-    return _of_footage(path, lens, aspect)
-
-
-def _of_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) -> Source:
-    camera = drive.camera(cameras)
-    assert camera is not None  # as it has images
-    images = drive.images(camera.number)
-    # As in stage ingest, where there are packets: frames are those that have one, at its time.
-    numbers = [number for number in images if number in drive.oxts] if drive.oxts else list(images)
-    if not numbers:
-        raise InputError(f"{drive.folder}: no image has an oxts packet of its number: extract the drive again")
-    stamps = drive.oxts_times if drive.oxts else drive.folder / f"image_{camera.number:02d}" / "timestamps.txt"
-    of_file = list(drive.oxts) if drive.oxts else numbers
-    notes = [] if stamps.is_file() else [f"{stamps} is missing: frames are taken to come {FPS:g} times a second"]
-    seconds = (np.array(of_file) - of_file[0]) / FPS if notes else oxts.read_times(stamps, of_file)
-    time_s = dict(zip(of_file, seconds.tolist(), strict=True))
-    view = View(
-        drive.folder.name.removesuffix("_sync"),
-        camera.size,
-        camera.K,
-        camera.T_cam_velo,
-        bool(drive.scans) and camera.T_cam_velo is not None,
-    )
-    source = Source(view, iter(()), len(numbers), _fps(list(time_s.values())), notes)  # type: ignore[arg-type]
-
-    def moments() -> Generator[Moment]:
-        for number in numbers:
-            began_s = time.perf_counter()
-            try:
-                image = read_image(images[number], camera.size, camera.size)
-                scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
-                driven_rad = _driven(drive.oxts, number, car)
-            except DamagedFile as error:
-                notes.append(f"left out: {error}")
-                continue
-            yield Moment(number, time_s[number], image, began_s, scan, driven_rad)
-
-    source.moments = moments()
+            raise InputError("a KITTI drive has its own calibration", path, "Remove --calib, --fov and --K")
+        source = _open_drive(drive, cameras, scans, car)
+    elif drive.oxts or drive.scans:
+        wanted = " or ".join(map(str, cameras))
+        raise InputError(f"no images of camera {wanted}", path, "Extract image_02 of the drive")
+    else:
+        source = _open_footage(path, lens, aspect)
+    if min(source.size) < MIN_SIDE:
+        height, width = source.size
+        raise InputError(f"images are too small (got {width} x {height} px after cropping, at least {MIN_SIDE})", path)
     return source
 
 
-def _driven(packets: Mapping[int, Path], number: int, car: Car) -> float | None:
-    """Return the angle that a frame's oxts packet says; None where it says nothing."""
+def _open_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) -> Source:
+    camera = drive.camera(cameras)
+    assert camera is not None  # since it has images
+    images = drive.images(camera.number)
+    # Stage ingest takes the frames with an oxts packet, at its time.
+    numbers = [number for number in images if number in drive.oxts] if drive.oxts else list(images)
+    if not numbers:
+        raise InputError("no image has an oxts packet of the same number", drive.folder, "Extract the drive again")
+    stamps = drive.oxts_times if drive.oxts else drive.folder / f"image_{camera.number:02d}" / "timestamps.txt"
+    stamped = list(drive.oxts) if drive.oxts else numbers
+    notes = [] if stamps.is_file() else [f"{stamps} is missing: assuming {DEFAULT_FPS:g} frames per second"]
+    seconds = (np.array(stamped) - stamped[0]) / DEFAULT_FPS if notes else oxts.read_times(stamps, stamped)
+    time_s = dict(zip(stamped, seconds.tolist(), strict=True))
+
+    def frames() -> Generator[FrameState]:
+        for number in numbers:
+            frame = FrameState(number, time_s[number], started_s=time.perf_counter())
+            try:
+                frame.source_image = read_image(images[number], camera.size, camera.size)
+                frame.scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
+                frame.driven_rad = _driven_angle(drive.oxts, number, car)
+            except DamagedFile as error:
+                notes.append(f"skipped: {error}")
+                continue
+            yield frame
+
+    fps = (len(time_s) - 1) / seconds[-1] if len(time_s) > 1 else DEFAULT_FPS
+    return Source(
+        name=drive.folder.name.removesuffix("_sync"),
+        size=camera.size,
+        K=camera.K,
+        frames=frames(),
+        count=len(numbers),
+        fps=float(fps),
+        T_cam_velo=camera.T_cam_velo,
+        has_scans=bool(drive.scans) and camera.T_cam_velo is not None,
+        notes=notes,
+    )
+
+
+def _driven_angle(packets: Mapping[int, Path], number: int, car: Car) -> float | None:
+    """Return the steering label of a frame; None without an oxts packet or below the minimum speed."""
     if number not in packets:
         return None
     row = oxts.read_row(packets[number])
-    yaw_rate_radps, speed_mps = row[[oxts.WU]], row[[oxts.VF]]
-    steering_rad, valid = label.steering_labels(
-        yaw_rate_radps, speed_mps, wheelbase_m=car.wheelbase_m, min_speed_mps=car.min_speed_mps, standstill="invalid"
-    )
+    steering_rad, valid = label.steering_labels(row[[oxts.WU]], row[[oxts.VF]], **vars(car), standstill="invalid")
     return float(steering_rad[0]) if valid[0] else None
 
 
-def _of_footage(path: Path, lens: Lens, aspect: Size) -> Source:
+def _open_footage(path: Path, lens: Lens, aspect: Size) -> Source:
     footage = open_footage(path)
-    K = intrinsics(footage.size, **vars(lens))
-    rows, columns = _cut(footage.size, K, aspect)
-    cut_K = K.copy()
-    cut_K[0, 2] -= columns.start
-    cut_K[1, 2] -= rows.start
-    size = rows.stop - rows.start, columns.stop - columns.start
+    K = intrinsics(footage.size, **lens._asdict())
+    rows, columns = _crop(footage.size, K, aspect)
+    K = K.copy()
+    K[0, 2] -= columns.start
+    K[1, 2] -= rows.start
 
-    def moments() -> Generator[Moment]:
-        began_s = time.perf_counter()
+    def frames() -> Generator[FrameState]:
+        started_s = time.perf_counter()
         for number, time_s, image in footage.frames():
-            yield Moment(
-                number, number / FPS if time_s is None else time_s, np.ascontiguousarray(image[rows, columns]), began_s
-            )
-            began_s = time.perf_counter()
+            cropped = np.ascontiguousarray(image[rows, columns])
+            seconds = number / DEFAULT_FPS if time_s is None else time_s
+            yield FrameState(number, seconds, source_image=cropped, started_s=started_s)
+            started_s = time.perf_counter()
 
-    return Source(View(path.stem, size, cut_K), moments(), footage.count, footage.fps or FPS)
+    size = rows.stop - rows.start, columns.stop - columns.start
+    return Source(path.stem, size, K, frames(), footage.count, footage.fps or DEFAULT_FPS)
 
 
-def _cut(size: Size, K: np.ndarray, aspect: Size) -> tuple[slice, slice]:
-    """Return the rows and columns of the largest part of an image that has this shape, around the optical axis."""
+def _crop(size: Size, K: np.ndarray, aspect: Size) -> tuple[slice, slice]:
+    """Return rows and columns of the largest part of an image with this aspect ratio, around the optical axis."""
     height, width = size
     if height * aspect[1] > width * aspect[0]:
         return _around(K[1, 2], round(width * aspect[0] / aspect[1]), height), slice(0, width)
     return slice(0, height), _around(K[0, 2], round(height * aspect[1] / aspect[0]), width)
 
 
-def _around(centre: float, length: int, whole: int) -> slice:
-    start = min(max(round(centre + 0.5 - length / 2), 0), whole - length)
+def _around(centre: float, length: int, limit: int) -> slice:
+    start = min(max(round(centre + 0.5 - length / 2), 0), limit - length)
     return slice(start, start + length)
-
-
-def _fps(time_s: Sequence[float]) -> float:
-    return (len(time_s) - 1) / (time_s[-1] - time_s[0]) if len(time_s) > 1 else FPS

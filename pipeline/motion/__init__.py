@@ -1,1 +1,1 @@
-"""What the car did from one frame to the next, measured from images and depth or from scans; no learning, no labels."""
+"""Visual and LiDAR odometry: the car's motion since the previous frame, without learning and without labels."""

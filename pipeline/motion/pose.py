@@ -1,8 +1,8 @@
-"""The camera's motion from points of the frame before and where this frame shows them (perspective n points).
+"""The camera's motion from 3D points of the previous frame and their pixels in this one (perspective-n-point).
 
-RANSAC finds who moves with the street. The refinement knows what is uncertain: a pixel, by PIXEL_SIGMA all
-around, and a point's depth, which shifts its pixel along an epipolar line. So rotation and direction of travel come
-from where pixels lie across these lines, whatever depth says, and only the way's length comes from depth.
+RANSAC separates the static street from moving objects. The refinement models two errors: that of a pixel, PIXEL_SIGMA
+in each direction, and that of a point's depth, which moves its pixel along the epipolar line. So rotation and direction
+of travel come from the pixels' offsets across these lines, and only the length of the step depends on depth.
 """
 
 from typing import NamedTuple
@@ -10,82 +10,86 @@ from typing import NamedTuple
 import numpy as np
 
 MIN_POINTS = 20
-MIN_START, MIN_SHARE = 0.3, 0.6  # of who agrees with RANSAC's pose, and in the end: what moves in a queue is no street
-RANSAC_PX = 2.0  # error of who agrees
-TRIALS = 100
+# Minimum inlier ratios after RANSAC and after refinement: in a queue of cars, the largest rigid motion can be theirs.
+MIN_RANSAC_INLIERS, MIN_INLIERS = 0.3, 0.6
+RANSAC_PX = 2.0  # reprojection error of an inlier
+RANSAC_ITERATIONS = 100
 PIXEL_SIGMA = 0.3
-CAUCHY = 2.0  # sigmas at which a residual's weight is a half
+CAUCHY = 2.0  # residual in sigmas at which the weight is a half
 ITERATIONS = 6
-GATE = 3.0  # sigmas, of an inlier
-NEAR_M = 0.3  # nothing is closer to the camera
+INLIER_SIGMAS = 3.0
+MIN_DEPTH_M = 0.3  # points closer than this to the camera get no weight
 
 
 class Pose(NamedTuple):
-    """Where points of the frame before are seen from now, who agrees with it, and their median error."""
+    """Transform of points of the previous frame to this frame's camera, its inliers and their median error."""
 
     T_now_before: np.ndarray  # [4,4]
     inliers: np.ndarray  # bool [N]
     residual_px: float
 
 
-def pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> Pose | None:
-    """Return the motion that explains where points are seen; None if too few agree, or they do not tell.
+def estimate_pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> Pose | None:
+    """Return the motion that maps points to their pixels; None if too few are inliers or they do not constrain it.
 
     Args:
-        xyz: points [N,3] in m, in the camera frame before.
-        uv: where they are seen now, pixels [N,2].
+        xyz: points [N,3] in metres, in the previous camera frame.
+        uv: their pixels in this frame [N,2].
         K: intrinsics [3,3].
-        depth_sigma: of each point's depth, as a share of it [N].
+        depth_sigma: relative standard deviation of each point's depth [N].
     """
     import cv2
 
     if len(xyz) < MIN_POINTS:
         return None
-    ok, turn, shift, agree = cv2.solvePnPRansac(xyz, uv, K, None, iterationsCount=TRIALS, reprojectionError=RANSAC_PX)
-    if not ok or agree is None or len(agree) < max(MIN_POINTS, MIN_START * len(xyz)):
+    ok, rotation, translation, ransac_inliers = cv2.solvePnPRansac(
+        xyz, uv, K, None, iterationsCount=RANSAC_ITERATIONS, reprojectionError=RANSAC_PX
+    )
+    if not ok or ransac_inliers is None or len(ransac_inliers) < max(MIN_POINTS, MIN_RANSAC_INLIERS * len(xyz)):
         return None
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
+    T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
     for _ in range(ITERATIONS):
-        error, weight, slopes = _linearised(T, xyz, uv, K, depth_sigma)
-        robust = weight / (1 + _squared(error, weight) / CAUCHY**2)[:, None, None]
-        weighted = np.einsum("nia,nij->naj", slopes, robust)
-        normal, gradient = np.einsum("naj,njb->ab", weighted, slopes), np.einsum("naj,nj->a", weighted, error)
+        error, weight, jacobian = _linearise(T, xyz, uv, K, depth_sigma)
+        robust = weight / (1 + _squared_mahalanobis(error, weight) / CAUCHY**2)[:, None, None]
+        weighted = np.einsum("nia,nij->naj", jacobian, robust)
+        normal, gradient = np.einsum("naj,njb->ab", weighted, jacobian), np.einsum("naj,nj->a", weighted, error)
         try:
             change = -np.linalg.solve(normal, gradient)
-        except np.linalg.LinAlgError:  # all behind the camera, or all in one place
+        except np.linalg.LinAlgError:  # all points behind the camera, or all at one place
             return None
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
-    error, weight, _ = _linearised(T, xyz, uv, K, depth_sigma)
-    inliers = _squared(error, weight) < GATE**2
-    if inliers.sum() < max(MIN_POINTS, MIN_SHARE * len(xyz)):
+    error, weight, _ = _linearise(T, xyz, uv, K, depth_sigma)
+    inliers = _squared_mahalanobis(error, weight) < INLIER_SIGMAS**2
+    if inliers.sum() < max(MIN_POINTS, MIN_INLIERS * len(xyz)):
         return None
     return Pose(T, inliers, float(np.median(np.linalg.norm(error[inliers], axis=-1))))
 
 
-def _squared(error: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return Mahalanobis' distances squared [N] of errors [N,2] with inverse covariances [N,2,2]."""
+def _squared_mahalanobis(error: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return squared Mahalanobis distances [N] of errors [N,2] with inverse covariances [N,2,2]."""
     return np.einsum("ni,nij,nj->n", error, weight, error)
 
 
-def _linearised(
+def _linearise(
     T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return errors [N,2] px, their inverse covariances [N,2,2] and derivatives [N,2,6] by rotation and translation."""
-    turned = xyz @ T[:3, :3].T
-    x, y, z = (turned + T[:3, 3]).T
-    behind = z < NEAR_M
-    z = np.where(behind, NEAR_M, z)
+    """Return errors [N,2] px, inverse covariances [N,2,2], Jacobians [N,2,6] by rotation and translation."""
+    rotated = xyz @ T[:3, :3].T
+    x, y, z = (rotated + T[:3, 3]).T
+    behind = z < MIN_DEPTH_M
+    z = np.where(behind, MIN_DEPTH_M, z)
     fx, fy = K[0, 0], K[1, 1]
     error = np.stack([fx * x / z + K[0, 2], fy * y / z + K[1, 2]], axis=-1) - uv
     zero = np.zeros_like(z)
     by_point = np.stack([fx / z, zero, -fx * x / z**2, zero, fy / z, -fy * y / z**2], axis=-1).reshape(-1, 2, 3)
-    a, b, c = turned.T
-    by_turn = np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=-1).reshape(-1, 3, 3)
-    along = depth_sigma[:, None] * np.einsum("nij,nj->ni", by_point, turned)  # px per sigma of depth
-    # The inverse of PIXEL_SIGMA² I + along alongᵀ, by Sherman and Morrison.
-    shrink = along[:, :, None] * along[:, None, :] / (PIXEL_SIGMA**2 + (along**2).sum(axis=1))[:, None, None]
+    a, b, c = rotated.T
+    by_rotation = np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=-1).reshape(-1, 3, 3)
+    per_sigma = depth_sigma[:, None] * np.einsum("nij,nj->ni", by_point, rotated)  # px
+    # The inverse of PIXEL_SIGMA² I + per_sigma per_sigmaᵀ, by Sherman and Morrison.
+    total = PIXEL_SIGMA**2 + (per_sigma**2).sum(axis=1)
+    shrink = per_sigma[:, :, None] * per_sigma[:, None, :] / total[:, None, None]
     weight = (np.eye(2) - shrink) / PIXEL_SIGMA**2
     weight[behind] = 0
-    return error, weight, np.concatenate([by_point @ by_turn, by_point], axis=-1)
+    return error, weight, np.concatenate([by_point @ by_rotation, by_point], axis=-1)

@@ -1,18 +1,19 @@
-"""A step: the car's motion since the frame before, in the numbers that are stored, and how long it took.
+"""A step: the car's motion since the previous frame, its rates and its duration.
 
-``T_before`` takes points from a frame's rectified camera coordinates (x right, y down, z forward) to those of the frame
-before, so its translation is where the camera has moved to, seen from where it was.
+``T_before`` transforms points from the frame's rectified camera coordinates (x right, y down, z forward) to those of
+the previous frame. Its translation is the camera's new position in the previous frame.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
-STANDING_M = 0.02  # a step is shorter: the car stands
-SIDEWAYS_M, SIDEWAYS = 0.1, 0.5  # of a step, and of its length ahead: a camera ahead of the axle swings out
-FARTHEST_M = 10.0
-RECENT = 20  # steps whose mean is a step's time, itself the last
-SAME = 1.5  # those of them count that took at most so many times more or less than it
+STANDSTILL_M = 0.02  # the car stands if a step is shorter
+SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # limits, absolute and of the forward way: a camera ahead of the axle swings out
+MAX_FORWARD_M = 10.0
+RECENT = 20  # steps that are averaged for a duration, the current one included
+SIMILAR = 1.5  # only durations that differ by at most this factor are averaged
 
 
 class Step(NamedTuple):
@@ -20,48 +21,55 @@ class Step(NamedTuple):
 
     T_before: np.ndarray  # [4,4]
     inliers: int
-    residual: float  # px of visual, m of lidar
-    scale: float = 1.0  # what depth was multiplied by
+    residual: float  # px for visual, m for lidar
+    scale: float = 1.0  # factor that was applied to depth
 
 
-def standing(T_before: np.ndarray) -> bool:
-    """Say whether a step [4,4] is so short that it says nothing but that the car stands."""
-    return bool(np.linalg.norm(T_before[:3, 3]) < STANDING_M)
+def is_standstill(T_before: np.ndarray) -> bool:
+    """Return whether a step [4,4] is too short to be told from standstill."""
+    return bool(np.linalg.norm(T_before[:3, 3]) < STANDSTILL_M)
 
 
 def plausible(T_before: np.ndarray) -> bool:
-    """Say whether a car can have moved so [4,4]: where the camera looks, not sideways, and without a jump."""
-    right, down, ahead = T_before[:3, 3]
-    return bool(np.hypot(right, down) < SIDEWAYS_M + SIDEWAYS * abs(ahead) and abs(ahead) < FARTHEST_M)
+    """Return whether a car can make this step [4,4]: along the camera's axis, not sideways, without a jump."""
+    right, down, forward = T_before[:3, 3]
+    sideways_ok = np.hypot(right, down) < SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward)
+    return bool(sideways_ok and abs(forward) < MAX_FORWARD_M)
 
 
-def rates(T_before: np.ndarray, dt_s: float) -> tuple[float, float]:
-    """Return yaw rate, rad/s, left +, and forward speed, m/s, of a step [4,4] that took `dt_s`.
+def rates(T_before: np.ndarray, duration_s: float) -> tuple[float, float]:
+    """Return yaw rate (rad/s, left positive) and forward speed (m/s) of a step [4,4].
 
-    Both are means over the step, so those of half a frame ago. So are KITTI's labels, as oxts' rates come 0.06 s late:
-    led on to the frame's time, the angle of four real drives has an nmse of 0.0040 instead of 0.0023. Forward is where
-    the camera looks half-way through it: seen from there, a camera ahead of the axle, which a turn moves sideways, goes
-    as far forward as the axle does.
+    Both are means over the step, so they are half a frame old. KITTI's labels are too, since oxts' rates lag by 0.06 s:
+    with rates extrapolated to the frame's time, the angle of four real drives has an nmse of 0.0040 instead of 0.0023.
+    Forward is the camera's axis at half of the step: along it, a camera ahead of the axle, which a turn moves sideways,
+    moves as far as the axle.
     """
     import cv2
 
-    turned = cv2.Rodrigues(T_before[:3, :3])[0][:, 0]  # rotation vector; about y, which points down, left is -
-    halfway = cv2.Rodrigues(turned / 2)[0]
-    return float(-turned[1] / dt_s), float(halfway[:, 2] @ T_before[:3, 3] / dt_s)
+    rotation = cv2.Rodrigues(T_before[:3, :3])[0][:, 0]  # rotation vector; y points down, so a left turn is negative
+    halfway = cv2.Rodrigues(rotation / 2)[0]
+    return float(-rotation[1] / duration_s), float(halfway[:, 2] @ T_before[:3, 3] / duration_s)
 
 
-def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """Return the time that each of `frame` [F] came after the number before, float64 [F] in seconds.
+class StepClock:
+    """Durations of steps from noisy time stamps.
 
-    KITTI's times are those of the packet that is nearest to an image, on a grid of 10 ms that the camera does not keep:
-    between neighbours they err by a tenth. So a step's time is the mean of the last ones that took about as long; no
-    later time is known to it. The first frame, which no step leads to, has that of the second.
+    KITTI's times are those of the oxts packet nearest to an image, on a grid of 10 ms: differences between neighbours
+    err by a tenth. So a step's duration is the mean of the recent steps with a similar duration. Later times are not
+    used.
     """
-    steps = np.diff(time_s) / np.diff(frame)
-    if not len(steps):
-        return np.full(len(frame), np.nan)
-    means = np.empty(len(steps))
-    for index, own in enumerate(steps):
-        recent = steps[max(0, index + 1 - RECENT) : index + 1]
-        means[index] = recent[(recent < own * SAME) & (recent > own / SAME)].mean()
-    return np.concatenate([means[:1], means])
+
+    def __init__(self) -> None:
+        self._recent: deque[float] = deque(maxlen=RECENT)
+        self._last: tuple[int, float] | None = None
+
+    def duration(self, number: int, time_s: float) -> float:
+        """Return the seconds per frame of the step to frame `number`; NaN for the first frame."""
+        last, self._last = self._last, (number, time_s)
+        if last is None:
+            return float("nan")
+        own = (time_s - last[1]) / (number - last[0])
+        self._recent.append(own)
+        recent = np.array(self._recent)
+        return float(recent[(recent < own * SIMILAR) & (recent > own / SIMILAR)].mean())

@@ -1,1 +1,1 @@
-"""What depth is worth: its scale, its scores, flat ground beside it; and what measured motion is."""
+"""Depth and classes of images: depth scale, frames of a drive, errors against ground truth; errors of motion."""

@@ -1,4 +1,4 @@
-"""The images of a drive, some at a time, with what can tell their depth's scale."""
+"""Read the images of a drive in batches, with the LiDAR depth that some depth scales need."""
 
 from collections.abc import Generator
 from typing import NamedTuple
@@ -10,31 +10,31 @@ from pipeline.camera.geometry import scan_depth
 
 
 class Batch(NamedTuple):
-    """Frame numbers [B], images uint8 [B,H,W,3], intrinsics [3,3], and depth [H,W] of each LiDAR scan if asked for."""
+    """B frames of a drive."""
 
-    frames: np.ndarray
-    images: np.ndarray
-    K: np.ndarray
-    scans_m: list[np.ndarray | None]
+    frame: np.ndarray  # KITTI frame numbers [B]
+    images: np.ndarray  # RGB uint8 [B,H,W,3]
+    K: np.ndarray  # [3,3]
+    scans_m: list[np.ndarray | None]  # depth [H,W] in metres of each LiDAR scan, where requested and present
 
 
 def read(source: DriveReader, rows: np.ndarray, size: int, *, scans: bool) -> Generator[Batch]:
-    """Yield the frames in `rows` of a file of stage ingest, `size` of them at a time."""
+    """Yield the frames in `rows` of a file of stage ingest in batches of `size`."""
     for start in range(0, len(rows), size):
         batch = rows[start : start + size]
-        # Row by row: few frames may have an image, and those between are not to be read.
+        # Row by row, since frames without an image in between must not be read.
         images = np.stack([source.row("image", row) for row in batch])
-        scans_m = [_scan(source, row) if scans and source.row("has_lidar", row) else None for row in batch]
+        scans_m = [_scan_depth(source, row) if scans and source.row("has_lidar", row) else None for row in batch]
         yield Batch(source.frame[batch], images, source["K"], scans_m)
 
 
 def calibration(source: DriveReader) -> np.ndarray | None:
-    """Return T_cam_velo [4,4] of a file of stage ingest; None without one."""
-    has_one = "T_cam_velo" in source
-    return source["T_cam_velo"] if has_one else None
+    """Return T_cam_velo [4,4] of a file of stage ingest; None without LiDAR calibration."""
+    calibrated = "T_cam_velo" in source
+    return source["T_cam_velo"] if calibrated else None
 
 
-def _scan(source: DriveReader, row: int) -> np.ndarray:
+def _scan_depth(source: DriveReader, row: int) -> np.ndarray:
     scan = source.rows("lidar", *source.rows("lidar_ptr", row, row + 2))
     _, height, width, _ = source.shape("image")
     return scan_depth(scan, source["T_cam_velo"], source["K"], (height, width))

@@ -1,100 +1,82 @@
-"""How the network's depth comes to metres: one object for each value of ``perception.depth_scale``."""
+"""Scale the network's depth to metres, by setting ``perception.depth_scale``, and convert it to stored depth.
 
-from typing import NamedTuple
+``metric``: the network predicts metres. ``camera_height``: the camera's height over the road determines the scale.
+``lidar_median``: the frame's LiDAR scan does. ``none``: stored depth has an unknown unit.
+"""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.geometry import back_project
-from pipeline.camera.images import DEPTH_UNITS_PER_M
+from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
+from pipeline.perception.ground_plane import limit_traffic_depth
+
+if TYPE_CHECKING:
+    from pipeline.sections.perception import DepthScale, Perception
 
 MIN_ROAD_PIXELS = 50
 MIN_TRUTH_PIXELS = 10
 
 
-class Frame(NamedTuple):
-    """A frame's depth [H,W] in the network's unit, 0 where there is none, and what can tell its scale.
-
-    That is trainIds [H,W]; depth [H,W] in metres of the frame's own LiDAR scan, 0 where no point fell, or None without
-    one; the intrinsics [3,3]; and the camera's height over the road.
-    """
-
-    depth: np.ndarray
-    cls: np.ndarray
-    scan_m: np.ndarray | None
-    K: np.ndarray
-    camera_height_m: float
+def needs_scan(mode: "DepthScale") -> bool:
+    return mode == "lidar_median"
 
 
-class Scale:
-    """How depth comes to metres. This one: the network gives them."""
+def stored_unit(mode: "DepthScale") -> str:
+    """Return the unit of stored depth."""
+    return f"1/{DEPTH_UNITS_PER_M} {'of an unknown unit' if mode == 'none' else 'm'}"
 
-    unit = f"1/{DEPTH_UNITS_PER_M} m"  # of stored depth
-    needs_scan = False
 
-    def factor(self, frame: Frame) -> float | None:
-        """Return what brings the frame's depth to that which is stored; None if the frame does not tell."""
-        return 1.0
+def scoring_factor(mode: "DepthScale", depth: np.ndarray, truth_m: np.ndarray) -> float:
+    """Return the factor from stored depth [H,W] to metres for comparison with ground truth [H,W], 0 = unknown."""
+    return (median_ratio(depth, truth_m) or 1.0) if mode == "none" else 1.0
 
-    def rescale(self, frame: Frame, before: float) -> float:
-        """Bring the frame's depth, in place, to that which is stored; return the factor.
 
-        Without a road (or a scan) to tell it, the factor is that of the frame `before`.
+class DepthPostprocessor:
+    """Converts the network's depth to stored depth for one drive; frames come in order."""
+
+    def __init__(self, settings: "Perception", K: np.ndarray, camera_height_m: float) -> None:
+        """`K` [3,3] at the size of the depth; the camera's height is over the road."""
+        self._settings, self._K, self._camera_height_m = settings, K, camera_height_m
+        self._factor = 0.0  # no depth before the first frame with a known scale
+
+    def __call__(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> np.ndarray:
+        """Return the stored depth of a frame, uint16 [H,W], 0 in the sky; see :func:`pipeline.camera.images.to_units`.
+
+        Args:
+            depth: float32 [H,W] in the network's unit; overwritten.
+            cls: trainIds [H,W].
+            scan_m: depth [H,W] in metres of the frame's LiDAR scan, 0 = none; None without a scan.
         """
-        factor = self.factor(frame) or before
-        np.multiply(frame.depth, factor, out=frame.depth)
-        return factor
+        self._factor = self._estimate(depth, cls, scan_m) or self._factor
+        np.multiply(depth, self._factor, out=depth)
+        if self._settings.reach:
+            limit_traffic_depth(depth, cls, self._K, self._camera_height_m, self._settings.reach)
+        return to_units(np.where(cls == classes.SKY, 0, depth))
 
-    def scoring_factor(self, depth: np.ndarray, truth_m: np.ndarray) -> float:
-        """Return what brings stored depth [H,W] to metres that can be compared with a truth [H,W], 0 = unknown."""
+    def _estimate(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> float | None:
+        """Return the factor to metres; None if it cannot be estimated from this frame."""
+        if self._settings.depth_scale == "camera_height":
+            return from_camera_height(depth, cls, self._K, self._camera_height_m)
+        if self._settings.depth_scale == "lidar_median":
+            return None if scan_m is None else median_ratio(depth, scan_m)
         return 1.0
-
-
-class CameraHeight(Scale):
-    """The camera's known height over the one that the road's points say."""
-
-    def factor(self, frame: Frame) -> float | None:
-        return from_camera_height(frame.depth, frame.cls, frame.K, frame.camera_height_m)
-
-
-class LidarMedian(Scale):
-    """Each frame's LiDAR scan."""
-
-    needs_scan = True
-
-    def factor(self, frame: Frame) -> float | None:
-        return None if frame.scan_m is None else median_ratio(frame.depth, frame.scan_m)
-
-
-class Unscaled(Scale):
-    """Nothing: depth stays as the network gives it, and is compared with a truth after scaling by the medians."""
-
-    unit = f"1/{DEPTH_UNITS_PER_M} of an unknown unit"
-
-    def scoring_factor(self, depth: np.ndarray, truth_m: np.ndarray) -> float:
-        return median_ratio(depth, truth_m) or 1.0
-
-
-MODES = {
-    "metric": Scale(),
-    "camera_height": CameraHeight(),
-    "lidar_median": LidarMedian(),
-    "none": Unscaled(),
-}
 
 
 def from_camera_height(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float) -> float | None:
-    """Return the camera's height over the one that the road's points say; None if too little road is seen.
+    """Return the camera's height divided by its height over the road's points; None if too little road is visible.
 
-    The road's height is the median of |P·n| over its points P, n the normal of the plane through them (Schön et al.
-    2021, MGNet). `depth` [H,W] in any unit, 0 where there is none; trainIds `cls` [H,W]; intrinsics `K` [3,3].
+    The latter is the median of |P·n| over the points P, n the normal of the plane through them (Schön et al. 2021,
+    MGNet). `depth` [H,W] in any unit, 0 = none; trainIds `cls` [H,W]; intrinsics `K` [3,3].
     """
     road = (cls == classes.ROAD) & (depth > 0)
     if road.sum() < MIN_ROAD_PIXELS:
         return None
     points = back_project(depth.astype(np.float64), K)[road]
     centred = points - np.median(points, axis=0)
-    # Not an SVD of the points, and einsum in place of @: BLAS splits long sums among threads, which shows in the bytes.
+    # No SVD of the points, and einsum instead of @: BLAS splits long sums among threads, which changes the last bits.
     scatter = np.einsum("pi,pj->ij", centred, centred)
     normal = np.linalg.eigh(scatter).eigenvectors[:, 0]  # of the smallest eigenvalue
     height = float(np.median(np.abs(np.einsum("pi,i->p", points, normal))))
@@ -102,9 +84,9 @@ def from_camera_height(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera
 
 
 def median_ratio(depth: np.ndarray, truth_m: np.ndarray) -> float | None:
-    """Return the ratio of the medians of truth and depth where both are known; None if there is too little.
+    """Return the ratio of the medians of truth and depth where both are known; None with too few such pixels.
 
-    `depth` [H,W] in any unit, `truth_m` [H,W] in metres, both 0 where there is none.
+    `depth` [H,W] in any unit, `truth_m` [H,W] in metres; 0 = none.
     """
     known = (truth_m > 0) & (depth > 0)
     if known.sum() < MIN_TRUTH_PIXELS:

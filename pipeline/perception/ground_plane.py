@@ -1,6 +1,6 @@
-"""Depth of a flat ground from the classes alone, for a level camera of known height.
+"""Depth of flat ground, predicted from the classes for a level camera of known height.
 
-It is what each encoder must beat, and what tells where a car stands that an encoder sees too far away.
+It is the baseline for encoders, and an upper limit for the depth of traffic.
 """
 
 import numpy as np
@@ -10,18 +10,18 @@ from pipeline.camera.geometry import rays
 
 
 def ground_plane_depth(cls: np.ndarray, K: np.ndarray, camera_height_m: float) -> np.ndarray:
-    """Return depth float64 [H,W] in metres, an approximation: :func:`models.encoder.ground_depth.ground_plane_depth`.
+    """Return depth float64 [H,W] in metres; see :func:`models.encoder.ground_depth.ground_plane_depth`.
 
     Args:
         cls: trainIds [H,W].
         K: intrinsics [3,3].
-        camera_height_m: of the camera over the ground.
+        camera_height_m: over the ground.
     """
     import torch
 
     from models.encoder import ground_depth
 
-    slope = rays(K, (cls.shape[0], 1))[..., 1]  # [H,1], y/z of each row
+    slope = rays(K, (cls.shape[0], 1))[..., 1]  # [H,1], y/z per row
     depth_m = ground_depth.ground_plane_depth(
         torch.from_numpy(cls.astype(np.int64))[None],
         torch.from_numpy(slope)[None].expand(1, *cls.shape),
@@ -30,20 +30,20 @@ def ground_plane_depth(cls: np.ndarray, K: np.ndarray, camera_height_m: float) -
     return depth_m[0].numpy()
 
 
-def put_on_ground(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float, reach: float) -> None:
-    """Bring traffic, in place, no farther than `reach` times the flat ground at its foot.
+def limit_traffic_depth(
+    depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float, reach: float
+) -> None:
+    """Limit the depth of traffic, in place, to `reach` times that of flat ground at its lower edge.
 
-    What stands on the ground hides what lies behind its foot. Monocular depth sees through it where it is smooth and
-    bright, as a tanker's flank, and takes it for the sky.
+    Monocular depth takes smooth and bright surfaces, for instance the side of a tanker, for the sky.
 
-    It is wrong where the ground falls away: downhill by more than `reach` allows, the foot stands lower in the image
-    than on flat ground at its distance, and traffic comes too near; uphill it does nothing. And a vehicle whose foot
-    another one hides comes as near as that one.
+    Two cases where the limit is wrong: downhill by more than `reach` allows, traffic gets too near; uphill there is no
+    effect. A vehicle behind another one gets the depth of the nearer one.
 
     Args:
         depth: [H,W] in metres.
         cls, K, camera_height_m: as in :func:`ground_plane_depth`.
-        reach: above 1 by as much as ground rises and falls.
+        reach: at least 1; the margin above 1 allows for slopes.
     """
     traffic = np.isin(cls, classes.TRAFFIC)
     if traffic.any():

@@ -1,30 +1,33 @@
-"""Scores of predicted depth and classes against a truth."""
+"""Errors of predicted depth and classes against ground truth."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.camera import classes
 from pipeline.encoder.truth import Truth
-from pipeline.perception.depth_scale import Scale
+from pipeline.perception.depth_scale import scoring_factor
 from pipeline.perception.ground_plane import ground_plane_depth
+
+if TYPE_CHECKING:
+    from pipeline.sections.perception import DepthScale
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
-_DEPTH_SUMS = ("frames", *DEPTH_ERRORS, "covered", "known")  # of pixels: with a prediction, with a truth
-# The encoder's depth, and the flat ground's beside it, each against dense truth and against LiDAR; each over the whole
-# image and, as KEY_eigen, over Eigen's crop.
+_DEPTH_SUMS = ("frames", *DEPTH_ERRORS, "covered", "known")  # pixels with a prediction, with a truth
+# The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR; each over the full image and, as
+# KEY_eigen, over Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
 EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # shares of height and width
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
-    """Return an image's [abs rel, RMSE in metres, δ1] over the pixels whose true depth is 1 to 80 m; None without any.
+    """Return [abs rel, RMSE in metres, δ1] of an image over pixels with a true depth of 1 to 80 m; None without any.
 
-    Abs rel is the mean of |d - d*| / d*, δ1 the share of pixels where max(d/d*, d*/d) < 1.25 (Eigen et al. 2014, who
-    also clip the prediction to the range). Both arguments are metres, [H,W]; 0 is unknown, so where the prediction is 0
-    (a hole, not a distance) it is not scored.
+    Abs rel is the mean of |d - d*| / d*, δ1 the share of pixels with max(d/d*, d*/d) < 1.25 (Eigen et al. 2014, who
+    also clip the prediction to the range). Both arguments are in metres, [H,W]; 0 is unknown, and pixels with a
+    prediction of 0 are not scored.
     """
     valid = in_range(truth_m) & (predicted_m > 0)
     if not valid.any():
@@ -37,16 +40,16 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
 
 
 def in_range(truth_m: np.ndarray) -> np.ndarray:
-    """Return where a true depth is scored: 1 to 80 m."""
+    """Return the mask of true depths that are scored: 1 to 80 m."""
     return (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M)
 
 
 def eigen_crop(image: np.ndarray) -> np.ndarray:
-    """Return the part of an image [H,W] that KITTI's "Eigen crop" keeps.
+    """Return KITTI's "Eigen crop" of an image [H,W].
 
-    It is the one that reproduces the figures of Eigen et al. 2014, found by Godard et al. 2017 (monodepth's
-    ``--eigen_crop``). Many papers write "Eigen split" and score on the crop of Garg et al. 2016 instead, whose rows go
-    from 0.408 to 0.992 of the height: lower, so more road.
+    It reproduces the numbers of Eigen et al. 2014 and was found by Godard et al. 2017 (monodepth's ``--eigen_crop``).
+    Many papers that write "Eigen split" use the crop of Garg et al. 2016 instead, with rows from 0.408 to 0.992 of the
+    height: lower, so with more road.
     """
     height, width = image.shape
     (top, bottom), (left, right) = EIGEN_ROWS, EIGEN_COLUMNS
@@ -54,9 +57,9 @@ def eigen_crop(image: np.ndarray) -> np.ndarray:
 
 
 def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return how often each true class (row) was predicted as each class (column), int64 [19,19].
+    """Return the confusion matrix int64 [19,19]: true class by row, predicted class by column.
 
-    `predicted` and `truth` hold trainIds, of any one shape. Pixels whose truth is void do not count.
+    `predicted` and `truth` hold trainIds, of the same shape. Pixels with void truth do not count.
     """
     known = truth != classes.VOID
     pairs = truth[known].astype(np.int64) * classes.COUNT + predicted[known]
@@ -64,27 +67,27 @@ def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def class_ious(matrix: np.ndarray) -> np.ndarray:
-    """Return the intersection over union of each class, [19], from a confusion matrix; NaN for one not in the truth."""
+    """Return the intersection over union of each class [19] of a confusion matrix; NaN if the truth lacks the class."""
     union = matrix.sum(axis=0) + matrix.sum(axis=1) - matrix.diagonal()
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(matrix.sum(axis=1) > 0, matrix.diagonal() / union, np.nan)
 
 
 def mean_iou(matrix: np.ndarray) -> float:
-    """Return the mean of :func:`class_ious` over the classes that the truth holds; NaN for an empty matrix."""
+    """Return the mean of :func:`class_ious` over the classes in the truth; NaN for an empty matrix."""
     ious = class_ious(matrix)
     return float(ious[~np.isnan(ious)].mean()) if not np.isnan(ious).all() else float("nan")
 
 
 def pixel_accuracy(matrix: np.ndarray) -> float:
-    """Return the share of pixels whose class is right; NaN for an empty matrix."""
+    """Return the share of pixels with the correct class; NaN for an empty matrix."""
     return float(matrix.trace() / matrix.sum()) if matrix.any() else float("nan")
 
 
 class Scores:
-    """Depth and class scores of many frames: sums that can be written as JSON and added up over drives.
+    """Sums of depth and class errors over many frames, which can be stored as JSON and added over drives.
 
-    Depth errors are means over images of :func:`depth_errors`; coverage and classes are counted on all pixels together.
+    Depth errors are means over images of :func:`depth_errors`; coverage and classes are counted over all pixels.
     """
 
     def __init__(self) -> None:
@@ -94,42 +97,48 @@ class Scores:
         self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
 
     def add_frame(
-        self, depth: np.ndarray, cls: np.ndarray, K: np.ndarray, truth: Truth, scale: Scale, camera_height_m: float
+        self,
+        depth: np.ndarray,
+        cls: np.ndarray,
+        K: np.ndarray,
+        truth: Truth,
+        mode: "DepthScale",
+        camera_height_m: float,
     ) -> None:
-        """Count what is known of a frame: its classes, its depth, and flat ground where it has a depth.
+        """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.
 
         Args:
-            depth: as stored [H,W], in the unit of `scale`, 0 where there is none.
+            depth: as stored [H,W], 0 = none.
             cls: trainIds [H,W].
             K: intrinsics [3,3].
-            truth: of the same frame.
-            scale: how depth came to its unit.
-            camera_height_m: of the camera over the ground.
+            truth: ground truth of the same frame.
+            mode: perception.depth_scale of the depth.
+            camera_height_m: over the ground.
         """
         if truth.depth_source:
             flat_m = np.where(depth > 0, ground_plane_depth(cls, K, camera_height_m), 0)
-            depth_m = depth * scale.scoring_factor(depth, truth.depth_m)
+            depth_m = depth * scoring_factor(mode, depth, truth.depth_m)
             self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
             self.add_depth(f"ground_plane_{truth.depth_source}", flat_m, truth.depth_m)
         if truth.has_cls:
             self.add_classes(cls, truth.cls)
 
     def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
-        """Count a frame's depth [H,W] against a truth under a key of DEPTH_SCORES, if it has a valid pixel."""
-        whole, crop = (predicted_m, truth_m), (eigen_crop(predicted_m), eigen_crop(truth_m))
-        for name, (predicted, truth) in ((key, whole), (f"{key}_eigen", crop)):
+        """Add the depth [H,W] of a frame, scored against a truth, under a key of DEPTH_SCORES."""
+        full, crop = (predicted_m, truth_m), (eigen_crop(predicted_m), eigen_crop(truth_m))
+        for name, (predicted, truth) in ((key, full), (f"{key}_eigen", crop)):
             known = in_range(truth)
             errors = depth_errors(predicted, truth)
             frame = (0, 0, 0, 0) if errors is None else (1, *errors)
             self.depth[name] += [*frame, (known & (predicted > 0)).sum(), known.sum()]
 
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
-        """Count a frame's classes [H,W]."""
+        """Add the classes [H,W] of a frame."""
         self.class_frames += 1
         self.confusion += confusion(predicted, truth)
 
     def sums(self) -> dict[str, Any]:
-        """Return everything as JSON-able numbers, for :meth:`add_sums` of another one."""
+        """Return the sums as JSON-able numbers for :meth:`add_sums`."""
         return {
             "depth": {key: sums.tolist() for key, sums in self.depth.items()},
             "class_frames": self.class_frames,
@@ -137,29 +146,30 @@ class Scores:
         }
 
     def add_sums(self, sums: dict[str, Any]) -> None:
-        """Add what :meth:`sums` of another one returned."""
+        """Add the result of :meth:`sums` of another instance."""
         for key, values in sums["depth"].items():
             self.depth[key] += values
         self.class_frames += sums["class_frames"]
         self.confusion += np.array(sums["confusion"])
 
     def report(self) -> dict[str, Any]:
-        """Return the scores: DEPTH_SCORES, whole and cropped, and classes; null where no frame has the truth."""
+        """Return DEPTH_SCORES, full and cropped, and classes; None without frames with that ground truth."""
         scores: dict[str, Any] = {}
         for key, (frames, *errors, covered, known) in self.depth.items():
-            scores[key] = {
-                "frames": int(frames),
-                **{name: float(error / frames) for name, error in zip(DEPTH_ERRORS, errors, strict=True)},
-                "coverage": float(covered / known),
-            } if frames else None  # fmt: skip
+            scores[key] = None
+            if frames:
+                means = {name: float(error / frames) for name, error in zip(DEPTH_ERRORS, errors, strict=True)}
+                scores[key] = {"frames": int(frames), **means, "coverage": float(covered / known)}
         ious = class_ious(self.confusion)
         present = {name: float(iou) for name, iou in zip(classes.NAMES, ious, strict=True) if not np.isnan(iou)}
-        scores["classes"] = {
-            "frames": self.class_frames,
-            "mean_iou": mean_iou(self.confusion),
-            "pixel_accuracy": pixel_accuracy(self.confusion),
-            "iou": present,
-        } if present else None  # fmt: skip
+        scores["classes"] = None
+        if present:
+            scores["classes"] = {
+                "frames": self.class_frames,
+                "mean_iou": mean_iou(self.confusion),
+                "pixel_accuracy": pixel_accuracy(self.confusion),
+                "iou": present,
+            }
         return scores
 
 
@@ -173,4 +183,4 @@ def summary_line(report: Mapping[str, Any]) -> str:
     ]
     if report["classes"]:
         parts.append(f"mean IoU {report['classes']['mean_iou']:.3f} of {len(report['classes']['iou'])} classes")
-    return ", ".join(parts) or "no truth to score against"
+    return ", ".join(parts) or "no ground truth"

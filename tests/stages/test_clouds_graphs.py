@@ -1,14 +1,13 @@
-"""Stages clouds and graphs, one after the other: what the one writes is what the other reads."""
+"""Stages clouds and graphs, one after the other."""
 
 import shutil
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from pipeline.base import pool, store
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import DEPTH_UNITS_PER_M
@@ -22,50 +21,60 @@ from tests import street
 PARAMS = Path(__file__).resolve().parents[2] / "params.yaml"
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
 FULL, BLIND, CAMERA = SPLITS
+FRAMES = 4
+PSEUDO: dict[str, object] = {"source": "clouds/pseudo", "points": 300, "k": 4}
+SETS = {
+    "source": "clouds/pseudo",
+    "points": 300,
+    "neighbourhood": "pointnet2",
+    "centres": [20, 6],
+    "radius_m": [4, 9],
+    "neighbours": [8, 5],
+}
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ingest and perception of a drive with everything, one without images, one without LiDAR; then clouds."""
+    """Ingest, perception and clouds of a drive with everything, one without images, one without LiDAR; no motion."""
     folder = tmp_path_factory.mktemp("data")
-    street.write_drive(folder / "ingest", FULL, 4, lidar=True)
+    street.write_drive(folder / "ingest", FULL, FRAMES, lidar=True)
     street.write_drive(folder / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
     street.write_drive(folder / "ingest", CAMERA, 3)
     for drive in SPLITS:
         street.write_perception(folder / "perception", folder / "ingest", drive)
     store.write_index(folder / "ingest", SPLITS)
     store.write_index(folder / "perception", SPLITS)
-    _params(folder / "params.yaml")
-    _clouds(folder, folder / "clouds", folder / "params.yaml")
+    run_clouds(folder, folder / "clouds")
     kinds.write(folder / "motion", [])
     return folder
 
 
-def _params(path: Path, **changes: dict[str, object]) -> Path:
-    content = yaml.safe_load(PARAMS.read_text())
-    for section, values in changes.items():
-        content[section] = {**content[section], **values}
-    path.write_text(yaml.safe_dump(content))
-    return path
+def run_clouds(data: Path, out: Path, **settings: object) -> None:
+    params = yaml.safe_load(PARAMS.read_text())
+    params["clouds"] |= settings
+    (data / "params.yaml").write_text(yaml.safe_dump(params))
+    assert clouds.main(data / "ingest", data / "perception", out, data / "params.yaml", workers=1) == out
 
 
-def _clouds(data: Path, out: Path, params: Path) -> None:
-    assert clouds.main(data / "ingest", data / "perception", out, params, workers=1) == out
-
-
-def _graphs(data: Path, out: Path, variant: str, params: Path | None = None) -> Path:
-    folder = graphs.main(variant, data, out, params or data / "params.yaml", workers=1)
-    assert folder == out / variant
+def run_graphs(data: Path, out: Path, **variant: object) -> Path:
+    out.mkdir(exist_ok=True)
+    (out / "params.yaml").write_text(yaml.safe_dump({"graphs": {"v": variant}}))
+    folder = graphs.main("v", data, out, out / "params.yaml", workers=1)
+    assert folder == out / "v"
     return folder
 
 
-def test_pseudo_clouds_are_the_pixels_in_space(data: Path) -> None:
-    with store.DriveReader(data / f"clouds/pseudo/{FULL}.h5", stage="clouds") as file:
-        ptr, xyz, cls = file["ptr"], file["xyz"], file["cls"]
-        assert file.frame.tolist() == [0, 1, 2, 3]
-    for frame in range(4):
+def read(folder: Path, drive: str = FULL, stage: str = "graphs") -> dict[str, np.ndarray]:
+    with store.DriveReader(folder / f"{drive}.h5", stage=stage) as file:
+        return {name: file[name] for name in file.names}
+
+
+def test_pseudo_clouds_are_back_projected_pixels(data: Path) -> None:
+    content = read(data / "clouds/pseudo", stage="clouds")
+    ptr = content["ptr"]
+    for frame in range(FRAMES):
         _, depth, truth = street.scene(frame)
-        points, labels = xyz[ptr[frame] : ptr[frame + 1]], cls[ptr[frame] : ptr[frame + 1]]
+        points, labels = (content[name][ptr[frame] : ptr[frame + 1]] for name in ("xyz", "cls"))
         assert len(points) == (depth > 0).sum()
         uv, z = geometry.project(points.astype(np.float64), street.K)
         u, v = np.rint(uv).astype(int).T
@@ -75,272 +84,173 @@ def test_pseudo_clouds_are_the_pixels_in_space(data: Path) -> None:
 
 
 def test_lidar_clouds_are_in_the_camera_frame(data: Path) -> None:
-    with (
-        store.DriveReader(data / f"clouds/lidar/{FULL}.h5", stage="clouds") as file,
-        store.DriveReader(data / f"ingest/{FULL}.h5", stage="ingest") as raw,
-    ):
-        a, b = raw["lidar_ptr"][1:3]
-        points = geometry.transform(raw["T_cam_velo"], raw["lidar"][a:b, :3].astype(np.float64))
-        c, d = file["ptr"][1:3]
-        assert np.abs(np.sort(file["xyz"][c:d], axis=0) - np.sort(points, axis=0)).max() < 0.001
-        assert {classes.ROAD, classes.BUILDING} <= set(file["cls"][c:d].tolist())
+    raw, content = read(data / "ingest", stage="ingest"), read(data / "clouds/lidar", stage="clouds")
+    (a, b), (c, d) = raw["lidar_ptr"][1:3], content["ptr"][1:3]
+    points = geometry.transform(raw["T_cam_velo"], raw["lidar"][a:b, :3].astype(np.float64))
+    assert np.abs(np.sort(content["xyz"][c:d], axis=0) - np.sort(points, axis=0)).max() < 0.001
+    assert {classes.ROAD, classes.BUILDING} <= set(content["cls"][c:d].tolist())
+    blind = read(data / "clouds/lidar", BLIND, "clouds")
+    assert len(blind["xyz"]) > 0
+    assert (blind["cls"] == classes.VOID).all()
 
 
-def test_drives_without_a_modality_give_empty_files(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drives_without_a_sensor_have_empty_files(data: Path, tmp_path: Path) -> None:
     for kind, drive in (("pseudo", BLIND), ("lidar", CAMERA)):
         assert store.read_index(data / "clouds" / kind, stage="clouds") == SPLITS
-        with store.DriveReader(data / f"clouds/{kind}/{drive}.h5", stage="clouds") as file:
-            assert file.shape("frame") == (0,)
-            assert file.shape("xyz") == (0, 3)
-            assert file["ptr"].tolist() == [0]
-    with store.DriveReader(data / f"clouds/lidar/{BLIND}.h5", stage="clouds") as file:
-        assert len(file["xyz"]) > 0
-        assert (file["cls"] == classes.VOID).all()  # no image, no class
-    made = _graphs(data, data / "graphs", "depth")
-    with store.DriveReader(made / f"{BLIND}.h5", stage="graphs") as file:
-        assert file.shape("xyz") == (0, 3)
-        assert file["indices_ptr"].tolist() == [0]
+        content = read(data / "clouds" / kind, drive, "clouds")
+        assert (len(content["frame"]), content["xyz"].shape, content["ptr"].tolist()) == (0, (0, 3), [0])
+    assert read(run_graphs(data, tmp_path, **PSEUDO), BLIND)["indices_ptr"].tolist() == [0]
+    sets = read(run_graphs(data, tmp_path, **SETS), BLIND)
+    assert (sets["neighbours_1"].shape, sets["centres_2_ptr"].tolist()) == ((0, 8), [0])
 
 
-def test_max_points_bounds_each_frame(data: Path, tmp_path: Path) -> None:
-    params = _params(tmp_path / "params.yaml", clouds={"max_points": 50, "max_depth_m": 20.0})
-    _clouds(data, tmp_path / "clouds", params)
-    with store.DriveReader(tmp_path / f"clouds/pseudo/{FULL}.h5", stage="clouds") as file:
-        assert np.diff(file["ptr"]).tolist() == [50] * 4
-        assert file["xyz"][:, 2].max() <= 20.0
+def test_limits_of_clouds(data: Path, tmp_path: Path) -> None:
+    run_clouds(data, tmp_path / "clouds", max_points=50, max_depth_m=20.0)
+    content = read(tmp_path / "clouds/pseudo", stage="clouds")
+    assert np.diff(content["ptr"]).tolist() == [50] * FRAMES
+    assert content["xyz"][:, 2].max() <= 20.0
+    with pytest.raises(InputError, match=r"clouds/pseudo: no point in any of the 4 frames") as raised:
+        run_clouds(data, tmp_path / "none", max_depth_m=0.5)
+    assert "clouds.max_depth_m = 0.5" in raised.value.fix
 
 
-def test_graphs_hold_what_the_variant_says(data: Path, tmp_path: Path) -> None:
-    variants = {
-        "semantic": {"source": "clouds/pseudo", "points": 300, "k": 6, "keep_inter_class": 0.2},
-        "depth": {"source": "clouds/pseudo", "points": 300, "k": 6},
-    }
-    params = _params(tmp_path / "params.yaml", graphs=variants)
-    read = {}
-    for name in variants:
-        made = _graphs(data, tmp_path, name, params)
-        with store.DriveReader(made / f"{FULL}.h5", stage="graphs") as file:
-            read[name] = {key: file[key] for key in ("ptr", "xyz", "cls", "degree", "edges_knn", "edges_kept")}
-            assert file["indices_ptr"][-1] == len(file["indices"]) == file["degree"].sum(dtype=np.int64)
-            assert file["indices"].dtype == np.uint16
-    for columns in read.values():
-        assert np.diff(columns["ptr"]).tolist() == [300] * 4
-        assert (columns["edges_knn"] == 300 * 6).all()
-    # The same points, fewer edges between classes.
-    assert (read["semantic"]["xyz"] == read["depth"]["xyz"]).all()
-    assert (read["depth"]["edges_kept"] == read["depth"]["edges_knn"]).all()
-    assert (read["semantic"]["edges_kept"] < read["depth"]["edges_kept"]).all()
+def test_pruning_removes_only_edges_between_classes(data: Path, tmp_path: Path) -> None:
+    full, pruned = (read(run_graphs(data, tmp_path, **PSEUDO, keep_inter_class=keep)) for keep in (1.0, 0.2))
+    for content in (full, pruned):
+        assert np.diff(content["ptr"]).tolist() == [300] * FRAMES
+        assert (content["edges_knn"] == 300 * 4).all()
+        assert content["indices_ptr"][-1] == len(content["indices"]) == content["degree"].sum(dtype=np.int64)
+        assert content["indices"].dtype == np.uint16
+    assert (full["xyz"] == pruned["xyz"]).all()
+    assert (full["edges_kept"] == full["edges_knn"]).all()
+    assert (pruned["edges_kept"] < full["edges_kept"]).all()
 
 
-def test_a_crop_keeps_what_lies_in_it(data: Path, tmp_path: Path) -> None:
+def test_a_crop_keeps_the_points_inside(data: Path, tmp_path: Path) -> None:
+    variant = {"source": "clouds/lidar", "points": 10**6, "k": 6}
     crop = [-6.0, 4.0, 5.0, 12.0]
-    whole = {"source": "clouds/lidar", "points": 10**6, "k": 6}
-    params = _params(tmp_path / "params.yaml", graphs={"whole": whole, "near": {**whole, "crop_m": crop}})
-    xyz, ptr = {}, {}
-    for name in ("whole", "near"):
-        with store.DriveReader(_graphs(data, tmp_path, name, params) / f"{FULL}.h5", stage="graphs") as file:
-            xyz[name], ptr[name] = file["xyz"], file["ptr"]
-    x, _, z = xyz["whole"].T
+    full, near = read(run_graphs(data, tmp_path, **variant)), read(run_graphs(data, tmp_path, **variant, crop_m=crop))
+    x, _, z = full["xyz"].T
     inside = (crop[0] <= x) & (x <= crop[2]) & (crop[1] <= z) & (z <= crop[3])
     assert 0 < inside.sum() < len(x)
-    np.testing.assert_array_equal(xyz["near"], xyz["whole"][inside])
-    assert ptr["near"].tolist() == [0, *np.cumsum(inside)[ptr["whole"][1:] - 1]]
+    np.testing.assert_array_equal(near["xyz"], full["xyz"][inside])
+    assert near["ptr"].tolist() == [0, *np.cumsum(inside)[full["ptr"][1:] - 1]]
+    beside = read(run_graphs(data, tmp_path, **variant, crop_m=[5, 0, 10, 60]))  # between walls at changing distances
+    assert (np.diff(beside["ptr"]) > 0).tolist() == [False, True, True, False]
 
 
-def test_a_crop_without_a_point_gives_an_empty_frame(data: Path, tmp_path: Path) -> None:
-    beside = {"source": "clouds/lidar", "points": 100, "k": 6, "crop_m": [5, 0, 10, 60]}  # between walls that come near
-    params = _params(tmp_path / "params.yaml", graphs={"beside": beside})
-    with store.DriveReader(_graphs(data, tmp_path, "beside", params) / f"{FULL}.h5", stage="graphs") as file:
-        assert (np.diff(file["ptr"]) > 0).tolist() == [False, True, True, False]
+@pytest.mark.parametrize("variant", [{"k": 6, "points": 100, "source": "clouds/lidar"}, SETS], ids=["lidar", "sets"])
+def test_a_crop_without_any_point_is_refused(data: Path, tmp_path: Path, variant: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=r"graphs\.v: no point in any of the \d frames of the train drives") as raised:
+        run_graphs(data, tmp_path, **variant, crop_m=[900, 900, 901, 901])
+    assert "crop_m" in raised.value.fix
+    assert not (tmp_path / "v/index.json").exists()  # so that no model trains on it
 
 
-SETS = {
-    "source": "clouds/pseudo", "points": 300, "neighbourhood": "pointnet2", "centres": [20, 6], "radius_m": [4, 9],
-    "neighbours": [8, 5],
-}  # fmt: skip
+def test_pointnet2_neighbours_lie_in_balls(data: Path, tmp_path: Path) -> None:
+    xyz = read(run_graphs(data, tmp_path, **PSEUDO))["xyz"]
+    content = read(run_graphs(data, tmp_path, **SETS))
+    assert (content["xyz"] == xyz).all()
+    assert content["neighbours_1"].dtype == np.uint16
+    for frame in range(FRAMES):
+        points = xyz[frame * 300 :][:300]
+        for number, count, radius_m in ((1, 20, 4), (2, 6, 9)):
+            rows = slice(frame * count, (frame + 1) * count)
+            centres = content[f"centres_{number}"][rows]
+            offset = points[content[f"neighbours_{number}"][rows]] - points[centres][:, None]
+            assert np.linalg.norm(offset, axis=2).max() <= radius_m
+            assert len(np.unique(centres)) == count
+            points = points[centres]
 
 
-@pytest.mark.parametrize("more", [{"k": 6, "source": "clouds/lidar"}, SETS], ids=["lidar", "sets"])
-def test_what_leaves_no_point_in_any_frame_is_refused(data: Path, tmp_path: Path, more: dict[str, object]) -> None:
-    params = _params(tmp_path / "params.yaml", graphs={"far": {"points": 100, **more, "crop_m": [900, 900, 901, 901]}})
-    message = r"params\.yaml: graphs\.far: no point in any of the \d frames of the train drives\. Widen crop_m = \[900"
-    with pytest.raises(InputError, match=message):
-        _graphs(data, tmp_path, "far", params)
-    assert not (tmp_path / "far/index.json").exists()  # so that nobody trains on it
-
-
-def test_depths_that_leave_no_point_in_any_frame_are_refused(data: Path, tmp_path: Path) -> None:
-    params = _params(tmp_path / "params.yaml", clouds={"max_depth_m": 0.5})
-    message = r"clouds/pseudo: no point in any of the 4 frames of the train drives\. Raise clouds\.max_depth_m = 0\.5"
-    with pytest.raises(InputError, match=message):
-        _clouds(data, tmp_path / "clouds", params)
-
-
-def test_pointnet2_neighbours_lie_in_the_balls_of_the_variant(data: Path, tmp_path: Path) -> None:
-    variants = {"sets": SETS, "depth": {"source": "clouds/pseudo", "points": 300, "k": 6}}
-    params = _params(tmp_path / "params.yaml", graphs=variants)
-    with store.DriveReader(_graphs(data, tmp_path, "depth", params) / f"{FULL}.h5", stage="graphs") as file:
-        xyz = file["xyz"]
-    with store.DriveReader(_graphs(data, tmp_path, "sets", params) / f"{FULL}.h5", stage="graphs") as file:
-        assert (file["xyz"] == xyz).all()  # the same points as of a graph
-        assert np.diff(file["centres_1_ptr"]).tolist() == [20] * 4
-        assert np.diff(file["centres_2_ptr"]).tolist() == [6] * 4
-        assert (file.shape("neighbours_1"), file.shape("neighbours_2")) == ((80, 8), (24, 5))
-        assert file["neighbours_1"].dtype == np.uint16
-        for frame in range(4):
-            points = xyz[frame * 300 :][:300]
-            for number, count, radius_m in ((1, 20, 4), (2, 6, 9)):
-                rows = slice(frame * count, (frame + 1) * count)
-                centres = points[file[f"centres_{number}"][rows]]
-                offset = points[file[f"neighbours_{number}"][rows]] - centres[:, None]
-                assert np.linalg.norm(offset, axis=2).max() <= radius_m
-                assert len(np.unique(file[f"centres_{number}"][rows])) == count
-                points = centres
-    made = _graphs(data, tmp_path, "sets", params)
-    with store.DriveReader(made / f"{BLIND}.h5", stage="graphs") as file:
-        assert file.shape("neighbours_1") == (0, 8)
-        assert file["centres_2_ptr"].tolist() == [0]
-
-
-def test_images_are_ingests_frame_by_frame(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "ingest").mkdir()
-    for path in (data / "ingest").iterdir():
-        shutil.copyfile(path, tmp_path / "ingest" / path.name)
+def test_images_are_copied_by_frame(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(data / "ingest", tmp_path / "ingest")
+    raw = read(data / "ingest", stage="ingest")
     with store.DriveWriter(tmp_path / f"ingest/{FULL}.h5", stage="ingest", drive=FULL, params={}) as file:
-        with store.DriveReader(data / f"ingest/{FULL}.h5", stage="ingest") as raw:
-            image, time_s = raw["image"], raw["time_s"]
-        put_motion(file, np.array([3, 4, 6, 9]), time_s, make_rows(4))
-        put_pixels(file, "image", 4, street.SIZE, [(row, image[row]) for row in (0, 2, 3)])
-    params = _params(tmp_path / "params.yaml", graphs={"image": {"source": "ingest"}})
+        put_motion(file, np.array([3, 4, 6, 9]), raw["time_s"], make_rows(FRAMES))
+        put_pixels(file, "image", FRAMES, street.SIZE, [(row, raw["image"][row]) for row in (0, 2, 3)])
     kinds.write(tmp_path / "motion", [])
-    _graphs(tmp_path, tmp_path / "graphs", "image", params)  # no clouds, no perception are there
-    assert f"image: no frames in {BLIND}" in capsys.readouterr().out
-    with store.DriveReader(tmp_path / f"graphs/image/{FULL}.h5", stage="graphs") as file:
-        assert file.frame.tolist() == [3, 6, 9]
-        assert (file.time_s == time_s[[0, 2, 3]]).all()
-        assert (file["image"] == image[[0, 2, 3]]).all()
-    with store.DriveReader(tmp_path / f"graphs/image/{BLIND}.h5", stage="graphs") as file:
-        assert file.shape("image") == (0, *street.SIZE, 3)
-    assert store.read_index(tmp_path / "graphs/image", stage="graphs") == SPLITS
+    folder = run_graphs(tmp_path, tmp_path / "graphs", source="ingest")  # neither clouds nor perception exist
+    assert f"no frames in {BLIND}" in capsys.readouterr().out
+    content = read(folder)
+    assert content["frame"].tolist() == [3, 6, 9]
+    assert (content["time_s"] == raw["time_s"][[0, 2, 3]]).all()
+    assert (content["image"] == raw["image"][[0, 2, 3]]).all()
+    assert read(folder, BLIND)["image"].shape == (0, *street.SIZE, 3)
 
 
-@pytest.mark.slow
-def test_neither_workers_nor_blocks_change_a_byte(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    spanning = {"source": "clouds/pseudo", "points": 300, "k": 4, "accumulate": {"motion": "visual", "frames": 3}}
-    params = _params(tmp_path / "params.yaml", graphs={"sets": SETS, "spanning": spanning})
-    write_motion(tmp_path / "motion" / "visual", valid=[0, 1, 1, 1])
-    contents = []
-    for name, workers, size in (("a", 1, 32), ("b", 2, 1), ("c", 3, 3)):
-        monkeypatch.setattr(pool, "BLOCK_FRAMES", size)
-        out = tmp_path / name
-        out.mkdir()
-        (out / "ingest").symlink_to(data / "ingest")
-        (out / "motion").symlink_to(tmp_path / "motion")
-        clouds.main(data / "ingest", data / "perception", out / "clouds", data / "params.yaml", workers)
-        for variant in ("semantic", "sets", "image", "spanning"):
-            graphs.main(variant, out, out / "graphs", params, workers)
-        contents.append({str(path.relative_to(out)): path.read_bytes() for path in sorted(out.glob("[cg]*/*/*.*"))})
-    assert len(contents[0]) == 2 * 4 + 4 * 4
-    assert contents[0] == contents[1] == contents[2]
-
-
-def test_unknown_variants_and_foreign_files_are_one_line(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"graphs has no 'semantics': did you mean semantic\?"):
-        _graphs(data, tmp_path, "semantics")
-    (tmp_path / "clouds").mkdir()
+def test_unknown_variants_and_files_of_other_stages_are_refused(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="semantic"):
+        graphs.main("semantics", data, tmp_path, data / "params.yaml", workers=1)
     kinds.write(tmp_path / "motion", [])
     shutil.copytree(data / "ingest", tmp_path / "clouds/pseudo")
-    with pytest.raises(InputError, match=r"stage 'ingest'.* stage 'clouds'"):
-        _graphs(tmp_path, tmp_path / "graphs", "depth", data / "params.yaml")
+    with pytest.raises(InputError, match="clouds"):
+        run_graphs(tmp_path, tmp_path / "graphs", **PSEUDO)
     (tmp_path / f"clouds/pseudo/{BLIND}.h5").unlink()
-    with pytest.raises(InputError, match=rf"lacks {BLIND}.* dvc pull clouds"):
-        _graphs(tmp_path, tmp_path / "graphs", "depth", data / "params.yaml")
+    with pytest.raises(InputError, match=BLIND):
+        run_graphs(tmp_path, tmp_path / "graphs", **PSEUDO)
 
 
-def test_an_accumulated_cloud_is_that_of_several_frames(data: Path, tmp_path: Path) -> None:
-    for name in ("clouds", "ingest", "perception"):
-        (tmp_path / name).symlink_to(data / name)
-    write_motion(tmp_path / "motion" / "visual", valid=[0, 1, 1, 0])
-    lines = {
-        name: {"source": "clouds/pseudo", "points": 300, "k": 4, "crop_m": [-20, -3, 20, 30], "accumulate": settings}
-        for name, settings in {
-            "one": None, "three": {"motion": "visual", "frames": 3}
-        }.items()
-    }  # fmt: skip
-    lines["lidar"] = lines["three"] | {"source": "clouds/lidar", "accumulate": {"motion": "lidar", "frames": 3}}
-    params = _params(tmp_path / "params.yaml", graphs=lines)
-    one, three = (_graphs(tmp_path, tmp_path / "graphs", name, params) for name in ("one", "three"))
-    with (
-        store.DriveReader(one / f"{FULL}.h5", stage="graphs") as single,
-        store.DriveReader(three / f"{FULL}.h5", stage="graphs") as file,
-    ):
-        xyz, ptr = file["xyz"], file["ptr"]
-        assert (np.diff(ptr) == 300).all()
-        assert (file["visual_valid"] == [0, 1, 1, 0]).all()
-        of_frames = [xyz[a:b] for a, b in pairwise(ptr)]
-        for points in of_frames:
-            assert (cloud.morton_order(points) == np.arange(300)).all()
-            assert (points[:, 2] >= -3).all()
-            assert (points[:, 2] <= 30).all()
-        own = single["xyz"][: single["ptr"][1]]
-        assert (of_frames[0] == own).all()  # the first frame has nothing before it
-        nearest = [points[:, 2].min() for points in of_frames]
-        assert nearest[2] < nearest[0] - 1.5  # two metres since the first frame
-        assert nearest[3] > nearest[2] + 1  # motion that was not measured
-    with pytest.raises(InputError, match=r"graphs\.lidar\.accumulate\.motion = 'lidar', but .*motion holds visual: "):
-        graphs.main("lidar", tmp_path, tmp_path / "graphs", params, workers=1)
-
-
-def write_motion(folder: Path, valid: list[int]) -> None:
-    """Write the motion of a car that goes straight, a metre a frame."""
-    T_before = np.tile(np.eye(4, dtype=np.float32), (len(valid), 1, 1))
+def write_motion(folder: Path, frame: list[int], valid: list[int]) -> None:
+    """Write the motion of a car that drives straight on, one metre per frame."""
+    T_before = np.tile(np.eye(4, dtype=np.float32), (len(frame), 1, 1))
     T_before[:, 2, 3] = valid
     for drive in SPLITS:
         with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
-            file.put("frame", np.arange(len(valid), dtype=np.int32))
-            file.put("time_s", np.arange(len(valid)) / 10)
+            file.put("frame", np.array(frame, np.int32))
             file.put("valid", np.array(valid, np.uint8))
-            file.put("yaw_rate_radps", np.zeros(len(valid), np.float32))
+            file.put("yaw_rate_radps", np.zeros(len(frame), np.float32))
             file.put("speed_mps", np.array(valid, np.float32) * 10)
             file.put("T_before", T_before)
-            file.put("scale", np.ones(len(valid), np.float32))
+            file.put("scale", np.ones(len(frame), np.float32))
     store.write_index(folder, SPLITS)
     kinds.write(folder.parent, [folder.name])
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ({"source": "ingest", "accumulate": {"motion": "visual", "frames": 3}}, "accumulate means nothing to images"),
-        ({"accumulate": {"motion": "visual", "frames": 1}}, r"accumulate\.frames = 1: .*greater than or equal to 2"),
-        ({"accumulate": {"motion": "oxts", "frames": 3}}, r"accumulate\.motion = 'oxts': .*visual.*lidar"),
-        ({"accumulate": {"motion": "lidar", "frames": 3}}, r"accumulate\.motion = 'lidar' is in metres.*take visual"),
-        ({"accumulate": {"frames": 3}}, r"accumulate\.motion is missing"),
-        ({"accumulate": {"motion": "visual", "frame": 3}}, r"unknown key graphs\.v\.accumulate\.frame: .*frames"),
-    ],
-)
-def test_what_accumulate_cannot_be_is_refused(tmp_path: Path, line: dict[str, object], message: str) -> None:
-    points = {"points": 300, "k": 4} if "source" not in line else {}
-    params = _params(tmp_path / "params.yaml", graphs={"v": {"source": "clouds/pseudo"} | points | line})
-    with pytest.raises(InputError, match=message):
-        graphs.main("v", tmp_path, tmp_path / "graphs", params, workers=1)
+def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "clouds").symlink_to(data / "clouds")
+    write_motion(tmp_path / "motion/visual", [0, 1, 2, 3], [0, 1, 1, 0])
+    variant = {**PSEUDO, "crop_m": [-20, -3, 20, 30]}
+    single = read(run_graphs(tmp_path, tmp_path / "graphs", **variant))
+    content = read(run_graphs(tmp_path, tmp_path / "graphs", **variant, accumulate={"motion": "visual", "frames": 3}))
+    assert (np.diff(content["ptr"]) == 300).all()
+    clouds = np.split(content["xyz"], content["ptr"][1:-1])
+    for points in clouds:
+        assert (cloud.morton_order(points) == np.arange(300)).all()
+        assert ((points[:, 2] >= -3) & (points[:, 2] <= 30)).all()
+    assert (clouds[0] == single["xyz"][: single["ptr"][1]]).all()
+    nearest = [points[:, 2].min() for points in clouds]
+    assert nearest[2] < nearest[0] - 1.5  # two metres since the first frame
+    assert nearest[3] > nearest[2] + 1  # motion is not valid
+    lidar = {"source": "clouds/lidar", "accumulate": {"motion": "lidar", "frames": 3}}
+    with pytest.raises(InputError, match=r"accumulate\.motion = 'lidar'"):
+        run_graphs(tmp_path, tmp_path / "graphs", **{**variant, **lidar})
 
 
-def test_each_kind_of_measured_motion_is_carried_by_points_and_images(tmp_path: Path, data: Path) -> None:
+@pytest.mark.parametrize("variant", [PSEUDO, {"source": "ingest"}], ids=["points", "images"])
+def test_graph_files_contain_the_measured_motion(data: Path, tmp_path: Path, variant: dict[str, object]) -> None:
     for folder in ("clouds", "ingest"):
         (tmp_path / folder).symlink_to(data / folder)
-    for drive in SPLITS:
-        with store.DriveWriter(tmp_path / f"motion/visual/{drive}.h5", stage="motion", drive=drive, params={}) as file:
-            file.put("frame", np.array([1, 3], np.int32))
-            file.put("yaw_rate_radps", np.array([0.1, 0.3], np.float32))
-            file.put("speed_mps", np.array([1, 3], np.float32))
-            file.put("valid", np.array([0, 1], np.uint8))
-    store.write_index(tmp_path / "motion/visual", SPLITS)
-    kinds.write(tmp_path / "motion", ["visual"])
-    params = _params(tmp_path / "params.yaml", graphs={"image": {"source": "ingest"}})
-    for variant in ("depth", "image"):
-        path = _graphs(tmp_path, tmp_path / "graphs", variant, params) / f"{FULL}.h5"
-        with store.DriveReader(path, stage="graphs") as file:
-            assert file["visual_speed_mps"].tolist() == [0, 1, 0, 3]
-            assert file["visual_valid"].tolist() == [0, 0, 0, 1]
-            assert "lidar_valid" not in file
+    write_motion(tmp_path / "motion/visual", [1, 3], [0, 1])
+    content = read(run_graphs(tmp_path, tmp_path / "graphs", **variant))
+    assert content["visual_speed_mps"].tolist() == [0, 0, 0, 10]
+    assert content["visual_valid"].tolist() == [0, 0, 0, 1]
+    assert "lidar_valid" not in content
+
+
+@pytest.mark.parametrize(
+    ("variant", "message"),
+    [
+        (
+            {"source": "ingest", "accumulate": {"motion": "visual", "frames": 3}},
+            "accumulate is not an option",
+        ),
+        ({**PSEUDO, "accumulate": {"motion": "visual", "frames": 1}}, r"accumulate\.frames"),
+        ({**PSEUDO, "accumulate": {"motion": "oxts", "frames": 3}}, r"accumulate\.motion"),
+        ({**PSEUDO, "accumulate": {"motion": "lidar", "frames": 3}}, "approximately"),
+        ({**PSEUDO, "accumulate": {"motion": "visual", "frame": 3}}, r"accumulate\.frame"),
+    ],
+)
+def test_invalid_settings_of_accumulate_are_refused(tmp_path: Path, variant: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        run_graphs(tmp_path, tmp_path, **variant)

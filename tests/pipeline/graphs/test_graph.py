@@ -96,7 +96,7 @@ def test_undirected_counts_who_names_whom_and_is_in_order() -> None:
 
 def test_an_edge_goes_with_both_its_ends_whatever_its_direction() -> None:
     named = graph.undirected(np.array([[3], [3], [0], [0]], np.int32))  # edges 0-3 (both), 1-3, 0-2
-    made = graph.pruned(named, np.array([0, 1, 0, 0], np.uint8), 0.0, np.random.default_rng(0))
+    made = graph.prune(named, np.array([0, 1, 0, 0], np.uint8), 0.0, np.random.default_rng(0))
     assert _pairs(made) == {(0, 3), (3, 0), (0, 2), (2, 0)}
     assert (made.degree.tolist(), made.edges_knn, made.edges_kept) == ([2, 0, 1, 1], 4, 3)
 
@@ -105,10 +105,10 @@ def test_a_hub_of_more_than_255_neighbours_is_refused() -> None:
     def hub(others: int) -> graph.Graph:
         named = np.zeros((others + 1, 1), np.int32)
         named[0] = 1
-        return graph.pruned(graph.undirected(named), np.zeros(others + 1, np.uint8), 1.0, np.random.default_rng(0))
+        return graph.prune(graph.undirected(named), np.zeros(others + 1, np.uint8), 1.0, np.random.default_rng(0))
 
     assert hub(255).degree[0] == 255
-    with pytest.raises(InputError, match=r"256 neighbours.*smaller k"):
+    with pytest.raises(InputError, match="256 neighbours"):
         hub(256)
 
 

@@ -1,4 +1,4 @@
-"""Sources: what is cut off an image moves the optical axis, a KITTI drive is keyed on numbers and times of its own."""
+"""Sources: cropping, frame numbers and times, and what is refused."""
 
 from pathlib import Path
 
@@ -7,68 +7,69 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.live.source import Lens, open_source
+from pipeline.live.source import Lens, Source, open_source
 from pipeline.train.windows import Car
 from tests import kitti_drive
 
-CAR = Car(2.7, 1.0)
+
+def open_path(path: Path, lens: Lens = Lens(), aspect: tuple[int, int] = (48, 64), scans: bool = False) -> Source:
+    return open_source(path, [2, 0], lens, aspect, scans, Car(2.7, 1.0))
 
 
 @pytest.mark.parametrize(
     ("size", "axis", "expected"),
     [
-        ((100, 160), (80.0, 30.0), (slice(10, 50), slice(0, 160))),  # too tall: rows go, the axis stays in the middle
-        ((100, 160), (80.0, 5.0), (slice(0, 40), slice(0, 160))),  # but no row is invented
+        ((100, 160), (80.0, 30.0), (slice(10, 50), slice(0, 160))),  # too tall: the axis is centred
+        ((100, 160), (80.0, 5.0), (slice(0, 40), slice(0, 160))),  # within the image
         ((20, 160), (100.0, 9.0), (slice(0, 20), slice(60, 140))),  # too wide
     ],
 )
-def test_an_image_is_cut_to_a_shape_around_the_optical_axis(
+def test_images_are_cropped_around_the_optical_axis(
     tmp_path: Path, size: tuple[int, int], axis: tuple[float, float], expected: tuple[slice, slice]
 ) -> None:
     image = np.random.default_rng(0).integers(0, 255, (*size, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "7.png"), image)
-    lens = Lens(K=f"90,90,{axis[0]},{axis[1]}")
-    source = open_source(tmp_path, [2, 0], lens, (192, 768), scans=False, car=CAR)
-    (moment,) = source.moments
+    source = open_path(tmp_path, Lens(K=f"90,90,{axis[0]},{axis[1]}"), (192, 768))
+    (frame,) = source.frames
     rows, columns = expected
-    np.testing.assert_array_equal(moment.image, image[rows, columns, ::-1])
-    assert source.view.size == moment.image.shape[:2]
-    # A point of the street falls on the same pixel of the street.
-    np.testing.assert_allclose(source.view.K[:2, 2], [axis[0] - columns.start, axis[1] - rows.start])
-    assert moment.driven_rad is None
+    np.testing.assert_array_equal(frame.source_image, image[rows, columns, ::-1])
+    assert source.size == frame.source_image.shape[:2]
+    np.testing.assert_allclose(source.K[:2, 2], [axis[0] - columns.start, axis[1] - rows.start])
+    assert frame.driven_rad is None
 
 
-def test_frames_of_a_drive_have_numbers_times_scans_and_the_driven_angle(tmp_path: Path) -> None:
+def test_frames_of_a_drive_are_those_of_stage_ingest(tmp_path: Path) -> None:
     folder = kitti_drive.write_drive(tmp_path, frames=[0, 1, 3, 4])
     (folder / "oxts/data/0000000001.txt").unlink()
-    source = open_source(folder, [2, 0], Lens(), (48, 64), scans=True, car=CAR)
-    moments = list(source.moments)
-    assert [moment.number for moment in moments] == [0, 3, 4]  # as stage ingest takes them
-    assert [moment.time_s for moment in moments] == pytest.approx([0.0, 0.3, 0.4])
-    assert source.view.name == kitti_drive.DRIVE
-    assert source.view.scans
-    assert all(moment.scan is not None and moment.scan.shape[1] == 4 for moment in moments)
+    source = open_path(folder, scans=True)
+    frames = list(source.frames)
+    assert [frame.number for frame in frames] == [0, 3, 4]
+    assert [frame.time_s for frame in frames] == pytest.approx([0.0, 0.3, 0.4])
+    assert source.name == kitti_drive.DRIVE
+    assert source.has_scans
+    assert all(frame.scan is not None and frame.scan.shape[1] == 4 for frame in frames)
 
 
-def test_a_drive_of_images_alone_has_the_cameras_times_or_nominal_ones(tmp_path: Path) -> None:
+def test_a_drive_without_oxts_has_the_times_of_its_camera(tmp_path: Path) -> None:
     folder = kitti_drive.write_drive(tmp_path, frames=[0, 1, 2], lidar=False)
     for path in sorted((folder / "oxts").rglob("*"), reverse=True):
         path.unlink() if path.is_file() else path.rmdir()
-    source = open_source(folder, [2, 0], Lens(), (48, 64), scans=False, car=CAR)
-    assert [moment.time_s for moment in source.moments] == pytest.approx([0.0, 0.1, 0.2])
-    assert "timestamps.txt is missing: frames are taken to come 10 times a second" in source.notes[0]
+    source = open_path(folder)
+    assert [frame.time_s for frame in source.frames] == pytest.approx([0.0, 0.1, 0.2])
+    assert "timestamps.txt is missing" in source.notes[0]
     stamps = "".join(f"2011-09-26 13:02:{25 + number / 5:012.9f}\n" for number in range(3))
     (folder / "image_02/timestamps.txt").write_text(stamps)
-    source = open_source(folder, [2, 0], Lens(), (48, 64), scans=False, car=CAR)
-    assert [moment.time_s for moment in source.moments] == pytest.approx([0.0, 0.2, 0.4])
-    assert source.fps == pytest.approx(5.0)
-    assert not source.notes
+    source = open_path(folder)
+    assert [frame.time_s for frame in source.frames] == pytest.approx([0.0, 0.2, 0.4])
+    assert (source.fps, source.notes) == (pytest.approx(5.0), [])
 
 
-def test_what_a_drive_lacks_is_said(tmp_path: Path) -> None:
-    folder = kitti_drive.write_drive(tmp_path, camera=None)
-    with pytest.raises(InputError, match="has no images of camera 2 or 0: extract image_02 as well"):
-        open_source(folder, [2, 0], Lens(), (48, 64), scans=False, car=CAR)
-    folder = kitti_drive.write_drive(tmp_path / "other")
-    with pytest.raises(InputError, match="a calibration of its own"):
-        open_source(folder, [2, 0], Lens(fov_deg=80), (48, 64), scans=False, car=CAR)
+def test_drives_without_images_or_with_a_lens_and_tiny_images_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no images of camera 2 or 0"):
+        open_path(kitti_drive.write_drive(tmp_path, camera=None))
+    with pytest.raises(InputError, match="its own calibration"):
+        open_path(kitti_drive.write_drive(tmp_path / "other"), Lens(fov_deg=80))
+    (tmp_path / "tiny").mkdir()
+    cv2.imwrite(str(tmp_path / "tiny/0.png"), np.zeros((1, 1, 3), np.uint8))
+    with pytest.raises(InputError, match="too small"):
+        open_path(tmp_path / "tiny", Lens(fov_deg=80))

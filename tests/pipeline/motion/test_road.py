@@ -1,4 +1,4 @@
-"""A flat road before a camera: steps tell the direction of travel, each by its length."""
+"""A flat road in front of a camera: direction of travel, road mask and scale of depth."""
 
 import numpy as np
 import pytest
@@ -20,11 +20,11 @@ def step(down_m: float, ahead_m: float) -> np.ndarray:
 def road(*steps: np.ndarray) -> Road:
     made = Road(street.K, street.SIZE, CAMERA_HEIGHT_M)
     for one in steps:
-        made.travelled(one)
+        made.add_step(one)
     return made
 
 
-def test_the_direction_of_travel_is_down_over_ahead_of_the_whole_way() -> None:
+def test_the_slope_is_weighted_by_length() -> None:
     assert road().slope == 0
     assert road(*[step(0.02, 1.0)] * 50).slope == pytest.approx(50 * 0.02 / (50 + 10))
     assert road(*[step(0.02, 1.0)] * 9, step(0.5, 10.0)).slope == pytest.approx(0.68 / 29)
@@ -33,7 +33,7 @@ def test_the_direction_of_travel_is_down_over_ahead_of_the_whole_way() -> None:
 
 
 @pytest.mark.parametrize("slow", [step(0.02, 0.004), step(0.02, 0.0), step(0.1, 0.2)])
-def test_a_slow_step_says_nothing(slow: np.ndarray) -> None:
+def test_short_steps_are_ignored(slow: np.ndarray) -> None:
     before, after = road(*[step(0.0, 0.8)] * 50), road(*[step(0.0, 0.8)] * 50, slow)
     assert after.slope == before.slope
     (on_road, scale), (as_before, _) = after.find(DEPTH_M, USABLE), before.find(DEPTH_M, USABLE)
@@ -42,19 +42,19 @@ def test_a_slow_step_says_nothing(slow: np.ndarray) -> None:
     np.testing.assert_array_equal(on_road, as_before)
 
 
-def test_no_way_is_steeper_than_a_camera_is_mounted() -> None:
+def test_the_slope_is_limited() -> None:
     assert road(*[step(2.0, 1.0)] * 50).slope == MAX_SLOPE
     assert road(*[step(-2.0, 1.0)] * 50).slope == -MAX_SLOPE
 
 
-def test_half_as_far_is_a_scale_of_two_and_without_a_height_depth_stays() -> None:
+def test_scale_corrects_depth_if_the_height_is_given() -> None:
     assert road().find(DEPTH_M / 2, USABLE)[1] == pytest.approx(2, rel=0.01)
     found, scale = Road(street.K, street.SIZE, None).find(DEPTH_M / 2, USABLE)
     assert found.any()
     assert scale == 1
 
 
-def test_a_road_that_is_not_seen_is_not_found() -> None:
+def test_no_road_if_the_patch_is_not_visible() -> None:
     found, scale = road().find(DEPTH_M, USABLE & (DEPTH_M > 14))
     assert not found.any()
     assert scale == 1

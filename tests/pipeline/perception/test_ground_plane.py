@@ -2,11 +2,11 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.geometry import back_project
-from pipeline.perception.ground_plane import ground_plane_depth, put_on_ground
+from pipeline.perception.ground_plane import ground_plane_depth, limit_traffic_depth
 from tests import street
 
 
-def test_ground_is_a_plane_below_the_camera_and_what_stands_on_it_is_as_far_as_its_foot() -> None:
+def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot() -> None:
     _, truth, cls = street.scene(0)
     depth = ground_plane_depth(cls, street.K, 1.65)
     ground = cls == classes.ROAD
@@ -19,7 +19,7 @@ def test_ground_is_a_plane_below_the_camera_and_what_stands_on_it_is_as_far_as_i
             np.testing.assert_allclose(depth[: foot[0], column], depth[foot[0], column])
 
 
-def test_without_any_ground_all_is_where_the_image_ends() -> None:
+def test_without_ground_the_last_row_counts() -> None:
     depth = ground_plane_depth(np.full(street.SIZE, classes.CAR, np.uint8), street.K, 1.65)
     np.testing.assert_allclose(depth, 1.65 * 40 / (31 - 12))
 
@@ -30,17 +30,17 @@ def test_twice_as_high_is_twice_as_far() -> None:
     np.testing.assert_allclose(ground_plane_depth(cls, street.K, 2.0)[near < 60], 2 * near[near < 60])
 
 
-def test_traffic_is_no_farther_than_its_foot_and_nothing_else_moves() -> None:
+def test_only_traffic_is_limited() -> None:
     _, truth, cls = street.scene(0)
     cls = cls.copy()
     column = np.flatnonzero((cls == classes.ROAD).any(axis=0) & (cls == classes.BUILDING).any(axis=0))[0]
     lorry = np.zeros(cls.shape, bool)
     lorry[:, column] = cls[:, column] == classes.BUILDING
     cls[lorry] = classes.TRUCK
-    seen = np.where(lorry, 70.0, truth)
-    put_on_ground(seen, cls, street.K, 1.65, reach=1.1)
-    np.testing.assert_array_equal(seen[~lorry], truth[~lorry])
-    np.testing.assert_allclose(seen[lorry], 1.1 * ground_plane_depth(cls, street.K, 1.65)[lorry])
+    depth = np.where(lorry, 70.0, truth)
+    limit_traffic_depth(depth, cls, street.K, 1.65, reach=1.1)
+    np.testing.assert_array_equal(depth[~lorry], truth[~lorry])
+    np.testing.assert_allclose(depth[lorry], 1.1 * ground_plane_depth(cls, street.K, 1.65)[lorry])
     near = np.where(lorry, 2.0, truth)
-    put_on_ground(near, cls, street.K, 1.65, reach=1.1)
+    limit_traffic_depth(near, cls, street.K, 1.65, reach=1.1)
     assert (near[lorry] == 2.0).all()

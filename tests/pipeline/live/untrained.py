@@ -1,4 +1,4 @@
-"""A model of small size with weights as they are drawn, and graph files of its kind."""
+"""An untrained small model, and graph files for it."""
 
 from collections.abc import Callable
 from pathlib import Path

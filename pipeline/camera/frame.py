@@ -1,0 +1,29 @@
+"""One frame of a drive, and the camera that recorded it: what per-frame functions of the stages take."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.camera.images import Size
+
+
+@dataclass
+class Frame:
+    """Sensor data and perception of one frame; None where the frame lacks it."""
+
+    number: int  # KITTI's, or counted from 0
+    time_s: float  # since the start of the drive
+    image: np.ndarray | None = None  # RGB uint8 [H,W,3], at the size of depth and classes
+    depth: np.ndarray | None = None  # uint16 [H,W], as stored: images.to_metres
+    cls: np.ndarray | None = None  # trainIds uint8 [H,W]
+    scan: np.ndarray | None = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A rectified pinhole camera at the size of depth and classes."""
+
+    size: Size  # (H, W)
+    K: np.ndarray  # [3,3] for that size
+    T_cam_velo: np.ndarray | None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
+    height_m: float  # over the road

@@ -1,0 +1,36 @@
+"""A frame on its way through the chain."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.camera.frame import Frame
+from pipeline.motion.estimator import Estimate
+
+
+class Motion(NamedTuple):
+    """Motion since the previous frame as the graph file stores it, left and forward positive; 0 if not valid."""
+
+    yaw_rate_radps: np.float32 = np.float32(0)
+    speed_mps: np.float32 = np.float32(0)
+    valid: bool = False
+
+    @classmethod
+    def from_estimate(cls, estimate: Estimate | None) -> "Motion":
+        if estimate is None:
+            return cls()
+        return cls(np.float32(estimate.yaw_rate_radps), np.float32(estimate.speed_mps), True)
+
+
+@dataclass
+class FrameState(Frame):
+    """A frame of a source, and the results of the steps for it."""
+
+    source_image: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # RGB uint8, at the source's size
+    started_s: float = 0.0  # time.perf_counter() before the frame was read
+    driven_rad: float | None = None  # ground truth from oxts, where the source has it
+    motion: Motion = field(default_factory=Motion)  # of the kind that the model takes
+    arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, as in pipeline.train.frames
+    predicted_rad: float | None = None  # None until the first complete window
+    latency_s: float = 0.0  # from `started_s` to the prediction

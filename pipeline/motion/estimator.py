@@ -1,0 +1,49 @@
+"""The car's motion since the previous frame, frame by frame, from images and depth or from scans."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.camera.frame import Camera, Frame
+from pipeline.camera.images import to_metres
+from pipeline.motion import lidar, visual
+from pipeline.motion.step import Step, StepClock, rates
+
+
+class Estimate(NamedTuple):
+    """Measured motion: mean rates over the step, left and forward positive."""
+
+    step: Step
+    yaw_rate_radps: float
+    speed_mps: float
+
+
+class MotionEstimator:
+    """Measures the motion of one drive; kind: visual or lidar."""
+
+    def __init__(self, kind: str, camera: Camera, *, road_scale: bool) -> None:
+        """`road_scale`: correct the scale of depth by the camera's height over the road; visual only."""
+        self._visual = self._lidar = None
+        if kind == "visual":
+            self._visual = visual.Odometry(camera.K, camera.size, camera.height_m if road_scale else None)
+        else:
+            self._lidar = lidar.Odometry(np.eye(4) if camera.T_cam_velo is None else camera.T_cam_velo)
+        self._clock = StepClock()
+
+    def estimate(self, frame: Frame) -> Estimate | None:
+        """Return the motion since the previous frame; None where it cannot be measured.
+
+        Frames come in order of their numbers. A frame without a scan does not count for lidar.
+        """
+        if self._visual:
+            assert frame.image is not None
+            assert frame.depth is not None
+            assert frame.cls is not None
+            depth_m = to_metres(frame.depth).astype(np.float32)
+            step = self._visual.step(visual.View(frame.number, frame.image, depth_m, frame.cls))
+        elif self._lidar and frame.scan is not None:
+            step = self._lidar.step(lidar.Scan(frame.number, frame.scan))
+        else:
+            return None
+        duration_s = self._clock.duration(frame.number, frame.time_s)
+        return Estimate(step, *rates(step.T_before, duration_s)) if step else None

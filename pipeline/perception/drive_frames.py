@@ -1,0 +1,115 @@
+"""Frames of one drive from the files of stages ingest and perception, matched by frame number."""
+
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.params import Section
+from pipeline.base.progress import track
+from pipeline.base.resume import stage_key
+from pipeline.base.runner import Summary, run_over_drives
+from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.camera.frame import Camera, Frame
+
+LIDAR = "lidar"  # the kind of motion and of clouds that is made from scans; other kinds are made from images
+
+
+class DriveFrames:
+    """The frames of a drive that have an image, or those that have a scan."""
+
+    def __init__(self, ingest: DriveReader, perception: DriveReader, kind: str) -> None:
+        self._ingest, self._perception = ingest, perception
+        self._scan_rows = np.flatnonzero(ingest["has_lidar"]) if kind == LIDAR else None
+        source, rows = (perception, slice(None)) if self._scan_rows is None else (ingest, self._scan_rows)
+        self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
+        self.time_s = source.time_s[rows]  # float64 [F]
+        # A drive without images and scans has no camera, one without LiDAR no T_cam_velo.
+        has_K, has_lidar = "K" in ingest, "T_cam_velo" in ingest
+        self.camera = Camera(
+            perception.shape("cls")[1:],  # type: ignore[arg-type]
+            ingest["K"] if has_K else np.eye(3),
+            ingest["T_cam_velo"] if has_lidar else None,
+            float(perception.attrs["camera_height_m"]),
+        )
+
+    def __iter__(self) -> Generator[Frame]:
+        """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""
+        image_row = {int(number): row for row, number in enumerate(self._perception.frame)}
+        ingest_row = {int(number): row for row, number in enumerate(self._ingest.frame)}
+        ptr = self._ingest["lidar_ptr"] if self._scan_rows is not None else np.zeros(0, np.int64)
+        for number, time_s in zip(track(self.frame.tolist()), self.time_s.tolist(), strict=True):
+            frame, raw_row, row = Frame(number, time_s), ingest_row[number], image_row.get(number)
+            if row is not None:
+                frame.cls = self._perception.row("cls", row)
+            if self._scan_rows is not None:
+                frame.scan = self._ingest.rows("lidar", ptr[raw_row], ptr[raw_row + 1])
+            elif row is not None:
+                frame.image = self._ingest.row("image", raw_row)
+                frame.depth = self._perception.row("depth_m", row)
+            yield frame
+
+
+@contextmanager
+def open_frames(ingest: Path, perception: Path, drive: str, kind: str) -> Iterator[DriveFrames]:
+    """Open the frames of a drive from the folders of stages ingest and perception."""
+    with (
+        DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+        DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
+    ):
+        yield DriveFrames(raw, perceived, kind)
+
+
+Write = Callable[[str, str, DriveFrames, DriveWriter], Summary]
+"""Kind, drive, its frames, its open file → summary. Picklable."""
+
+
+def run_over_kinds(
+    stage: str,
+    write: Write,
+    kinds: Sequence[str],
+    drives: Sequence[str],
+    settings: Section,
+    *,
+    ingest: Path,
+    perception: Path,
+    out: Path,
+    workers: int | None,
+    describe: Callable[[Summary], str],
+) -> dict[str, dict[str, Summary]]:
+    """Write out/<kind>/<drive>.h5 for all kinds and drives in one parallel run. Returns kind → drive → summary."""
+
+    def key(name: str) -> str:
+        inputs = [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)]
+        return stage_key(stage, {"name": name, **settings.model_dump(mode="json")}, inputs)
+
+    summaries = run_over_drives(
+        partial(_write, stage=stage, write=write, params={stage: settings.model_dump()}, folders=(ingest, perception)),
+        [f"{kind}/{drive}" for kind in kinds for drive in drives],
+        out=out,
+        key=key,
+        frames=partial(_count, folders=(ingest, perception)),
+        workers=workers,
+        describe=describe,
+    )
+    return {kind: {drive: summaries[f"{kind}/{drive}"] for drive in drives} for kind in kinds}
+
+
+def _write(
+    name: str, path: Path, *, stage: str, write: Write, params: Mapping[str, Any], folders: tuple[Path, Path]
+) -> Summary:
+    kind, drive = name.split("/")
+    with (
+        open_frames(*folders, drive, kind) as frames,
+        DriveWriter(path, stage=stage, drive=drive, params=params) as file,
+    ):
+        return write(kind, drive, frames, file)
+
+
+def _count(name: str, folders: tuple[Path, Path]) -> int:
+    kind, drive = name.split("/")
+    with open_frames(*folders, drive, kind) as frames:
+        return len(frames.frame)

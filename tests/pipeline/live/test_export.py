@@ -1,0 +1,102 @@
+"""Exported programs equal the network on real frames."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from models.steering.core.batch import GraphBatch
+from models.steering.core.steering_net import SteeringNet
+from models.steering.spatial import blind, edgeconv, gatv2, gnn
+from models.steering.temporal.lstm import LSTM
+from pipeline.base.errors import InputError
+from pipeline.live.export import _pad, export, read_examples
+from pipeline.live.export_modules import Spatial
+from tests.pipeline.live import untrained
+
+POINTS = 50
+NETWORKS = [
+    gnn.GCN(6, layers=(32, 8), semantics=1.0),  # wider than its input, then narrower
+    gnn.GCN(6, layers=(16,)),
+    edgeconv.network(6, layers=(16, 8), semantics=0.5),
+    gatv2.network(6, layers=(16, 6), semantics=1.0),  # four heads, and two
+    blind.Blind(6),
+]
+
+
+def frame() -> GraphBatch:
+    """Return a random graph; some points, the first and the last among them, have no neighbours."""
+    torch.manual_seed(0)
+    edges = torch.rand(POINTS, POINTS) < 0.1
+    edges = (edges | edges.T).fill_diagonal_(False)
+    isolated = torch.tensor([0, 1, 17, POINTS - 1])
+    edges[isolated], edges[:, isolated] = False, False
+    xyz, trainid = 20 * torch.randn(POINTS, 3), torch.randint(0, 19, (POINTS,), dtype=torch.uint8)
+    return GraphBatch(
+        xyz, trainid, torch.tensor([0, POINTS]), edges.sum(1).to(torch.uint8), edges.nonzero()[:, 1].int()
+    )
+
+
+@pytest.mark.parametrize("equivariant", [False, True])
+@pytest.mark.parametrize("network", NETWORKS, ids=lambda network: type(network).__name__)
+def test_the_module_equals_the_network(network: nn.Module, equivariant: bool) -> None:
+    net, batch = SteeringNet(network, LSTM(6), equivariant), frame()
+    arrays = _pad({name: getattr(batch, name).numpy() for name in ("xyz", "cls", "degree", "indices")})
+    with torch.no_grad():
+        features = Spatial(net, "graph")(*map(torch.from_numpy, arrays.values()))
+        torch.testing.assert_close(features, net.encode(batch), rtol=0, atol=2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"spatial": "gnn", "temporal": "ncp", "equivariant": True, "motion": "visual"},
+        {"spatial": "gatv2", "temporal": "ncp", "cell": "eq4"},
+        {"spatial": "pointnet2", "equivariant": True},
+        {"spatial": "cnn"},
+    ],
+    ids=lambda settings: settings["spatial"],
+)
+def test_each_kind_of_network_is_exported(tmp_path: Path, settings: dict[str, Any]) -> None:
+    """The programs run without this project, on frames of other sizes, and repeat their results."""
+    model, out = untrained.model(tmp_path, **settings), tmp_path / "out"
+    manifest = export(model, tmp_path / "graphs/semantic", out, 1e-5)
+    assert json.loads((out / "export.json").read_text()) == json.loads(json.dumps(manifest))
+    assert {path.name for path in out.iterdir()} == {"spatial.pt2", "recurrent.pt2", "export.json"}
+    spatial, recurrent = (torch.export.load(out / f"{part}.pt2").module() for part in manifest["inputs"])
+    example = read_examples(model, tmp_path / "graphs/semantic")[-1]
+    inputs = [[torch.from_numpy(each[name]) for name in manifest["inputs"]["spatial"]] for each in example.frames]
+    features = {torch.cat([spatial(*each) for each in inputs]).numpy().tobytes() for _ in range(5)}
+    assert len(features) == 1
+    window = [torch.from_numpy(example.window[name]) for name in manifest["inputs"]["recurrent"]]
+    window[0] = torch.from_numpy(np.frombuffer(features.pop(), np.float32).reshape(window[0].shape).copy())
+    assert float(recurrent(*window)[0]) == pytest.approx(example.output, abs=1e-5)
+
+
+class Untraceable(nn.Module):
+    def forward(self, batch: Any) -> Tensor:
+        return torch.full((batch.frames, 8), float(batch.xyz.sum()))
+
+
+def test_faults_leave_no_export_and_other_files_stay(tmp_path: Path) -> None:
+    model, out, graphs = untrained.model(tmp_path), tmp_path / "out", tmp_path / "graphs/semantic"
+    with pytest.raises(InputError, match=r"tolerance 0\)"):
+        export(model, graphs, out, 0.0)
+    model.net.spatial = Untraceable()
+    with pytest.raises(InputError, match="cannot be exported") as raised:
+        export(model, graphs, out, 1e-5)
+    assert "spatial part of model net" in raised.value.where
+    assert not out.exists()
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    for path in (out, out / "notes.txt"):
+        with pytest.raises(InputError, match="not an earlier export"):
+            export(model, graphs, path, 1e-5)
+    long = untrained.model(tmp_path, window=13)
+    with pytest.raises(InputError, match="no window of 13 consecutive frames"):
+        export(long, graphs, tmp_path / "new", 1e-5)

@@ -1,0 +1,118 @@
+"""Results appear when a run succeeds; after an error, an interrupt or a kill, the partial results can be read."""
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from pipeline.base.errors import InputError
+from pipeline.live.frame_state import FrameState
+from pipeline.live.overlay import Overlay
+from pipeline.live.results import CSV, UNFINISHED, VIDEO, Results, result_folder
+from pipeline.live.source import Source
+
+SIZE, FPS = (96, 320), 10.0
+
+
+def frames(count: int) -> list[FrameState]:
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (count, *SIZE, 3), np.uint8)
+    return [
+        FrameState(row, row / FPS, source_image=image, predicted_rad=0.1, driven_rad=0.05)
+        for row, image in enumerate(images)
+    ]
+
+
+def overlay(path: Path) -> Overlay:
+    K = np.array([[200.0, 0, 160], [0, 200, 40], [0, 0, 1]])
+    return Overlay(path, Source("drive", SIZE, K, iter(()), None, FPS), 1.65, 2.7)  # type: ignore[arg-type]
+
+
+def decoded(path: Path) -> int:
+    with av.open(str(path)) as file:
+        return sum(1 for _ in file.decode(video=0))
+
+
+def write(out: Path, text: str) -> None:
+    with result_folder(out) as folder:
+        (folder / CSV).write_text(text)
+        if text == "fail":
+            raise RuntimeError
+
+
+def test_results_replace_earlier_ones_only_on_success(tmp_path: Path) -> None:
+    (tmp_path / VIDEO).write_text("earlier")
+    write(tmp_path, "first")
+    assert (tmp_path / CSV).read_text() == "first"
+    assert not (tmp_path / VIDEO).exists()  # of another run
+    with pytest.raises(RuntimeError):
+        write(tmp_path, "fail")
+    assert (tmp_path / CSV).read_text() == "first"
+    assert (tmp_path / UNFINISHED / CSV).read_text() == "fail"
+    with result_folder(tmp_path), pytest.raises(InputError, match="another process"):
+        write(tmp_path, "second")
+
+
+def test_rows_gaps_and_latency() -> None:
+    class File(list[str]):
+        def write(self, text: str) -> None:
+            self.append(text)
+
+        def flush(self) -> None: ...
+
+    file = File()
+    results = Results(file, "drive", warm_up=1)  # type: ignore[arg-type]
+    assert np.isnan(results.summary()["hz"])
+    for number, angle in ((3, None), (4, 0.25), (7, -0.5)):
+        results.add(FrameState(number, number / 10, predicted_rad=angle, latency_s=0.02))
+    assert file[1:] == [
+        "drive,3,0.300000,,,20.0\n",
+        "drive,4,0.400000,0.250000,,20.0\n",
+        "drive,7,0.700000,-0.500000,,20.0\n",
+    ]
+    summary = results.summary()
+    assert (summary["frames"], summary["predicted"], summary["gaps"]) == (3, 2, [(4, 7)])
+    assert summary["p50_ms"] == pytest.approx(20)
+
+
+def test_a_video_has_every_frame(tmp_path: Path) -> None:
+    with overlay(tmp_path / VIDEO) as video:
+        for frame in frames(12):
+            video.add(frame)
+    with av.open(str(tmp_path / VIDEO)) as file:
+        stream = file.streams.video[0]
+        assert (stream.codec_context.name, stream.average_rate, stream.height, stream.width) == ("h264", FPS, *SIZE)
+    assert decoded(tmp_path / VIDEO) == 12
+
+
+def test_a_full_disk_is_an_error(tmp_path: Path) -> None:
+    """RLIMIT_FSIZE limits a file as a full disk does."""
+
+    def write_video() -> None:
+        with overlay(tmp_path / VIDEO) as video:
+            for frame in frames(30):
+                video.add(frame)
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            write_video()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_killed_run_leaves_a_playable_video(tmp_path: Path) -> None:
+    code = (
+        "import os, signal; from pathlib import Path; from tests.pipeline.live import test_results as t\n"
+        f"video = t.overlay(Path({str(tmp_path / VIDEO)!r}))\n"
+        "for frame in t.frames(35): video.add(frame)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    root = Path(__file__).resolve().parents[3]
+    assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == -9
+    assert decoded(tmp_path / VIDEO) >= 20

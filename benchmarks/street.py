@@ -99,4 +99,4 @@ def _read(path: Path, points: int) -> cloud.Cloud:
     xyz = np.stack([-y, -z, x], axis=1)
     column = np.floor(xyz[:, [0, 2]] / 4).astype(np.int64) @ np.array([7, 13])
     cls = np.where(xyz[:, 1] > 1.4, ROAD, np.array(STANDING)[column % len(STANDING)]).astype(np.uint8)
-    return cloud.stored((xyz, cls), points, np.random.default_rng(0))
+    return cloud.downsample((xyz, cls), points, np.random.default_rng(0))

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from models.steering.core import steering_net
 from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
@@ -114,13 +113,13 @@ def read_examples(model: Trained, graphs: Path) -> list[Example]:
 
 def _read_drive(model: Trained, drive: str, graphs: frames.Graphs) -> Iterator[Example]:
     steering_rad = model.predict(graphs)
-    timeline = windows.Timeline.of(graphs, model.line["motion"], model.target.car)
+    timeline = windows.Timeline.read(graphs, model.line["motion"], model.target.car)
     ends = np.flatnonzero(~np.isnan(steering_rad))
     for end in ends[np.linspace(0, len(ends) - 1, min(WINDOWS_PER_DRIVE, len(ends))).round().astype(int)].tolist():
         span = windows.Span(0, end - model.window + 1, end + 1)
         (batch,) = windows.batches([timeline], [[span]], model.window, {0: graphs})
         with torch.inference_mode():
-            window = {"features": steering_net.encode(model.net, batch).numpy()[None], "dt_s": batch["dt_s"]}
+            window = {"features": model.net.encode(model.net.frames(batch)).numpy()[None], "dt_s": batch["dt_s"]}
         if "motion" in batch:
             window["motion"] = batch["motion"][None]
         output = (float(steering_rad[end]) - float(batch["base_rad"][0])) / model.target.std_rad

@@ -16,8 +16,8 @@ app = typer.Typer(
 )
 
 
-def _add(name: str, command: Callable[..., object], kept: str, needs_arguments: bool = True) -> None:
-    app.command(name, no_args_is_help=needs_arguments)(guarded(command, kept))
+def _add(name: str, command: Callable[..., object], after_stop: str, needs_arguments: bool = True) -> None:
+    app.command(name, no_args_is_help=needs_arguments)(guarded(command, after_stop))
 
 
 _add("predict", predict.predict, "the frames so far are in .unfinished of the output folder")

@@ -83,7 +83,11 @@ def _missing_drives(
         return [f"{raw} is missing, but params.yaml names {len(named)} of its drives. Run: ln -s /path/to/kitti {raw}"]
     present = [one.drive for one in drives]
     missing = [drive for drive in named if drive not in present]
-    return [f"{drive}: named in params.yaml, missing in {root} ({closest(drive, present)})" for drive in missing]
+    if not missing:
+        return []
+    more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+    names = ", ".join(missing[:3]) + more
+    return [f"named in params.yaml, missing in {root}: {names} ({closest(missing[0], present)})"]
 
 
 def _print(

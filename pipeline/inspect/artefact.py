@@ -104,18 +104,16 @@ def _parts(folder: Path) -> Content | None:
     """Describe data/, or one of its folders that holds several artefacts, as graphs/: one row each."""
     inside = folder.absolute().name in _STAGES
     rows: list[Content] = []
-    for part in sorted(path for path in folder.iterdir() if not path.name.startswith(".")):
-        if not (inside or part.name in _STAGES) or not part.is_dir():
-            continue
+    for part in sorted(path for path in folder.iterdir() if inside or path.name in _STAGES):
         try:
-            content = describe(part)
+            content = _folder(part) if part.is_dir() and not part.name.startswith(".") else None
         except InputError as error:
-            rows.append({"folder": part.name, "problem": str(error)})
-            continue
-        if content["kind"] == "folder of artefacts":
+            content = {"kind": "damaged", "problem": str(error)}
+        if content and content["kind"] == "folder of artefacts":
             rows += [row | {"folder": f"{part.name}/{row['folder']}"} for row in content["parts"]]
-        else:
+        elif content:
             drives = content.get("drives")
             counts = {"drives": len(drives), "frames": content.get("frames")} if isinstance(drives, list) else {}
-            rows.append({"folder": part.name, "kind": content["kind"], **counts, "bytes": content["bytes"]})
-    return {"kind": "folder of artefacts", "parts": rows} if any("kind" in row for row in rows) else None
+            row = {"folder": part.name, "kind": content["kind"], **counts, "bytes": size_of(part)}
+            rows.append(row | {key: content[key] for key in content if key == "problem"})
+    return {"kind": "folder of artefacts", "parts": rows} if rows else None

@@ -42,12 +42,12 @@ def trace(path: Path) -> dict[str, str]:
     project = project_root(path)
     stages = read_lock(project) if project else {}
     if project is None or not stages:
-        return {"made by": "unknown: there is no dvc.lock in the folders above"}
+        return {"written by": "unknown: there is no dvc.lock in the folders above"}
     place = path.absolute() if path.absolute().is_relative_to(project) else path.resolve()
-    names = _makers(place.relative_to(project).as_posix(), stages)
-    facts = {"made by": ", ".join(names) or f"unknown: no stage in {project / 'dvc.lock'} writes it"}
+    names = _writers(place.relative_to(project).as_posix(), stages)
+    facts = {"written by": ", ".join(names) or f"unknown: no stage in {project / 'dvc.lock'} writes it"}
     if len(names) == 1:
-        inputs = (path for path in _paths(stages[names[0]], "deps") if _makers(path, stages))
+        inputs = (path for path in _paths(stages[names[0]], "deps") if _writers(path, stages))
         facts["inputs"] = ", ".join(inputs) or "none"
         facts["stages before"] = ", ".join(_upstream(names[0], stages)) or "none"
     return facts
@@ -58,7 +58,7 @@ def _overlap(a: str, b: str) -> bool:
     return a in (b, ".") or a.startswith(f"{b}/") or b.startswith(f"{a}/")
 
 
-def _makers(path: str, stages: Stages) -> list[str]:
+def _writers(path: str, stages: Stages) -> list[str]:
     return [name for name, stage in stages.items() if any(_overlap(path, out) for out in _paths(stage, "outs"))]
 
 
@@ -67,7 +67,7 @@ def _upstream(name: str, stages: Stages) -> list[str]:
     found = [name]
     for stage in found:  # grows
         for path in _paths(stages[stage], "deps"):
-            found += [maker for maker in _makers(path, stages) if maker not in found]
+            found += [writer for writer in _writers(path, stages) if writer not in found]
     return found[1:]
 
 

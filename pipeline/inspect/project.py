@@ -103,6 +103,9 @@ def due_stages(folder: Path) -> dict[str, str]:
 
 
 def _reason(parts: list[Any]) -> str:
-    """Return what `dvc status` lists for one stage as text."""
-    changes = [part.items() if isinstance(part, dict) else [(str(part), "")] for part in parts]
-    return "; ".join(f"{kind}: {', '.join(names)}" if names else kind for change in changes for kind, names in change)
+    """Return what `dvc status` lists for one stage as text, at most three names of each kind of change."""
+    changes = [change for part in parts for change in (part.items() if isinstance(part, dict) else [(str(part), [])])]
+    return "; ".join(
+        f"{kind}: {', '.join([*names][:3])}{', …' if len(names) > 3 else ''}" if names else kind
+        for kind, names in changes
+    )

@@ -83,7 +83,8 @@ def test_drives_that_params_do_not_name_give_notes(project: Path, root: Path) ->
 
 def test_drives_of_params_that_are_missing(project: Path, root: Path) -> None:
     shutil.rmtree(root / f"2011_09_26/{OTHER}_sync")
-    assert f"{OTHER}: named in params.yaml, missing" in doctor(status=1)
+    text = doctor(status=1)
+    assert f"missing in {project}/data/raw: {OTHER} (did you mean {DRIVE}?)" in text
     (project / "data/raw").unlink()
     assert "ln -s" in doctor(status=1)
 

@@ -40,7 +40,7 @@ def test_file_with_its_datasets_params_and_origin(data: Path) -> None:
 def test_frame_is_drawn_and_printed_alone(data: Path) -> None:
     text = show(data / f"graphs/semantic/{DRIVE}.h5", "--frame", 3)
     assert text.splitlines()[1].split() == ["frame", "3"]
-    assert "made by" not in text
+    assert "written by" not in text
     picture = cv2.imread(f"{DRIVE}-frame-3.png")
     assert picture is not None
     assert picture.std() > 5
@@ -51,7 +51,7 @@ def test_frame_is_drawn_and_printed_alone(data: Path) -> None:
 def test_json_and_quiet(data: Path) -> None:
     content = json.loads(show(data / f"graphs/semantic/{DRIVE}.h5", "--json"))
     assert (content["frames"], content["stage"]) == (5, "graphs")
-    assert content["origin"]["made by"].startswith("unknown")
+    assert content["origin"]["written by"].startswith("unknown")
     content = json.loads(show(data / f"graphs/semantic/{DRIVE}.h5", "--json", "--frame", 2, "--out", "a.png"))
     assert (content["picture"], content["edges_knn"]) == ("a.png", 180)
     assert show(data, "--quiet") == ""

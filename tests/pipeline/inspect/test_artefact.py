@@ -77,8 +77,8 @@ def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> N
     write(tmp_path / "models/code.py", "")
     rows = {row["folder"]: row for row in artefact.describe(tmp_path)["parts"]}
     assert {name: row.get("kind") for name, row in rows.items()} == {
-        "graphs/semantic": "folder of drives", "labels": "folder of drives", "models": None, "pictures": "pictures",
-        "train/gnn": "model", "train/other": None,
+        "graphs/semantic": "folder of drives", "labels": "folder of drives", "pictures": "pictures",
+        "train/gnn": "model", "train/other": "damaged",
     }  # fmt: skip
     assert "config.json" in rows["train/other"]["problem"]
     assert (rows["labels"]["drives"], rows["labels"]["frames"]) == (2, 10)

@@ -64,10 +64,10 @@ def copy(finished: Path, tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_stage_and_the_stages_before(finished: Path) -> None:
     assert lineage.trace(finished / "data/train/small/labels/code.py") == {
-        "made by": "train@small", "inputs": "data/labels", "stages before": "labels, ingest",
+        "written by": "train@small", "inputs": "data/labels", "stages before": "labels, ingest",
     }  # fmt: skip
-    assert set(lineage.trace(finished / "data/train")["made by"].split(", ")) == {"train@large", "train@small"}
-    assert "no stage" in lineage.trace(finished / "labels.py")["made by"]
+    assert set(lineage.trace(finished / "data/train")["written by"].split(", ")) == {"train@large", "train@small"}
+    assert "no stage" in lineage.trace(finished / "labels.py")["written by"]
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
 
 def test_without_dvc_lock_the_origin_is_unknown(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
-    assert lineage.trace(tmp_path / "data")["made by"].startswith("unknown")
+    assert lineage.trace(tmp_path / "data")["written by"].startswith("unknown")
 
 
 @pytest.mark.parametrize(

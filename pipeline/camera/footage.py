@@ -13,7 +13,7 @@ from pipeline.camera.pixels import read_pixels
 from pipeline.camera.video import Image, Video, open_video
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
-_SMALLEST_PX = 32  # of a side, as `image_size` in params.yaml
+_SMALLEST_PX = 16  # of a side
 
 
 @dataclass

@@ -1,10 +1,7 @@
-"""Stage ingest on small drives in KITTI raw's layout, sound and damaged."""
+"""Stage ingest on small drives in KITTI raw's layout, intact and damaged."""
 
 import os
-import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base import pool
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.geometry import scale_K
@@ -24,8 +20,8 @@ OTHER = "2011_09_26_drive_0002"
 NEW = (32, 40)
 
 
-def run(tmp_path: Path, workers: int = 1, drives: tuple[str, str] = (DRIVE, OTHER), **settings: Any) -> DriveReader:
-    """Ingest what lies below ``raw``, and open the first drive's file."""
+def run(tmp_path: Path, drives: tuple[str, str] = (DRIVE, OTHER), workers: int = 1, **settings: Any) -> DriveReader:
+    """Ingest the drives below ``raw`` and open the first one's file."""
     params = write_params(tmp_path / "params.yaml", train=[drives[0]], test=[drives[1]], **settings)
     if drives[1] == OTHER and not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
@@ -35,11 +31,11 @@ def run(tmp_path: Path, workers: int = 1, drives: tuple[str, str] = (DRIVE, OTHE
 
 
 def pixels(path: Path) -> np.ndarray:
-    """Second route to what ingest should store of a picture."""
+    """Compute by another route what ingest should store of an image."""
     return cv2.resize(cv2.imread(str(path)), NEW[::-1], interpolation=cv2.INTER_AREA)[..., ::-1]
 
 
-def test_everything_of_a_drive(tmp_path: Path) -> None:
+def test_complete_drive(tmp_path: Path) -> None:
     folder = write_drive(tmp_path / "raw", truth=True)
     with run(tmp_path) as file:
         np.testing.assert_array_equal(file.frame, [0, 1, 2, 3])
@@ -59,37 +55,15 @@ def test_everything_of_a_drive(tmp_path: Path) -> None:
             np.testing.assert_array_equal(file[f"has_{name}"], [1, 1, 1, 1])
         assert (file["depth"].dtype, file.shape("depth")) == (np.uint16, (4, *NEW))
         assert (file["cls"].dtype, file.shape("cls")) == (np.uint8, (4, *NEW))
-        assert file.attrs["camera"] == 2
-        assert (file.attrs["split"], file.attrs["source"]) == ("train", "kitti")
+        assert (file.attrs["camera"], file.attrs["split"], file.attrs["source"]) == (2, "train", "kitti")
         assert len(file.attrs["fingerprint"]) == 64
     assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", OTHER: "test"}
 
 
-@pytest.mark.slow
-def test_files_are_byte_identical_whoever_writes_them_in_whatever_blocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7, 9], truth=True)
-    for name in ("oxts/data/0000000003.txt", "truth/cls/0000000006.png"):
-        cut(folder / name)
-    (folder / "velodyne_points/data/0000000007.bin").unlink()
-    made, logs = [], []
-    for workers, size in ((1, 32), (2, 1), (3, 4)):
-        monkeypatch.setattr(pool, "BLOCK_FRAMES", size)
-        run(tmp_path, workers=workers, on_damaged="skip")
-        made.append(contents(tmp_path / "data/ingest"))
-        logs.append(re.search(rf"{DRIVE}: (.*) damaged cls left out", capsys.readouterr().out))
-    assert made[0] == made[1] == made[2]
-    assert {log and log[1] for log in logs} == {
-        "5 frames, 5 images, 4 scans, camera 2, 5 depth and 4 class truths, 1 damaged oxts left out, 1"
-    }
-
-
-def test_gaps_go_by_frame_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_go_by_frame_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7])
-    (folder / "image_02/data/0000000005.png").unlink()
-    (folder / "velodyne_points/data/0000000003.bin").unlink()
-    (folder / "oxts/data/0000000006.txt").unlink()
+    for name in ("image_02/data/0000000005.png", "velodyne_points/data/0000000003.bin", "oxts/data/0000000006.txt"):
+        (folder / name).unlink()
     with run(tmp_path) as file:
         np.testing.assert_array_equal(file.frame, [2, 3, 5, 7])
         np.testing.assert_allclose(file.time_s, [0, 0.1, 0.3, 0.5], atol=1e-9)
@@ -98,8 +72,7 @@ def test_gaps_go_by_frame_number(tmp_path: Path, capsys: pytest.CaptureFixture[s
         np.testing.assert_array_equal(file["lidar_ptr"], [0, 200, 200, 400, 600])
         np.testing.assert_array_equal(file["image"][3], pixels(folder / "image_02/data/0000000007.png"))
         assert not file["image"][2].any()
-        assert "depth" not in file
-        assert "cls" not in file
+        assert not {"depth", "cls"} & set(file.names)
     text = capsys.readouterr().out
     assert f"{DRIVE}: 4 frames, 3 images, 3 scans, camera 2, 1 without an oxts packet left out" in text
 
@@ -117,10 +90,9 @@ def test_truth_of_some_frames(tmp_path: Path) -> None:
 
 def test_grey_drive_without_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_drive(tmp_path / "raw", camera=0, lidar=False)
-    (folder / "image_02/data").mkdir(parents=True)  # half-extracted: the colour folder is there, but empty
+    (folder / "image_02/data").mkdir(parents=True)  # half-extracted: the colour folder exists, but is empty
     with run(tmp_path) as file:
         assert file.attrs["camera"] == 0
-        assert file.shape("image") == (4, *NEW, 3)
         np.testing.assert_array_equal(file["image"][1], pixels(folder / "image_00/data/0000000001.png"))
         assert file.shape("lidar") == (0, 4)
         np.testing.assert_array_equal(file["lidar_ptr"], np.zeros(5))
@@ -132,64 +104,46 @@ def test_oxts_alone_is_enough_for_labels(tmp_path: Path, capsys: pytest.CaptureF
     for path in (tmp_path / "raw" / DATE).glob("calib_*"):
         path.unlink()
     write_drive(tmp_path / "raw", "2011_09_28_drive_0001", seed=1)
-    with run(tmp_path, drives=(DRIVE, "2011_09_28_drive_0001")) as file:
-        assert "K" not in file
-        assert "T_cam_velo" not in file
-        assert file.attrs["camera"] == -1
-        assert file.shape("image") == (4, *NEW, 3)
+    with run(tmp_path, (DRIVE, "2011_09_28_drive_0001")) as file:
+        assert not {"K", "T_cam_velo"} & set(file.names)
+        assert (file.attrs["camera"], file.shape("image")) == (-1, (4, *NEW, 3))
         assert not file["has_image"].any()
-    text = capsys.readouterr().out
-    assert f"{DRIVE}: 4 frames, 0 images, 0 scans, " in text
-    assert f"no images: {DRIVE}\nno scans: {DRIVE}\n" in text
-    labels.main(tmp_path / "data/ingest", tmp_path / "data/labels", tmp_path / "params.yaml", workers=1)
+    assert f"no images: {DRIVE}\nno scans: {DRIVE}\n" in capsys.readouterr().out
+    labels.main(tmp_path / "data/ingest", tmp_path / "data/labels", tmp_path / "params.yaml")
     assert read_index(tmp_path / "data/labels", stage="labels")[DRIVE] == "train"
 
 
-def test_lidar_off_reads_no_scans(tmp_path: Path) -> None:
-    folder = write_drive(tmp_path / "raw")
-    write(folder / "velodyne_points/data/0000000001.bin", "broken")
-    with run(tmp_path, lidar=False) as file:
-        assert not file["has_lidar"].any()
-        assert file["has_image"].all()
+def cut(path: Path) -> None:
+    write(path, path.read_bytes()[: path.stat().st_size * 6 // 10])
 
 
-def cut(path: Path, share: float = 0.6) -> None:
-    content = path.read_bytes()
-    path.write_bytes(content[: int(len(content) * share)])
-
-
-SCAN = "velodyne_points/data/0000000001.bin"
+IMAGE, SCAN, PACKET = (
+    f"{folder}/data/0000000001.{kind}"
+    for folder, kind in (("image_02", "png"), ("velodyne_points", "bin"), ("oxts", "txt"))
+)
 DAMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
-    "cut scan": (SCAN, lambda path: write(path, path.read_bytes()[:1601]), "cut short"),
-    "scan without its low rings": (SCAN, lambda path: write(path, path.read_bytes()[:1600]), "cut short"),
-    "cut image": ("image_02/data/0000000001.png", cut, "cut short"),
-    "empty image": ("image_02/data/0000000001.png", lambda path: write(path, ""), "is empty"),
-    "cut depth": ("truth/depth/0000000001.png", cut, "cut short"),
-    "cut packet": ("oxts/data/0000000001.txt", cut, "of 30 oxts columns"),
-    "NaN in a packet": ("oxts/data/0000000001.txt", lambda path: write(path, "nan " * 30), "lat is nan"),
+    "cut scan": (SCAN, lambda path: write(path, path.read_bytes()[:1601]), "lidar"),
+    "scan without its low rings": (SCAN, lambda path: write(path, path.read_bytes()[:1600]), "lidar"),
+    "cut image": (IMAGE, cut, "image"),
+    "empty image": (IMAGE, lambda path: write(path, ""), "image"),
+    "cut depth": ("truth/depth/0000000001.png", cut, "depth"),
+    "cut packet": (PACKET, cut, "oxts"),
+    "NaN in a packet": (PACKET, lambda path: write(path, "nan " * 30), "oxts"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_frame_ends_the_stage_and_leaves_what_was_there(tmp_path: Path, damage: str) -> None:
+def test_damaged_frame_is_an_error_or_left_out(tmp_path: Path, damage: str, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_drive(tmp_path / "raw", truth=True)
+    name, spoil, kind = DAMAGES[damage]
     run(tmp_path)
     before = contents(tmp_path / "data/ingest")
-    name, break_it, message = DAMAGES[damage]
-    break_it(folder / name)
-    with pytest.raises(InputError, match=message) as error:
+    spoil(folder / name)
+    with pytest.raises(InputError) as raised:
         run(tmp_path)
-    assert str(folder / name) in str(error.value)
-    assert "ingest.on_damaged: skip" in str(error.value)
+    assert raised.value.where.endswith(str(folder / name))
+    assert "ingest.on_damaged: skip" in raised.value.fix
     assert contents(tmp_path / "data/ingest") == before
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damaged_frame_is_left_out_and_counted(tmp_path: Path, damage: str, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = write_drive(tmp_path / "raw", truth=True)
-    name, break_it, _ = DAMAGES[damage]
-    break_it(folder / name)
-    kind = {"velodyne_points": "lidar", "image_02": "image", "truth": "depth", "oxts": "oxts"}[name.split("/")[0]]
     with run(tmp_path, on_damaged="skip") as file:
         np.testing.assert_array_equal(file.frame, [0, 2, 3] if kind == "oxts" else [0, 1, 2, 3])
         for present in ("image", "lidar", "depth", "cls"):
@@ -204,100 +158,95 @@ def swap_times(folder: Path) -> None:
     write(path, "\n".join([lines[1], lines[0], *lines[2:]]))
 
 
-def forget_calibration(folder: Path, line: str) -> None:
+def remove_entry(folder: Path) -> None:
     path = folder.parent / "calib_cam_to_cam.txt"
-    write(path, "\n".join(text for text in path.read_text().splitlines() if not text.startswith(line)))
+    write(path, "\n".join(text for text in path.read_text().splitlines() if not text.startswith("P_rect_02")))
 
 
 FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "time goes backwards": (swap_times, r"oxts/timestamps.txt: time goes from .* it must increase"),
-    "no times": (lambda folder: (folder / "oxts/timestamps.txt").unlink(), r"timestamps.txt is missing: extract"),
-    "no packets": (lambda folder: shutil.rmtree(folder / "oxts/data"), r"oxts/data holds no packets"),
+    "time goes backwards": (swap_times, "time goes from"),
+    "no times": (lambda folder: (folder / "oxts/timestamps.txt").unlink(), "timestamps.txt: file is missing"),
+    "no packets": (lambda folder: shutil.rmtree(folder / "oxts/data"), "no oxts packets"),
     "image of another size": (
         lambda folder: write_png(folder / "image_02/data/0000000002.png", np.zeros((50, 64, 3), np.uint8)),
-        r"0000000002.png is 64 x 50 pixels, the calibration says 64 x 48",
+        r"64 x 50 pixels .*64 x 48",
     ),
-    "no camera calibration": (
-        lambda folder: (folder.parent / "calib_cam_to_cam.txt").unlink(),
-        r"calib_cam_to_cam.txt is missing",
-    ),
-    "camera not calibrated": (lambda folder: forget_calibration(folder, "P_rect_02"), r"has no P_rect_02"),
-    "scans not calibrated": (
-        lambda folder: (folder.parent / "calib_velo_to_cam.txt").unlink(),
-        r"lacks .*calib_velo_to_cam.txt",
-    ),
-}
+    "no calibration": (lambda folder: (folder.parent / "calib_cam_to_cam.txt").unlink(), "calib_cam_to_cam.txt"),
+    "camera not calibrated": (remove_entry, "P_rect_02"),
+    "scans not calibrated": (lambda folder: (folder.parent / "calib_velo_to_cam.txt").unlink(), "calib_velo_to_cam"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("on_damaged", ["fail", "skip"])
-def test_faults_of_a_whole_drive_are_errors_always(tmp_path: Path, fault: str, on_damaged: str) -> None:
+def test_faults_of_a_drive_are_never_tolerated(tmp_path: Path, fault: str) -> None:
     folder = write_drive(tmp_path / "raw")
-    run(tmp_path, on_damaged=on_damaged)
+    run(tmp_path, on_damaged="skip")
     before = contents(tmp_path / "data/ingest")
-    break_it, message = FAULTS[fault]
-    break_it(folder)
-    with pytest.raises(InputError, match=message):
-        run(tmp_path, on_damaged=on_damaged)
+    spoil, problem = FAULTS[fault]
+    spoil(folder)
+    with pytest.raises(InputError, match=problem) as raised:
+        run(tmp_path, on_damaged="skip")
+    assert raised.value.fix
     assert contents(tmp_path / "data/ingest") == before
 
 
-def test_only_changed_drives_are_read_again_after_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scans_are_not_read_with_lidar_off(tmp_path: Path) -> None:
+    write(write_drive(tmp_path / "raw") / SCAN, "broken")
+    with run(tmp_path, lidar=False) as file:
+        assert not file["has_lidar"].any()
+        assert file["has_image"].all()
+
+
+def test_resumed_run_notices_a_frame_that_was_extracted_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A finished drive waits for the next run, unless a file was replaced by one of the same size and time."""
     write_drive(tmp_path / "raw")
-    folder = write_drive(tmp_path / "raw", OTHER, seed=1)
-    picture = folder / "image_02/data/0000000000.png"
-    whole = picture.read_bytes()
-    cut(picture)
-    with pytest.raises(InputError, match="cut short"):
-        run(tmp_path)
-    picture.write_bytes(whole)
-    run(tmp_path)
-    assert "1 of 2 drives kept from the run before" in capsys.readouterr().out
+    damaged = write_drive(tmp_path / "raw", OTHER, seed=1) / SCAN
+    scan = tmp_path / "raw" / DATE / f"{DRIVE}_sync" / SCAN
+    intact = damaged.read_bytes()
+    for replaced in (False, True):
+        damaged.write_bytes(b"cut")
+        with pytest.raises(InputError, match="cut short"):
+            run(tmp_path)
+        assert len(list((tmp_path / "data/.resume/ingest").glob("*.h5"))) == 1
+        damaged.write_bytes(intact)
+        if replaced:
+            before, points = scan.stat(), np.fromfile(scan, np.float32).reshape(-1, 4)
+            points[:, 3] = 0.5
+            scan.write_bytes(points.tobytes())
+            os.utime(scan, ns=(before.st_atime_ns, before.st_mtime_ns))
+            assert scan.stat().st_size == before.st_size
+        capsys.readouterr()
+        with run(tmp_path) as file:
+            start, stop = file["lidar_ptr"][1:3]
+            assert (file.rows("lidar", start, stop)[:, 3] == 0.5).all() == replaced
+        assert ("1 of 2 drives kept" in capsys.readouterr().out) != replaced
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "stages.ingest", *map(str, arguments)], capture_output=True, text=True, check=False
-    )
-
-
-@pytest.mark.slow
-def test_raw_data_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    raw, out = tmp_path / "raw", tmp_path / "out"
+def test_missing_raw_data(tmp_path: Path) -> None:
+    raw = tmp_path / "raw"
     params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[OTHER])
-    arguments = ("--raw", raw, "--town", tmp_path / "town", "--out", out, "--params", params)
+    folders = {"raw": raw, "town": tmp_path / "town", "out": tmp_path / "out", "params": params}
 
-    def error() -> str:
-        ended = command(*arguments)
-        assert ended.returncode == 1
-        assert ended.stderr.count("\n") == 1
-        assert not out.exists()
-        return ended.stderr
+    def refused(problem: str) -> InputError:
+        with pytest.raises(InputError, match=problem) as raised:
+            ingest.main(**folders, workers=1)
+        assert not (tmp_path / "out").exists()
+        return raised.value
 
-    assert f"error: {raw} is missing. Link it: ln -s /path/to/kitti {raw}." in error()
+    assert f"ln -s /path/to/kitti {raw}" in refused("missing").fix
     raw.mkdir()
-    assert f"error: {raw} holds no drives" in error()
+    refused("no drives")
     write_drive(raw)
-    assert f"error: {raw} has no drive {OTHER}, named in ingest.drives: did you mean {DRIVE}?" in error()
+    refused(f"{OTHER} of ingest.drives is missing .did you mean {DRIVE}")
     write_params(params, train=[DRIVE], test=[DRIVE])
-    assert f"{DRIVE} is named twice" in error()
+    refused("more than once")
     write_params(params, train=[DRIVE], test=[OTHER], source="town")
-    assert f"error: {tmp_path / 'town'} is missing. Make it: dvc repro town" in error()
+    assert refused("missing").fix == "Make it: dvc repro town"
 
 
-@pytest.mark.slow
-def test_town_is_read_from_its_own_folder(tmp_path: Path) -> None:
-    for seed, drive in enumerate([DRIVE, OTHER]):
-        write_drive(tmp_path / "town", drive, seed=seed)
-    params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[OTHER], source="town")
-    ended = command(
-        "--town", tmp_path / "town", "--raw", tmp_path / "raw", "--out", tmp_path / "out", "--params", params
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert list(read_index(tmp_path / "out", stage="ingest")) == [DRIVE, OTHER]
-
-
-def test_of_both_each_drive_comes_from_its_own_folder(tmp_path: Path) -> None:
+def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
     sample = "2026_01_01_drive_0001"
     write_drive(tmp_path / "raw", DRIVE)
     write_drive(tmp_path / "town", sample, frames=range(2), truth=True)
@@ -310,10 +259,10 @@ def test_of_both_each_drive_comes_from_its_own_folder(tmp_path: Path) -> None:
             assert (file.attrs["source"], len(file.frame)) == (source, frames)
             assert ("cls" in file) == (source == "town")
     write_drive(tmp_path / "raw", sample)
-    with pytest.raises(InputError, match=rf"{sample} lies in .*raw, but with ingest.source: both what is called 2026_"):
+    with pytest.raises(InputError, match="name of the sample"):
         ingest.main(**folders, params=params, workers=1)
     shutil.rmtree(tmp_path / "raw")
-    with pytest.raises(InputError, match=r"raw is missing\. Link it"):
+    with pytest.raises(InputError, match="missing"):
         ingest.main(**folders, params=params, workers=1)
 
 
@@ -330,29 +279,6 @@ def test_real_drives(real_kitti: Path, tmp_path: Path) -> None:
         assert file["image"][5].std() > 30
     with DriveReader(tmp_path / f"data/ingest/{grey}.h5", stage="ingest") as file:
         assert file["has_image"].all()
-        assert file.shape("image") == (51, 96, 320, 3)
-        assert file.attrs["camera"] == 0
+        assert (file.attrs["camera"], file.shape("image")) == (0, (51, 96, 320, 3))
         assert np.ptp(file["image"], axis=-1).max() == 0
         assert np.diff(file.time_s) == pytest.approx(0.1037, abs=0.02)
-
-
-def test_a_frame_that_was_extracted_again_is_read_again(tmp_path: Path) -> None:
-    """Its drive waits, finished, for the next run, and the new file has the old one's size and time."""
-    write_drive(tmp_path / "raw")
-    other = write_drive(tmp_path / "raw", OTHER, seed=1)
-    scan = tmp_path / "raw" / DATE / f"{DRIVE}_sync/velodyne_points/data/0000000002.bin"
-    damaged = other / "velodyne_points/data/0000000001.bin"
-    sound = damaged.read_bytes()
-    damaged.write_bytes(b"cut")
-    with pytest.raises(InputError, match="is cut short"):
-        run(tmp_path)
-    assert len(list((tmp_path / "data/.resume/ingest").glob("*.h5"))) == 1
-    damaged.write_bytes(sound)
-    before, points = scan.stat(), np.fromfile(scan, np.float32).reshape(-1, 4)
-    points[:, 3] = 0.5
-    scan.write_bytes(points.tobytes())
-    os.utime(scan, ns=(before.st_atime_ns, before.st_mtime_ns))
-    assert scan.stat().st_size == before.st_size
-    with run(tmp_path) as file:
-        start, stop = file["lidar_ptr"][2:4]
-        np.testing.assert_array_equal(file.rows("lidar", start, stop), points)

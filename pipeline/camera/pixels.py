@@ -18,6 +18,8 @@ def read_pixels(path: Path) -> np.ndarray:
     """
     import cv2
 
+    if path.is_fifo():
+        raise DamagedFile("expected a regular file, got a pipe", path)  # reading it would block
     content = path.read_bytes()
     if not content:
         raise DamagedFile("file is empty", path)

@@ -147,22 +147,6 @@ def test_a_crop_without_any_point_is_refused(data: Path, tmp_path: Path, variant
     assert not (tmp_path / "v/index.json").exists()  # so that no model trains on it
 
 
-def test_pointnet2_neighbours_lie_in_balls(data: Path, tmp_path: Path) -> None:
-    xyz = read(run_graphs(data, tmp_path, **PSEUDO))["xyz"]
-    content = read(run_graphs(data, tmp_path, **SETS))
-    assert (content["xyz"] == xyz).all()
-    assert content["neighbours_1"].dtype == np.uint16
-    for frame in range(FRAMES):
-        points = xyz[frame * 300 :][:300]
-        for number, count, radius_m in ((1, 20, 4), (2, 6, 9)):
-            rows = slice(frame * count, (frame + 1) * count)
-            centres = content[f"centres_{number}"][rows]
-            offset = points[content[f"neighbours_{number}"][rows]] - points[centres][:, None]
-            assert np.linalg.norm(offset, axis=2).max() <= radius_m
-            assert len(np.unique(centres)) == count
-            points = points[centres]
-
-
 def test_images_are_copied_by_frame(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(data / "ingest", tmp_path / "ingest")
     raw = read(data / "ingest", stage="ingest")

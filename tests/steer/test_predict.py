@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -101,7 +102,7 @@ def test_sigterm_ends_a_run_like_ctrl_c_and_keeps_the_earlier_result(sample: Pat
     command += ["--model", str(sample / "data/train/images")]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "9"})
     while process.poll() is None and not (frames.exists() and frames.read_text().count("\n") > 20):
-        pass
+        time.sleep(0.2)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130

@@ -74,12 +74,6 @@ def test_pruning_keeps_every_edge_within_a_class_and_a_fifth_between() -> None:
     assert none == within
 
 
-def test_pruning_follows_the_generator() -> None:
-    xyz, cls = _street(300)
-    first, again, other = (_pairs(graph.build(xyz, cls, 6, 0.5, np.random.default_rng(seed))) for seed in (1, 1, 2))
-    assert first == again != other
-
-
 def test_permuted_points_give_the_permuted_graph() -> None:
     xyz, cls = _street(200)
     order = np.random.default_rng(1).permutation(200)
@@ -110,8 +104,3 @@ def test_a_hub_of_more_than_255_neighbours_is_refused() -> None:
     assert hub(255).degree[0] == 255
     with pytest.raises(InputError, match="256 neighbours"):
         hub(256)
-
-
-def test_large_graphs_number_their_nodes_in_32_bits() -> None:
-    assert graph.index_dtype(65_535) is np.uint16
-    assert graph.index_dtype(65_536) is np.uint32

@@ -1,4 +1,4 @@
-"""Section ``pictures``: pictures of a few frames."""
+"""Section ``pictures``: what people look at."""
 
 from pipeline.base.params import Count, Section
 

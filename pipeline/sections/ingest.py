@@ -1,4 +1,4 @@
-"""Section ``ingest``: which drives, and what is read of them."""
+"""Section ``ingest``: the drives and the data to read from them."""
 
 import re
 from typing import Annotated, Any, Literal, Self
@@ -8,14 +8,14 @@ from pydantic import Field, field_validator, model_validator
 from pipeline.base.params import SPLITS, Drive, ImageSize, Section
 
 SAMPLE = "2026_"
-"""How the names of the embedded sample's drives begin; KITTI's begin with 2011_."""
+"""Prefix of the embedded sample's drives; KITTI's is 2011_."""
 _RANGE = re.compile(r"([0-9]{4}_[0-9]{2}_[0-9]{2}_drive_)([0-9]{4})\.\.([0-9]{4})")
 
 
 class Drives(Section):
-    """Which drives each split holds. `val` may be empty: then there is no early stopping.
+    """The drives of each split. Without `val` there is no early stopping.
 
-    2026_01_01_drive_0001..0009 names all drives of a date from number 1 to number 9.
+    2026_01_01_drive_0001..0009 stands for the drives 0001 to 0009 of a date.
     """
 
     train: list[Drive] = Field(min_length=1)
@@ -24,17 +24,17 @@ class Drives(Section):
 
     @field_validator(*SPLITS, mode="before")
     @classmethod
-    def _all_named(cls, names: Any) -> Any:
+    def _expand_ranges(cls, names: Any) -> Any:
         if not isinstance(names, list):
             return names
-        return [drive for name in names for drive in (_in_range(name) if isinstance(name, str) else [name])]
+        return [drive for name in names for drive in (_expand(name) if isinstance(name, str) else [name])]
 
     @model_validator(mode="after")
     def _disjoint(self) -> Self:
         names = self.train + self.val + self.test
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(f"{', '.join(twice)} is named twice: a drive belongs to one split, once")
+            raise ValueError(f"duplicate drive {', '.join(twice)}: name each drive once, in one split")
         return self
 
     def splits(self) -> dict[str, str]:
@@ -42,14 +42,14 @@ class Drives(Section):
         return {drive: split for split in SPLITS for drive in getattr(self, split)}
 
 
-def _in_range(name: str) -> list[str]:
-    """Return the drives that a range names; of another word, the word."""
+def _expand(name: str) -> list[str]:
+    """Return the drives of a range, or a single name as it is."""
     match = _RANGE.fullmatch(name)
     if not match:
         return [name]
     date, first, last = match[1], int(match[2]), int(match[3])
     if last < first:
-        raise ValueError(f"{name} names no drive: {last:04d} comes before {first:04d}")
+        raise ValueError(f"{name} is an empty range: {last:04d} is below {first:04d}")
     return [f"{date}{number:04d}" for number in range(first, last + 1)]
 
 
@@ -63,7 +63,7 @@ class Ingest(Section):
     drives: Drives
 
     def sources(self) -> dict[str, Literal["town", "kitti"]]:
-        """Return drive → where it comes from; of `both`, the sample's drives are told by their names."""
+        """Return drive → its source; with ``source: both``, the name decides."""
         if self.source != "both":
             return dict.fromkeys(self.drives.splits(), self.source)
         return {drive: "town" if drive.startswith(SAMPLE) else "kitti" for drive in self.drives.splits()}

@@ -1,4 +1,4 @@
-"""Section ``motion``: what the car did since the frame before."""
+"""Section ``motion``: the car's motion since the previous frame."""
 
 from typing import Annotated, Literal
 
@@ -12,6 +12,6 @@ Kind = Literal["visual", "lidar"]
 class Motion(Section):
     key = "motion"
     kinds: Annotated[
-        tuple[Kind, ...], Field(min_length=1, description="measured from: visual (images and depth), lidar (scans)")
+        tuple[Kind, ...], Field(min_length=1, description="measured from visual (images and depth) or lidar (scans)")
     ]
     road_scale: Annotated[bool, Field(description="correct depth's scale by the camera's height over the road")] = True

@@ -1,4 +1,4 @@
-"""Section ``perception``: running the unified encoder."""
+"""Section ``perception``: depth and classes by the unified encoder."""
 
 from typing import Annotated, Literal, Self
 
@@ -14,17 +14,17 @@ class Perception(Section):
     batch: Count
     depth_scale: Annotated[
         DepthScale,
-        Field(description="where metres come from: the network, the camera's height over the road, LiDAR, nowhere"),
+        Field(description="source of metric scale: the network, the camera's height over the road, LiDAR, or none"),
     ] = "metric"
     camera_height_m: Annotated[Positive | None, Field(description="over the road; null: from the calibration")] = None
     reach: Annotated[
         Annotated[float, Field(ge=1)] | None,
-        Field(description="how many times as far as flat ground at its foot traffic is, at most; null: any"),
+        Field(description="maximum depth of traffic as a multiple of flat ground's at its foot; null: no limit"),
     ] = None
     precision: Literal["auto", "bfloat16", "float32"] = "auto"
 
     @model_validator(mode="after")
-    def _reach_is_of_metres(self) -> Self:
+    def _reach_is_metric(self) -> Self:
         if self.reach and self.depth_scale == "none":
-            raise ValueError("reach is of depth in metres: leave it out with depth_scale: none")
+            raise ValueError("reach needs depth in metres: remove it with depth_scale: none")
         return self

@@ -1,4 +1,4 @@
-"""Section ``pictures``: what people look at."""
+"""Section ``pictures``: pictures of a few frames."""
 
 from pipeline.base.params import Count, Section
 

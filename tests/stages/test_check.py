@@ -86,7 +86,7 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
         (f"{MODEL}.window", 0, "window"),
         ("graphs.semantic.keep_inter_class", 2, r"graphs\.semantic\.keep_inter_class"),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
-        (f"{MODEL}.spatial", "cnn", "spatial.*cnn.*expects images"),
+        ("models.gnn-ncp.spatial", "cnn", "spatial.*cnn.*expects images"),
         ("graphs.lidar.crop_m", [9, 0, -9, 40], "needs left < right and near < far"),
         ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m.*images"),
         ("graphs.semantic.kk", 2, r"graphs\.semantic\.kk"),

@@ -50,9 +50,6 @@ class Params(Section):
     evaluate: Evaluate
 
 
-KINDS: tuple[type[Section], ...] = (
-    Town, Ingest, Labels, Encoder, Perception, Motion, Clouds, Pictures, Train, Evaluate,
-)  # fmt: skip
 ENTRIES: dict[str, type[Section]] = {"graphs": Variant, "models": Model}
 
 
@@ -70,12 +67,11 @@ def validate(content: dict[str, Any], where: Path) -> Params:
     """Return the content of a complete params file as :class:`Params`. Raises InputError, which names `where`."""
     parsed = dict(content)
     with error_context(where):
-        # One by one, so that messages suggest the section's own keys.
-        for kind in KINDS:
-            if kind.key in content:
-                parsed[kind.key] = parse(kind, content[kind.key], kind.key)
-        for mapping, kind in ENTRIES.items():
-            if isinstance(content.get(mapping), dict):
-                entries = content[mapping].items()
-                parsed[mapping] = {name: parse(kind, entry, f"{mapping}.{name}") for name, entry in entries}
+        # Section by section, so that messages suggest the section's own keys.
+        for key, value in content.items():
+            if key in ENTRIES and isinstance(value, dict):
+                parsed[key] = {name: parse(ENTRIES[key], entry, f"{key}.{name}") for name, entry in value.items()}
+            elif key in Params.model_fields and key not in ENTRIES:
+                kind: Any = Params.model_fields[key].annotation
+                parsed[key] = parse(kind, value, key)
         return parse(Params, parsed, "")

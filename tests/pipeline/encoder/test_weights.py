@@ -1,3 +1,4 @@
+import gc
 import hashlib
 import socket
 import threading
@@ -127,6 +128,8 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(
     assert "\n" not in str(raised.value)
     assert list(Path("weights").iterdir()) == []
     assert socket.getdefaulttimeout() is None
+    del raised
+    gc.collect()  # of the socket, in this test
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:port/net.pth", "http://127.0.0.1:9/a b.pth"])

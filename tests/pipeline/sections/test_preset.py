@@ -111,7 +111,7 @@ def test_a_preset_can_undo_another_and_replace_the_models(tmp_path: Path) -> Non
         ("models:\n  a;b: {input: semantic, spatial: gnn, temporal: ncp, window: 8}\n", "letters"),
         ("models:\n  sa-gnn-ncp: null\n", "models.*at least 1"),
         ("graphs: 5\n", "graphs"),
-        ("graphs:\n  semantic:\n    k: null\n", r"graphs\.semantic.*needs k"),
+        ("graphs:\n  semantic:\n    k: null\n", r"graphs\.semantic.*\bk\b"),
         ("train:\n  epochs: null\n", r"train\.epochs.*missing"),
         ("encoder:\n  weights: {dept_head: a.pth}\n", r"dept_head"),
         ("train:\n  epochs: 1\n  epochs: 2\n", "duplicate"),

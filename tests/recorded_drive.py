@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-from pipeline.town.oxts import make_recording
 
 from pipeline.kitti.oxts import make_rows
 from pipeline.kitti.raw import RawDrive
+from pipeline.town.oxts import make_recording
 
 DRIVE = "2011_09_26_drive_0007"
 DT_S = 0.1

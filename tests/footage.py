@@ -1,4 +1,4 @@
-"""Small videos and folders of images, for tests of what reads recordings."""
+"""Write small videos and folders of images."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ SIZE = (48, 64)
 
 
 def pictures(count: int, size: tuple[int, int] = SIZE) -> np.ndarray:
-    """Return uint8 [count,H,W,3]: smooth, so that a video keeps them nearly as they are; each has its own grey."""
+    """Return uint8 [count,H,W,3]: smooth, so that video codecs change them little; each has its own grey."""
     v, u = np.mgrid[: size[0], : size[1]]
     ramp = np.stack([u * 60 // size[1], v * 60 // size[0], 0 * u], axis=-1)
     return np.stack([ramp + 40 + 150 * number // count for number in range(count)]).astype(np.uint8)
@@ -30,7 +30,7 @@ def write_video(path: Path, images: Sequence[np.ndarray] | np.ndarray, fps: floa
 
 
 def write_folder(folder: Path, images: Sequence[np.ndarray] | np.ndarray, name: str = "{:06d}.png") -> Path:
-    """Write RGB images as PNG files, or as `name` says."""
+    """Write RGB images to files called `name`."""
     for number, image in enumerate(images):
         write_png(folder / name.format(number), image)
     return folder

@@ -1,4 +1,4 @@
-"""Small drives in KITTI raw's layout, for tests: seeded noise, but complete and consistent."""
+"""Write small drives in KITTI raw's layout: seeded noise, but complete and consistent."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -105,7 +105,7 @@ def write_params(
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return relative path → contents of all files below a folder, to see that nothing changed."""
+    """Return relative path → contents of all files below a folder."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 

@@ -34,14 +34,14 @@ def view(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     The world's frame is that of a camera at the beginning of the street, which leads along z.
     """
     fine = SIZE[0] * FINER, SIZE[1] * FINER
-    grey, *_ = _seen(T_world_cam, scale_K(K, SIZE, fine), fine)  # aliases of a coarse image would not move as it does
+    grey, *_ = _render(T_world_cam, scale_K(K, SIZE, fine), fine)  # aliases of a coarse image would not move as it does
     image = cv2.resize(grey, SIZE[::-1], interpolation=cv2.INTER_AREA).astype(np.uint8)
-    _, depth, which, sky = _seen(T_world_cam, K, SIZE)
+    _, depth, which, sky = _render(T_world_cam, K, SIZE)
     cls = np.where(sky, classes.SKY, np.where(which == 0, classes.ROAD, classes.BUILDING)).astype(np.uint8)
     return np.repeat(image[..., None], 3, axis=-1), np.where(sky, 0, depth).astype(np.float32), cls
 
 
-def _seen(T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
+def _render(T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
     """Return brightness, depth, the number of the plane and whether it is sky, each [H,W]."""
     direction = rays(K, size) @ T_world_cam[:3, :3].T  # of depth 1
     origin = T_world_cam[:3, 3]

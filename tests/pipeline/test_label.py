@@ -16,21 +16,21 @@ def labels(yaw_rate: list[float], speed: list[float], standstill: label.Standsti
     )
 
 
-def test_left_bend_is_positive_and_radius_is_the_bicycles() -> None:
+def test_left_bend_is_positive_with_the_bicycles_radius() -> None:
     speed, radius = 8.0, 20.0
     angle = label.steering_angle(np.array([speed / radius, -speed / radius]), np.array([speed, speed]), L)
     np.testing.assert_allclose(np.tan(angle), [L / radius, -L / radius])
 
 
 def test_reversing_with_the_wheels_to_the_left_is_positive_too() -> None:
-    """Backwards along the same circle, v and the yaw rate both change sign; the wheels stay where they are."""
+    """In reverse along the same circle, v and the yaw rate change sign; the wheel angle does not."""
     forwards = label.steering_angle(np.array([0.3]), np.array([4.0]), L)
     backwards = label.steering_angle(np.array([-0.3]), np.array([-4.0]), L)
     np.testing.assert_array_equal(forwards, backwards)
     assert forwards > 0
 
 
-def test_no_speed_gives_a_finite_angle() -> None:
+def test_angle_at_standstill_is_finite() -> None:
     angle = label.steering_angle(np.array([0.0, 0.1, -0.1]), np.zeros(3), L)
     np.testing.assert_allclose(angle, [0, np.pi / 2, -np.pi / 2])
 
@@ -82,7 +82,7 @@ def test_plausibility_counts_valid_frames_only() -> None:
 
 
 @pytest.mark.parametrize("frames", [0, 1])
-def test_plausibility_of_next_to_nothing(frames: int) -> None:
+def test_plausibility_of_few_frames(frames: int) -> None:
     nothing = np.zeros(frames)
     summary = label.plausibility(nothing, nothing > 0, nothing, nothing, nothing)
     assert summary["frames"] == frames
@@ -90,7 +90,7 @@ def test_plausibility_of_next_to_nothing(frames: int) -> None:
 
 
 def test_constant_steering_drives_a_circle() -> None:
-    """After one round the car is back, and on its way it is 2R to the left of where it started."""
+    """After a full circle the car is back; halfway it is 2R to the left of its start."""
     radius, speed, frames = 12.0, 6.0, 2001
     time_s = np.linspace(0, 2 * np.pi * radius / speed, frames)
     angle = np.full(frames, np.arctan(L / radius))
@@ -100,7 +100,7 @@ def test_constant_steering_drives_a_circle() -> None:
 
 
 def test_coarse_steps_stay_on_the_circle() -> None:
-    """Ten steps a round: a heading taken at the start of each step would end metres outside of it."""
+    """Ten steps per circle: the heading at the start of each step would lead metres outside."""
     radius, speed, frames = 12.0, 6.0, 11
     time_s = np.linspace(0, 2 * np.pi * radius / speed, frames)
     xy = label.path(np.full(frames, np.arctan(L / radius)), np.full(frames, speed), time_s, wheelbase_m=L)
@@ -116,15 +116,15 @@ def test_mirrored_steering_drives_the_mirrored_path(model: str) -> None:
     np.testing.assert_allclose(left * [1, -1], right, atol=1e-12)
 
 
-def test_paper_model_is_its_formula_and_no_car() -> None:
-    """With constant steering the paper's path is a straight line: the angle is taken for the heading."""
+def test_paper_model_is_its_formula() -> None:
+    """With constant steering the paper's path is a straight line, as the angle is the heading."""
     time_s = np.array([0.0, 0.1, 0.3])
     xy = label.path(np.full(3, 0.2), np.array([5.0, 10.0, 0.0]), time_s, wheelbase_m=L, model="paper")
     distance = np.array([0.0, 0.5, 2.5])
     np.testing.assert_allclose(xy, distance[:, None] * [np.cos(0.2), np.sin(0.2)])
 
 
-def test_measured_angle_is_held_where_motion_says_nothing() -> None:
+def test_measured_angle_repeats_where_motion_is_unusable() -> None:
     yaw_rate, speed = np.array([9.0, 0.3, 9.0, 0.5, -0.2]), np.array([9.0, 6.0, 6.0, 0.4, -3.0])
     valid = np.array([0, 1, 0, 1, 1], np.uint8)
     angle = label.measured_angle(yaw_rate.astype(np.float32), speed.astype(np.float32), valid, 2.7, 1.0)

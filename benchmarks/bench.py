@@ -27,7 +27,7 @@ from benchmarks.rows.row import Row
 from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, closest
-from pipeline.report.tables import markdown
+from pipeline.report.tables import markdown_table
 
 CODE = Path(__file__).resolve().parents[1]
 SAMPLE_POINTS = 1000
@@ -179,7 +179,7 @@ def table(measured: Mapping[str, Row | str]) -> str:
         else:
             peer, ratio = ("" if figure is None else f"{figure:.3g}" for figure in (row.peer, row.ratio))
             body.append([name, f"{row.ours:.3g}", peer, row.unit, ratio, row.what])
-    return "\n".join(markdown.table(["row", "ours", "peer", "unit", "ratio", "ours / peer"], body))
+    return markdown_table(["row", "ours", "peer", "unit", "ratio", "ours / peer"], body)
 
 
 def device() -> str:

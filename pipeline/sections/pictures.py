@@ -1,4 +1,4 @@
-"""Section ``pictures``: what people look at."""
+"""Section ``pictures``: contact sheets of each drive."""
 
 from pipeline.base.params import Count, Section
 

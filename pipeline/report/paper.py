@@ -1,4 +1,4 @@
-"""What the paper's Tables 1 and 2 say of its seven networks, and which models of params.yaml are theirs."""
+"""The seven networks of the paper: their settings (Table 1) and errors (Table 2)."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -7,9 +7,9 @@ Settings = dict[str, tuple[Any, ...]]
 
 
 class Published(NamedTuple):
-    """A network of the paper: key of a model's settings → values that are the paper's; its MSE in Table 2.
+    """A network of the paper: settings as key → accepted values, and its MSE.
 
-    `accumulate` is a setting of the graph variant.
+    The keys are those of a model, and `accumulate` of its graph variant.
     """
 
     settings: Settings
@@ -17,19 +17,19 @@ class Published(NamedTuple):
     test_mse: float
 
 
-# What the paper leaves open is not here: widths, learning rates, … It prints its NCP as eq. 4 and cites the paper of
-# the LTC cell. None: the model has no such setting.
+# Settings that the paper does not give, for instance widths and learning rates, are not compared. It prints its NCP as
+# eq. 4 and cites the paper of the LTC cell, so both count. None: the model has no such setting.
 _ALL: Settings = {
     "equivariant": (False, None), "cell": ("ltc", "eq4", None), "motion": ("none", None), "horizon": (0, None),
     "fit_to": ("train", None), "roads": (None,), "accumulate": (None,),
 }  # fmt: skip
-_POINTS: Settings = {**_ALL, "semantics": (0.0, None), "alpha": (0.0, None)}  # all frames weigh alike, unlike the CNN's
+_POINTS: Settings = {**_ALL, "semantics": (0.0, None), "alpha": (0.0, None)}  # equal frame weights, unlike the CNN
 _SETS: Settings = {
     **_POINTS, "input": ("lidar-pointnet2",), "spatial": ("pointnet2",), "window": (6,), "width": (1.0, None),
 }  # fmt: skip
 _GRAPHS: Settings = {**_POINTS, "spatial": ("gnn",), "window": (8,)}
 _IMAGES: Settings = {**_ALL, "input": ("image",), "spatial": ("cnn",), "window": (16,)}
-PAPER = {  # in its order
+PAPER = {  # in the order of Table 2
     "cnn-ncp": Published({**_IMAGES, "temporal": ("ncp",)}, 0.108, 0.2676),
     "gnn-lstm": Published({**_GRAPHS, "input": ("lidar-50k",), "temporal": ("lstm",)}, 0.033, 0.130),
     "gnn-ncp": Published({**_GRAPHS, "input": ("lidar",), "temporal": ("ncp",)}, 0.046, 0.132),
@@ -43,9 +43,9 @@ PAPER = {  # in its order
 
 
 def name(settings: Mapping[str, Any]) -> str | None:
-    """Return which network of the paper a model's settings describe, whatever its own name; None if it is ours.
+    """Return the name of the paper's network with these settings, None if there is none.
 
-    Beside the model's own, `accumulate` of its graph variant.
+    `settings` are those of a model, and `accumulate` of its graph variant. The model's own name does not matter.
     """
     for network, published in PAPER.items():
         if all(settings.get(key) in values for key, values in published.settings.items()):

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.report.tables import paper
+from pipeline.report import paper
 
 PLAIN: dict[str, Any] = {"equivariant": False, "alpha": 0.0, "learning_rate": None, "features": 32}
 SEMANTIC = {**PLAIN, "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 8, "cell": "ltc"}

@@ -1,6 +1,7 @@
 """The whole chain as a user runs it: `dvc repro` in a scratch copy, on a smaller sample and real drives."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -46,8 +47,9 @@ def test_the_chain_ends_with_a_model_that_steers_by_what_it_sees(sample: Path) -
     result = json.loads((sample / f"data/evaluate/{MODEL}/metrics.json").read_text())
     assert result["test"]["nmse"] < 0.8  # so short a training is as good as its last bits; 1 would be blind
     assert result["test"]["baselines"]["zero"]["nmse"] == 1.0
-    row = next(row for row in (sample / "data/report/table.md").read_text().splitlines() if f"| {MODEL} |" in row)
-    assert f"| {result['test']['nmse']:.3f} |" in row
+    lines = (sample / "data/report/table.md").read_text().splitlines()
+    row = next(line for line in lines if line.startswith(f"| {MODEL} "))
+    assert f" {result['test']['nmse']:.3f} |" in row
 
 
 def test_the_encoder_sees_depth_and_classes(sample: Path) -> None:
@@ -56,7 +58,8 @@ def test_the_encoder_sees_depth_and_classes(sample: Path) -> None:
     assert score["depth_dense"]["abs_rel"] < 0.25, text
     assert score["classes"]["mean_iou"] > 0.45, text
     table = (sample / "data/report/table.md").read_text()
-    assert f"| test | {score['classes']['frames']} | {score['classes']['pixel_accuracy']:.3f} |" in table
+    row = rf"\| test +\| +{score['classes']['frames']} \| +{score['classes']['pixel_accuracy']:.3f} \|"
+    assert re.search(row, table)
 
 
 def test_every_stage_ran_once_in_order(sample: Path) -> None:
@@ -206,9 +209,8 @@ def _check_folds(folder: Path, model: str, sample: list[str], real: dict[str, ra
         assert judged["baselines"]["odometry"]["nmse"] < 0.3  # of the angle a second ago: 0.11, 0.17
         assert judged["nmse"] < 1.5  # not trained to speak of, but odometry is where it starts
     table = (folder / "data/report/table.md").read_text()
-    header = next(line for line in table.splitlines() if line.startswith("| model |"))
-    assert "| nmse 0005 | nmse 0042 |" in header
-    assert "| *odometry* |" in table
+    assert all(f" {drive} |" in table for drive in real)
+    assert "| *odometry* " in table
 
 
 def _check_cloud(folder: Path, kind: str, drive: str, frames: int) -> None:

@@ -4,8 +4,6 @@ import pandas as pd
 
 from pipeline.report.results import Results, columns_below
 
-Row = pd.Series
-
 
 def sentences(results: Results) -> list[str]:
     """Return the sentences about the best model of the smallest horizon; none without evaluated models."""
@@ -21,7 +19,7 @@ def sentences(results: Results) -> list[str]:
     return [_accuracy(best, len(group)), *([_weakness(bends)] if len(bends) > 1 else []), _next_step(best, bends)]
 
 
-def _accuracy(best: Row, count: int) -> str:
+def _accuracy(best: pd.Series, count: int) -> str:
     among = f", the best of {count} models," if count > 1 else ""
     ahead = f" {best['line.horizon']} frames ahead" if best["line.horizon"] else ""
     text = (
@@ -35,7 +33,7 @@ def _accuracy(best: Row, count: int) -> str:
     return f"{text} and {_times(best['test.nmse'] / odometry)} the error of odometry, {verdict}."
 
 
-def _bends(best: Row, zero: Row) -> pd.DataFrame:
+def _bends(best: pd.Series, zero: pd.Series) -> pd.DataFrame:
     """Return a row per range of |curvature| with frames: its name, RMSE of the best model and of zero in degrees."""
     columns = columns_below(best.to_frame().T, "test.by_curvature", "rmse_deg")
     rows = [(name, best[column], zero[column]) for name, column in columns.items() if pd.notna(best[column])]
@@ -53,7 +51,7 @@ def _weakness(bends: pd.DataFrame) -> str:
     )
 
 
-def _next_step(best: Row, bends: pd.DataFrame) -> str:
+def _next_step(best: pd.Series, bends: pd.DataFrame) -> str:
     steps = []
     odometry = best.get("test.baselines.odometry.nmse")
     if pd.notna(odometry) and best["line.motion"] == "none" and best["test.nmse"] > odometry:

@@ -11,8 +11,8 @@ from models.steering.core import steering_net
 from pipeline.base import provenance
 from pipeline.base.errors import InputError
 from pipeline.encoder import download, weights
-from pipeline.report.tables import paper
-from pipeline.report.tables.paper import PAPER
+from pipeline.report import paper
+from pipeline.report.paper import PAPER
 from pipeline.sections import preset
 from pipeline.sections.models import Model
 from stages import check

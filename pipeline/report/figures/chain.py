@@ -81,4 +81,4 @@ def _draw_graph(panel: Axes, xyz: np.ndarray, cls: np.ndarray, drawn: graph.Grap
     lines = np.stack([above[source], above[drawn.indices.astype(np.int64)]], axis=1)
     panel.add_collection(LineCollection([*lines], colors="0.7", linewidths=0.7, zorder=1))
     colours = classes.colourise(cls) / 255
-    panel.scatter(*above.T, c=colours, s=24, zorder=2, edgecolors="white", linewidths=0.4)
+    panel.scatter(above[:, 0], above[:, 1], c=colours, s=24, zorder=2, edgecolors="white", linewidths=0.4)

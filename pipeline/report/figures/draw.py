@@ -14,7 +14,6 @@ from pipeline.report.results import Results
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 MAX_MODELS = 4  # models with a path in Figure 5
 FORMULA = {"bicycle": "bicycle model", "paper": "the paper's formula, which takes the steering angle as heading"}
-Row = pd.Series
 Figures = dict[str, str]
 """Name of the file without suffix → caption."""
 
@@ -37,7 +36,7 @@ def _number(item: tuple[str, str]) -> str:
     return item[1]  # a caption begins with the number of the figure
 
 
-def _draw_images(out: Path, model: Row, steering: pd.DataFrame, data: Path) -> Figures:
+def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path) -> Figures:
     """Draw Figures 1, 2 and 4: a frame's way from image to steering, perception, and four kinds of bend."""
     both = steering.dropna(subset=["driven_deg", "predicted_deg"]).reset_index(drop=True)
     examples, views = [], []
@@ -81,7 +80,7 @@ def _read_view(data: Path, drive: str, number: int) -> street_view.View | None:
         return street_view.read_view(images, perceived, cloud, number)
 
 
-def _draw_pruning(out: Path, model: Row, path: Path) -> Figures:
+def _draw_pruning(out: Path, model: pd.Series, path: Path) -> Figures:
     graphs = store.read_json(path, stage=f"evaluate@{model['model']}") if path.is_file() else {}
     if not graphs:
         return {}

@@ -57,7 +57,7 @@ def _next_step(best: pd.Series, bends: pd.DataFrame) -> str:
     if pd.notna(odometry) and best["line.motion"] == "none" and best["test.nmse"] > odometry:
         steps.append("motion: visual, so that the network corrects the odometry angle instead of replacing it")
     if len(bends) and bends.iloc[0]["rmse"] > bends.iloc[0]["zero"] and best["line.equivariant"] is False:
-        steps.append("equivariant: true, which removes the bias on straight road")
+        steps.append("equivariant: true, so that a mirrored scene gives the opposite angle and a straight road no bias")
     if not steps and not best["line.horizon"]:
         steps.append("horizon: 10, a second ahead, where the scene matters more than the present motion")
     if len(steps) < 2:

@@ -1,4 +1,4 @@
-"""Stage pictures: what became of a few frames of each drive, for people to look at: data/pictures/<drive>.png."""
+"""Draw a few frames of each drive with their perception: data/pictures/<drive>.png."""
 
 from functools import partial
 from pathlib import Path
@@ -18,52 +18,49 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Draw image, depth, classes and cloud from above of frames that are evenly spread over their drive.
-
-    Returns the folder that it wrote.
-    """
+    """Draw image, depth, classes and cloud of frames that are evenly spread over each drive. Returns `out`."""
     settings = load(Pictures, params)
     splits = store.read_index(clouds, stage="clouds")
-    pictured = [drive for drive in splits if _frames(perception / f"{drive}.h5")]
+    with_images = [drive for drive in splits if _has_frames(perception / f"{drive}.h5")]
 
     def key(drive: str) -> str:
         inputs: list[Path | str] = [splits[drive], *(folder / f"{drive}.h5" for folder in (ingest, perception, clouds))]
         return stage_key("pictures", {"drive": drive, **settings.model_dump(mode="json")}, inputs)
 
     run_over_drives(
-        partial(_draw, ingest=ingest, perception=perception, clouds=clouds, splits=splits, frames=settings.frames),
-        pictured,
+        partial(_draw, ingest=ingest, perception=perception, clouds=clouds, splits=splits, count=settings.frames),
+        with_images,
         out=out,
         key=key,
         workers=workers,
         target=lambda drive: out / f"{drive}.png",
-        describe=lambda summary: f"frames {', '.join(map(str, summary['shown']))}",
+        describe=lambda summary: f"frames {', '.join(map(str, summary['drawn']))}",
     )
-    blind = [drive for drive in splits if drive not in pictured]
-    if blind:
-        print(f"without images, so without pictures: {', '.join(blind)}", flush=True)
+    without = [drive for drive in splits if drive not in with_images]
+    if without:
+        print(f"no pictures of drives without images: {', '.join(without)}", flush=True)
     return out
 
 
 def _draw(
-    drive: str, path: Path, *, ingest: Path, perception: Path, clouds: Path, splits: dict[str, str], frames: int
+    drive: str, path: Path, *, ingest: Path, perception: Path, clouds: Path, splits: dict[str, str], count: int
 ) -> Summary:
-    from pipeline.report.street_view import draw_sheet, evenly_spread, read_view
+    from pipeline.report import drawing, street_view
 
     with (
-        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as images,
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
         store.DriveReader(clouds / f"{drive}.h5", stage="clouds") as cloud,
     ):
-        numbers = evenly_spread(perceived.frame, frames)
-        views = [read_view(raw, perceived, cloud, number) for number in numbers]
-    draw_sheet(path, f"{drive} ({splits[drive]})", views)
-    return {"shown": numbers}
+        numbers = street_view.evenly_spread(perceived.frame, count)
+        views = [street_view.read_view(images, perceived, cloud, number) for number in numbers]
+    drawing.save(street_view.sheet(f"{drive} ({splits[drive]})", views), path, dpi=90)
+    return {"drawn": numbers}
 
 
-def _frames(path: Path) -> int:
+def _has_frames(path: Path) -> bool:
     with store.DriveReader(path, stage="perception") as perceived:
-        return len(perceived.frame)
+        return len(perceived.frame) > 0
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""What judges and shows: an edit here trains nothing."""
+"""Errors of predictions, and the report on them. No other stage depends on this package, so an edit trains nothing."""

@@ -1,7 +1,6 @@
-"""A street as the pipeline sees it (the paper's Figure 2): image, depth, classes, cloud from above."""
+"""Draw the perception of a frame (the paper's Figure 2): image, depth, classes, and cloud from above."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,37 +10,35 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from pipeline.base.atomic import replacing
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres
 
-NEAR_M, FAR_M = 4.0, 80.0  # the ends of the scale of depth; what lies beyond has their colours
-LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # what is shown from above
+NEAR_M, FAR_M = 4.0, 80.0  # ends of the depth scale; depth beyond them has the colour of the end
+LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # area shown from above
 
 
 class View(NamedTuple):
-    """A frame and what became of it: rgb uint8 [H,W,3], depth in metres [H,W] (0: none), trainIds [H,W], the cloud
-    [P,3] in the camera frame, and the points' trainIds [P]."""
+    """The image of a frame with its perception."""
 
-    frame: int
-    rgb: np.ndarray
-    depth_m: np.ndarray
-    cls: np.ndarray
-    xyz: np.ndarray
-    points_cls: np.ndarray
+    frame: int  # KITTI frame number
+    rgb: np.ndarray  # uint8 [H,W,3]
+    depth_m: np.ndarray  # [H,W], 0 where there is none
+    cls: np.ndarray  # trainIds [H,W]
+    xyz: np.ndarray  # [P,3] in metres, camera frame
+    points_cls: np.ndarray  # trainIds [P]
 
 
 def evenly_spread(frames: np.ndarray, count: int) -> list[int]:
-    """Return `count` of the `frames` [F] (all, if there are fewer): the middles of as many equal parts."""
+    """Return the middle frames of `count` equal parts of `frames` [F]; all frames if there are fewer."""
     count = min(count, len(frames))
     return [int(frames[(2 * part + 1) * len(frames) // (2 * count)]) for part in range(count)]
 
 
 def read_view(raw: DriveReader, perceived: DriveReader, cloud: DriveReader, number: int) -> View:
-    """Read frame `number` from its drive's files of stages ingest, perception and clouds.
+    """Read frame `number` from the drive's files of stages ingest, perception and clouds.
 
-    Raises InputError if one of them has no such frame.
+    Raises InputError if one of them lacks the frame.
     """
     row, points = perceived.row_of(number), cloud.row_of(number)
     start, stop = cloud.rows("ptr", points, points + 2)
@@ -56,22 +53,22 @@ def read_view(raw: DriveReader, perceived: DriveReader, cloud: DriveReader, numb
 
 
 def depth_scale() -> ScalarMappable:
-    """Return the colour scale of depth in metres: it colours arrays, and a figure can draw its bar."""
+    """Return the colour scale of depth in metres, logarithmic from red (near) to blue (far)."""
     return ScalarMappable(LogNorm(NEAR_M, FAR_M), "turbo_r")
 
 
 def colourise_depth(depth_m: np.ndarray) -> np.ndarray:
-    """Return depth in metres [H,W] as uint8 RGBA [H,W,4]; where there is none (0) it is transparent black."""
+    """Return depth in metres [H,W] as uint8 RGBA [H,W,4]; transparent where there is none (0)."""
     return np.asarray(depth_scale().to_rgba(np.ma.masked_equal(depth_m, 0), bytes=True))
 
 
 def draw_depth(panel: Axes, depth_m: np.ndarray) -> None:
-    """Draw depth [H,W] in metres: near is red, far is blue on a logarithmic scale, none is blank."""
+    """Draw depth [H,W] in metres in the colours of :func:`depth_scale`."""
     panel.imshow(colourise_depth(depth_m), interpolation="nearest")
 
 
 def draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray) -> None:
-    """Draw points [P,3] of the camera frame from above, in the colours of their classes [P]; higher ones hide lower."""
+    """Draw points [P,3] of the camera frame from above, in the colours of their classes [P]; high points on top."""
     order = np.argsort(-xyz[:, 1], kind="stable")  # y points down
     colours = classes.colourise(cls[order]) / 255
     panel.scatter(xyz[order, 0], xyz[order, 2], s=1, c=colours, linewidths=0, rasterized=True)
@@ -79,19 +76,19 @@ def draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray) -> None:
 
 
 def look_from_above(panel: Axes) -> None:
-    """Let a panel show the street ahead, in metres of the camera frame."""
+    """Set a panel's axes to the area ahead of the camera, in metres."""
     panel.set(xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M), aspect="equal", xlabel="x in m", ylabel="z in m")
 
 
 def class_legend(figure: Figure, cls: np.ndarray, columns: int) -> None:
-    """Name below the figure the colours of the classes that occur in trainIds `cls` of any shape."""
-    known = [number for number in np.unique(cls) if number != classes.VOID]
-    patches = [Patch(color=classes.COLOURS[number] / 255, label=classes.NAMES[number]) for number in known]
+    """Add a legend below the figure: the colours of the classes that occur in trainIds `cls` of any shape."""
+    present = [number for number in np.unique(cls) if number != classes.VOID]
+    patches = [Patch(color=classes.COLOURS[number] / 255, label=classes.NAMES[number]) for number in present]
     figure.legend(handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
 
 
 def sheet(title: str, views: Sequence[View]) -> Figure:
-    """Draw views one below the other, with the scale of depth and the names of the classes."""
+    """Draw views one below the other, with the depth scale and the names of the classes."""
     figure = Figure(figsize=(10, 1.2 + 4.9 * len(views)), layout="constrained")
     grid = figure.add_gridspec(3 * len(views), 2, width_ratios=[5, 4])
     for row, view in enumerate(views):
@@ -113,9 +110,3 @@ def sheet(title: str, views: Sequence[View]) -> Figure:
     class_legend(figure, np.stack([view.cls for view in views]), columns=8)
     figure.suptitle(title)
     return figure
-
-
-def draw_sheet(path: Path, title: str, views: Sequence[View]) -> None:
-    """Write :func:`sheet` as a PNG file."""
-    with replacing(path) as unfinished:
-        sheet(title, views).savefig(unfinished, format="png", dpi=90, metadata={"Software": None})

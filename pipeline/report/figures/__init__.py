@@ -1,1 +1,1 @@
-"""The paper's figures, from the reader's own data: PNG and SVG files, the same bytes each time."""
+"""Draw the figures of the paper from the user's own data, as PNG and SVG files."""

@@ -1,4 +1,4 @@
-"""Figure 4: frames of four kinds of bend, with a steering wheel as a model would turn it and as the driver did."""
+"""Draw frames of four kinds of bend with predicted and true steering wheel (Figure 4)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,15 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, ConnectionStyle, FancyArrowPatch
 
-from pipeline.report.figures.drawing import save
+from pipeline.report.drawing import save_png_and_svg
 
 PREDICTED, TRUE = "tab:green", "tab:red"
-TURNED = 3  # times the angle of the front wheels, by which the drawn wheel turns: a bend of 5° would hardly show
-SLIGHT = 0.3  # of the sharpest right bend
+GEAR = 3  # angle of the drawn wheel / angle of the front wheels: 5° would hardly be visible
+SLIGHT = 0.3  # share of the sharpest right bend
 
 
-class Shown(NamedTuple):
-    """A frame to draw: its image uint8 [H,W,3], and both angles in degrees, left +."""
+class Example(NamedTuple):
+    """A frame with its image uint8 [H,W,3] and both angles in degrees, left +."""
 
     title: str
     image: np.ndarray
@@ -25,11 +25,10 @@ class Shown(NamedTuple):
     true_deg: float
 
 
-def chosen(predicted_deg: np.ndarray) -> dict[str, int]:
-    """Return which of the frames [F] show each kind of bend, by what is predicted there; NaN are no frames.
+def choose(predicted_deg: np.ndarray) -> dict[str, int]:
+    """Return kind of bend → row of predicted angles [F]: sharpest left, slight and sharpest right, straightest.
 
-    The sharpest left and right ones, the one nearest to SLIGHT times the sharpest right one, the straightest. A kind
-    that was never predicted is left out.
+    The slight one is nearest to SLIGHT times the sharpest right one. Kinds that were never predicted are left out.
     """
     if np.isnan(predicted_deg).all():
         return {}
@@ -41,30 +40,30 @@ def chosen(predicted_deg: np.ndarray) -> dict[str, int]:
     return {**kinds, "straight": int(np.nanargmin(np.abs(predicted_deg)))}
 
 
-def draw(path: Path, model: str, frames: Sequence[Shown]) -> None:
-    """Draw frames side by side, each with two wheels below: in a green box the prediction, in a red one the truth."""
+def draw(path: Path, model: str, frames: Sequence[Example]) -> None:
+    """Draw frames side by side, each above two wheels: predicted (green box) and true (red box)."""
     figure = Figure(figsize=(4.4 * len(frames), 4.0), layout="constrained")
     grid = figure.add_gridspec(2, 2 * len(frames), height_ratios=[1.15, 1])
-    for column, shown in enumerate(frames):
+    for column, example in enumerate(frames):
         street = figure.add_subplot(grid[0, 2 * column : 2 * column + 2])
-        street.imshow(shown.image)
-        street.set_title(shown.title, fontsize="small", loc="left")
+        street.imshow(example.image)
+        street.set_title(example.title, fontsize="small", loc="left")
         street.set_axis_off()
         for side, (name, angle, colour) in enumerate(
-            (("predicted", shown.predicted_deg, PREDICTED), ("driven", shown.true_deg, TRUE))
+            (("predicted", example.predicted_deg, PREDICTED), ("driven", example.true_deg, TRUE))
         ):
             _wheel(figure.add_subplot(grid[1, 2 * column + side]), name, angle, colour)
-    figure.suptitle(f"{model}: the wheel turns by {TURNED} times the front wheels' angle", fontsize="medium")
-    save(figure, path)
+    figure.suptitle(f"{model}: the wheel turns {GEAR} times the angle of the front wheels", fontsize="medium")
+    save_png_and_svg(figure, path)
 
 
 def _wheel(panel: Axes, name: str, angle_deg: float, colour: str) -> None:
-    turned = np.deg2rad(TURNED * angle_deg)  # left + is counterclockwise, as the driver sees it
+    turned = np.deg2rad(GEAR * angle_deg)  # left is counterclockwise for the driver
     panel.add_patch(Circle((0, 0), 1, fill=False, linewidth=5, edgecolor="0.2"))
     panel.add_patch(Circle((0, 0), 0.16, color="0.2"))
     for spoke in (0, np.pi, 1.5 * np.pi):
         panel.plot([0, np.cos(spoke + turned)], [0, np.sin(spoke + turned)], color="0.2", linewidth=4)
-    panel.plot([0, 0], [-1.25, 1.25], linestyle="--", color="0.55", linewidth=1)  # straight on
+    panel.plot([0, 0], [-1.25, 1.25], linestyle="--", color="0.55", linewidth=1)  # straight ahead
     top = np.pi / 2
     panel.plot([0, np.cos(top + turned)], [0, np.sin(top + turned)], color=colour, linewidth=2)
     if abs(turned) > 0.02:

@@ -1,1 +1,1 @@
-"""Judging predictions; nothing here is known to the trainer, so an edit re-trains nothing."""
+"""Evaluate predictions: errors, baselines, confidence intervals, paths."""

@@ -1,9 +1,9 @@
-"""Where a driver decides: the onset of a turn, which nobody can know who does not know the way.
+"""Find the onsets of turns: frames at which the driver chooses a way that the scene does not determine.
 
-The rule looks at what was recorded alone. The onset is the frame at which |curvature| leaves STRAIGHT, after a recorded
-second below it, if the car turns by TURN within the next REACH metres: as it does at a street corner, and neither in a
-bend of the road nor around an obstacle. On KITTI's recorded drives it finds turns by 70° to 100°. Where the label is
-invalid, as while the car waits at a corner, the curvature of the last valid frame holds.
+The rule uses recorded motion only. An onset is the frame at which |curvature| exceeds STRAIGHT_1PM after one second
+below it, if the car turns by at least TURN_RAD within the next REACH_M metres: a turn at a street corner, no bend of
+the road and no manoeuvre around an obstacle. On KITTI's drives it finds turns of 70° to 100°. Where the label is
+invalid, for instance while the car waits at a corner, the curvature of the last valid frame is used.
 """
 
 import numpy as np
@@ -11,11 +11,11 @@ import numpy as np
 from pipeline.base import store
 from pipeline.train.windows import Drive
 
-STRAIGHT_1PM = 0.015  # a radius of 67 m; a car that keeps to its lane moves about as much
+STRAIGHT_1PM = 0.015  # radius 67 m; a car that keeps its lane stays below
 TURN_RAD = np.pi / 4
 REACH_M = 25.0
 SECOND_S = 1.0
-KNOWN = 0.75  # share of that second's frames that must be there
+MIN_FRAMES = 0.75  # share of that second's frames that must exist
 
 
 def onsets(
@@ -25,41 +25,41 @@ def onsets(
     yaw_rate_radps: np.ndarray,
     speed_mps: np.ndarray,
 ) -> np.ndarray:
-    """Return the rows, int64, of the frames [F] of a drive's labels at which a turn begins, by the rule above."""
+    """Return the rows, int64, at which a turn begins, for the labels [F] of a drive."""
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
     straight = np.where(last >= 0, np.abs(curvature_1pm[last]), np.inf) < STRAIGHT_1PM
     dt = np.diff(time_s, prepend=time_s[:1])
-    way_m, heading_rad = np.cumsum(np.abs(speed_mps) * dt), np.cumsum(yaw_rate_radps * dt)
+    distance_m, heading_rad = np.cumsum(np.abs(speed_mps) * dt), np.cumsum(yaw_rate_radps * dt)
     step = np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf
     rows = []
     for row in np.flatnonzero(straight[:-1] & ~straight[1:]) + 1:
         before = (time_s >= time_s[row] - SECOND_S) & (time_s < time_s[row])
-        whole = before.sum() >= KNOWN * SECOND_S / step  # at a drive's start, or after a gap, nobody knows
-        end = min(np.searchsorted(way_m, way_m[row] + REACH_M), len(way_m) - 1)
-        if whole and straight[before].all() and abs(heading_rad[end] - heading_rad[row]) >= TURN_RAD:
+        complete = before.sum() >= MIN_FRAMES * SECOND_S / step  # false at the start of a drive and after a gap
+        end = min(np.searchsorted(distance_m, distance_m[row] + REACH_M), len(distance_m) - 1)
+        if complete and straight[before].all() and abs(heading_rad[end] - heading_rad[row]) >= TURN_RAD:
             rows.append(row)
     return np.array(rows, np.int64)
 
 
 def frames(drive: Drive) -> np.ndarray:
-    """Return the numbers, int32, of the frames of a drive at which a turn begins."""
+    """Return the numbers, int32, of a drive's frames at which a turn begins."""
     return _onsets(drive)[0]
 
 
 def near(drive: Drive) -> np.ndarray:
-    """Return which frames [G] of a drive are asked for what its driver has just decided, or is about to.
+    """Return which frames [G] of a drive are close to an onset, bool.
 
-    Those whose target lies at an onset or after it, while the frame itself is not more than a second past it. So with
-    a horizon they begin as much before the onset.
+    Their target lies at an onset or later, and the frame itself at most one second after it. With a horizon they begin
+    that much before the onset.
     """
     frame, time_s = _onsets(drive)
     begun = drive.frame[:, None] + drive.horizon >= frame
-    fresh = drive.time_s[:, None] <= time_s + SECOND_S
-    return np.asarray((begun & fresh).any(axis=1))
+    recent = drive.time_s[:, None] <= time_s + SECOND_S
+    return np.asarray((begun & recent).any(axis=1))
 
 
 def _onsets(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    with store.DriveReader(drive.labels, stage="labels") as truth:
-        motion = (truth.time_s, truth["yaw_rate_radps"], truth["speed_mps"])
-        rows = onsets(truth["curvature_1pm"], truth["valid"].astype(bool), *motion)
-        return truth.frame[rows], truth.time_s[rows]
+    with store.DriveReader(drive.labels, stage="labels") as labels:
+        motion = (labels.time_s, labels["yaw_rate_radps"], labels["speed_mps"])
+        rows = onsets(labels["curvature_1pm"], labels["valid"].astype(bool), *motion)
+        return labels.frame[rows], labels.time_s[rows]

@@ -1,11 +1,5 @@
-"""predictions.csv: each frame with what was predicted by what is seen until then, and what was driven.
+"""Write predictions.csv: true, predicted and measured steering of the test drives, frame by frame."""
 
-`onset` is 1 where the driver begins a turn (decisions.py).
-
-Both angles are those `horizon` frames after it, and so is `valid`; number, time and speed are the frame's own.
-"""
-
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,23 +9,41 @@ from pipeline.base.atomic import replacing
 from pipeline.report.judge import decisions
 from pipeline.train.windows import Drive
 
-COLUMNS = ("drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid", "onset")
+Predictions = Sequence[tuple[Drive, np.ndarray]]
+"""Drives, each with predicted angles [G] in rad, NaN where no complete window ends."""
 
 
-def write(path: Path, predictions: Sequence[tuple[Drive, np.ndarray]]) -> None:
-    """Write one row per frame of drives with what is predicted for them, [G] rad; an angle that is NaN stays empty."""
-    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(COLUMNS)
-        for drive, predicted in predictions:
-            onset = np.isin(drive.frame, decisions.frames(drive))
-            for row in range(len(drive.frame)):
-                rows.writerow([
-                    drive.name, drive.frame[row], f"{drive.time_s[row]:.6f}", f"{drive.speed_mps[row]:.4f}",
-                    _angle(drive.steering_rad[row], 9), _angle(predicted[row], 6), int(drive.valid[row]),
-                    int(onset[row]),
-                ])  # fmt: skip
+def write(path: Path, predictions: Predictions) -> None:
+    """Write one row per frame; an empty field is an angle that does not exist.
+
+    `frame`, `time_s` and `speed_mps` are those of the last input frame, `onset` is 1 where a turn begins
+    (decisions.py). `steering_rad` (true), `predicted_rad` and `valid` are those `horizon` frames later, and
+    `odometry_rad` is the angle measured at the last input frame, which the baseline `odometry` predicts.
+    """
+    import pandas as pd
+
+    tables = []
+    for drive, predicted in predictions:
+        table = {
+            "drive": drive.name,
+            "frame": drive.frame,
+            "time_s": _text(drive.time_s, 6),
+            "speed_mps": _text(drive.speed_mps, 4),
+            "steering_rad": _text(drive.steering_rad, 9),
+            "predicted_rad": _text(predicted, 6),
+            "valid": drive.valid.astype(int),
+            "onset": np.isin(drive.frame, decisions.frames(drive)).astype(int),
+            "odometry_rad": _text(_odometry(drive), 6),
+        }
+        tables.append(pd.DataFrame(table))
+    with replacing(path) as unfinished:
+        pd.concat(tables).to_csv(unfinished, index=False, lineterminator="\n")
 
 
-def _angle(rad: float, digits: int) -> str:
-    return "" if np.isnan(rad) else f"{rad:.{digits}f}"
+def _odometry(drive: Drive) -> np.ndarray:
+    """Return the angle of the first kind of motion in the drive's graph file, [G] rad; NaN without motion."""
+    return next(iter(drive.measured_rad.values()), np.full(len(drive.frame), np.nan))
+
+
+def _text(values: np.ndarray, digits: int) -> list[str]:
+    return ["" if np.isnan(value) else f"{value:.{digits}f}" for value in values]

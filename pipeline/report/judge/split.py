@@ -1,4 +1,4 @@
-"""The figures of one split, as they stand in metrics.json."""
+"""Compute the metrics of one split, as written to metrics.json."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import store
-from pipeline.report.judge import decisions, paths
-from pipeline.report.judge.baselines import baselines
-from pipeline.report.judge.errors import by_curvature, scores
+from pipeline.report.judge import decisions, errors, paths
 from pipeline.report.judge.interval import nmse_interval, nmse_std
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train.windows import Drive
@@ -17,22 +15,22 @@ from pipeline.train.windows import Drive
 
 @dataclass(frozen=True)
 class Case:
-    """A drive to judge by: what a model's S seeds predict for its G frames, and what they know of training."""
+    """A drive with the predictions of a model's S seeds for its G frames."""
 
     drive: Drive
-    predicted: np.ndarray  # [S,G] rad, NaN where no window ends
+    predicted: np.ndarray  # [S,G] rad, NaN where no complete window ends
     train_mean_rad: float
 
     @property
-    def judged(self) -> np.ndarray:
-        """Which frames [G] count: those with a valid target and a whole window."""
+    def counted(self) -> np.ndarray:
+        """Return the frames [G] with a valid target and a prediction, bool."""
         return self.drive.valid & ~np.isnan(self.predicted[0])
 
 
-def figures(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
-    """Return errors, interval, baselines and bins of what was predicted for drives, and errors of parts of them.
+def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
+    """Return errors, confidence interval, baselines, and errors by curvature, by drive and without decisions.
 
-    `by_drive`: of each drive alone. `without_decisions`: of all but the frames that :func:`decisions.near` names.
+    `without_decisions` leaves out the frames of :func:`decisions.near`.
     """
     columns = _Columns(cases)
     steering, predicted = columns.steering, columns.predicted
@@ -40,52 +38,52 @@ def figures(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
         steering, predicted, columns.number, settings.bootstrap_block_frames, settings.bootstrap_samples, settings.seed
     )
     names = [case.drive.name for case in cases]
+    row_names = np.array(names)[columns.number]
     return columns.scores() | {
         "nmse_std": nmse_std(steering, predicted),
         "nmse_ci95": list(interval),
-        "by_curvature": by_curvature(steering, predicted, columns.curvature, settings.curvature_bins_1pm),
-        "by_drive": {name: columns.scores(np.array(names)[columns.number] == name) for name in dict.fromkeys(names)},
+        "by_curvature": errors.by_curvature(steering, predicted, columns.curvature, settings.curvature_bins_1pm),
+        "by_drive": {name: columns.scores(row_names == name) for name in dict.fromkeys(names)},
         "without_decisions": columns.scores(~columns.near),
         "drift_m_per_100m": _drift(cases, settings),
     }
 
 
 def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:
-    """Return the mean over seeds of :func:`paths.drift`; None of angles that are not of the frame itself."""
+    """Return the mean over seeds of :func:`paths.drift`; None with a horizon."""
     if any(case.drive.horizon for case in cases):
         return None
     tracks = [_track(case.drive, settings) for case in cases]
-    of_seeds = [
+    by_seed = [
         paths.drift([(track, case.predicted[seed]) for track, case in zip(tracks, cases, strict=True)])
         for seed in range(len(cases[0].predicted))
     ]
-    known = [value for value in of_seeds if value is not None]
-    return float(np.mean(known)) if known else None
+    values = [value for value in by_seed if value is not None]
+    return float(np.mean(values)) if values else None
 
 
 def _track(drive: Drive, settings: Evaluate) -> paths.Track:
-    onsets = np.flatnonzero(np.isin(drive.frame, decisions.frames(drive)))
     return paths.Track(
         time_s=drive.time_s,
         speed_mps=drive.speed_mps,
         steering_rad=np.nan_to_num(drive.steering_rad),
-        onsets=onsets,
+        onsets=np.flatnonzero(np.isin(drive.frame, decisions.frames(drive))),
         wheelbase_m=drive.car.wheelbase_m,
         formula=settings.path,
     )
 
 
 class _Columns:
-    """The frames that count of all cases, N together."""
+    """The counted frames of all cases, N together."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
-        def column(of_cases: Sequence[np.ndarray]) -> np.ndarray:
-            return np.concatenate([values[case.judged] for values, case in zip(of_cases, cases, strict=True)])
+        def column(arrays: Sequence[np.ndarray]) -> np.ndarray:
+            return np.concatenate([values[case.counted] for values, case in zip(arrays, cases, strict=True)])
 
         drives = [case.drive for case in cases]
         self.steering = column([drive.steering_rad for drive in drives])
         by_seed = zip(*(case.predicted for case in cases), strict=True)
-        self.predicted = np.stack([column(of_seed) for of_seed in by_seed])  # [S,N]
+        self.predicted = np.stack([column(one_seed) for one_seed in by_seed])  # [S,N]
         self.curvature = column([drive.curvature_1pm for drive in drives])
         self.near = column([decisions.near(drive) for drive in drives])
         self.number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])
@@ -95,22 +93,22 @@ class _Columns:
         self._measured = {kind: column([drive.measured_rad[kind] for drive in drives]) for kind in kinds}
 
     def scores(self, rows: np.ndarray | slice = slice(None)) -> dict[str, Any]:
-        """Return the scores of some of the frames, and of the baselines there."""
+        """Return the scores of some rows, and of the baselines on them."""
         steering, measured = self.steering[rows], {kind: angle[rows] for kind, angle in self._measured.items()}
-        return scores(steering, self.predicted[:, rows]) | {
-            "baselines": baselines(steering, self._mean[rows], self._held[rows], measured)
+        return errors.scores(steering, self.predicted[:, rows]) | {
+            "baselines": errors.baselines(steering, self._mean[rows], self._held[rows], measured)
         }
 
 
 def variant(drive: Drive) -> dict[str, Any]:
-    """Return the settings of the graph variant that a drive's graphs are of."""
+    """Return the settings of the graph variant of a drive's graph file."""
     with store.DriveReader(drive.graphs, stage="graphs") as file:
         settings: dict[str, Any] = file.params.get("graphs", {})
     return settings
 
 
 def sizes(drives: Sequence[Drive]) -> dict[str, float | None]:
-    """Return means over the drives' frames: points, kNN edges before and after pruning; None for what there is not."""
+    """Return means per frame: points, directed kNN edges after and before pruning; None where a file has none."""
     counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}
     for drive in drives:
         with store.DriveReader(drive.graphs, stage="graphs") as file:

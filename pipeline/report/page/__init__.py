@@ -1,1 +1,1 @@
-"""The page that people open: data/report/index.html, one file with all that it needs."""
+"""The report's page: one HTML file that needs no other file and no network."""

@@ -1,175 +1,162 @@
-"""What stands on the page, and in which order."""
+"""Write the page: sections of text, tables, plots and pictures, rendered by page.html.j2."""
 
+import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import cv2
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.graph_objects import Figure
+from plotly.offline import get_plotlyjs
 
 from pipeline.base import store
-from pipeline.report import predicted
-from pipeline.report.page import plots, structure
-from pipeline.report.page.html import Section, markdown, paragraph, picture, plot, write
-from pipeline.report.sources import Sources
-from pipeline.report.tables import comparison
-from pipeline.report.tables.comparison import Result
-from pipeline.report.tables.markdown import table
+from pipeline.base.atomic import replacing
+from pipeline.base.errors import InputError
+from pipeline.report.dvc_files import load_curves
+from pipeline.report.page import plots
+from pipeline.report.results import Results
+from pipeline.report.tables import Table, label_table
+
+JPEG_QUALITY = 82
+MAX_WIDTH = 1600  # pixels of a picture
+
+
+class Plot(NamedTuple):
+    caption: str
+    figure: Figure
+
+    @property
+    def json(self) -> Markup:
+        """Return the figure as JSON for a script element: without "<", no text can end the element."""
+        return Markup(self.figure.to_json().replace("<", "\\u003c"))
+
+
+class Picture(NamedTuple):
+    caption: str
+    path: Path
+
+    @property
+    def data(self) -> str:
+        """Return the picture as a JPEG in base64. Raises InputError if the file is damaged."""
+        image = cv2.imread(str(self.path))
+        if image is None:
+            raise InputError("not a picture", self.path, "Recreate it: dvc repro --force --single-item pictures")
+        height, width = image.shape[:2]
+        if width > MAX_WIDTH:
+            size = (MAX_WIDTH, round(height * MAX_WIDTH / width))
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+        return base64.b64encode(encoded.tobytes()).decode("ascii")
+
+
+class Section(NamedTuple):
+    """A heading with paragraphs, tables, plots and pictures."""
+
+    title: str
+    content: Sequence[str | Table | Plot | Picture]
 
 
 def write_page(
     path: Path,
-    results: Sequence[Result],
-    steering: str,
-    perception: str,
-    figures: Mapping[Path, str],
-    sources: Sources,
+    story: Sequence[str],
+    results: Results,
+    tables: Sequence[Table],
+    perception: Sequence[Table],
+    figures: Mapping[str, str],
+    data: Path,
 ) -> None:
-    """Write the page of models that are :func:`comparison.in_order`.
+    """Write the page.
 
     Args:
-        steering, perception: their tables in Markdown.
-        figures: picture → caption, of the paper's figures.
+        path: the HTML file; the files of `figures` are in folder figures beside it.
+        story: sentences about the results.
+        results: of all models.
+        tables: of models and baselines, the most important first.
+        perception: tables of depth, classes and motion.
+        figures: name of a PNG file without suffix → caption; Figure 1 is shown first.
+        data: holds a folder per stage; folders may be missing.
     """
+    pictures = {name: Picture(caption, path.parent / f"figures/{name}.png") for name, caption in figures.items()}
+    chain = pictures.pop("chain", None)
+    models = [*results.models["model"]]
     sections = [
-        Section("Results", markdown("\n".join(_headline(results)))),
-        *_of_horizons(results, sources),
-        _figures(figures),
-        _structures(results, sources.evaluate),
-        _learning(results, sources.train),
-        _labels(sources.labels),
-        Section("Depth, classes and motion", markdown(perception)) if perception else None,
-        _pictures(results, sources.pictures),
-        Section("All figures", markdown(steering)),
+        Section("Results", tables[:1]),
+        *_steering(results),
+        Section("Figures of the paper", [*pictures.values()]),
+        Section("Graphs in 3D", _graphs(results, data / "evaluate")),
+        Section("Learning curves", _learning(models, data / "train")),
+        Section("Models in detail", tables[1:]),
+        Section("Depth, classes and motion", perception),
+        Section("Input of the test drives", _inputs(results, data / "pictures")),
+        Section("Labels", _labels(data / "labels/summary.json")),
     ]
-    lead = paragraph("Steering angles from 3D structure: what the models saw, what they decided, how wrong they were.")
-    write(path, "Steering report", lead, [section for section in sections if section])
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    html = environment.get_template("page.html.j2").render(
+        story=story,
+        chain=chain,
+        sections=[section for section in sections if section.content],
+        plotly=Markup(get_plotlyjs()),
+    )
+    with replacing(path) as unfinished:
+        unfinished.write_text(html, encoding="utf-8")
 
 
-def _headline(results: Sequence[Result]) -> list[str]:
-    """Return what most people want to know, best first within a horizon, trivial predictors below."""
-    header = [
-        "model",
-        "horizon",
-        "test nmse",
-        "95 % interval",
-        "mean error deg",
-        "parameters",
-        "edges a frame",
-    ]
-    body = []
-    for group in comparison.by_horizon(results):
-        horizon = f"{comparison.horizon(group[0])} frames" if comparison.horizon(group[0]) else "now"
-        for result in sorted(group, key=lambda result: result["test"]["nmse"]):
-            test, (low, high) = result["test"], result["test"]["nmse_ci95"]
-            edges = result["edges_per_frame"]
-            body.append([
-                f"**{result['model']}**", horizon, f"**{test['nmse']:.3f}**", f"{low:.3f} to {high:.3f}",
-                f"{test['mae_deg']:.2f}", f"{result['parameters']:,}", _said(edges, ",.0f"),
-            ])  # fmt: skip
-        for name, of_split in comparison.baselines(group).items():
-            test = of_split["test"] or {"nmse": None, "mae_deg": None}  # as of lidar, where a test drive has no scans
-            nmse, error = _said(test["nmse"], ".3f"), _said(test["mae_deg"], ".2f")
-            body.append([f"*{name}*", horizon, nmse, "", error, "", ""])
-    return [
-        *table(header, body),
-        "",
-        "nmse is the mean squared error divided by that of always predicting zero: 1 is useless, 0 perfect. *zero*, "
-        "*train_mean*, *persistence* (told the true angle before) and *odometry* (the angle that two images or scans "
-        "measure, held) see no scene.",
-    ]
-
-
-def _of_horizons(results: Sequence[Result], sources: Sources) -> list[Section]:
-    """Return what models of one horizon predicted, for they alone predict the same."""
+def _steering(results: Results) -> list[Section]:
+    """Return a section of plots per horizon: only models of one horizon predict the same angle."""
     sections = []
-    for group in comparison.by_horizon(results):
-        horizon = comparison.horizon(group[0])
+    for horizon, models in results.models.groupby("line.horizon") if len(results.metrics) else ():
         ahead = f", {horizon} frames ahead" if horizon else ""
-        of_models = {result["model"]: predicted.read(sources.evaluate / result["model"]) for result in group}
-        whole = {model: list(of.values()) for model, of in of_models.items()}
-        body = [
-            paragraph(
-                "First seed of each model. Further models wait in the legend. Drag to zoom, double-click to see all.",
-                note=True,
-            )
+        predictions = results.first_seed([*models["model"]])
+        rows = results.metrics[results.metrics["line.horizon"] == horizon]
+        content: list[str | Plot] = [
+            "Predictions of the first seed. Drag to zoom, double-click to reset, click the legend to hide a line."
         ]
-        for drive in dict.fromkeys(drive for of in of_models.values() for drive in of):
-            of_drive = {model: of[drive] for model, of in of_models.items() if drive in of}
-            body.append(
-                plot(f"time-{horizon}-{drive}", plots.over_time(of_drive), f"{drive}: driven and predicted steering")
-            )
-        body.append(plot(f"scatter-{horizon}", plots.scatter(whole), "All test frames: predicted over driven steering"))
-        body.append(
-            plot(f"curvature-{horizon}", plots.by_curvature(group), "Error by the road's curvature, mean over seeds")
-        )
-        body.append(plot(f"speed-{horizon}", plots.by_speed(whole), "Error by speed"))
-        sections.append(Section(f"Predicted steering{ahead}", "\n".join(body)))
+        for drive, table in predictions.groupby("drive", sort=False):
+            content.append(Plot(f"{drive}: steering over time{ahead}", plots.over_time(table)))
+        content += [
+            Plot(f"All test frames: predicted over driven steering{ahead}", plots.scatter(predictions)),
+            Plot("Error by curvature of the road, mean over seeds", plots.by_curvature(rows)),
+            Plot("Error by speed", plots.by_speed(predictions)),
+        ]
+        sections.append(Section(f"Steering on the test drives{ahead}", content))
     return sections
 
 
-def _figures(figures: Mapping[Path, str]) -> Section | None:
-    body = [picture(path, caption) for path, caption in figures.items()]
-    return Section("The paper's figures", "\n".join(body)) if body else None
-
-
-def _learning(results: Sequence[Result], train: Path) -> Section | None:
-    # A model's own is that of its first seed; with folds it has none, and the first fold's stands for it.
-    found = {result["model"]: sorted((train / result["model"]).rglob("curve.csv")) for result in results}
-    curves = {model: files[0] for model, files in found.items() if files}
-    if not curves:
-        return None
-    caption = "Training loss (dotted) and validation nmse of each model's first network"
-    return Section("Learning curves", plot("learning", plots.learning(curves), caption))
-
-
-def _structures(results: Sequence[Result], evaluate: Path) -> Section | None:
-    for result in results:
-        path = evaluate / result["model"] / "structure.json"
-        shown = store.read_json(path, stage=f"evaluate@{result['model']}") if path.is_file() else {}
-        if shown:
-            variant = result["variant"]
-            said = paragraph(
-                f"What {result['model']} saw where each test drive bends most. A click on the legend shows or hides "
-                "classes, and edges before and after semantic pruning. Turn with the mouse or a finger."
+def _graphs(results: Results, evaluate: Path) -> list[str | Plot]:
+    for _, row in results.models.iterrows():
+        path = evaluate / row["model"] / "structure.json"
+        graphs = store.read_json(path, stage=f"evaluate@{row['model']}") if path.is_file() else {}
+        if graphs:
+            text = (
+                f"Input of {row['model']} where each test drive bends most. Turn with the mouse; the legend shows and "
+                "hides classes, and edges before and after semantic pruning."
             )
-            figures = [
-                plot(
-                    f"structure-{drive}",
-                    structure.draw(of, variant["k"]),
-                    f"{drive}, frame {of['frame']}, {of['points']} points",
-                )
-                for drive, of in shown.items()
-            ]
-            return Section("The cloud and its graph", "\n".join([said, *figures]))
-    return None
+            return [text, *(_graph(drive, graph, row["variant.k"]) for drive, graph in graphs.items())]
+    return []
 
 
-def _labels(labels: Path) -> Section | None:
-    if not (labels / "summary.json").is_file():
-        return None
-    summary: Mapping[str, Any] = store.read_json(labels / "summary.json", stage="labels")
-    header = [
-        "drive", "frames", "valid", "mean abs steering rad", "largest", "mean square rad²", "longest step s",
-        "reversing", "sideways",
-    ]  # fmt: skip
-    rows = [
-        [drive, str(of["frames"]), _said(of["valid_share"], ".1%"), _said(of["mean_abs_steering_rad"], ".3f"),
-         _said(of["max_abs_steering_rad"], ".3f"), _said(of["zero_mse_rad2"], ".5f"), _said(of["dt_max_s"], ".3f"),
-         str(of["reversing_frames"]), str(of["sideways_frames"])]
-        for drive, of in summary.items()
-    ]  # fmt: skip
-    note = (
-        "Mean square: the error of always predicting 0. Frames that reverse or go sideways, and steps much longer than "
-        "0.1 s, ask for a look before the labels are trusted."
-    )
-    return Section("Plausibility of the labels", markdown("\n".join(table(header, rows))) + paragraph(note, note=True))
+def _graph(drive: str, graph: dict[str, Any], k: int) -> Plot:
+    return Plot(f"{drive}, frame {graph['frame']}: {graph['points']:,} points", plots.graph_3d(graph, k))
 
 
-def _said(value: float | None, form: str) -> str:
-    return "" if value is None else format(value, form)
+def _learning(models: Sequence[str], train: Path) -> list[str | Plot]:
+    curves = {model: load_curves(train / model) for model in models}
+    first = {model: next(iter(found.values())) for model, found in curves.items() if found}
+    caption = "Training loss (dotted) and validation nmse of each model's first network"
+    return [Plot(caption, plots.learning(first))] if first else []
 
 
-def _pictures(results: Sequence[Result], pictures: Path) -> Section | None:
-    """Return the sheets of the test drives: those that the models had not seen."""
-    tested = dict.fromkeys(drive for result in results for drive in result["drives"]["test"])
-    sheets = [pictures / f"{drive}.png" for drive in tested if (pictures / f"{drive}.png").is_file()]
-    body = [picture(sheet, f"{sheet.stem}: image, depth, classes, cloud from above") for sheet in sheets]
-    return Section("What the models were given", "\n".join(body)) if body else None
+def _labels(path: Path) -> list[Table]:
+    return [label_table(store.read_json(path, stage="labels"))] if path.is_file() else []
+
+
+def _inputs(results: Results, pictures: Path) -> list[Picture]:
+    drives = pd.unique(results.predictions["drive"])
+    sheets = {drive: pictures / f"{drive}.png" for drive in drives}
+    caption = "{}: image, depth, classes, cloud from above"
+    return [Picture(caption.format(drive), path) for drive, path in sheets.items() if path.is_file()]

@@ -1,118 +1,143 @@
-"""Figures of the page, as plotly draws them. Angles in degrees, left +."""
+"""Build the interactive plots of the page. Angles in degrees, left +."""
 
-import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plotly.graph_objects import Bar, Figure, Scatter, Scattergl
+import pandas as pd
+import plotly.express as px
+from plotly.basedatatypes import BaseTraceType
+from plotly.graph_objects import Figure
 
-from pipeline.report.predicted import Steering
-from pipeline.report.tables import comparison
+from pipeline.camera import classes
+from pipeline.graphs import graph
+from pipeline.report.results import columns_below
 
-COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#e08e0b", "#1b998b", "#7a6a53", "#c2185b")
-TRUTH = "#1b2027"
-AT_ONCE = 3  # models of a figure that are drawn; the others wait in its legend, or lines hide each other
-SPEED_BINS_MPS = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
-
-
-def over_time(steering: Mapping[str, Steering]) -> Figure:
-    """Draw driven and predicted steering of one drive, of model → what it says of that drive."""
-    figure = _figure("time in s", "steering in deg, left +", height=440)
-    first = next(iter(steering.values()))
-    driven = {"color": TRUTH, "width": 3}
-    figure.add_trace(Scatter(x=first.time_s, y=first.driven_deg, name="driven", mode="lines", line=driven))
-    for number, (model, of) in enumerate(steering.items()):
-        figure.add_trace(
-            Scatter(
-                x=of.time_s,
-                y=of.predicted_deg,
-                customdata=of.frame,
-                mode="lines",
-                hovertemplate="%{y:.1f} deg, frame %{customdata}",
-                **_as_model(number, model, line=True),
-            )
-        )
-    return figure.update_layout(hovermode="x unified", xaxis_rangeslider={"visible": True, "thickness": 0.08})
+COLOURS = ["#1b998b", "#7a6a53", "#c2185b", "#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf"]  # plotly skips len(FIXED)
+FIXED = {"driven": "#1b2027", "odometry": "#e08e0b", "zero": "#9aa3ad"}
+MODELS_SHOWN = 3  # at first; a click in the legend adds others
+SLIDER_S = 20.0  # drives longer than this get a range slider
+SPEEDS_MPS = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0, np.inf)
+_LEGEND = {"orientation": "h", "title": "", "y": 1.02, "yanchor": "bottom"}
+_STEERING = "steering in deg, left +"
 
 
-def scatter(steering: Mapping[str, Sequence[Steering]]) -> Figure:
-    """Draw predicted over driven steering of all test frames, of model → its drives."""
-    figure = _figure("driven steering in deg, left +", "predicted steering in deg", height=560)
-    reach = max(np.nanmax(np.abs(of.driven_deg), initial=1.0) for drives in steering.values() for of in drives)
-    right = {"color": TRUTH, "dash": "dot"}
-    figure.add_trace(Scatter(x=[-reach, reach], y=[-reach, reach], name="right", mode="lines", line=right))
-    for number, (model, drives) in enumerate(steering.items()):
-        driven, predicted = (
-            np.concatenate([getattr(of, name) for of in drives]) for name in ("driven_deg", "predicted_deg")
-        )
-        points = {"size": 5, "opacity": 0.6, "color": _colour(number)}
-        figure.add_trace(Scattergl(x=driven, y=predicted, mode="markers", marker=points, **_as_model(number, model)))
-    return figure.update_yaxes(scaleanchor="x", scaleratio=1)
-
-
-def learning(models: Mapping[str, Path]) -> Figure:
-    """Draw each model's learning curve, of model → its curve.csv: loss dotted, validation drawn out."""
-    figure = _figure("epoch", "error; 1: that of a constant angle", height=440)
-    for number, (model, path) in enumerate(models.items()):
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        epoch = [int(row["epoch"]) for row in rows]
-        for column, dash in (("val_nmse", "solid"), ("train_loss", "dot")):
-            values = [float(row[column]) if row[column] else None for row in rows]
-            style = _as_model(number, f"{model}, {column}") | {"line": {"color": _colour(number), "dash": dash}}
-            figure.add_trace(Scatter(x=epoch, y=values, mode="lines", **style))
-    return figure.update_yaxes(type="log")
-
-
-def by_curvature(results: Sequence[comparison.Result]) -> Figure:
-    """Draw each model's RMSE where the road bends by so much."""
-    bins = [row for row in results[0]["test"]["by_curvature"] if row["frames"]]
-    names = [f"{comparison.bounds(row)} 1/m<br>{row['frames']} frames" for row in bins]
-    figure = _figure("curvature of the road", "RMSE in deg", height=400)
-    for number, result in enumerate(results):
-        of_bins = {comparison.bounds(row): row for row in result["test"]["by_curvature"]}
-        rmse = [of_bins.get(comparison.bounds(row), {}).get("rmse_deg") for row in bins]
-        figure.add_trace(Bar(x=names, y=rmse, marker_color=_colour(number), **_as_model(number, result["model"])))
-    return figure
-
-
-def by_speed(steering: Mapping[str, Sequence[Steering]]) -> Figure:
-    """Draw each model's RMSE at so many m/s, of model → its drives."""
-    figure = _figure("speed in m/s", "RMSE in deg", height=400)
-    edges = [*SPEED_BINS_MPS, np.inf]
-    names = [f"{low:g} to {high:g}" if np.isfinite(high) else f"≥ {low:g}" for low, high in pairwise(edges)]
-    for number, (model, drives) in enumerate(steering.items()):
-        error = np.concatenate([of.predicted_deg - of.driven_deg for of in drives])
-        of_bin = np.digitize(np.abs(np.concatenate([of.speed_mps for of in drives])), edges) - 1
-        rmse = [_rms(error[(of_bin == number_of_bin) & ~np.isnan(error)]) for number_of_bin in range(len(names))]
-        figure.add_trace(Bar(x=names, y=rmse, marker_color=_colour(number), **_as_model(number, model)))
-    return figure
-
-
-def _rms(values: np.ndarray) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None
-
-
-def _figure(x: str, y: str, *, height: int) -> Figure:
-    return Figure(
-        layout={
-            "template": "plotly_white",
-            "height": height,
-            "margin": {"l": 60, "r": 10, "t": 60, "b": 50},
-            "xaxis": {"title": {"text": x}},
-            "yaxis": {"title": {"text": y}},
-            "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
-        }
+def over_time(predictions: pd.DataFrame) -> Figure:
+    """Plot driven steering, odometry and the predictions of each model over the time of one drive."""
+    truth = predictions.drop_duplicates("frame").sort_values("frame")
+    lines = [truth.assign(line=name, deg=truth[f"{name}_deg"]) for name in ("driven", "odometry")]
+    rows = pd.concat([*lines, predictions.assign(line=predictions["model"], deg=predictions["predicted_deg"])])
+    rows = rows[rows.groupby("line")["deg"].transform("count") > 0]  # without motion, there is no odometry
+    axes = {"elapsed_s": "time in s", "deg": _STEERING}
+    figure = px.line(rows, x="elapsed_s", y="deg", color="line", labels=axes, hover_data=["frame"], **_style())
+    figure.update_traces(selector={"name": "driven"}, line_width=3).update_traces(
+        selector={"name": "odometry"}, line_dash="dash"
     )
+    figure.update_xaxes(rangeslider_visible=bool(truth["elapsed_s"].max() > SLIDER_S))
+    return _finish(figure, 400)
 
 
-def _colour(number: int) -> str:
-    return COLOURS[number % len(COLOURS)]
+def scatter(predictions: pd.DataFrame) -> Figure:
+    """Plot predicted over driven steering of all test frames, on equal axes that contain all points."""
+    rows = predictions.dropna(subset=["driven_deg", "predicted_deg"])
+    limit = 1.05 * float(np.abs(rows[["driven_deg", "predicted_deg"]].to_numpy()).max(initial=1.0))
+    axes = {"driven_deg": "driven steering in deg, left +", "predicted_deg": "predicted steering in deg"}
+    more = {"opacity": 0.6, "labels": axes, "hover_data": ["drive", "frame"]}
+    figure = px.scatter(rows, x="driven_deg", y="predicted_deg", color="model", **more, **_style())
+    figure.add_shape(type="line", x0=-limit, y0=-limit, x1=limit, y1=limit, line={"dash": "dot", "width": 1.5})
+    figure.update_xaxes(range=[-limit, limit], constrain="domain")
+    figure.update_yaxes(range=[-limit, limit], constrain="domain", scaleanchor="x")
+    return _finish(figure, 560)
 
 
-def _as_model(number: int, name: str, *, line: bool = False) -> dict[str, Any]:
-    style = {"name": name, "visible": True if number < AT_ONCE else "legendonly"}
-    return style | ({"line": {"color": _colour(number)}} if line else {})
+def by_curvature(metrics: pd.DataFrame) -> Figure:
+    """Plot the RMSE of models and baseline zero in the ranges of |curvature| that have frames."""
+    columns = columns_below(metrics, "test.by_curvature", "rmse_deg")
+    rows = metrics.set_index("model")[[*columns.values()]].dropna(how="all").dropna(how="all", axis=1)
+    frames = {name: metrics.iloc[0][f"test.by_curvature.{name}.frames"] for name in columns}
+    names = {column: f"{name}<br>{frames[name]} frames" for name, column in columns.items()}
+    return _bars(rows.rename(columns=names).T, "|curvature| of the road in 1/m")
+
+
+def by_speed(predictions: pd.DataFrame) -> Figure:
+    """Plot the RMSE of models in the ranges of speed that have frames."""
+    names = [f"{low:g} to {high:g}" if np.isfinite(high) else f"≥ {low:g}" for low, high in pairwise(SPEEDS_MPS)]
+    rows = predictions.dropna(subset=["driven_deg", "predicted_deg"])
+    speed = pd.cut(rows["speed_mps"].abs(), SPEEDS_MPS, right=False, labels=names)
+    squared = (rows["predicted_deg"] - rows["driven_deg"]) ** 2
+    mse = squared.groupby([speed, rows["model"]], observed=True, sort=False).mean().unstack().sort_index()
+    return _bars(mse**0.5, "speed in m/s")
+
+
+def _bars(rmse_deg: pd.DataFrame, x: str) -> Figure:
+    """Plot a bar per range (rows) and model (columns)."""
+    rows = rmse_deg.astype(float).rename_axis(index="range", columns="model").stack().rename("rmse").reset_index()
+    axes = {"range": x, "rmse": "RMSE in deg"}
+    return _finish(px.bar(rows, x="range", y="rmse", color="model", barmode="group", labels=axes, **_style()), 380)
+
+
+def learning(curves: Mapping[str, pd.DataFrame]) -> Figure:
+    """Plot training loss (dotted) and validation nmse of networks: name → epoch, train_loss, val_nmse."""
+    rows = pd.concat([curve.astype(float).melt("epoch").assign(model=name) for name, curve in curves.items()])
+    more = {"line_dash": "variable", "line_dash_map": {"val_nmse": "solid", "train_loss": "dot"}}
+    axes = {"value": "error; 1: a constant angle"}
+    figure = px.line(rows, x="epoch", y="value", color="model", log_y=True, labels=axes, **more, **_style())
+    return _finish(figure, 400)
+
+
+def graph_3d(structure: Mapping[str, Any], k: int) -> Figure:
+    """Plot one drive's entry of structure.json: points in the colours of their classes, edges before and after pruning.
+
+    Axes: right, ahead, up, in metres of the camera frame; `k` nearest neighbours before pruning.
+    """
+    xyz, cls = np.array(structure["xyz_m"], np.float32).reshape(-1, 3), np.array(structure["cls"], np.uint8)
+    place = np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1)
+    axes = ["right, m", "ahead, m", "up, m"]
+    points = pd.DataFrame(place, columns=axes)
+    names = {number: classes.NAMES[number] if number < classes.COUNT else "void" for number in np.unique(cls)}
+    colours = {name: _rgb(classes.COLOURS[number]) for number, name in names.items() if number < classes.COUNT}
+    points["class"] = [names[number] for number in cls]
+    figure = px.scatter_3d(points, *axes, color="class", color_discrete_map=colours | {"void": "black"})
+    figure.update_traces(marker_size=3)
+    kept = np.array(structure["edges"], np.int64).reshape(-1, 2)
+    for name, pairs in (("edges before pruning", unpruned_edges(xyz, cls, k)), ("edges after pruning", kept)):
+        lines = np.full((len(pairs), 3, 3), np.nan, np.float32)  # NaN: a gap after each edge
+        lines[:, 0], lines[:, 1] = place[pairs[:, 0]], place[pairs[:, 1]]
+        edges = px.line_3d(pd.DataFrame(lines.reshape(-1, 3), columns=axes), *axes)
+        style = {"line_color": "rgba(90,100,115,0.55)", "line_width": 1.5, "hoverinfo": "skip", "hovertemplate": None}
+        edges.update_traces(name=name, showlegend=True, visible=True if pairs is kept else "legendonly", **style)
+        figure.add_traces(edges.data)
+    camera = {"eye": {"x": 0.0, "y": -1.7, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.15}}
+    figure.update_layout(scene={"aspectmode": "data", "camera": camera}, legend_itemsizing="constant")
+    return _finish(figure, 520)
+
+
+def unpruned_edges(xyz: np.ndarray, cls: np.ndarray, k: int) -> np.ndarray:
+    """Return the undirected kNN edges [E,2] of points [P,3], each once."""
+    complete = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
+    pairs = np.stack([np.repeat(np.arange(len(xyz)), complete.degree), complete.indices.astype(np.int64)], axis=1)
+    return pairs[pairs[:, 0] < pairs[:, 1]]
+
+
+def _rgb(colour: np.ndarray) -> str:
+    red, green, blue = colour
+    return f"rgb({red},{green},{blue})"
+
+
+def _style() -> dict[str, Any]:
+    return {"color_discrete_sequence": COLOURS, "color_discrete_map": FIXED}
+
+
+def _finish(figure: Figure, height: int) -> Figure:
+    """Set the layout, and hide all but the first models."""
+    models = list(dict.fromkeys(_model(trace) for trace in figure.data if trace.name not in FIXED))
+    for trace in figure.data:
+        if trace.type != "scatter3d" and _model(trace) in models[MODELS_SHOWN:]:
+            trace.visible = "legendonly"
+    margin = {"l": 60, "r": 10, "t": 40, "b": 50}
+    return figure.update_layout(template="plotly_white", height=height, margin=margin, legend=_LEGEND, showlegend=True)
+
+
+def _model(trace: BaseTraceType) -> str:
+    return str(trace.name).split(", ")[0]  # of learning curves: model, column

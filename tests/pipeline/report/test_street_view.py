@@ -21,7 +21,7 @@ def view(frame: int = 3) -> street_view.View:
 
 
 def test_a_view_is_read_by_frame_number(tmp_path: Path) -> None:
-    """Images, depth and clouds have other rows for the same frame; the points fall on their own pixels."""
+    """The three files hold the frame in different rows; each point projects to a pixel of its depth and class."""
     street.write_drive(tmp_path / "ingest", DRIVE, 5)
     street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
     with store.DriveWriter(tmp_path / "clouds.h5", stage="clouds", drive=DRIVE, params={}) as file:
@@ -33,7 +33,7 @@ def test_a_view_is_read_by_frame_number(tmp_path: Path) -> None:
         store.DriveReader(tmp_path / "clouds.h5", stage="clouds") as points,
     ):
         third = street_view.read_view(raw, perceived, points, 3)
-        with pytest.raises(InputError, match=r"clouds\.h5 has no frame 2"):
+        with pytest.raises(InputError, match="no frame 2"):
             street_view.read_view(raw, perceived, points, 2)
     np.testing.assert_array_equal(third.rgb, street.scene(3)[0])
     uv, z = geometry.project(third.xyz.astype(float), street.K)
@@ -42,11 +42,10 @@ def test_a_view_is_read_by_frame_number(tmp_path: Path) -> None:
     np.testing.assert_array_equal(third.points_cls, third.cls[v, u])
 
 
-def test_from_above_higher_points_hide_lower_ones_and_keep_their_colours() -> None:
+def test_from_above_high_points_hide_low_ones() -> None:
     panel = Figure().add_subplot()
     xyz = np.array([[1.0, -3.0, 9.0], [1.0, 1.6, 9.0], [-2.0, 0.0, 20.0]])
-    cls = np.array([classes.VEGETATION, classes.ROAD, classes.CAR])
-    street_view.draw_cloud(panel, xyz, cls)
+    street_view.draw_cloud(panel, xyz, np.array([classes.VEGETATION, classes.ROAD, classes.CAR]))
     (points,) = panel.collections
     np.testing.assert_array_equal(points.get_offsets(), [[1, 9], [-2, 20], [1, 9]])
     colours = classes.COLOURS[[classes.ROAD, classes.CAR, classes.VEGETATION]] / 255
@@ -58,23 +57,18 @@ def test_frames_are_spread_evenly_over_the_drive() -> None:
     assert street_view.evenly_spread(np.array([4, 7]), 3) == [4, 7]
 
 
-def test_a_sheet_names_each_class_in_view_once() -> None:
+def test_a_sheet_names_each_visible_class_once() -> None:
     one = view()
-    unknown = one._replace(cls=np.full_like(one.cls, classes.VOID))
-    names = [text.get_text() for text in street_view.sheet("drive", [one, unknown]).legends[0].get_texts()]
+    void = one._replace(cls=np.full_like(one.cls, classes.VOID))
+    names = [text.get_text() for text in street_view.sheet("drive", [one, void]).legends[0].get_texts()]
     assert names == ["road", "building", "sky"]
-    assert not street_view.sheet("drive", [unknown]).legends[0].get_texts()
+    assert not street_view.sheet("drive", [void]).legends[0].get_texts()
 
 
-def test_the_scale_of_depth_runs_from_red_to_blue_and_none_is_blank() -> None:
-    near, far, none = street_view.colourise_depth(np.array([[street_view.NEAR_M, street_view.FAR_M, 0.0]]))[0].astype(
-        int
-    )
+def test_depth_runs_from_red_to_blue_and_is_clipped() -> None:
+    depth_m = np.array([[street_view.NEAR_M, street_view.FAR_M, 0.0, 1.0, 500.0]])
+    near, far, none, nearer, farther = street_view.colourise_depth(depth_m)[0].astype(int)
     assert near[0] > near[2] + 50
     assert far[2] > far[0]
     assert none.tolist() == [0, 0, 0, 0]
-
-
-def test_what_lies_beyond_the_scale_has_the_colours_of_its_ends() -> None:
-    beyond, ends = street_view.colourise_depth(np.array([[1.0, 500.0], [street_view.NEAR_M, street_view.FAR_M]]))
-    np.testing.assert_array_equal(beyond, ends)
+    assert (nearer.tolist(), farther.tolist()) == (near.tolist(), far.tolist())

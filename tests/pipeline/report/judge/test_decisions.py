@@ -17,7 +17,7 @@ STRAIGHT, CORNER = 0.0, 0.1  # 1/m
 
 
 def bends(*parts: tuple[int, float]) -> np.ndarray:
-    """Return the curvature of so many frames each."""
+    """Return curvature for parts of (frames, curvature)."""
     return np.concatenate([np.full(count, curvature) for count, curvature in parts])
 
 
@@ -36,20 +36,20 @@ def test_a_turn_begins_where_the_curvature_leaves_straight() -> None:
 @pytest.mark.parametrize(
     ("curvature", "onsets"),
     [
-        (bends((30, STRAIGHT), (60, 0.03)), []),  # a bend, and no corner
+        (bends((30, STRAIGHT), (60, 0.03)), []),  # a bend of the road
         (bends((30, STRAIGHT), (8, CORNER), (8, -CORNER), (30, STRAIGHT)), []),  # around an obstacle
         (bends((30, CORNER), (5, STRAIGHT), (20, CORNER)), []),  # still the same turn
         (bends((30, CORNER), (11, STRAIGHT), (20, -CORNER)), [41]),
-        (bends((5, STRAIGHT), (20, CORNER)), []),  # too early to know what was before
+        (bends((5, STRAIGHT), (20, CORNER)), []),  # the drive starts less than a second before
         (bends((30, STRAIGHT)), []),
         (np.empty(0), []),
     ],
 )
-def test_only_corners_after_a_straight_second_are_decisions(curvature: np.ndarray, onsets: list[int]) -> None:
+def test_only_corners_after_a_straight_second_are_onsets(curvature: np.ndarray, onsets: list[int]) -> None:
     assert found(curvature) == onsets
 
 
-def test_after_a_gap_nobody_knows_what_was_before() -> None:
+def test_a_gap_before_a_turn_hides_its_onset() -> None:
     turn = bends((30, STRAIGHT), (20, CORNER))
     frames = np.arange(50)
 
@@ -58,19 +58,19 @@ def test_after_a_gap_nobody_knows_what_was_before() -> None:
         rows = decisions.onsets(turn[kept], valid, frames[kept] / 10, turn[kept] * speed, speed)
         return frames[kept][rows].tolist()
 
-    assert found_at(frames != 25) == [30]  # one frame alone
+    assert found_at(frames != 25) == [30]  # a single frame
     assert found_at((frames < 5) | (frames >= 30)) == []
     assert found_at((frames < 5) | (frames >= 26)) == []
 
 
-def test_who_waits_at_a_corner_decides_when_the_car_moves() -> None:
+def test_a_turn_after_a_stop_begins_when_the_car_moves() -> None:
     curvature = bends((20, STRAIGHT), (15, 0.6), (20, CORNER))
     valid = np.r_[np.ones(20, bool), np.zeros(15, bool), np.ones(20, bool)]
     assert found(curvature, valid) == [35]
 
 
 @pytest.mark.parametrize(("horizon", "first"), [(0, 30), (10, 20)])
-def test_frames_whose_target_lies_behind_the_onset_count_apart(tmp_path: Path, horizon: int, first: int) -> None:
+def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: int, first: int) -> None:
     frame = np.arange(80)
     steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
     artefacts.write_labels(tmp_path / f"labels/{NAME}.h5", NAME, steering, frame)
@@ -80,7 +80,7 @@ def test_frames_whose_target_lies_behind_the_onset_count_apart(tmp_path: Path, h
 
 
 @pytest.mark.real
-def test_a_recorded_drive_turns_where_its_driver_decided(real_kitti: Path) -> None:
+def test_onsets_of_a_recorded_drive(real_kitti: Path) -> None:
     """KITTI's 2011_09_30_drive_0027 goes round some blocks."""
     folder = "2011_09_30/2011_09_30_drive_0027_sync/oxts/data/"
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:

@@ -1,4 +1,4 @@
-"""Paths that start again from the true one, and how far off they end."""
+"""Paths of predicted steering: restarts and drift."""
 
 import tarfile
 from dataclasses import replace
@@ -21,7 +21,7 @@ def track(steering_rad: float | np.ndarray, *onsets: int) -> Track:
     return Track(TIME_S, np.full(STEPS, 10.0), angles, np.array(onsets, int), wheelbase_m=2.7)
 
 
-def test_a_path_starts_where_the_car_was_and_as_it_stood() -> None:
+def test_a_path_starts_at_the_true_pose() -> None:
     bend = track(0.1)
     whole = bend.path(bend.steering_rad, 0, STEPS)
     np.testing.assert_allclose(bend.path(bend.steering_rad, 40, 70), whole[40:70], atol=1e-9)
@@ -35,14 +35,14 @@ def test_a_path_starts_where_the_car_was_and_as_it_stood() -> None:
     np.testing.assert_allclose(ahead[0], [np.cos(turned), np.sin(turned)], atol=1e-9)
 
 
-def test_segments_end_where_the_driver_decides_and_where_nothing_is_predicted() -> None:
+def test_segments_end_at_onsets_and_missing_predictions() -> None:
     predicted = np.zeros(STEPS)
     predicted[:7] = predicted[50] = predicted[99] = np.nan
     assert segments(track(0.0, 3, 20, 50, 70), predicted) == [(7, 20), (20, 50), (51, 70), (70, 99)]
     assert segments(track(0.0), np.full(STEPS, np.nan)) == []
 
 
-def test_drift_is_the_distance_at_the_end_for_each_100_m() -> None:
+def test_drift_is_the_final_distance_per_100_m() -> None:
     right, wrong = np.zeros(STEPS), np.full(STEPS, 0.01)
     assert drift([(track(0.0), right)]) == 0
     # Small angle ε from L: after s metres off by ε s² / 2 L; 100 m in one piece, or in two of 50 and 49 steps.
@@ -52,7 +52,7 @@ def test_drift_is_the_distance_at_the_end_for_each_100_m() -> None:
     assert drift([(track(0.0), np.full(STEPS, np.nan))]) is None
 
 
-def test_of_a_step_count_speed_and_angle_where_it_ends() -> None:
+def test_a_step_uses_speed_and_angle_of_its_end() -> None:
     speed, angles, time_s = np.array([9.0, 2.0, 4.0]), np.array([9.0, 0.0, 0.1]), np.array([0.0, 0.5, 1.0])
     none = np.array([], int)
     path = Track(time_s, speed, angles, none, wheelbase_m=2.7).path(angles, 0, 3)
@@ -63,7 +63,7 @@ def test_of_a_step_count_speed_and_angle_where_it_ends() -> None:
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [1 + 2 * np.cos(0.1), 2 * np.sin(0.1)]])
 
 
-def test_by_the_papers_formula_an_error_of_the_angle_is_one_of_the_heading() -> None:
+def test_in_the_papers_formula_the_angle_is_the_heading() -> None:
     bend = replace(track(0.1, 50), formula="paper")
     whole = bend.path(bend.steering_rad, 0, STEPS)
     np.testing.assert_allclose(bend.path(bend.steering_rad, 40, 70), whole[40:70], atol=1e-9)
@@ -86,7 +86,7 @@ MISSED = {
 
 @pytest.mark.slow
 @pytest.mark.real
-def test_true_angles_lead_along_the_recorded_track(real_kitti: Path, tmp_path: Path) -> None:
+def test_paths_of_true_angles_follow_gnss(real_kitti: Path, tmp_path: Path) -> None:
     """Label, sign and integration at once: GNSS positions are a second route to where the car went."""
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         archive.extractall(tmp_path, filter="data")

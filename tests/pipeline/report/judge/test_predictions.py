@@ -1,50 +1,46 @@
-"""predictions.csv and the diagram: every frame is there, what nobody knows stays empty, files repeat bit by bit."""
+"""predictions.csv has a row per frame; angles that do not exist are empty."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.report.judge import decisions, predictions, steering_plot
+from pipeline.report.judge import decisions, predictions
 from pipeline.train import windows
 from tests import artefacts
 
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
-@pytest.fixture
-def drives(tmp_path: Path) -> list[windows.Drive]:
+def read(path: Path) -> list[list[str]]:
+    return [line.split(",") for line in path.read_text().splitlines()]
+
+
+def test_a_row_per_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     artefacts.write_dataset(tmp_path, dict.fromkeys(NAMES, "test"), frames=9, points=20)
-    return windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4)
-
-
-def test_a_row_for_each_frame(tmp_path: Path, drives: list[windows.Drive], monkeypatch: pytest.MonkeyPatch) -> None:
+    artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[0]}.h5", "visual", np.full(9, 0.25))
+    drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4)
     drives[1].valid[2] = False
-    monkeypatch.setattr(decisions, "frames", lambda drive: np.array([4] if drive is drives[0] else [], np.int32))
+    onsets = {NAMES[0]: np.array([4], np.int32), NAMES[1]: np.empty(0, np.int32)}
+    monkeypatch.setattr(decisions, "frames", lambda drive: onsets[drive.name])
     predicted = [np.full(9, 0.5), np.r_[np.nan, np.full(8, -0.1234567)]]
     predictions.write(tmp_path / "new/predictions.csv", list(zip(drives, predicted, strict=True)))
-    head, *rows = [line.split(",") for line in (tmp_path / "new/predictions.csv").read_text().splitlines()]
-    assert head == ["drive", "frame", "time_s", "speed_mps", "steering_rad", "predicted_rad", "valid", "onset"]
+    head, *rows = read(tmp_path / "new/predictions.csv")
+    assert ",".join(head) == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid,onset,odometry_rad"
     assert [row[0] for row in rows] == [NAMES[0]] * 9 + [NAMES[1]] * 9
     assert [row[1] for row in rows] == [str(number) for number in range(9)] * 2
     assert [row[5] for row in rows] == ["0.500000"] * 9 + [""] + ["-0.123457"] * 8
     assert [row[6] for row in rows] == ["1"] * 11 + ["0"] + ["1"] * 6
     assert [number for number, row in enumerate(rows) if row[7] == "1"] == [4]
+    assert [row[8] for row in rows] == ["0.250000"] * 9 + [""] * 9
 
 
-def test_with_a_horizon_a_row_is_the_last_frame_seen_and_the_angle_to_come(tmp_path: Path) -> None:
+def test_with_a_horizon_angles_are_those_of_a_later_frame(tmp_path: Path) -> None:
     artefacts.write_dataset(tmp_path, {NAMES[0]: "test"}, frames=9, points=20)
-    (drive,) = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES[:1], 4, 3)
-    (now,) = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES[:1], 4)
+    folders = (tmp_path / "graphs/semantic", tmp_path / "labels")
+    (drive,) = windows.read_drives(*folders, NAMES[:1], 4, 3)
+    (now,) = windows.read_drives(*folders, NAMES[:1], 4)
     predictions.write(tmp_path / "predictions.csv", [(drive, np.zeros(9))])
-    rows = [line.split(",") for line in (tmp_path / "predictions.csv").read_text().splitlines()[1:]]
-    assert [row[1] for row in rows] == [str(number) for number in range(9)]
+    rows = read(tmp_path / "predictions.csv")[1:]
     assert [float(row[4]) for row in rows[:6]] == pytest.approx(now.steering_rad[3:], abs=1e-9)
-    assert [(row[4], row[6]) for row in rows[6:]] == [("", "0")] * 3  # of what comes later nothing was recorded
-    steering_plot.draw(tmp_path / "ahead.png", [(drive, np.zeros(9))], "net")
-
-
-def test_the_diagram_is_the_same_file_each_time(tmp_path: Path, drives: list[windows.Drive]) -> None:
-    for name in ("a.png", "b.png"):
-        steering_plot.draw(tmp_path / name, [(drive, np.zeros(9)) for drive in drives], "net")
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert [(row[1], row[4], row[6]) for row in rows[6:]] == [(str(number), "", "0") for number in (6, 7, 8)]

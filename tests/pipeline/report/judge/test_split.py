@@ -1,4 +1,4 @@
-"""The figures of a split: which frames count, what is said of parts, and what is measured of its graphs."""
+"""Metrics of a split: counted frames, parts of the split, sizes of its graphs."""
 
 from pathlib import Path
 
@@ -20,8 +20,8 @@ def drives(folder: Path, write: object = artefacts.write_graphs, horizon: int = 
     return windows.read_drives(folder / "graphs/semantic", folder / "labels", NAMES, 4, horizon)
 
 
-def figures(cases: list[split.Case]) -> dict:
-    return split.figures(cases, load(Evaluate, PARAMS))
+def metrics(cases: list[split.Case]) -> dict:
+    return split.metrics(cases, load(Evaluate, PARAMS))
 
 
 def test_invalid_and_early_frames_do_not_count(tmp_path: Path) -> None:
@@ -31,95 +31,86 @@ def test_invalid_and_early_frames_do_not_count(tmp_path: Path) -> None:
     for angles, drive in zip(predicted, test, strict=True):
         angles[:3] = np.nan
         angles[~drive.valid] = 99.0
-    made = figures([split.Case(drive, angles[None], 0.0) for drive, angles in zip(test, predicted, strict=True)])
-    assert made["frames"] == 2 * (30 - 3) - 5
-    assert made["mse_rad2"] == pytest.approx(0.01**2)
-    assert made["nmse_ci95"][0] <= made["nmse"] <= made["nmse_ci95"][1]
-    assert made["baselines"]["train_mean"] == made["baselines"]["zero"]
-    assert sum(row["frames"] for row in made["by_curvature"]) == made["frames"]
-    assert made["nmse_std"] is None
+    found = metrics([split.Case(drive, angles[None], 0.0) for drive, angles in zip(test, predicted, strict=True)])
+    assert found["frames"] == 2 * (30 - 3) - 5
+    assert found["mse_rad2"] == pytest.approx(0.01**2)
+    assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
+    assert found["baselines"]["train_mean"] == found["baselines"]["zero"]
+    assert sum(row["frames"] for row in found["by_curvature"]) == found["frames"]
+    assert found["nmse_std"] is None
 
 
-def test_each_drive_is_judged_alone_too_by_its_own_training_mean(tmp_path: Path) -> None:
+def test_each_drive_has_its_own_errors_and_training_mean(tmp_path: Path) -> None:
     first, second = drives(tmp_path, horizon=2)
     cases = [
         split.Case(first, np.stack([first.steering_rad + 0.01, first.steering_rad + 0.03]), 0.0),
         split.Case(second, np.stack([second.steering_rad, second.steering_rad]), 0.05),
     ]
-    made = figures(cases)["by_drive"]
-    assert list(made) == NAMES
-    assert made[NAMES[0]]["frames"] == 28  # of the last two, nothing was recorded
-    assert made[NAMES[0]]["mse_rad2"] == pytest.approx((0.01**2 + 0.03**2) / 2)
-    assert made[NAMES[1]]["nmse"] == 0
-    assert made[NAMES[0]]["baselines"]["train_mean"] == made[NAMES[0]]["baselines"]["zero"]
+    found = metrics(cases)["by_drive"]
+    assert list(found) == NAMES
+    assert found[NAMES[0]]["frames"] == 28  # the last two have no label 2 frames ahead
+    assert found[NAMES[0]]["mse_rad2"] == pytest.approx((0.01**2 + 0.03**2) / 2)
+    assert found[NAMES[1]]["nmse"] == 0
+    assert found[NAMES[0]]["baselines"]["train_mean"] == found[NAMES[0]]["baselines"]["zero"]
     mean = np.mean((second.steering_rad[:28] - 0.05) ** 2)
-    assert made[NAMES[1]]["baselines"]["train_mean"]["mse_rad2"] == pytest.approx(mean)
-    assert made[NAMES[1]]["baselines"]["persistence"]["mse_rad2"] == pytest.approx(
+    assert found[NAMES[1]]["baselines"]["train_mean"]["mse_rad2"] == pytest.approx(mean)
+    assert found[NAMES[1]]["baselines"]["persistence"]["mse_rad2"] == pytest.approx(
         np.mean((second.steering_rad[:28] - np.r_[second.held_rad[:28]]) ** 2)
     )
 
 
-def test_the_network_that_judges_a_drive_more_than_once_has_the_mean(tmp_path: Path) -> None:
-    (first, _) = drives(tmp_path)
-    cases = [split.Case(first, first.steering_rad[None] + error, 0.0) for error in (0.01, 0.03)]
-    made = figures(cases)
-    assert made["by_drive"][NAMES[0]]["frames"] == made["frames"] == 60
-    assert made["by_drive"][NAMES[0]]["mse_rad2"] == pytest.approx(made["mse_rad2"])
-
-
-def test_odometry_is_none_where_a_drive_has_no_scans(tmp_path: Path) -> None:
+def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
+    """The first drive has images and scans; the second has images, and either no scan or no data set of scans."""
     for name, drive in zip(NAMES, drives(tmp_path), strict=True):
-        has_scans = np.full(30, name == NAMES[0])
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", drive.steering_rad)
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "lidar", drive.steering_rad, has_scans)
-    again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4)
-    made = figures([split.Case(drive, np.zeros((1, 30)), 0.0) for drive in again])
-    of_drives = [made["by_drive"][name]["baselines"]["odometry_lidar"]["nmse"] for name in NAMES]
-    assert of_drives == [pytest.approx(0, abs=1e-6), None]
-    assert made["baselines"]["odometry_lidar"]["nmse"] is None
-    assert made["baselines"]["odometry"]["nmse"] == pytest.approx(0, abs=1e-6)
+        if name == NAMES[0]:
+            artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "lidar", drive.steering_rad)
 
+    def baselines() -> dict:
+        again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, 5)
+        return metrics([split.Case(drive, np.zeros((1, 30)), 0.0) for drive in again])
 
-def test_odometry_is_judged_where_all_drives_carry_it(tmp_path: Path) -> None:
-    first, second = drives(tmp_path)
-    for name, drive in zip(NAMES, (first, second), strict=True):
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", drive.steering_rad)
-    artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[0]}.h5", "lidar", first.steering_rad)
-    again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, 5)
-    made = figures([split.Case(drive, np.zeros((1, 30)), 0.0) for drive in again])["baselines"]
-    assert list(made) == ["zero", "train_mean", "persistence", "odometry"]
+    found, (first, second) = (
+        baselines()["baselines"],
+        windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4),
+    )
+    assert list(found) == ["zero", "train_mean", "persistence", "odometry"]
     ahead = np.concatenate([drive.steering_rad[5:] - drive.steering_rad[:25] for drive in (first, second)])
-    assert made["odometry"]["mse_rad2"] == pytest.approx(np.mean(ahead**2), rel=1e-4)
-    assert made["persistence"]["mse_rad2"] == pytest.approx(np.mean(ahead**2))
+    assert found["odometry"]["mse_rad2"] == pytest.approx(np.mean(ahead**2), rel=1e-4)
+    assert found["persistence"]["mse_rad2"] == pytest.approx(np.mean(ahead**2))
+    artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[1]}.h5", "lidar", second.steering_rad, np.zeros(30, bool))
+    found = baselines()
+    assert [found["by_drive"][name]["baselines"]["odometry_lidar"]["nmse"] is None for name in NAMES] == [False, True]
+    assert found["baselines"]["odometry_lidar"]["nmse"] is None
 
 
-def test_frames_at_decisions_count_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_near_decisions_are_left_out_of_one_score(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (first, _) = drives(tmp_path)
     near = np.arange(30) < 10
     monkeypatch.setattr(decisions, "near", lambda drive: near)
-    made = figures([split.Case(first, np.where(near, 0.0, first.steering_rad)[None], 0.0)])
-    assert made["nmse"] > 0
-    assert (made["without_decisions"]["frames"], made["without_decisions"]["nmse"]) == (20, 0)
-    assert made["without_decisions"]["baselines"]["zero"]["frames"] == 20
+    found = metrics([split.Case(first, np.where(near, 0.0, first.steering_rad)[None], 0.0)])
+    assert found["nmse"] > 0
+    assert (found["without_decisions"]["frames"], found["without_decisions"]["nmse"]) == (20, 0)
+    assert found["without_decisions"]["baselines"]["zero"]["frames"] == 20
     monkeypatch.setattr(decisions, "near", lambda drive: np.ones(30, bool))
-    assert figures([split.Case(first, np.zeros((1, 30)), 0.0)])["without_decisions"]["nmse"] is None
+    assert metrics([split.Case(first, np.zeros((1, 30)), 0.0)])["without_decisions"]["nmse"] is None
 
 
-def test_sizes_are_means_and_none_of_what_there_is_not(tmp_path: Path) -> None:
+def test_sizes_are_means_or_none(tmp_path: Path) -> None:
     sizes = split.sizes(drives(tmp_path / "graphs"))
     assert sizes["points_per_frame"] == 40
     assert 0 < sizes["edges_per_frame"] < sizes["edges_per_frame_unpruned"]
-    of_images = split.sizes(drives(tmp_path / "images", artefacts.write_images))
-    assert set(of_images.values()) == {None}
+    images = split.sizes(drives(tmp_path / "images", artefacts.write_images))
+    assert set(images.values()) == {None}
 
 
-def test_paths_are_integrated_as_the_params_say(tmp_path: Path) -> None:
+def test_drift_uses_the_formula_of_the_params(tmp_path: Path) -> None:
     cases = [split.Case(drive, drive.steering_rad[None] + 0.03, 0.0) for drive in drives(tmp_path)]
     settings = load(Evaluate, PARAMS)
     assert settings.path == "bicycle"
-    of_car, of_paper = (
-        split.figures(cases, settings.model_copy(update={"path": path}))["drift_m_per_100m"]
+    bicycle, paper = (
+        split.metrics(cases, settings.model_copy(update={"path": path}))["drift_m_per_100m"]
         for path in ("bicycle", "paper")
     )
-    assert of_paper == pytest.approx(100 * 2 * np.sin(0.03 / 2), rel=0.01)  # where the way is all but straight
-    assert of_car > 2 * of_paper
+    assert paper == pytest.approx(100 * 2 * np.sin(0.03 / 2), rel=0.01)  # on almost straight road
+    assert bicycle > 2 * paper

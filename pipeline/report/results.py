@@ -1,0 +1,151 @@
+"""Load what stage evaluate wrote for all models: one table of metrics and one of predictions.
+
+They feed everything in the report: tables, page, figures, and the files that DVC reads.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from pipeline.base import store
+from pipeline.base.errors import error_context
+from pipeline.report import paper
+
+_BASELINES = ("zero", "train_mean", "persistence", "odometry", "odometry_lidar")
+_REQUIRED = {
+    "model", "parameters", "edges_per_frame", "line.temporal", "test.frames", "test.nmse", "test.mae_deg",
+    "test.nmse_std", "test.nmse_low", "test.nmse_high", "test.without_decisions.nmse", "test.baselines.zero.nmse",
+}  # fmt: skip
+_TYPES = {
+    "drive": str, "frame": int, "time_s": float, "speed_mps": float, "steering_rad": float, "predicted_rad": float,
+    "valid": int, "onset": int, "odometry_rad": float,
+}  # fmt: skip
+
+
+class Results(NamedTuple):
+    """The two tables."""
+
+    metrics: pd.DataFrame
+    """One row per model, and per horizon one row per baseline (column `baseline`). Columns are the keys of metrics.json
+    joined by dots, as test.by_drive.DRIVE.nmse or test.by_curvature.RANGE.rmse_deg; and paper.train_mse, …test_mse.
+    Rows by horizon: the paper's networks in its order, other models in the order given, baselines."""
+    predictions: pd.DataFrame
+    """One row per model, run (empty for the first seed), drive and frame: the columns of predictions.csv, elapsed_s
+    since the drive's first frame, and in degrees driven_deg (NaN where invalid), predicted_deg, odometry_deg."""
+
+    @property
+    def models(self) -> pd.DataFrame:
+        """Return the metrics of models, without baselines."""
+        return self.metrics[~self.metrics["baseline"].astype(bool)]
+
+    def first_seed(self, models: Sequence[str]) -> pd.DataFrame:
+        """Return the predictions of the first seed of `models`."""
+        return self.predictions[self.predictions["model"].isin(models) & (self.predictions["run"] == "")]
+
+
+def load_results(evaluate: Path, models: Sequence[str]) -> Results:
+    """Load the results of `models` from their folders below `evaluate`. Raises InputError if a file is damaged."""
+    rows = sorted((_load_metrics(evaluate / model) for model in models), key=_rank)
+    by_horizon = [list(group) for _, group in groupby(rows, key=_horizon)]
+    rows = [row for group in by_horizon for row in [*group, *_baselines(group)]]
+    # dtype=object keeps integers and None as they are, also in columns that baselines lack.
+    metrics = pd.DataFrame(rows, columns=None if rows else ["model", "baseline"], dtype=object)
+    tables = [
+        _load_predictions(path, evaluate / model) for model in models for path in _prediction_files(evaluate, model)
+    ]
+    predictions = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=["model", "run", *_TYPES])
+    return Results(metrics, predictions)
+
+
+def columns_below(metrics: pd.DataFrame, prefix: str, name: str) -> dict[str, str]:
+    """Return key → column for the columns ``<prefix>.<key>.<name>``: a test drive or a range of curvature each."""
+    prefix, suffix = f"{prefix}.", f".{name}"
+    found = [column for column in metrics if column.startswith(prefix) and column.endswith(suffix)]
+    columns = {column.removeprefix(prefix).removesuffix(suffix): column for column in found}
+    return {key: column for key, column in columns.items() if ".baselines." not in key}
+
+
+def _load_metrics(folder: Path) -> dict[str, Any]:
+    """Return the row of a model's metrics.json."""
+    path = folder / "metrics.json"
+    content = store.read_json(path, stage=f"evaluate@{folder.name}")
+    with error_context(path, fix=_fix(folder.name)):
+        try:
+            for scores in filter(None, (content["train"], content["val"], content["test"])):
+                scores["nmse_low"], scores["nmse_high"] = scores["nmse_ci95"]
+                scores["by_curvature"] = {_range(part): _with_baseline(part) for part in scores["by_curvature"]}
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"incomplete ({error!r})") from error
+        row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
+        if lacking := sorted(_REQUIRED - row.keys()):
+            raise ValueError(f"no {lacking[0]}")
+    network = _paper_name(row)
+    published = paper.PAPER[network] if network else None
+    return row | {
+        "seeds": len(row["seeds"]),
+        "paper.train_mse": published and published.train_mse,
+        "paper.test_mse": published and published.test_mse,
+        "baseline": False,
+    }
+
+
+def _range(part: Mapping[str, Any]) -> str:
+    """Return the range of |curvature| of an entry of `by_curvature`."""
+    return f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
+
+
+def _with_baseline(part: Mapping[str, Any]) -> dict[str, Any]:
+    errors = {"rmse_deg": None} | {key: value for key, value in part.items() if key != "zero"}
+    return errors | {"baselines": {"zero": part["zero"]} if "zero" in part else {}}
+
+
+def _baselines(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return a row per baseline of models with one horizon, on the frames of the first model that has it."""
+    found = []
+    for name in _BASELINES:
+        key = f".baselines.{name}."
+        first = next((row for row in rows if f"test{key}nmse" in row), None)
+        if first:
+            own = {column.replace(key, "."): value for column, value in first.items() if key in column}
+            found.append({"model": name, "line.horizon": _horizon(first), **own, "baseline": True})
+    return found
+
+
+def _horizon(row: Mapping[str, Any]) -> int:
+    return int(row["line.horizon"])
+
+
+def _paper_name(row: Mapping[str, Any]) -> str | None:
+    settings = {key.removeprefix("line."): value for key, value in row.items() if key.startswith("line.")}
+    # json_normalize turns a mapping into several columns.
+    accumulated = any(key.startswith("variant.accumulate") and value is not None for key, value in row.items())
+    return paper.name({**settings, "accumulate": accumulated or None})
+
+
+def _rank(row: Mapping[str, Any]) -> tuple[int, int]:
+    return _horizon(row), [*paper.PAPER, None].index(_paper_name(row))
+
+
+def _prediction_files(evaluate: Path, model: str) -> list[Path]:
+    return sorted((evaluate / model).rglob("predictions.csv"))
+
+
+def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
+    """Load a predictions.csv in the model's `folder` as rows of :attr:`Results.predictions`."""
+    with error_context(path, fix=_fix(folder.name)):
+        table = pd.read_csv(path, usecols=[*_TYPES], dtype=_TYPES, keep_default_na=False, na_values=[""])
+    table.insert(0, "model", folder.name)
+    table.insert(1, "run", ".".join(path.parent.relative_to(folder).parts))
+    table["elapsed_s"] = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
+    table["driven_deg"] = np.rad2deg(table["steering_rad"].where(table["valid"] == 1))
+    table["predicted_deg"] = np.rad2deg(table["predicted_rad"])
+    table["odometry_deg"] = np.rad2deg(table["odometry_rad"])
+    return table
+
+
+def _fix(model: str) -> str:
+    return f"Recreate it: dvc repro --force --single-item evaluate@{model}"

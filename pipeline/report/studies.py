@@ -1,0 +1,164 @@
+"""Compare models that differ in one setting (presets/studies.yaml): a table and a figure per setting.
+
+A model of a study is called STUDY-VALUE; sa-gnn-ncp has the default of every study and is a point of each. Pairs of
+models test the paper's claims.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pipeline.report import drawing
+from pipeline.report.dvc_files import write_csv
+from pipeline.report.judge.interval import difference_interval
+from pipeline.report.results import Results
+from pipeline.report.tables import Table, cells, with_text
+from pipeline.sections.evaluate import Evaluate
+
+DEFAULT = "sa-gnn-ncp"
+_CSV = {
+    "study": "study", "value": "value", "model": "model", "seeds": "seeds", "test_nmse": "test.nmse",
+    "test_nmse_std": "test.nmse_std", "test_nmse_low": "test.nmse_low", "test_nmse_high": "test.nmse_high",
+    "val_nmse": "val.nmse", "test_mae_deg": "test.mae_deg", "edges_per_frame": "edges_per_frame",
+    "parameters": "parameters",
+}  # fmt: skip
+
+
+_LINES = {
+    "val.nmse": ("validation", ":", "tab:blue"),
+    "test.baselines.odometry.nmse": ("odometry", "--", "tab:orange"),
+    "test.baselines.persistence.nmse": ("persistence", "--", "tab:green"),
+}
+
+
+class Study(NamedTuple):
+    """The axis of a figure, the default's value, and whether the axis is logarithmic."""
+
+    label: str
+    default: float
+    logarithmic: bool = False
+
+
+class Claim(NamedTuple):
+    """A claim of the paper, and the two models that test it; the claim says that the first is better."""
+
+    text: str
+    ours: str
+    other: str
+
+
+STUDIES = {
+    "points": Study("points per frame", 1000, logarithmic=True),
+    "k": Study("nearest neighbours per point", 6),
+    "keep": Study("kept edges between classes, %", 20),
+    "lambda": Study("weight λ of the classes (eq. 7), %", 100),
+    "window": Study("input frames per prediction", 8, logarithmic=True),
+    "horizon": Study("frames ahead", 0),
+    "roads": Study("training drives", 24, logarithmic=True),
+}
+CLAIMS = (
+    Claim("pruning: 20 % of the edges between classes kept, against all", DEFAULT, "keep-100"),
+    Claim("semantics: λ = 1 against 0", DEFAULT, "lambda-0"),
+    Claim("NCP against LSTM", DEFAULT, "lstm"),
+)
+
+
+def write(results: Results, out: Path, settings: Evaluate) -> str:
+    """Write studies.md, studies.csv and a figure per study to folder `out`; return the Markdown.
+
+    Writes nothing and returns an empty text without models of a study.
+    """
+    studies = points(results.models)
+    if not studies:
+        return ""
+    for name, rows in studies.items():
+        drawing.save(figure(STUDIES[name], rows), out / f"{name}.png")
+    text = "\n\n".join([*(table(name, rows).markdown() for name, rows in studies.items()), *claims(results, settings)])
+    (out / "studies.md").write_text(f"{text}\n", encoding="utf-8")
+    rows = pd.concat([rows.assign(study=name) for name, rows in studies.items()])
+    rows["value"] = rows["value"].map("{:g}".format)
+    write_csv(out / "studies.csv", rows[[*_CSV.values()]].set_axis([*_CSV], axis=1), na="")
+    return text
+
+
+def points(models: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return study → metrics of its models with their `value`, ascending; for studies with at least two models."""
+    if DEFAULT not in set(models["model"]):
+        return {}
+    found = {}
+    for name, study in STUDIES.items():
+        value = models["model"].str.extract(rf"^{name}-(\d+)$", expand=False).astype(float)
+        value[models["model"] == DEFAULT] = study.default
+        rows = models.assign(value=value).dropna(subset="value").sort_values("value")
+        if len(rows) > 1:
+            found[name] = rows.reindex(columns=[*dict.fromkeys([*rows, "val.nmse"])])
+    return found
+
+
+def table(name: str, rows: pd.DataFrame) -> Table:
+    """Return the table of a study."""
+    columns = {
+        STUDIES[name].label: ("value", "g"), "test nmse": ("nmse", ""), "95 % interval": ("interval", ""),
+        "validation nmse": ("val.nmse", ".3f"), "MAE deg": ("test.mae_deg", ".2f"),
+        "edges": ("edges_per_frame", ",.0f"), "parameters": ("parameters", ",d"),
+    }  # fmt: skip
+    return Table(name, cells(with_text(rows), columns))
+
+
+def figure(study: Study, rows: pd.DataFrame) -> Figure:
+    """Return the figure of a study: test nmse with its spread over seeds and interval, validation, two baselines."""
+    columns = ("value", "test.nmse", "test.nmse_low", "test.nmse_high", "test.nmse_std", *_LINES)
+    values, nmse, low, high, std, *lines = rows.reindex(columns=[*columns]).to_numpy(float).T
+    figure = Figure(figsize=(5, 3.4), layout="constrained")
+    axes = figure.subplots()
+    axes.fill_between(values, low, high, color="tab:blue", alpha=0.15, linewidth=0, label="95 % interval, other roads")
+    spread = np.nan_to_num(std)
+    axes.errorbar(values, nmse, spread, marker="o", capsize=3, color="tab:blue", label="test, ± between seeds")
+    for line, (label, style, colour) in zip(lines, _LINES.values(), strict=True):
+        if not np.isnan(line).all():
+            axes.plot(values, line, style, color=colour, linewidth=1, label=label)
+    if study.logarithmic:
+        axes.set_xscale("log")
+        axes.set_xticks(values, [f"{value:g}" for value in values])
+        axes.minorticks_off()
+    axes.set(xlabel=study.label, ylabel="nmse")
+    axes.set_ylim(bottom=0)
+    axes.legend(frameon=False, fontsize="x-small")
+    return figure
+
+
+def claims(results: Results, settings: Evaluate) -> list[str]:
+    """Return heading and lines of the claims whose models are evaluated; a line has the interval of the difference."""
+    models = results.models.set_index("model")
+    lines = []
+    for claim in CLAIMS:
+        if not {claim.ours, claim.other} <= set(models.index):
+            continue
+        ours, other = models.loc[claim.ours], models.loc[claim.other]
+        bootstrap = (settings.bootstrap_block_frames, settings.bootstrap_samples, settings.seed)
+        low, high = difference_interval(*_aligned(results.predictions, claim.ours, claim.other), *bootstrap)
+        verdict = "better" if high < 0 else "worse" if low > 0 else "no difference shown"
+        lines.append(
+            f"- {claim.text}: {verdict}. nmse {ours['test.nmse']:.3f} against {other['test.nmse']:.3f}, "
+            f"difference {low:+.3f} to {high:+.3f} (95 %); {ours['parameters']:,} parameters against "
+            f"{other['parameters']:,}"
+        )
+    return ["## The paper's claims", "\n".join(lines)] if lines else []
+
+
+def _aligned(predictions: pd.DataFrame, ours: str, other: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return truth [N], predictions of two models [S,N], [S',N] and drive number [N], where all networks predict."""
+    counted = predictions[(predictions["valid"] == 1) & predictions["predicted_rad"].notna()]
+    index = ["drive", "frame"]
+    first, second = (
+        counted[counted["model"] == model].pivot(index=index, columns="run", values="predicted_rad")
+        for model in (ours, other)
+    )
+    both = pd.concat([first, second], axis=1, join="inner").dropna().sort_index()
+    truth = counted[counted["model"] == ours].drop_duplicates(index).set_index(index)["steering_rad"]
+    angles = both.to_numpy().T
+    drive = both.index.get_level_values("drive").factorize()[0]
+    return truth.loc[both.index].to_numpy(), angles[: first.shape[1]], angles[first.shape[1] :], drive

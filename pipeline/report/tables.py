@@ -1,0 +1,238 @@
+"""Build the report's tables as text: for table.md and for the page; and the rows of table.csv."""
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from textwrap import fill
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from pipeline.base.params import SPLITS
+from pipeline.report.results import Results, columns_below
+
+Columns = Mapping[str, tuple[str, str]]
+"""Heading → column and format; an empty format for text."""
+NONE = "–"  # cell without a value
+MAX_DRIVES = 6  # more test drives get no columns of their own
+_WIDTH = 110  # characters per line of a note
+_SETTINGS = (
+    "input", "spatial", "temporal", "cell", "equivariant", "semantics", "window", "motion", "horizon", "fit_to",
+    "roads",
+)  # fmt: skip
+_SIZES = ("points_per_frame", "parameters", "edges_per_frame", "edges_per_frame_unpruned", "seeds")
+_METRICS = (
+    "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless. MAE: mean absolute error. ahead: frames "
+    "from the last input frame to the predicted angle. no onsets: nmse without the frames around the onset of a turn, "
+    "where the driver's choice is unknown (pipeline/report/judge/decisions.py). edges: directed kNN edges per frame "
+    "after pruning, as in the paper. Baselines: zero and train_mean predict a constant; persistence repeats the last "
+    "true angle, which no model gets; odometry repeats the angle measured from the last two images or scans."
+)
+_PAPER = (
+    "MSE in rad². paper: its Table 2, for models with the settings of one of its networks. With the paper's own label, "
+    "always predicting zero has 0.0137 rad² on KITTI's longest drive, below all of its test errors, so its unit cannot "
+    "be rad² of this label: compare order and ratio only."
+)
+_DEPTH = (
+    "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
+    "count; coverage is their share. flat ground: a level road below the camera, with the encoder's classes, on the "
+    "same pixels; an encoder that does not beat it has learned no depth. Eigen: the usual crop of KITTI."
+)
+_MOTION = (
+    "Motion since the previous frame, measured without oxts and compared with it at or above labels.min_speed_mps. "
+    "nmse: of the steering angle from the last measurement, from a drive's first measured frame on. Drives without "
+    "scans count for visual only."
+)
+_LABELS = (
+    "Mean square is the error of always predicting 0. Reversing or sideways frames, and steps much longer than 0.1 s, "
+    "are reasons to check a drive before its labels are used."
+)
+
+
+class Table(NamedTuple):
+    """A table of text cells with a title and a note."""
+
+    title: str
+    cells: pd.DataFrame
+    note: str = ""
+
+    def markdown(self) -> str:
+        """Return title, table with aligned columns, and note as Markdown."""
+        text = markdown_table([*self.cells], self.cells.to_numpy().tolist())
+        return "\n\n".join(filter(None, [f"## {self.title}", text, fill(self.note, _WIDTH)]))
+
+
+def markdown_table(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table with aligned columns, the first to the left and all others to the right."""
+    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
+    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+    lines = []
+    for row in (head, rule, *body):
+        first, *others = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
+        lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *others])} |")
+    return "\n".join(lines)
+
+
+def cells(rows: pd.DataFrame, columns: Columns) -> pd.DataFrame:
+    """Return `columns` of `rows` as text; a column that no row has is empty."""
+    rows = rows.reindex(columns=[column for column, _ in columns.values()])
+    texts = [
+        [
+            NONE if pd.isna(value) else format(value, form)
+            for value, (_, form) in zip(row, columns.values(), strict=True)
+        ]
+        for row in rows.itertuples(index=False, name=None)
+    ]
+    return pd.DataFrame(texts, columns=[*columns])
+
+
+def with_text(metrics: pd.DataFrame) -> pd.DataFrame:
+    """Return the metrics with text columns: name (of baselines in *), nmse with its spread over seeds, interval."""
+    rows = metrics.copy()
+    rows["name"] = [f"*{row['model']}*" if row["baseline"] else row["model"] for _, row in metrics.iterrows()]
+    spread = ["" if pd.isna(std) else f" ± {std:.3f}" for std in metrics["test.nmse_std"]]
+    rows["nmse"] = [NONE if pd.isna(nmse) else f"{nmse:.3f}" for nmse in metrics["test.nmse"]]
+    rows["nmse"] += spread
+    bounds = zip(metrics["test.nmse_low"], metrics["test.nmse_high"], strict=True)
+    rows["interval"] = [None if pd.isna(low) else f"{low:.3f} to {high:.3f}" for low, high in bounds]
+    return rows
+
+
+def steering_tables(results: Results) -> list[Table]:
+    """Return the tables of models and baselines: errors, settings, MSE as in the paper, by drive, by curvature."""
+    if results.metrics.empty:
+        return []
+    rows = with_text(results.metrics)
+    start = {"model": ("name", ""), "ahead": ("line.horizon", "")}
+    errors = {
+        "test nmse": ("nmse", ""), "95 % interval": ("interval", ""), "MAE deg": ("test.mae_deg", ".2f"),
+        "no onsets": ("test.without_decisions.nmse", ".3f"), "parameters": ("parameters", ",d"),
+        "edges": ("edges_per_frame", ",.0f"),
+    }  # fmt: skip
+    mse = {split: (f"{split}.mse_rad2", ".5f") for split in SPLITS}
+    published = {f"paper {split}": (f"paper.{split}_mse", "") for split in ("train", "test")}
+    tables = [
+        Table("Results", cells(rows, start | errors), f"{_METRICS} {_seeds(results.models)}"),
+        Table("Models", _settings(results.models)),
+        Table("MSE as in the paper's Table 2", cells(rows, start | mse | published), _PAPER),
+    ]
+    drives = columns_below(rows, "test.by_drive", "nmse")
+    if 2 <= len(drives) <= MAX_DRIVES:
+        by_drive = {drive: (column, ".3f") for drive, column in drives.items()}
+        tables.append(Table("nmse by test drive", cells(rows, start | by_drive)))
+    bins = columns_below(rows, "test.by_curvature", "rmse_deg")
+    rows = rows[rows[[*bins.values()]].notna().any(axis=1)]
+    counts = ", ".join(str(rows.iloc[0][f"test.by_curvature.{name}.frames"]) for name in bins)
+    note = f"RMSE in degrees by |curvature| of the road; {counts} frames for {rows.iloc[0]['model']}."
+    by_bin = {f"{name} 1/m": (column, ".2f") for name, column in bins.items()}
+    return [*tables, Table("RMSE by curvature", cells(rows, start | by_bin), note)]
+
+
+def _settings(models: pd.DataFrame) -> pd.DataFrame:
+    line = models.filter(regex=r"^line\.\w+$").rename(columns=lambda column: column.removeprefix("line."))
+    rows = pd.concat([models[["model", *_SIZES]], line.reindex(columns=[*_SETTINGS])], axis=1)
+    kept = models["edges_per_frame"] / models["edges_per_frame_unpruned"]
+    rows["pruned"] = 1 - kept.astype(float)
+    rows["temporal"] += [f" ({cell})" if cell else "" for cell in rows["cell"].where(rows["temporal"] == "ncp", "")]
+    rows["fit_to"] += [f" ({roads} roads)" if pd.notna(roads) else "" for roads in rows["roads"]]
+    columns = {
+        "model": "",
+        "input": "",
+        "points_per_frame": ",.0f",
+        "edges_per_frame_unpruned": ",.0f",
+        "pruned": ".0%",
+    }
+    columns |= dict.fromkeys(("semantics", "spatial", "temporal", "window", "equivariant", "motion", "fit_to"), "")
+    return cells(rows, {name.split("_")[0]: (name, form) for name, form in columns.items()})
+
+
+def _seeds(models: pd.DataFrame) -> str:
+    low, high = models["seeds"].min(), models["seeds"].max()
+    if high == 1:
+        return "One seed per model: the spread between trainings is unknown."
+    count = high if low == high else f"{low} to {high}"
+    return (
+        f"Means over {count} seeds, ± one standard deviation between seeds. The interval is for other roads (block "
+        "bootstrap over the test frames), given these networks."
+    )
+
+
+def csv_rows(metrics: pd.DataFrame) -> pd.DataFrame:
+    """Return the metrics under the column names of table.csv."""
+    if metrics.empty:
+        return pd.DataFrame()
+    drives = columns_below(metrics, "test.by_drive", "nmse")
+    bins = columns_below(metrics, "test.by_curvature", "rmse_deg")
+    names = {"model": "model", **{name: f"line.{name}" for name in _SETTINGS}, **{name: name for name in _SIZES}}
+    names |= {f"{split}_mse_rad2": f"{split}.mse_rad2" for split in SPLITS}
+    names |= {f"test_{name}": f"test.{name}" for name in ("frames", "nmse", "mae_deg")}
+    if 2 <= len(drives) <= MAX_DRIVES:
+        names |= {f"test_nmse {drive}": column for drive, column in drives.items()}
+    names |= {f"test_without_decisions_{name}": f"test.without_decisions.{name}" for name in ("frames", "nmse")}
+    names |= {f"test_nmse_{name}": f"test.nmse_{name}" for name in ("std", "low", "high")}
+    names |= {f"test_rmse_deg {name} 1/m": column for name, column in bins.items()}
+    names |= {f"paper_{split}_mse": f"paper.{split}_mse" for split in ("train", "test")}
+    return metrics.reindex(columns=[*names.values()]).set_axis([*names], axis=1)
+
+
+def perception_tables(scores: Mapping[str, Any]) -> list[Table]:
+    """Return the tables of the metrics.json of stage scores (split → scores, and motion) that have rows."""
+    classes = [
+        {"split": split, "classes": len(found["iou"]), **found}
+        for split in SPLITS
+        if (found := scores[split]["classes"])
+    ]
+    accuracy = {
+        "split": ("split", ""), "frames": ("frames", ""), "pixel accuracy": ("pixel_accuracy", ".3f"),
+        "mean IoU": ("mean_iou", ".3f"), "classes": ("classes", ""),
+    }  # fmt: skip
+    cards = [
+        {"kind": kind, "split": split, **card}
+        for kind, splits in scores.get("motion", {}).items()
+        for split in SPLITS
+        if (card := splits[split])
+    ]
+    motion = {
+        "motion": ("kind", ""), "split": ("split", ""), "drives": ("drives", ""), "frames": ("frames", ""),
+        "measured": ("valid", ".1%"), "compared": ("judged", ""), "yaw rate RMSE deg/s": ("yaw_rmse_degps", ".3f"),
+        "median": ("yaw_median_degps", ".3f"), "speed ratio": ("speed_ratio", ".3f"), "steering nmse": ("nmse", ".4f"),
+    }  # fmt: skip
+    tables = [Table("Depth", _depth(scores), _DEPTH)]
+    if classes:
+        note = "Over the classes that occur in the ground truth."
+        tables.append(Table("Classes", cells(pd.DataFrame(classes, dtype=object), accuracy), note))
+    if cards:
+        tables.append(Table("Motion", cells(pd.DataFrame(cards, dtype=object), motion), _MOTION))
+    return [table for table in tables if len(table.cells)]
+
+
+def _depth(scores: Mapping[str, Any]) -> pd.DataFrame:
+    sources = {"encoder": "depth", "flat ground": "ground_plane"}
+    rows = []
+    for split, truth in product(SPLITS, ("lidar", "dense")):
+        if depth := scores[split][f"depth_{truth}"]:
+            row = {"split": split, "truth": truth, "frames": str(depth["frames"])}
+            row["coverage"] = f"{depth['coverage']:.1%}"
+            for crop, (head, source) in product(("", "_eigen"), sources.items()):
+                errors = scores[split][f"{source}_{truth}{crop}"]
+                text = "{abs_rel:.3f}, {rmse_m:.2f}, {delta1:.3f}".format_map(errors) if errors else NONE
+                row[f"{head}{', Eigen' if crop else ''}"] = text
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def label_table(summary: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return the table of the summary.json of stage labels, drive → numbers."""
+    rows = pd.DataFrame([{"drive": drive, **numbers} for drive, numbers in summary.items()], dtype=object)
+    columns = {
+        "drive": ("drive", ""), "frames": ("frames", ""), "valid": ("valid_share", ".1%"),
+        "mean abs rad": ("mean_abs_steering_rad", ".3f"), "largest rad": ("max_abs_steering_rad", ".3f"),
+        "mean square rad²": ("zero_mse_rad2", ".5f"), "longest step s": ("dt_max_s", ".3f"),
+        "reversing": ("reversing_frames", ""), "sideways": ("sideways_frames", ""),
+    }  # fmt: skip
+    return Table("Labels", cells(rows, columns), _LABELS)
+
+
+def missing(models: Sequence[str]) -> str:
+    """Return a line per model that is not evaluated on this machine, with the command that gets it."""
+    lines = [f"{name} is not evaluated here. Run: dvc repro --pull --downstream train@{name}" for name in models]
+    return "\n\n".join(lines)

@@ -1,1 +1,0 @@
-"""What stage report writes: tables for people, flat figures and curves for DVC."""

@@ -1,0 +1,94 @@
+"""Metrics and predictions of all models: order of the rows, baselines, runs, damaged files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base import store
+from pipeline.base.errors import InputError
+from pipeline.report.results import load_results
+from tests.pipeline.report import examples
+
+PAPERS = {"input": "depth", "semantics": 0.0}  # do-gnn-ncp of the paper
+
+
+def test_rows_are_sorted_by_horizon_then_as_in_the_paper_with_baselines_last(tmp_path: Path) -> None:
+    found = examples.results(
+        tmp_path,
+        examples.metrics("far", odometry={"odometry": 0.5}, horizon=10),
+        examples.metrics("ours", spatial="gatv2", odometry={"odometry": 0.04, "odometry_lidar": None}),
+        examples.metrics("do", **PAPERS),
+        examples.metrics("lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
+    ).metrics
+    baselines = ["zero", "train_mean", "persistence", "odometry"]
+    names = ["lstm", "do", "ours", *baselines, "odometry_lidar", "far", *baselines]
+    assert [*found["model"]] == names
+    assert [*found["baseline"]] == [name in (*baselines, "odometry_lidar") for name in names]
+    rows = found[found["line.horizon"] == 0].set_index("model")
+    assert rows.loc["odometry", ["test.nmse", "train.nmse"]].tolist() == [0.04, 0.04]
+    assert rows.loc["odometry", f"test.by_drive.{examples.DRIVES[0]}.nmse"] == 0.04
+    assert rows.loc["zero", "test.by_curvature.0.03 to 0.1.rmse_deg"] == pytest.approx(3 * 5.73)
+    assert rows.loc["odometry_lidar", "test.nmse"] is None
+    assert rows.loc["do", "paper.test_mse"] == 0.081
+    assert rows.loc["ours", "paper.test_mse"] is None
+
+
+def test_a_network_on_accumulated_clouds_is_not_one_of_the_paper(tmp_path: Path) -> None:
+    content = examples.metrics("do", **PAPERS)
+    content["variant"]["accumulate"] = {"motion": "visual", "frames": 8}
+    assert examples.results(tmp_path, content).metrics["paper.test_mse"][0] is None
+
+
+def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:
+    found = examples.results(tmp_path, examples.metrics("net") | {"seeds": [3, 7]}, examples.metrics("other"))
+    table = found.predictions
+    assert table.groupby(["model", "run"]).size().to_dict() == {
+        ("net", ""): 60,
+        ("net", "seed-7"): 60,
+        ("other", ""): 60,
+    }
+    first = found.first_seed(["net"])
+    assert len(first) == 60
+    row = first.iloc[[6, 10, 20]]
+    assert row["elapsed_s"].tolist() == pytest.approx([0.6, 1.0, 2.0])
+    np.testing.assert_allclose(row["driven_deg"], [np.rad2deg(0.06), np.rad2deg(0.1), np.nan])
+    np.testing.assert_allclose(row["predicted_deg"], [np.nan, np.rad2deg(0.11), np.rad2deg(0.21)])
+    np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([0.061, 0.101, 0.201]))
+
+
+def test_without_models_both_tables_are_empty(tmp_path: Path) -> None:
+    found = load_results(tmp_path, [])
+    assert found.models.empty
+    assert found.predictions.empty
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "problem"),
+    [
+        ("metrics.json", "{", "JSON"),
+        ("metrics.json", '{"train": null, "val": null, "test": {"nmse": 1}}', "nmse_ci95"),
+        ("predictions.csv", "drive,frame\na,1\n", "odometry_rad"),
+        ("predictions.csv", "", "No columns"),
+        ("predictions.csv", '{head}\na,0,0.0,8.0,0.1,"0.2', "EOF"),
+        ("predictions.csv", "{head}\na,x,0.0,8.0,0.1,0.2,1,0,0.1\n", "x"),
+        ("predictions.csv", b"\xff\xfe\x00", "decode"),
+    ],
+)
+def test_a_damaged_file_is_one_error(tmp_path: Path, name: str, text: str | bytes, problem: str) -> None:
+    examples.write_model(tmp_path, examples.metrics("net"))
+    head = ",".join(examples.predictions(0.0).columns)
+    content = text if isinstance(text, bytes) else text.replace("{head}", head).encode()
+    (tmp_path / "evaluate/net" / name).write_bytes(content)
+    with pytest.raises(InputError, match=problem) as raised:
+        load_results(tmp_path / "evaluate", ["net"])
+    assert f"net/{name}" in str(raised.value)
+    assert "dvc repro --force --single-item evaluate@net" in str(raised.value)
+
+
+def test_metrics_without_a_number_that_the_report_needs_are_one_error(tmp_path: Path) -> None:
+    content = examples.metrics("net")
+    del content["parameters"]
+    store.write_json(tmp_path / "evaluate/net/metrics.json", content)
+    with pytest.raises(InputError, match="parameters"):
+        load_results(tmp_path / "evaluate", ["net"])

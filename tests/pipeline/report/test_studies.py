@@ -1,0 +1,79 @@
+"""Studies of one setting: points, table, figure, and the paper's claims."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pipeline.base.params import load
+from pipeline.base.resume import ROOT
+from pipeline.report import studies
+from pipeline.report.results import Results, load_results
+from pipeline.sections import preset
+from pipeline.sections.evaluate import Evaluate
+from tests.pipeline.report import examples
+
+MODELS = {"sa-gnn-ncp": 0.2, "points-125": 0.6, "points-8000": 0.15, "keep-100": 0.2, "lambda-0": 0.8}
+
+
+def write_model(data: Path, name: str, nmse: float, **more: Any) -> None:
+    frame = np.arange(200)
+    truth = 0.1 * np.sin(frame / 15)
+    noise = 0.1 / np.sqrt(2) * np.sqrt(nmse) * np.random.default_rng(len(name)).normal(size=200)
+    table = pd.DataFrame({
+        "drive": np.where(frame < 100, "one", "two"), "frame": frame, "time_s": 0.1 * frame, "speed_mps": 8.0,
+        "steering_rad": truth, "predicted_rad": np.where(frame < 7, np.nan, truth + noise), "valid": 1, "onset": 0,
+        "odometry_rad": np.nan,
+    })  # fmt: skip
+    content = examples.metrics(name, nmse, {"odometry": 0.1}) | {"seeds": [0, 1], "val": examples.scores(nmse)} | more
+    examples.write_model(data, content, table)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    data = tmp_path_factory.mktemp("studies")
+    for name, nmse in MODELS.items():
+        write_model(data, name, nmse, **({"val": None} if name == "points-125" else {}))
+    return load_results(data / "evaluate", [*MODELS])
+
+
+def test_points_are_sorted_and_include_the_default(results: Results) -> None:
+    points = studies.points(results.models)
+    assert [*points] == ["points", "keep", "lambda"]
+    rows = points["points"]
+    assert [*zip(rows["value"], rows["model"], strict=True)] == [
+        (125, "points-125"),
+        (1000, "sa-gnn-ncp"),
+        (8000, "points-8000"),
+    ]
+    assert studies.points(results.models[results.models["model"] != studies.DEFAULT]) == {}
+    cells = studies.table("points", rows).cells
+    assert [*cells.iloc[2]][:4] == ["8000", "0.150", "0.075 to 0.225", "0.150"]
+    assert cells["validation nmse"][0] == "–"
+
+
+def test_the_preset_has_models_of_every_study() -> None:
+    names = preset.merged("studies")["models"]
+    assert studies.DEFAULT in names
+    for name in studies.STUDIES:
+        assert [model for model in names if re.fullmatch(rf"{name}-\d+", model)]
+    assert {model for claim in studies.CLAIMS for model in claim[1:]} <= names.keys()
+
+
+def test_files_of_studies_and_claims(results: Results, tmp_path: Path) -> None:
+    settings = load(Evaluate, ROOT / "params.yaml")
+    text = studies.write(results, tmp_path, settings)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["keep.png", "lambda.png", "points.png", "studies.csv", "studies.md"]
+    assert (tmp_path / "studies.md").read_text() == f"{text}\n"
+    rows = pd.read_csv(tmp_path / "studies.csv")
+    assert rows.iloc[0][["study", "value", "model", "seeds", "test_nmse"]].tolist() == [
+        "points", 125, "points-125", 2, 0.6
+    ]  # fmt: skip
+    pruning, semantics = [line for line in text.splitlines() if line.startswith("- ")]  # no LSTM here
+    assert "no difference shown" in pruning
+    assert semantics.startswith("- semantics: λ = 1 against 0: better.")
+    assert studies.write(load_results(tmp_path, []), tmp_path / "none", settings) == ""

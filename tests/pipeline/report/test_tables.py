@@ -1,0 +1,105 @@
+"""Tables of the report: cells, widths, and the columns of table.csv."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.perception.scores import Scores
+from pipeline.report import tables
+from pipeline.report.results import load_results
+from tests.pipeline.report import examples
+
+CARD = {
+    "drives": 2, "frames": 153, "valid": 0.99, "judged": 140, "yaw_rmse_degps": 0.16, "yaw_median_degps": 0.11,
+    "speed_ratio": 0.977, "nmse": 0.0005,
+}  # fmt: skip
+
+
+def cells(table: tables.Table, model: str) -> dict[str, str]:
+    rows = table.cells
+    return rows[rows.iloc[:, 0] == model].iloc[0].to_dict()
+
+
+def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
+    content = examples.metrics("pointnet2-lstm", odometry={"odometry": 0.04, "odometry_lidar": 0.03}, horizon=10)
+    content["seeds"] = [0, 1, 2]
+    content["test"]["nmse_std"] = 0.03
+    content["parameters"] = 1_408_259
+    first, *_ = tables.steering_tables(examples.results(tmp_path, content))
+    lines = first.markdown().splitlines()
+    assert len(first.cells.columns) <= 9
+    assert max(map(len, lines)) <= 110
+    row = cells(first, "pointnet2-lstm")
+    assert (row["test nmse"], row["95 % interval"], row["ahead"]) == ("0.200 ± 0.030", "0.100 to 0.300", "10")
+    assert (row["no onsets"], row["parameters"], row["edges"]) == ("0.100", "1,408,259", "5,160")
+    assert cells(first, "*odometry*")["parameters"] == tables.NONE
+    assert "Means over 3 seeds" in first.note
+
+
+def test_tables_of_settings_errors_drives_and_curvature(tmp_path: Path) -> None:
+    images = examples.metrics("cnn", spatial="cnn", input="image", roads=6, fit_to="both")
+    images |= {"points_per_frame": None, "edges_per_frame": None, "edges_per_frame_unpruned": None}
+    del images["line"]["semantics"]
+    papers = examples.metrics("ours", input="depth", semantics=0.0)
+    by_title = {table.title: table for table in tables.steering_tables(examples.results(tmp_path, papers, images))}
+    _, models, mse, by_drive, by_curvature = by_title.values()
+    row = cells(models, "ours")
+    assert (row["temporal"], row["edges"], row["pruned"], row["fit"]) == ("ncp (ltc)", "6,000", "14%", "train")
+    row = cells(models, "cnn")
+    assert (row["points"], row["edges"], row["semantics"], row["fit"]) == (*3 * [tables.NONE], "both (6 roads)")
+    row = cells(mse, "ours")
+    assert [row[key] for key in ("train", "val", "test", "paper test")] == ["0.00100", tables.NONE, "0.00200", "0.081"]
+    assert cells(mse, "cnn")["paper test"] == tables.NONE
+    assert [*cells(by_drive, "ours").values()][2:] == ["0.190", "0.180"]
+    assert [*cells(by_curvature, "*zero*").values()][2:] == ["5.73", "17.19", tables.NONE]
+    assert "40, 40, 0 frames" in by_curvature.note
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_one_drive_or_many_have_no_columns_of_their_own(tmp_path: Path, count: int) -> None:
+    content = examples.metrics("net")
+    content["test"]["by_drive"] = {f"drive-{number}": examples.part(0.2, {}) for number in range(count)}
+    results = examples.results(tmp_path, content)
+    assert not any("drive" in table.title for table in tables.steering_tables(results))
+    assert not any("drive" in column for column in tables.csv_rows(results.metrics))
+
+
+def test_csv_rows_keep_all_columns_and_types(tmp_path: Path) -> None:
+    results = examples.results(tmp_path, examples.metrics("net", odometry={"odometry": 0.04}))
+    rows = tables.csv_rows(results.metrics)
+    text = rows.to_csv(index=False).splitlines()
+    assert text[1].startswith("net,semantic,gnn,ncp,ltc,False,1.0,8,none,0,train,,1000.0,9259,5160.0,6000.0,1,")
+    odometry = rows.set_index("model").loc["odometry"]
+    columns = ("horizon", "test_nmse", f"test_nmse {examples.DRIVES[1]}", "test_without_decisions_nmse")
+    assert [odometry[column] for column in columns] == [0, 0.04, 0.04, 0.04]
+    assert {"test_nmse_low", "test_rmse_deg 0 to 0.03 1/m", "paper_train_mse"} <= set(rows.columns)
+
+
+def test_without_models_there_are_no_tables(tmp_path: Path) -> None:
+    results = load_results(tmp_path, [])
+    assert tables.steering_tables(results) == []
+    assert tables.csv_rows(results.metrics).empty
+    assert "dvc repro --pull --downstream train@other" in tables.missing(["other"])
+
+
+def test_perception_has_a_row_per_split_with_ground_truth() -> None:
+    scores = {split: Scores() for split in ("train", "val", "test")}
+    truth = np.full((40, 50), 10.0)
+    scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
+    scores["val"].add_depth("ground_plane_lidar", 1.5 * truth, truth)
+    outside_crop = np.where(np.arange(40)[:, None] < 2, truth, 0)
+    scores["test"].add_depth("depth_dense", truth, outside_crop)
+    scores["test"].add_classes(np.array([[0, 0, 1, 1]]), np.array([[0, 0, 0, 1]]))
+    motion = {"visual": {"train": None, "val": None, "test": CARD}}
+    report = {split: score.report() for split, score in scores.items()} | {"motion": motion}
+    depth, classes, measured = tables.perception_tables(report)
+    encoder, flat = "0.200, 2.00, 1.000", "0.500, 5.00, 0.000"
+    assert depth.cells.to_numpy().tolist() == [
+        ["val", "lidar", "1", "100.0%", encoder, flat, encoder, flat],
+        ["test", "dense", "1", "100.0%", "0.000, 0.00, 1.000", tables.NONE, tables.NONE, tables.NONE],
+    ]
+    assert classes.cells.to_numpy().tolist() == [["test", "1", "0.750", "0.583", "2"]]
+    row = ["visual", "test", "2", "153", "99.0%", "140", "0.160", "0.110", "0.977", "0.0005"]
+    assert measured.cells.to_numpy().tolist() == [row]
+    assert tables.perception_tables({split: Scores().report() for split in ("train", "val", "test")}) == []

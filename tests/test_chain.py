@@ -1,7 +1,6 @@
 """The complete chain as a user runs it, by `dvc repro` in a scratch copy: the small sample, and real drives."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 from typing import Any

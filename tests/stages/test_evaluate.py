@@ -55,7 +55,6 @@ def test_a_test_drive_is_judged_by_the_network_that_has_not_seen_it(folder: Path
     for split in [split for split, names in result["drives"].items() if names]:  # each drive once
         assert result[split]["frames"] == len(result["drives"][split]) * (60 - 3)
     assert (result["val"] is None) == (fit_to == "others")
-    assert result["encode_ms_per_frame"] > 0
     assert sorted(result["test"]["by_drive"]) == tested
     assert result["test"]["frames"] == 2 * (60 - 3)
     for seed in ("", "seed-7/"):

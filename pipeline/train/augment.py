@@ -21,7 +21,7 @@ class Augmentation:
     @classmethod
     def draw(cls, runs: int, settings: Train, rng: np.random.Generator) -> "Augmentation":
         """Draw the transformations of a number of runs."""
-        mirrored = rng.random(runs) < 0.5 if settings.mirror else np.zeros(runs, bool)
+        mirrored = rng.random(runs) < 0.5 if settings.mirror is True else np.zeros(runs, bool)
         factor = settings.rescale ** rng.uniform(-1, 1, runs) if settings.rescale > 1 else np.ones(runs)
         return cls(mirrored, factor.astype(np.float32))
 

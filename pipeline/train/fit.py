@@ -144,13 +144,16 @@ class Fit:
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
             with autocast(device, settings.precision):
-                predicted = self.learner(*self.net.inputs(batch))
+                predicted = self.learner(*self.net.inputs(batch), pairs=settings.mirror == "pairs")
             steering = batch["steering_rad"].to(predicted)
             weight = batch["valid"].to(predicted) * torch.exp(self.alpha * steering.abs())
             weight = weight if share else torch.zeros_like(weight)
+            weight = weight.repeat(len(predicted) // len(weight))  # twice with mirror: pairs
             mass = self.world.sum(weight.sum())
-            residual = steering - batch["base_rad"].to(predicted)
-            error = weighted_error(predicted, residual / target.std_rad, weight)
+            residual = (steering - batch["base_rad"].to(predicted)) / target.std_rad
+            if settings.mirror == "pairs":
+                residual = torch.cat([residual, -residual])
+            error = weighted_error(predicted, residual, weight)
             self.optimiser.zero_grad(set_to_none=True)
             # DistributedDataParallel averages gradients over processes; the loss is a sum over them.
             (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -182,6 +183,20 @@ def test_bfloat16_trains_nearly_the_same(folder: Path) -> None:
         assert all(tensor.dtype in (torch.float32, torch.int64) for tensor in last["net"].values())
     assert losses["bfloat16"] != losses["float32"]
     assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.05)
+
+
+def test_mirror_pairs_train_the_same_on_a_mirrored_data_set(folder: Path) -> None:
+    write_params(folder, {"equivariant": False}, mirror="pairs", precision="float64", epochs=2)
+    curves = [load(run_train(folder) / "last.pt")["curve"]]
+    for drive in SPLITS:
+        with h5py.File(folder / f"graphs/semantic/{drive}.h5", "a") as file:
+            file["xyz"][:, 0] = -file["xyz"][:, 0]
+        with h5py.File(folder / f"labels/{drive}.h5", "a") as file:
+            file["steering_rad"][:] = -file["steering_rad"][:]
+    curves.append(load(run_train(folder) / "last.pt")["curve"])
+    losses = [[row["train_loss"] for row in curve] for curve in curves]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-9)
+    assert curves[0][1]["val_nmse"] != pytest.approx(curves[1][1]["val_nmse"], rel=1e-3)  # the network is not symmetric
 
 
 def train_on_two_machines(clones: list[Path]) -> list[tuple[int, str, str]]:

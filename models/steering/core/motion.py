@@ -6,6 +6,8 @@ from torch import Tensor
 ODD, EVEN = slice(0, 2), slice(2, 4)
 """Columns of `motion`: measured angle (rad) and yaw rate (rad/s), both left +; speed (m/s) and valid (0 or 1)."""
 COLUMNS = 4
+MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
+"""Factor of each column under left-right mirroring."""
 # Scales: a sharp corner for the odd columns, a fast street for the even ones.
 ODD_SCALE = (0.25, 0.4)  # rad, rad/s
 EVEN_SCALE = (15.0, 1.0)  # m/s, 1

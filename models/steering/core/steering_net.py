@@ -26,7 +26,7 @@ from torch import Tensor, nn
 
 from models.steering.core.batch import Array, Batch, Kind, from_arrays
 from models.steering.core.knobs import NetworkKnobs, Sizes
-from models.steering.core.motion import COLUMNS, odd_and_even
+from models.steering.core.motion import COLUMNS, MIRROR_SIGNS, odd_and_even
 from models.steering.core.network_file import Part, load
 from models.steering.core.recurrent import RecurrentCell, State
 
@@ -72,7 +72,9 @@ class SteeringNet(nn.Module):
         both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
         return both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
 
-    def forward(self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
+    def forward(
+        self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None, pairs: bool = False
+    ) -> Tensor:
         """Predict the standardised steering, or residual, at each window's last frame.
 
         Windows may overlap: each frame is encoded once.
@@ -82,10 +84,20 @@ class SteeringNet(nn.Module):
             windows: int64 [W,T], the frames of each window, oldest first.
             dt_s: [W,T] seconds since the previous frame.
             motion: [B,4], see core/motion.py; required with motion.
+            pairs: predict for the windows and for their mirror images.
         Returns:
-            [W]
+            [W]; with pairs [2W], the mirror images last.
         """
-        return self.recall(self.encode(batch), windows, dt_s, motion)
+        if not pairs:
+            return self.recall(self.encode(batch), windows, dt_s, motion)
+        if self.equivariant:
+            out = self.recall(self.encode(batch), windows, dt_s, motion)
+            return torch.cat([out, -out])
+        original, mirrored = self.encode_both(batch)
+        windows = torch.cat([windows, windows + len(original)])
+        if motion is not None:
+            motion = torch.cat([motion, motion * motion.new_tensor(MIRROR_SIGNS)])
+        return self.recall(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
 
     def recall(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
         """Predict as `forward`, from the features [B,F] of encoded frames."""

@@ -99,10 +99,14 @@ def test_mirrored_input_negates_an_equivariant_network(make_line, frames, dt_s, 
         output = net(batch, WINDOWS, dt_s, motion)
         torch.testing.assert_close(net(batch.mirrored(), WINDOWS, dt_s, steered), -output, **TOLERANCE)
         assert output.abs().min() > 1e-6
+        pairs = net(batch, WINDOWS, dt_s, motion, pairs=True)
+        torch.testing.assert_close(pairs, torch.cat([output, -output]), **TOLERANCE)
     (gradient,) = torch.autograd.grad(output.square().sum(), motion)
     assert (gradient.abs() > 0).all()
-    plain = build_any(make_line(spatial, temporal, **knobs)).double()
-    assert (plain(batch, WINDOWS, dt_s) + plain(batch.mirrored(), WINDOWS, dt_s)).abs().max() > 1e-6
+    plain = build_any(make_line(spatial, temporal, motion="visual", **knobs)).double()
+    sides = plain(batch, WINDOWS, dt_s, MOTION), plain(batch.mirrored(), WINDOWS, dt_s, MOTION * signs)
+    assert (sides[0] + sides[1]).abs().max() > 1e-6
+    torch.testing.assert_close(plain(batch, WINDOWS, dt_s, MOTION, pairs=True), torch.cat(sides), **TOLERANCE)
 
 
 @pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)

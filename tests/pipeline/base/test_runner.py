@@ -68,7 +68,7 @@ def test_a_dead_worker_is_one_error_and_keeps_finished_drives(folder: Path, expe
     assert len(calls(folder)) >= 3
     end_trouble(folder)
     toy_stage.main(folder, workers=1)
-    assert "b" not in calls(folder)
+    assert not {"b", "c"} <= set(calls(folder)), "the drive before a is kept; the other one may have died with a"
     assert outputs(folder) == expected
 
 

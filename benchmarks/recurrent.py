@@ -1,4 +1,4 @@
-"""Measure the liquid recurrent network beside that of ncps."""
+"""Measure the liquid recurrent network beside the one of ncps."""
 
 import warnings
 from collections.abc import Callable

@@ -23,9 +23,9 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
-    kept = out.parent / ".resume" / out.name
+    pending = out.parent / ".resume" / out.name
     if settings.folder:
-        with exclusive(out, kept):
+        with exclusive(out, pending):
             return _use_precomputed(settings, settings.folder, out)
 
     import torch
@@ -46,10 +46,10 @@ def main(
                 raise InputError(f"no file for the {part}", fix="Name one, or fit it with encoder.epochs")
     curve: Sequence[Any] = []
     fitted_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
-    with exclusive(out, kept):
+    with exclusive(out, pending):
         if settings.epochs:
             hashes = [source.sha256 for source in sources]
-            curve, fitted_on = _fit(model, settings, hashes, ingest, drives, kept)
+            curve, fitted_on = _fit(model, settings, hashes, ingest, drives, pending)
         perceive.save(out, settings.backbone, model.state_dict())
         parameters = sum(parameter.numel() for parameter in model.parameters())
         losses = {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None
@@ -59,7 +59,7 @@ def main(
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(["epoch", "loss", "depth", "classes"])
             rows.writerows([row.epoch, f"{row.loss:.6g}", f"{row.depth:.6g}", f"{row.classes:.6g}"] for row in curve)
-        shutil.rmtree(kept, ignore_errors=True)
+        shutil.rmtree(pending, ignore_errors=True)
     frames = sum(fitted_on["frames_per_drive"].values())
     origin = f", starting from {', '.join(source.path for source in sources)}" if sources else ""
     action = f"fitted on {frames} frames of {len(drives)} drives{origin}" if curve else "weights used as they are"
@@ -68,7 +68,7 @@ def main(
 
 
 def _fit(
-    model: Any, settings: Encoder, hashes: list[str], ingest: Path, drives: dict[str, str], kept: Path
+    model: Any, settings: Encoder, hashes: list[str], ingest: Path, drives: dict[str, str], pending: Path
 ) -> tuple[Sequence[Any], dict[str, Any]]:
     """Fit the parts that have a training target. Of drives outside of the training split, only images are used.
 
@@ -98,7 +98,7 @@ def _fit(
             batch=settings.batch,
             learning_rate=settings.learning_rate,
             seed=settings.seed,
-            kept=kept / f"{key}.pt",
+            state_path=pending / f"{key}.pt",
         )
         return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
 

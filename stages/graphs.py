@@ -63,8 +63,8 @@ def main(
     store.write_index(out / name, splits)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("edges_knn", "edges_kept"))
     without = [drive for drive, summary in summaries.items() if not summary["frames"]]
-    kept = f", {after / before:.0%} of {before} kNN edges kept" if before else ""
-    print(f"{name}: {len(splits)} drives{kept}" + (f"; no frames in {', '.join(without)}" if without else ""))
+    share = f", {after / before:.0%} of {before} kNN edges kept" if before else ""
+    print(f"{name}: {len(splits)} drives{share}" + (f"; no frames in {', '.join(without)}" if without else ""))
     return out / name
 
 

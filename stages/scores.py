@@ -57,7 +57,7 @@ def main(
     )
     content: dict[str, Any] = {"motion": {kind: {} for kind in motions}}
     for split in SPLITS:
-        drives = store.of_split(splits, split)
+        drives = store.drives_in(splits, split)
         scores = Scores()
         for drive in drives:
             scores.add_sums(summaries[drive]["sums"])

@@ -71,7 +71,6 @@ def all_hits() -> list[str]:
     return [f"{path.relative_to(ROOT)}:{number}: {name}: {line}" for path in names for number, name, line in hits(path)]
 
 
-@pytest.mark.xfail(reason="other packages are being rewritten", strict=False)
 def test_plain_english() -> None:
     found = all_hits()
     assert not found, "\n".join([f"{len(found)} phrases to rewrite:", *found])

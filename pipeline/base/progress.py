@@ -40,7 +40,7 @@ def current_frame() -> int | None:
 
 
 def report_to(report: Callable[[int], object] | None) -> None:
-    """Have :func:`advance` call `report` in this process; None: nobody."""
+    """Have :func:`advance` call `report` in this process; None: do not count."""
     global _report
     _report = report or _ignore
 

@@ -349,7 +349,7 @@ def _is_drive(name: str) -> bool:
     return Path(name).name == name
 
 
-def of_split(splits: Mapping[str, str], *names: str) -> list[str]:
+def drives_in(splits: Mapping[str, str], *names: str) -> list[str]:
     """Return the drives with one of the splits `names`, in the index's order."""
     return [drive for drive, split in splits.items() if split in names]
 

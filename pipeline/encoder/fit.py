@@ -42,19 +42,19 @@ def fit(
     batch: int,
     learning_rate: float,
     seed: int,
-    kept: Path,
+    state_path: Path,
 ) -> list[EpochLoss]:
     """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits) in place; return the loss per epoch.
 
     A child (backbone, head) whose parameters require no gradients is not changed, nor its batch statistics. The state
-    is saved to `kept` after each epoch; if the file exists, the fit resumes from it, with an equal result. Raises
+    is saved to `state_path` after each epoch; if the file exists, the fit resumes from it, with an equal result. Raises
     InputError if the loss is not finite.
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     parameters = [parameter for parameter in model.parameters() if parameter.requires_grad]
     optimiser = torch.optim.AdamW(parameters, weight_decay=WEIGHT_DECAY, fused=True)
-    curve = _resume(kept, model, optimiser)
+    curve = _resume(state_path, model, optimiser)
     if curve:
         print(f"resuming after {len(curve)} of {epochs} epochs", flush=True)
     steps = math.ceil(len(examples) / batch)
@@ -62,7 +62,7 @@ def fit(
         part.train(any(parameter.requires_grad for parameter in part.parameters()))
     for epoch in range(len(curve), epochs):
         start = time.perf_counter()
-        torch.manual_seed(seed + epoch)  # dropout of a resumed run is that of an uninterrupted one
+        torch.manual_seed(seed + epoch)  # a resumed run draws the same dropout
         sums = torch.zeros(2, dtype=torch.float64)
         batches = _batches(examples, batch, np.random.default_rng([seed, epoch]), device)
         bar = tqdm(batches, f"epoch {epoch + 1}/{epochs}", steps, unit="batch", leave=False, disable=None)
@@ -84,7 +84,7 @@ def fit(
         print(f"epoch {row.epoch}/{epochs}: {losses_text}, {time.perf_counter() - start:.1f} s", flush=True)
         curve.append(row)
         state = {"net": model.state_dict(), "optimiser": optimiser.state_dict(), "curve": [vars(row) for row in curve]}
-        checkpoint.write(kept, {"kind": KIND, **state})
+        checkpoint.write(state_path, {"kind": KIND, **state})
     model.eval()
     return curve
 
@@ -110,12 +110,12 @@ def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, 
     return torch.stack([depth_loss, class_loss])
 
 
-def _resume(kept: Path, model: nn.Module, optimiser: torch.optim.Optimizer) -> list[EpochLoss]:
+def _resume(state_path: Path, model: nn.Module, optimiser: torch.optim.Optimizer) -> list[EpochLoss]:
     """Load the state of an interrupted fit, if there is one; return the losses of its epochs."""
-    if not kept.is_file():
+    if not state_path.is_file():
         return []
-    with error_context(fix=f"Delete {kept} to start again"):
-        state = checkpoint.read(kept, KIND)
+    with error_context(fix=f"Delete {state_path} to start again"):
+        state = checkpoint.read(state_path, KIND)
     model.load_state_dict(state["net"])
     optimiser.load_state_dict(state["optimiser"])
     return [EpochLoss(**row) for row in state["curve"]]

@@ -32,7 +32,7 @@ class Accumulator:
     """Combines each cloud with up to `frames` - 1 previous ones.
 
     It reaches back as long as frame numbers are consecutive and motion is valid. So it starts anew after a halt, since
-    standstill cannot be told from unmeasured motion. Moving objects leave a trace, and objects that the car has passed
+    standstill looks like unmeasured motion. Moving objects leave a trace, and objects that the car has passed
     lie behind the camera.
     """
 

@@ -101,7 +101,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
 def read_examples(model: Trained, graphs: Path) -> list[Example]:
     """Read windows of some drives, test drives first, evenly spread over each. Raises InputError without any."""
     splits = store.read_index(graphs, stage="graphs")
-    drives = [drive for split in reversed(SPLITS) for drive in store.of_split(splits, split)]
+    drives = [drive for split in reversed(SPLITS) for drive in store.drives_in(splits, split)]
     examples: list[Example] = []
     for drive in drives[:MAX_DRIVES]:
         with frames.open_graphs(graphs / f"{drive}.h5") as file:

@@ -1,7 +1,7 @@
 """The spatial and the recurrent part of a trained network as modules on plain tensors, which exporters can trace.
 
 The networks multiply by sparse matrices or sort nodes by degree, for which exporters lack operators. Here each node has
-a padded list of neighbours, and masked sums replace both. Their order is fixed, unlike that of scatter operators.
+a padded list of neighbours, and masked sums replace both. Their order is fixed; scatter operators have none.
 """
 
 import torch
@@ -94,9 +94,9 @@ def _convolve(layer: nn.Module, x: Tensor, neighbours: Tensor, valid: Tensor) ->
         x = scale * (x + (x[neighbours] * valid[..., None]).sum(1))
         return (x @ layer.weight if inputs <= outputs else x) + layer.bias
     if isinstance(layer, EdgeConvLayer):
-        of_own, of_difference = layer.linear.weight.chunk(2, dim=1)
-        own = nn.functional.linear(x, of_own - of_difference, layer.linear.bias)
-        difference = nn.functional.linear(x, of_difference)
+        weight_own, weight_difference = layer.linear.weight.chunk(2, dim=1)
+        own = nn.functional.linear(x, weight_own - weight_difference, layer.linear.bias)
+        difference = nn.functional.linear(x, weight_difference)
         largest = difference[neighbours].masked_fill(~valid[..., None], -torch.inf).amax(1)
         return torch.where(valid.any(1, keepdim=True), own + largest, 0.0)
     if isinstance(layer, GATv2Layer):

@@ -1,8 +1,8 @@
 """The camera's motion from 3D points of the previous frame and their pixels in this one (perspective-n-point).
 
-RANSAC separates the static street from moving objects. The refinement models two errors: that of a pixel, PIXEL_SIGMA
-in each direction, and that of a point's depth, which moves its pixel along the epipolar line. So rotation and direction
-of travel come from the pixels' offsets across these lines, and only the length of the step depends on depth.
+RANSAC separates the static street from moving objects. The refinement models two errors: of a pixel, PIXEL_SIGMA in
+each direction, and of a point's depth, which moves its pixel along the epipolar line. So rotation and direction of
+travel come from the pixels' offsets across these lines, and only the length of the step depends on depth.
 """
 
 from typing import NamedTuple

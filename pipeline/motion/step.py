@@ -26,7 +26,7 @@ class Step(NamedTuple):
 
 
 def is_standstill(T_before: np.ndarray) -> bool:
-    """Return whether a step [4,4] is too short to be told from standstill."""
+    """Return whether a step [4,4] is too short to differ from standstill."""
     return bool(np.linalg.norm(T_before[:3, 3]) < STANDSTILL_M)
 
 

@@ -33,7 +33,7 @@ def ground_plane_depth(cls: np.ndarray, K: np.ndarray, camera_height_m: float) -
 def limit_traffic_depth(
     depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float, reach: float
 ) -> None:
-    """Limit the depth of traffic, in place, to `reach` times that of flat ground at its lower edge.
+    """Limit the depth of traffic, in place, to `reach` times the depth of flat ground at its lower edge.
 
     Monocular depth takes smooth and bright surfaces, for instance the side of a tanker, for the sky.
 

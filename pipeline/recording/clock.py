@@ -75,7 +75,7 @@ def read_times(path: Path) -> np.ndarray:
 def timed(footage: Footage, times_s: np.ndarray | None) -> Iterator[tuple[float, Image]]:
     """Yield each image with its time in seconds: from `times_s` [F], or its own if that is None.
 
-    Raises InputError if images have no times, or their number differs from that of `times_s`.
+    Raises InputError if images have no times, or if there are more or fewer than `times_s`.
     """
     if times_s is None:
         for image in footage.frames():

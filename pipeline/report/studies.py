@@ -43,7 +43,7 @@ class Study(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A claim of the paper, and the two models that test it; the claim says that the first is better."""
+    """A claim of the paper, and the two models that test it; it claims that the first is better."""
 
     text: str
     ours: str

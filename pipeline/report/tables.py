@@ -130,8 +130,8 @@ def steering_tables(results: Results) -> list[Table]:
 def _settings(models: pd.DataFrame) -> pd.DataFrame:
     line = models.filter(regex=r"^line\.\w+$").rename(columns=lambda column: column.removeprefix("line."))
     rows = pd.concat([models[["model", *_SIZES]], line.reindex(columns=[*_SETTINGS])], axis=1)
-    kept = models["edges_per_frame"] / models["edges_per_frame_unpruned"]
-    rows["pruned"] = 1 - kept.astype(float)
+    share = models["edges_per_frame"] / models["edges_per_frame_unpruned"]
+    rows["pruned"] = 1 - share.astype(float)
     rows["temporal"] += [f" ({cell})" if cell else "" for cell in rows["cell"].where(rows["temporal"] == "ncp", "")]
     rows["fit_to"] += [f" ({roads} roads)" if pd.notna(roads) else "" for roads in rows["roads"]]
     columns = {

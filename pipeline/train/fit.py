@@ -45,7 +45,7 @@ class Fit:
     ) -> None:
         """Prepare a run: `window` frames per prediction, loss weights exp(`alpha` |Θ|).
 
-        The processes of a `world` share each step's runs of frames; the result equals that of one process up to
+        The processes of a `world` share each step's runs of frames; the result equals the result of one process up to
         rounding.
         """
         self.net, self.window, self.alpha = net, window, alpha

@@ -58,7 +58,7 @@ def folds(splits: Mapping[str, str], line: Mapping[str, Any]) -> list[Fold]:
 
     Raises InputError if there are fewer training drives than `roads`, or if a fold has no training drive.
     """
-    train, val, test = (tuple(store.of_split(splits, split)) for split in ("train", "val", "test"))
+    train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
     fit_to, roads = line["fit_to"], line["roads"]
     if roads is not None and roads > len(train):
         raise InputError(f"roads = {roads}, but there are {len(train)} training drives")

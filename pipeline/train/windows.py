@@ -101,7 +101,7 @@ class Drive(Timeline):
     curvature_1pm: np.ndarray  # float64, NaN without a label
     valid: np.ndarray  # bool; False without a label
     speed_mps: np.ndarray  # float64, at the frame itself
-    held_rad: np.ndarray  # float64, last valid label before the target and not after the frame itself; or 0
+    persistence_rad: np.ndarray  # float64, last valid label before the target and not after the frame itself; or 0
     # Kind of motion in the file → float64, the measured angle; NaN if no frame is measured, as without scans.
     measured_rad: dict[str, np.ndarray]
 
@@ -185,7 +185,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
             curvature_1pm=np.where(ahead >= 0, truth["curvature_1pm"][ahead], np.nan),
             valid=(ahead >= 0) & valid[ahead],
             speed_mps=truth["speed_mps"][here],
-            held_rad=_hold(steering_rad[here], valid[here], own=horizon > 0),
+            persistence_rad=_hold(steering_rad[here], valid[here], own=horizon > 0),
             measured_rad={
                 kind: car.measured_angle(file.motion(kind)) if any_valid else np.full(len(here), np.nan)
                 for kind, any_valid in measured.items()

@@ -148,7 +148,7 @@ def test_depth_of_another_unit_is_scaled(tmp_path: Path, mode: str, expected: fl
         assert ("unknown unit" in file.dataset("depth_m").attrs["unit"]) == (mode == "none")
 
 
-def test_a_frame_without_scale_takes_that_of_the_previous_frame(tmp_path: Path) -> None:
+def test_a_frame_without_scale_takes_the_previous_one(tmp_path: Path) -> None:
     write_precomputed(tmp_path, 0.4)
     edit_ingest(tmp_path, "has_lidar", [0, 1, 0, 0, 1])
     for name, batch in (("perception", 1), ("other", 3)):

@@ -250,7 +250,7 @@ def test_two_machines_train_as_one_process(folder: Path, tmp_path: Path, monkeyp
         torch.testing.assert_close(two["net"][name], tensor, rtol=1e-7, atol=1e-9)
     assert {path.name for path in (clones[1] / "data").iterdir()} == {"graphs", "labels"}
     # Some steps had one run: the process without a run took part with weight 0.
-    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", store.of_split(SPLITS, "train"), 4)
+    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", store.drives_in(SPLITS, "train"), 4)
     counts = [len(windows.random_spans(drives, 4, 24, np.random.default_rng([0, n + 1]))) for n in range(epochs)]
     assert any(count % 2 for count in counts)
 

@@ -45,7 +45,7 @@ class _Block(NamedTuple):
     ties: Tensor  # [b, S C], number of points with the maximum
 
     def pooling_gradient(self, rows: slice, output: Tensor, grad_pooled: Tensor) -> Tensor:
-        """Return the gradient of the last layer's output on `rows` [rows, S C], from that of mean ‖ max [b,2SC].
+        """Return the gradient of the last layer's output on `rows` [rows, S C], given the one of mean ‖ max [b,2SC].
 
         Equal maxima share the gradient.
         """

@@ -51,14 +51,14 @@ def by_curvature(
 def baselines(
     steering_rad: np.ndarray,
     train_mean_rad: np.ndarray | float,
-    held_rad: np.ndarray,
+    persistence_rad: np.ndarray,
     measured_rad: Mapping[str, np.ndarray],
 ) -> dict[str, Scores]:
     """Return the scores of predictors that do not use the scene, for target angles [N].
 
     - zero: always straight ahead.
     - train_mean: the mean of the training targets.
-    - persistence: `held_rad` [N], the last true angle before the target frame. No model gets it as input.
+    - persistence: `persistence_rad` [N], the last true angle before the target frame. No model gets it as input.
     - odometry: the angle measured at the last input frame; `measured_rad` maps the kind of motion to [N]. The first
       kind is `odometry`, a second one `odometry_<kind>`. Its errors are None if some angles are NaN, as in a drive
       without scans.
@@ -66,7 +66,7 @@ def baselines(
     predictions = {
         "zero": np.zeros_like(steering_rad),
         "train_mean": np.full_like(steering_rad, train_mean_rad),
-        "persistence": held_rad,
+        "persistence": persistence_rad,
     }
     for number, (kind, angle) in enumerate(measured_rad.items()):
         predictions[f"odometry_{kind}" if number else "odometry"] = angle

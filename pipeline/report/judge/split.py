@@ -88,7 +88,7 @@ class _Columns:
         self.near = column([decisions.near(drive) for drive in drives])
         self.number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])
         self._mean = column([np.full(len(case.drive.frame), case.train_mean_rad) for case in cases])
-        self._held = column([drive.held_rad for drive in drives])
+        self._persistence = column([drive.persistence_rad for drive in drives])
         kinds = [kind for kind in drives[0].measured_rad if all(kind in drive.measured_rad for drive in drives)]
         self._measured = {kind: column([drive.measured_rad[kind] for drive in drives]) for kind in kinds}
 
@@ -96,7 +96,7 @@ class _Columns:
         """Return the scores of some rows, and of the baselines on them."""
         steering, measured = self.steering[rows], {kind: angle[rows] for kind, angle in self._measured.items()}
         return errors.scores(steering, self.predicted[:, rows]) | {
-            "baselines": errors.baselines(steering, self._mean[rows], self._held[rows], measured)
+            "baselines": errors.baselines(steering, self._mean[rows], self._persistence[rows], measured)
         }
 
 
@@ -117,5 +117,5 @@ def sizes(drives: Sequence[Drive]) -> dict[str, float | None]:
             for name in ("edges_knn", "edges_kept"):
                 if name in file:
                     counts[name].append(file[name])
-    points, knn, kept = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
-    return {"points_per_frame": points, "edges_per_frame": kept, "edges_per_frame_unpruned": knn}
+    points, knn, edges = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
+    return {"points_per_frame": points, "edges_per_frame": edges, "edges_per_frame_unpruned": knn}

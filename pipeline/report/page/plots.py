@@ -100,13 +100,13 @@ def graph_3d(structure: Mapping[str, Any], k: int) -> Figure:
     points["class"] = [names[number] for number in cls]
     figure = px.scatter_3d(points, *axes, color="class", color_discrete_map=colours | {"void": "black"})
     figure.update_traces(marker_size=3)
-    kept = np.array(structure["edges"], np.int64).reshape(-1, 2)
-    for name, pairs in (("edges before pruning", unpruned_edges(xyz, cls, k)), ("edges after pruning", kept)):
+    pruned = np.array(structure["edges"], np.int64).reshape(-1, 2)
+    for name, pairs in (("edges before pruning", unpruned_edges(xyz, cls, k)), ("edges after pruning", pruned)):
         lines = np.full((len(pairs), 3, 3), np.nan, np.float32)  # NaN: a gap after each edge
         lines[:, 0], lines[:, 1] = place[pairs[:, 0]], place[pairs[:, 1]]
         edges = px.line_3d(pd.DataFrame(lines.reshape(-1, 3), columns=axes), *axes)
         style = {"line_color": "rgba(90,100,115,0.55)", "line_width": 1.5, "hoverinfo": "skip", "hovertemplate": None}
-        edges.update_traces(name=name, showlegend=True, visible=True if pairs is kept else "legendonly", **style)
+        edges.update_traces(name=name, showlegend=True, visible=True if pairs is pruned else "legendonly", **style)
         figure.add_traces(edges.data)
     camera = {"eye": {"x": 0.0, "y": -1.7, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.15}}
     figure.update_layout(scene={"aspectmode": "data", "camera": camera}, legend_itemsizing="constant")

@@ -63,7 +63,7 @@ def test_two_writers_of_one_path_do_not_meet(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"a": b"first"}, "the last to end"
 
 
-def test_what_is_unfinished_is_no_file_of_a_drive(tmp_path: Path) -> None:
+def test_unfinished_files_do_not_match_a_glob(tmp_path: Path) -> None:
     with replacing(tmp_path / "a.h5") as tmp:
         tmp.touch()
         assert not list(tmp_path.glob("*.h5"))

@@ -68,7 +68,7 @@ else:
 
 
 @pytest.mark.usefixtures("project")
-def test_closure_follows_circles_rooms_and_imports_in_functions() -> None:
+def test_closure_follows_cycles_packages_and_imports_in_functions() -> None:
     base = {"pipeline/__init__.py", "pipeline/base/__init__.py", "pipeline/base/store.py", "pipeline/base/errors.py"}
     assert closure("pipeline.base.store") == base
     deep = {"deep/__init__.py", "deep/d.py", "deep/e.py", "up.py", "__init__.py", "sibling.py"}

@@ -277,8 +277,8 @@ def test_index_round_trip(tmp_path: Path) -> None:
     store.write_index(tmp_path, splits)
     assert list(store.read_index(tmp_path, stage="clouds").items()) == list(splits.items())  # in their order
     assert store.indexed(tmp_path) == list(splits)
-    assert store.of_split(splits, "train") == ["b", "c"]
-    assert store.of_split(splits, "val", "test") == ["a"]
+    assert store.drives_in(splits, "train") == ["b", "c"]
+    assert store.drives_in(splits, "val", "test") == ["a"]
 
 
 @pytest.mark.parametrize(

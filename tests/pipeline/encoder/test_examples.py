@@ -40,7 +40,7 @@ def test_drives_without_targets_are_refused(ingest: Path, drives: list[str], tea
 @pytest.mark.parametrize(
     ("drives", "expected"), [([DENSE, BLIND], {"depth", "cls"}), ([DENSE, LIDAR], {"depth", "cls", "lidar"})]
 )
-def test_ground_truth_is_that_of_frames_with_an_image(ingest: Path, drives: list[str], expected: set[str]) -> None:
+def test_ground_truth_belongs_to_frames_with_an_image(ingest: Path, drives: list[str], expected: set[str]) -> None:
     with Examples(ingest, drives, 6) as examples:
         assert examples.ground_truth == expected
     with Examples(ingest, drives, 6, all_car, unlabelled=drives) as examples:

@@ -26,11 +26,17 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Examples]:
         yield examples
 
 
-def run(examples: Examples, kept: Path, epochs: int = 4, frozen: bool = False, **other: float) -> Fitted:
+def run(examples: Examples, state_path: Path, epochs: int = 4, frozen: bool = False, **other: float) -> Fitted:
     torch.manual_seed(0)
     model = UnifiedEncoder("small")
     model.backbone.requires_grad_(not frozen)
-    curve = fit(model, examples, epochs=epochs, batch=3, **{"learning_rate": 0.003, "seed": 0, "kept": kept, **other})
+    curve = fit(
+        model,
+        examples,
+        epochs=epochs,
+        batch=3,
+        **{"learning_rate": 0.003, "seed": 0, "state_path": state_path, **other},
+    )
     return model, curve
 
 

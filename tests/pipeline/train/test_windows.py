@@ -170,12 +170,12 @@ def test_target_is_the_label_horizon_frames_ahead(folder: Path) -> None:
     assert batch["valid"].tolist() == [True, True, False, True, True, True, True]
 
 
-def test_persistence_is_the_last_valid_label(folder: Path) -> None:
+def test_persistence_is_the_label(folder: Path) -> None:
     name = next(iter(DRIVES))
     artefacts.write_labels(folder / f"labels/{name}.h5", name, np.arange(30) / 10, np.arange(30), np.arange(30) != 1)
     for horizon, expected in ((0, [0.0, 0.0, 0.0, 0.2, 0.3]), (2, [0.0, 0.0, 0.2, 0.3, 0.4])):
         (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [name], 4, horizon)
-        assert drive.held_rad[:5] == pytest.approx(expected)
+        assert drive.persistence_rad[:5] == pytest.approx(expected)
 
 
 def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:

@@ -21,7 +21,7 @@ class LTC(RecurrentCell):
         v ← (c v + g v_leak + Σ w σ(s (v_pre - μ)) e) / (c + g + Σ w σ(s (v_pre - μ)) + ε),   c = cm unfolds / dt,
 
     where the sums run over internal and sensory synapses. The internal sums change at each step, the sensory ones once
-    per frame: `sense` computes them. The equation is that of ncps 1.0.1; here dt differs per window and frame, and only
+    per frame: `sense` computes them. The equation is from ncps 1.0.1; here dt differs per window and frame, and only
     existing synapses are parameters. The motor neurons' potentials, scaled and shifted, are the output.
     """
 

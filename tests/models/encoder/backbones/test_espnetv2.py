@@ -21,7 +21,7 @@ GROUND = (classes.ROAD, classes.SIDEWALK, classes.TERRAIN)
 
 
 @pytest.mark.parametrize(("scale", "numbers"), [(1.0, 247_279), (2.0, 814_351)])
-def test_the_number_of_parameters_is_that_of_the_published_files(scale: float, numbers: int) -> None:
+def test_number_of_parameters_matches_the_published_files(scale: float, numbers: int) -> None:
     assert sum(tensor.numel() for tensor in espnetv2(scale).backbone.state_dict().values()) == numbers
 
 

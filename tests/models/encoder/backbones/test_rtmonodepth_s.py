@@ -29,7 +29,7 @@ def predict(model: UnifiedEncoder, image: Tensor, K: Tensor) -> tuple[Tensor, Te
         return model(image, K)
 
 
-def test_the_number_of_parameters_is_that_of_the_published_files() -> None:
+def test_number_of_parameters_matches_the_published_files() -> None:
     sizes = [sum(parameter.numel() for parameter in part.parameters()) for part in rtmonodepth_s()]
     assert sizes[:2] == [858_048, 376_979 - 866]  # without the two coarser heads of its training
     assert sum(sizes) < 1_400_000

@@ -55,7 +55,7 @@ def test_each_drive_has_its_own_errors_and_training_mean(tmp_path: Path) -> None
     mean = np.mean((second.steering_rad[:28] - 0.05) ** 2)
     assert found[NAMES[1]]["baselines"]["train_mean"]["mse_rad2"] == pytest.approx(mean)
     assert found[NAMES[1]]["baselines"]["persistence"]["mse_rad2"] == pytest.approx(
-        np.mean((second.steering_rad[:28] - np.r_[second.held_rad[:28]]) ** 2)
+        np.mean((second.steering_rad[:28] - np.r_[second.persistence_rad[:28]]) ** 2)
     )
 
 

@@ -1,7 +1,7 @@
 """The ego's path: straights and bends with clothoid transitions.
 
-World frame: x east, y north, z up, metres; headings counter-clockwise from east. It is the path of the IMU (the rear axle):
-its curvature is continuous and piecewise linear in arc length, which makes the steering label exact.
+World frame: x east, y north, z up, metres; headings counter-clockwise from east. It is the path of the IMU (the rear
+axle): its curvature is continuous and piecewise linear in arc length, which makes the steering label exact.
 """
 
 from dataclasses import dataclass

@@ -30,13 +30,8 @@ def run(examples: Examples, state_path: Path, epochs: int = 4, frozen: bool = Fa
     torch.manual_seed(0)
     model = UnifiedEncoder("small")
     model.backbone.requires_grad_(not frozen)
-    curve = fit(
-        model,
-        examples,
-        epochs=epochs,
-        batch=3,
-        **{"learning_rate": 0.003, "seed": 0, "state_path": state_path, **other},
-    )
+    settings = {"learning_rate": 0.003, "seed": 0, **other}
+    curve = fit(model, examples, epochs=epochs, batch=3, state_path=state_path, **settings)
     return model, curve
 
 

@@ -50,12 +50,12 @@ def open_footage(path: Path, fps: float | None = None) -> Footage:
 
     Raises InputError if there are no images or they are too small, DamagedFile if the first cannot be decoded.
     """
-    if not path.exists():
-        raise InputError("path is missing", path, "Pass a video file or a folder of PNG or JPEG images")
+    if not (path.is_dir() or path.is_file()):
+        raise InputError("path is missing or not a regular file", path, "Pass a video, or a folder of images")
     footage = _open_folder(path, fps) if path.is_dir() else open_video(path, fps)
     if min(footage.size) < _SMALLEST_PX:
         sizes = f"{format_size(footage.size)} pixels (expected at least {_SMALLEST_PX} x {_SMALLEST_PX})"
-        raise InputError(f"images have {sizes}", path)
+        raise InputError(f"images are too small: {sizes}", path)
     return footage
 
 

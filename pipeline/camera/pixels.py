@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile
+from pipeline.base.files import MiB, check_file
 
 _PNG, _PNG_END, _JPEG = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82", b"\xff\xd8"
+_MOST_BYTES = 256 * MiB
 
 
 def read_pixels(path: Path) -> np.ndarray:
@@ -16,6 +18,7 @@ def read_pixels(path: Path) -> np.ndarray:
 
     Raises DamagedFile if the file is truncated, altered or of another kind.
     """
+    check_file(path, _MOST_BYTES)
     import cv2
 
     if path.is_fifo():

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.files import MiB, read_bytes
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -91,7 +92,7 @@ def read_row(path: Path) -> np.ndarray:
 
     pykitti's ``load_oxts_packets_and_poses`` accepts NaN and does not name the file that is short.
     """
-    words = path.read_bytes().decode("ascii", errors="replace").split()
+    words = read_bytes(path, MiB).decode("ascii", errors="replace").split()
     if len(words) != len(COLUMNS):
         raise DamagedFile(f"expected {len(COLUMNS)} oxts columns, got {len(words)}", path)
     try:

@@ -12,12 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.base.files import MiB, check_file
 from pipeline.kitti.calibration import Camera, cameras_in, read_camera
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 _LOWEST_DEG = -20.0
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
+_MOST_BYTES = 256 * MiB  # of a scan
 _FEWEST_POINTS = 100  # KITTI's scans have 100,000
 _LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored
 
@@ -97,7 +99,7 @@ def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:
 
 def read_scan(path: Path) -> np.ndarray:
     """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance. Raises DamagedFile."""
-    size = path.stat().st_size
+    size = check_file(path, _MOST_BYTES)
     if size == 0 or size % 16 != 0:
         raise DamagedFile(f"scan is cut short at {size} bytes (expected a multiple of 16)", path)
     scan = np.fromfile(path, np.float32).reshape(-1, 4)

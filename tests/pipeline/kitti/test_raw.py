@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import depth_image, transform
 from pipeline.camera.pixels import read_pixels
+from pipeline.kitti.oxts import read_row
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_drive
 
@@ -114,6 +116,16 @@ def test_damaged_scans(tmp_path: Path) -> None:
         write(tmp_path / "0.bin", content)
         with pytest.raises(DamagedFile, match=message):
             read_scan(tmp_path / "0.bin")
+
+
+@pytest.mark.parametrize("read", [read_scan, read_row, read_pixels])
+def test_pipes_and_devices_are_refused(tmp_path: Path, read: Callable[[Path], np.ndarray]) -> None:
+    """Reading one would block, or fill the memory."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "device").symlink_to("/dev/zero")
+    for name in ("pipe", "device"):
+        with pytest.raises(DamagedFile):
+            read(tmp_path / name)
 
 
 @pytest.mark.real

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile
-from pipeline.base.files import MiB, check_file
+from pipeline.base.files import MiB, read_bytes
 
 _PNG, _PNG_END, _JPEG = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82", b"\xff\xd8"
 _MOST_BYTES = 256 * MiB
@@ -18,12 +18,9 @@ def read_pixels(path: Path) -> np.ndarray:
 
     Raises DamagedFile if the file is truncated, altered or of another kind.
     """
-    check_file(path, _MOST_BYTES)
     import cv2
 
-    if path.is_fifo():
-        raise DamagedFile("expected a regular file, got a pipe", path)  # reading it would block
-    content = path.read_bytes()
+    content = read_bytes(path, _MOST_BYTES)
     if not content:
         raise DamagedFile("file is empty", path)
     if not content.startswith((_PNG, _JPEG)):

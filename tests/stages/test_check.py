@@ -107,7 +107,11 @@ def load_model(line: dict[str, Any]) -> dict[str, Any]:
         ("graphs.image.crop_m", [-9, 0, 9, 40], "crop_m means nothing to images"),
         ("graphs.semantic.kk", 2, "unknown key graphs.semantic.kk"),
         ("models.sa-gnn-ncp.wiring", {"comand": 5}, "models.sa-gnn-ncp.wiring.comand.*did you mean command"),
-        ("models.sa-gnn-ncp.wiring", {"motor_fanin": 7}, "models.sa-gnn-ncp.wiring.motor_fanin = 7, expected at most command = 6"),
+        (
+            "models.sa-gnn-ncp.wiring",
+            {"motor_fanin": 7},
+            "models.sa-gnn-ncp.wiring.motor_fanin = 7, expected at most command = 6",
+        ),
         ("encoder.backbone", "smal", "encoder.backbone = 'smal': .*did you mean small"),
         ("encoder.backbone", "precomputed", "encoder: backbone: precomputed reads DRIVE/depth/"),
         ("encoder", {**PRECOMPUTED, "weights": {"backbone": "made"}}, "name the folder in weights"),

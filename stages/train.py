@@ -70,6 +70,9 @@ def main(
             for run in todo:
                 fit_run(run, job, world, device)
         if world.is_main:
+            # The model's config.json is that of its first network, which with folds has a folder of its own.
+            config = store.read_json(todo[0].folder / "config.json", stage=f"train@{name}")
+            store.write_json(out / name / "config.json", config)
             print(f"{name}: {encode_ms(todo[0], job, device):.2f} ms to encode a frame", flush=True)
             shutil.rmtree(pending)
     return out / name

@@ -45,5 +45,5 @@ class Train(Section):
     @classmethod
     def _distinct(cls, seeds: list[Seed]) -> list[int]:
         if len(set(seeds)) < len(seeds):
-            raise ValueError("expected distinct seeds")
+            raise ValueError("a seed is named twice")
         return seeds

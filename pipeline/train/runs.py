@@ -27,7 +27,7 @@ class Config(BaseModel):
     model: Model
     seeds: Annotated[list[int], Field(min_length=1)]
     parameters: int
-    best_sha256: str
+    best_sha256: str | None = None  # None: not verified
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,8 @@ def check_pair(best: Path) -> None:
     config, name = best.with_name("config.json"), model_name(best.parent)
     if not config.is_file():
         return
-    if store.read_json(config, stage=f"train@{name}", form=Config)["best_sha256"] != file_hash(best):
+    expected = Config.model_validate(store.read_json(config, stage=f"train@{name}", form=Config)).best_sha256
+    if expected and expected != file_hash(best):
         raise InputError(
             f"best.pt and {config} are of different runs (SHA-256 differs)",
             best,

@@ -145,7 +145,7 @@ def target_fault(drives: Sequence[Drive], window: int) -> InputError | None:
             "Use a smaller window, other drives or another input",
         )
     if not any(drive.steering_rad[drive.valid].any() for drive in drives):
-        return InputError(f"each valid label of {names} is 0", labels, "Add drives with bends")
+        return InputError(f"every valid label of {names} is 0", labels, "Add drives with bends")
     return None
 
 

@@ -65,7 +65,10 @@ SMALL: dict[str, object] = {
     "semantics": 1.0,
     "width": 0.125,
     "units": 7,
-    "wiring": {"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2, "motor_fanin": 3},
+    "wiring": {
+        **{"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2},
+        **{"recurrent_command_synapses": 4, "motor_fanin": 3},
+    },
 }
 
 

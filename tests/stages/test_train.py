@@ -130,6 +130,7 @@ def test_any_number_of_workers_writes_the_same_bytes(
     assert "no validation drives, so no early stopping" in capfd.readouterr().out
     assert json.loads(results[0][f"train/net/fold-{first}/config.json"])["best_epoch"] == 2
     assert f"train/net/fold-{second}/best.pt" in results[0]
+    assert results[0]["train/net/config.json"] == results[0][f"train/net/fold-{first}/config.json"]
 
 
 @pytest.mark.slow

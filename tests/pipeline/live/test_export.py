@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import GraphBatch
+from models.steering.core.knobs import Sizes
 from models.steering.core.steering_net import SteeringNet
 from models.steering.spatial import blind, edgeconv, gatv2, gnn
 from models.steering.temporal.lstm import LSTM
@@ -19,12 +20,13 @@ from pipeline.live.export_modules import Spatial
 from tests.pipeline.live import untrained
 
 POINTS = 50
+SIZES = Sizes(features=6)
 NETWORKS = [
-    gnn.GCN(6, layers=(32, 8), semantics=1.0),  # wider than its input, then narrower
-    gnn.GCN(6, layers=(16,)),
-    edgeconv.network(6, layers=(16, 8), semantics=0.5),
-    gatv2.network(6, layers=(16, 6), semantics=1.0),  # four heads, and two
-    blind.Blind(6),
+    gnn.Knobs(layers=(32, 8), semantics=1.0).build(SIZES),  # wider than its input, then narrower
+    gnn.Knobs(layers=(16,)).build(SIZES),
+    edgeconv.Knobs(layers=(16, 8), semantics=0.5).build(SIZES),
+    gatv2.Knobs(layers=(16, 6), semantics=1.0).build(SIZES),  # four heads, and two
+    blind.Knobs().build(SIZES),
 ]
 
 

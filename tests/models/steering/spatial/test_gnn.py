@@ -88,11 +88,6 @@ def test_sparse_product_stays_in_full_precision_under_autocast(make_batch):
     assert all(parameter.grad.isfinite().all() for parameter in layers.parameters())
 
 
-def test_graph_without_nodes(make_batch):
-    layer = GCNLayer(3, 4)
-    assert layer(torch.zeros(0, 3), GCNLayer.operator(make_batch([0, 0]), torch.float32)).shape == (0, 4)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("layers", [(8, 16), (30, 5, 12), (4,)])
 @pytest.mark.parametrize("tile", [4, 30, 10**6])  # points: several of a frame, some frames, all

@@ -85,11 +85,3 @@ def test_wiring_limits_the_inputs_of_f_and_g():
     assert torch.equal(g, synapses)
     assert a.all()
     assert b.all()
-
-
-def test_dt_matters():
-    cell = CfC(ncp(4)).double()
-    sensed = cell.sense(torch.randn(2, 3, 4, dtype=torch.float64)).detach()
-    dt_s = torch.full((2, 3), 0.1, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda dt: cell(sensed, dt)[0], dt_s)
-    assert not torch.allclose(cell(sensed, dt_s)[0], cell(sensed, 3 * dt_s)[0])

@@ -71,20 +71,6 @@ def test_small_steps_reach_the_ode_solvers_solution():
     assert runs[0].abs().max() < 1e-9
 
 
-def test_exact_without_recurrence():
-    """Neurons without internal synapses relax to w x + b, with any number of steps."""
-    cell, x = cell_of(1), features()
-    with torch.no_grad():
-        cell.internal.w.zero_()
-        h = cell(cell.sense(x), DT_S)[1][0]
-        expected = torch.zeros(2, WIRING.units, dtype=torch.float64)
-        for t in range(4):
-            target = x[:, t] @ cell.sensory.dense() + cell.bias
-            decay = (-DT_S[:, t, None] / NOMINAL_STEP_S / (x[:, t] @ cell.theta.weight.T).exp()).exp()
-            expected = target + (expected - target) * decay
-    torch.testing.assert_close(h, expected, rtol=0, atol=1e-12)
-
-
 def test_gradients():
     cell, x = cell_of(2), features().requires_grad_()
     dt_s = DT_S.clone().requires_grad_()

@@ -121,7 +121,7 @@ def test_real_drives_run_the_same_chain(real_half: Path, real_weights: Path, tmp
     params["town"] |= {"image_size": [96, 320], "frames": {"train": 30, "val": 1, "test": 1}}
     params["ingest"]["drives"] = {"train": sample, "val": [], "test": list(real)}
     params["encoder"] |= {"epochs": 1, "frames": 24}
-    params["graphs"] = {name: params["graphs"][name] | {"points": 300} for name in ("semantic", "lidar")}
+    params["graphs"] = {"semantic": params["graphs"]["semantic"] | {"points": 300}, "lidar": scratch.lidar_variant(300)}
     params["models"] = {model: params["models"][model]}
     params["train"] |= {"epochs": 2, "seeds": [0]}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))

@@ -115,7 +115,7 @@ def test_a_checkpoint_that_does_not_fit_is_refused(folder: Path) -> None:
     checkpoint.write(trained / "best.pt", content | {"name": "other"})
     refused("other")
     checkpoint.write(trained / "best.pt", content | {"model": content["model"] | {"features": 9}})
-    refused("does not fit")
+    refused("does not match the network")
     (trained / "best.pt").write_bytes(best[:-100])
     refused("best.pt")
     (trained / "best.pt").write_bytes(best)

@@ -59,5 +59,5 @@ def test_clouds_of_other_frames_are_one_error(data: Path, tmp_path: Path) -> Non
             with store.DriveWriter(path, stage="clouds", drive=name, params={}) as new:
                 cloud.write(new, old.frame + 1000, old.time_s, points)
     store.write_index(tmp_path / "clouds/pseudo", SPLITS)
-    with pytest.raises(InputError, match=r"clouds/pseudo/.*\.h5 has no frame \d"):
+    with pytest.raises(InputError, match=r"clouds/pseudo/.*\.h5: no frame \d"):
         draw(tmp_path, tmp_path / "pictures")

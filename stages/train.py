@@ -70,7 +70,7 @@ def main(
             for run in todo:
                 fit_run(run, job, world, device)
         if world.is_main:
-            # The model's config.json is that of its first network, which with folds has a folder of its own.
+            # With folds, the first network has its own folder, and the model's config.json is a copy.
             config = store.read_json(todo[0].folder / "config.json", stage=f"train@{name}")
             store.write_json(out / name / "config.json", config)
             print(f"{name}: {encode_ms(todo[0], job, device):.2f} ms to encode a frame", flush=True)

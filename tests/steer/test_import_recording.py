@@ -239,7 +239,7 @@ def test_command(tmp_path: Path, log: Path, video: Path) -> None:
 
     before = written(log)
     images = write_folder(tmp_path / "images", pictures(2, (400, 600)))
-    for number in range(2, 3000):
+    for number in range(2, 9000):
         (images / f"{number:06d}.png").symlink_to(images / "000000.png")
     log.write_text("time_s,speed_mps,yaw_rate_radps\n0,5,0\n1000,5,0\n")
     long = command(images, "--fps", "10", "--fov", "80", "--max-gap", "2000", "--force")

@@ -140,13 +140,13 @@ def test_folder_of_a_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"kind": "unified encoder"}, "not a checkpoint of"),
+        ({"kind": "unified encoder"}, "expected a checkpoint of"),
         ({"contents": None}, "contents: Field required"),
         ({"target": {"std_rad": 0.0}}, r"target\.std_rad.*greater than 0"),
         ({"target": {"mean_rad": float("nan")}}, r"target\.mean_rad.*finite"),
         ({"model": {"spatial": "wavelet"}}, r"spatial.*wavelet"),
         ({"model": {"window": 0}}, r"model\.window"),
-        ({"model": {"features": 7}}, "does not fit"),
+        ({"model": {"features": 7}}, "does not match"),
     ],
 )
 def test_a_checkpoint_that_does_not_rebuild_a_network_is_refused(

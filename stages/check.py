@@ -67,7 +67,7 @@ def check_model(model: Model, settings: Params) -> None:
     from models.steering.core import steering_net
 
     if model.input not in settings.graphs:
-        raise InputError(f"input = {model.input!r} is no variant of graphs: {closest(model.input, [*settings.graphs])}")
+        raise InputError(f"unknown variant {model.input!r}: {closest(model.input, [*settings.graphs])}", "input")
     variant, line = settings.graphs[model.input], resolve(model)
     if model.motion != "none":
         check_motion("motion", model.motion, settings.motion)

@@ -1,6 +1,5 @@
 """steer predict: predict the steering angle of a drive, a folder of images or a video, frame by frame."""
 
-import signal
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -81,8 +80,6 @@ def _run(chain: "Chain", source: "Source", path: Path, out: Path, voice: Voice, 
     model = chain.model
     with ExitStack() as stack:
         folder = stack.enter_context(result_folder(out))
-        # End on SIGTERM as on Ctrl-C.
-        stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
         file = stack.enter_context((folder / CSV).open("w", newline="", encoding="utf-8"))
         results, overlay = Results(file, source.name, warm_up=model.window), None
         if video:

@@ -39,7 +39,7 @@ def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) 
     assert scratch.stages_run(output) == []
     params = (folder / "params.yaml").read_text()
     (folder / "params.yaml").write_text(params.replace("input: semantic", "input: semantc"))
-    check_refused(scratch.run(folder, "dvc", "repro", check=False), f"models.{MODEL}.input", "semantc")
+    check_refused(scratch.run(folder, "dvc", "repro", check=False), f"models.{MODEL}: input", "semantc")
     (folder / "params.yaml").write_text(params)
 
     scan = sorted((folder / "data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]

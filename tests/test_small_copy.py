@@ -43,8 +43,8 @@ def test_metrics_show_models_and_encoder(swapped: Path) -> None:
 
 
 def test_an_experiment_edits_one_line_and_its_row_has_the_figure(swapped: Path) -> None:
-    edits = [line for line in scratch.run(swapped, "git", "diff", "-U0", "params.yaml").splitlines() if line[0] in "+-"]
-    before, after = edits[2:]  # after the names of the file
+    lines = scratch.run(swapped, "git", "diff", "-U0", "params.yaml").splitlines()
+    before, after = (line for line in lines if re.match(r"[+-] +\w", line))  # comments of replaced sections are lost
     assert before.split()[:3] == ["-", "temporal:", "ncp"]
     assert after.split()[:3] == ["+", "temporal:", "lstm"]
     rows = list(csv.DictReader(io.StringIO(scratch.run(swapped, "dvc", "exp", "show", "--csv"))))
@@ -133,7 +133,7 @@ def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(chain
     file.write_text(HEIGHT.replace("import torch\n", "import torch\nfrom models.steering.spatial import gatv2\n", 1))
     output = scratch.run(folder, "dvc", "repro", "check", check=False)
     (line,) = (line for line in output.splitlines() if line.startswith("error: "))
-    assert "models.mine.spatial" in line
+    assert "models.mine" in line
     assert "gatv2.py" in line
 
 

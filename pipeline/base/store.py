@@ -195,13 +195,14 @@ class DriveReader:
             raise InputError(f"no frame {number}", self.path)
         return int(rows[0])
 
-    @property
+    @cached_property
     def names(self) -> list[str]:
         """Names of the datasets."""
-        return list(self._file)
+        with self._read_errors():
+            return list(self._file)
 
     def __contains__(self, name: str) -> bool:
-        return name in self._file
+        return name in self.names
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a complete dataset."""
@@ -229,8 +230,8 @@ class DriveReader:
     def dataset(self, name: str) -> h5py.Dataset:
         """Return the h5py dataset. Raises InputError if it is missing or its shape is wrong."""
         if name not in self._datasets:
-            if name not in self._file:
-                raise InputError(f"no dataset {name!r} (it has {', '.join(self._file)})", self.path)
+            if name not in self.names:
+                raise InputError(f"no dataset {name!r} (it has {', '.join(self.names)})", self.path)
             with self._read_errors(name):
                 dataset = self._file[name]
                 if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "iuf" or not dataset.ndim:
@@ -250,7 +251,7 @@ class DriveReader:
             if values.ndim != 1 or (np.diff(values) <= 0).any() or (name == "frame" and (values < 0).any()):
                 raise ValueError("expected increasing numbers, one for each frame")
         pointer = self._pointer(name)
-        if pointer is None and "frame" in self._file:
+        if pointer is None and "frame" in self.names:
             rows = len(self._file["frame"]) + (name == "ptr" or name.endswith("_ptr"))
             if len(dataset) != rows:
                 raise ValueError(f"expected {rows} rows, got {len(dataset)}")
@@ -262,10 +263,10 @@ class DriveReader:
     def _pointer(self, name: str) -> str | None:
         """Return the dataset with the frames' first rows in `name`; None if `name` has one row for each frame."""
         own = f"{name.replace('neighbours', 'centres')}_ptr"
-        if own in self._file:
+        if own in self.names:
             return own
         per_point = name in ("xyz", "cls", "degree") and self._file[name].ndim < 3  # cls may be images
-        return "ptr" if per_point and "ptr" in self._file else None
+        return "ptr" if per_point and "ptr" in self.names else None
 
     def __enter__(self) -> Self:
         return self

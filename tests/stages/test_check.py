@@ -73,7 +73,7 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
-        (f"{MODEL}.input", "semantc", "input = 'semantc'.*did you mean semantic"),
+        (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
         (f"{MODEL}.temporal", "gru", "temporal.*gru.*lstm, ncp"),
         (f"{MODEL}.semantics", 1.5, "semantics"),

@@ -218,6 +218,11 @@ def test_interrupt_keeps_what_was_there_and_a_kill_is_cleaned_up(
     assert not killed.exists()
 
 
+def accept_ctrl_c() -> None:
+    """Undo that a background job ignores Ctrl-C, which its children inherit."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.slow
 def test_command(tmp_path: Path, log: Path, video: Path) -> None:
     """Exit status and output of success, errors and Ctrl-C."""
@@ -243,7 +248,7 @@ def test_command(tmp_path: Path, log: Path, video: Path) -> None:
         (images / f"{number:06d}.png").symlink_to(images / "000000.png")
     log.write_text("time_s,speed_mps,yaw_rate_radps\n0,5,0\n1000,5,0\n")
     long = command(images, "--fps", "10", "--fov", "80", "--max-gap", "2000", "--force")
-    with subprocess.Popen(long, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
+    with subprocess.Popen(long, stderr=subprocess.PIPE, text=True, cwd=ROOT, preexec_fn=accept_ctrl_c) as process:
         while process.poll() is None and len(list((tmp_path / "raw").rglob("*.png"))) < 15:
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)

@@ -65,7 +65,7 @@ def test_a_dead_worker_is_one_error_and_keeps_finished_drives(folder: Path, expe
         toy_stage.main(folder, workers=2)
     assert "a" in raised.value.where.removeprefix("at or near ").split(", ")
     assert "STEER_WORKERS=1" in raised.value.fix
-    assert len(calls(folder)) >= 3
+    assert "a" in calls(folder)
     end_trouble(folder)
     toy_stage.main(folder, workers=1)
     assert not {"b", "c"} <= set(calls(folder)), "the drive before a is kept; the other one may have died with a"

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from steer.options import Debug, Json, Quiet, Voice
+from steer.options import Debug, Json, Output, Quiet
 
 
 def export(
@@ -28,13 +28,13 @@ def export(
     from pipeline.live.export import export as write
     from pipeline.train.predict import load
 
-    voice = Voice(quiet, as_json)
+    output = Output(quiet, as_json)
     trained = load(model, "cpu")
     manifest = write(trained, graphs / trained.line["input"], out, tolerance)
     for part, difference in manifest["largest_difference"].items():
-        voice.line(
+        output.line(
             f"{out / part}.pt2: largest difference from the network {difference:.2g} (tolerance {tolerance:.2g})"
         )
     verified = manifest["verified"]
-    voice.line(f"verified on {verified['windows']} windows of {', '.join(verified['drives'])}")
-    voice.result({"out": str(out), **manifest})
+    output.line(f"verified on {verified['windows']} windows of {', '.join(verified['drives'])}")
+    output.result({"out": str(out), **manifest})

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pipeline.base.errors import InputError
-from steer.options import Debug, Json, Quiet, Voice
+from steer.options import Debug, Json, Output, Quiet
 
 if TYPE_CHECKING:  # heavy imports wait until the command runs, so that --help is fast
     import numpy as np
 
     from pipeline.camera.footage import Footage
     from pipeline.recording.clock import Coverage
+    from pipeline.recording.motion_log import MotionLog
     from pipeline.recording.track import Rates
 
 
@@ -48,18 +49,14 @@ def import_recording(
 
     Example: steer import drive.mp4 --motion can.csv --fov 78 --offset 0.35 --drive 2027_03_31_drive_0001
     """
-    import numpy as np
-
     from pipeline.base.atomic import replacing
-    from pipeline.base.executors import default_workers
     from pipeline.base.lock import exclusive
     from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import intrinsics
     from pipeline.recording import clock, layout
     from pipeline.recording.motion_log import read_motion
-    from pipeline.recording.packets import packets
 
-    voice = Voice(quiet, as_json)
+    output = Output(quiet, as_json)
     _check_paths(source, motion, out, calib, times)
     _check_range("--fps", fps, 0.01, 1000)
     _check_range("--offset", offset, -1e10, 1e10)
@@ -78,22 +75,35 @@ def import_recording(
     with exclusive(folder.parent, out / ".import" / drive[:10]), replacing(folder) as unfinished:
         _check_absent(folder, force)
         calibrated = layout.check_calibration(folder, footage.size, matrix, force)
-        all_s: list[float] = []
-        images = _with_motion(footage, times_s, log.rates, max_gap, all_s, voice)
-        layout.write_images(unfinished, images, threads=default_workers())
-        time_s = np.array(all_s)
-        covered = clock.coverage(log.rates, time_s, max_gap)
-        if not covered.usable.any():
-            raise InputError(f"no image lies between samples at most {max_gap:g} s apart", motion, "Raise --max-gap")
-        rows = packets(log.rates, time_s[covered.usable])
-        layout.write_packets(unfinished, rows, covered.usable, time_s)
+        time_s, covered = _write(unfinished, footage, times_s, log, max_gap, output)
         if not calibrated:
             layout.write_calibration(folder, footage.size, matrix)
 
     summary = {"drive": drive} | _summary(folder, footage, time_s, covered)
     for line in _lines(log.source, summary):
-        voice.line(line)
-    voice.result(summary | {"motion": log.source, "K": matrix.tolist()})
+        output.line(line)
+    output.result(summary | {"motion": log.source, "K": matrix.tolist()})
+
+
+def _write(
+    folder: Path, footage: "Footage", times_s: "np.ndarray | None", log: "MotionLog", max_gap: float, output: Output
+) -> tuple["np.ndarray", "Coverage"]:
+    """Write the images that have motion, and their packets; return the times of all images and which are usable."""
+    import numpy as np
+
+    from pipeline.base.executors import default_workers
+    from pipeline.recording import clock, layout
+    from pipeline.recording.packets import packets
+
+    all_s: list[float] = []
+    images = _with_motion(footage, times_s, log.rates, max_gap, all_s, output)
+    layout.write_images(folder, images, threads=default_workers())
+    time_s = np.array(all_s)
+    covered = clock.coverage(log.rates, time_s, max_gap)
+    if not covered.usable.any():
+        raise InputError(f"no image lies between samples at most {max_gap:g} s apart", "--motion", "Raise --max-gap")
+    layout.write_packets(folder, packets(log.rates, time_s[covered.usable]), covered.usable, time_s)
+    return time_s, covered
 
 
 def _check_paths(*paths: Path | None) -> None:
@@ -123,7 +133,7 @@ def _span(footage: "Footage", times_s: "np.ndarray | None") -> tuple[float, floa
 
 
 def _with_motion(
-    footage: "Footage", times_s: "np.ndarray | None", rates: "Rates", max_gap: float, all_s: list[float], voice: Voice
+    footage: "Footage", times_s: "np.ndarray | None", rates: "Rates", max_gap: float, all_s: list[float], output: Output
 ) -> Iterator[tuple[int, "np.ndarray"]]:
     """Yield number and pixels of the images that have motion, and append the times of all images to `all_s`."""
     import numpy as np
@@ -131,7 +141,7 @@ def _with_motion(
 
     from pipeline.recording import clock
 
-    with tqdm(total=footage.count, unit=" images", disable=not (voice.talks and sys.stderr.isatty())) as bar:
+    with tqdm(total=footage.count, unit=" images", disable=not (output.visible and sys.stderr.isatty())) as bar:
         for time_s, image in clock.timed(footage, times_s):
             all_s.append(time_s)
             if clock.coverage(rates, np.array([time_s]), max_gap).usable[0]:

@@ -26,11 +26,6 @@ class Output:
         width = None if sys.stdout.isatty() else _PIPE_WIDTH
         self.console = Console(quiet=not self.visible, width=width, markup=False, highlight=False, emoji=False)
 
-    @property
-    def talks(self) -> bool:
-        """Same as `visible`."""
-        return self.visible
-
     def line(self, text: str) -> None:
         """Print a line of text."""
         self.console.print(text, soft_wrap=True)
@@ -65,9 +60,6 @@ class Output:
         """Print the result as JSON, if ``--json`` is given; numbers that are not finite become null."""
         if self._json:
             print(json.dumps(_finite(content), indent=1, allow_nan=False), flush=True)
-
-
-Voice = Output  # in steer.predict, steer.export, steer.import_recording
 
 
 def _is_table(value: Any) -> bool:

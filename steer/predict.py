@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import InputError
-from steer.options import Debug, Json, Quiet, Voice
+from steer.options import Debug, Json, Output, Quiet
 
 if TYPE_CHECKING:
     from pipeline.live.chain import Chain
@@ -57,7 +57,7 @@ def predict(
     )
     with closing(frames.frames):
         chain = Chain(trained, sections, encoder or data / "encoder", frames)
-        _run(chain, frames, source, out, Voice(quiet, as_json), video=video)
+        _run(chain, frames, source, out, Output(quiet, as_json), video=video)
 
 
 def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path:
@@ -71,7 +71,7 @@ def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path
     return params.resolve().parent / "data"
 
 
-def _run(chain: "Chain", source: "Source", path: Path, out: Path, voice: Voice, *, video: bool) -> None:
+def _run(chain: "Chain", source: "Source", path: Path, out: Path, output: Output, *, video: bool) -> None:
     from tqdm import tqdm
 
     from pipeline.live.overlay import Overlay
@@ -85,7 +85,7 @@ def _run(chain: "Chain", source: "Source", path: Path, out: Path, voice: Voice, 
         if video:
             overlay = Overlay(folder / VIDEO, source, chain.camera_height_m, model.target.wheelbase_m)
             stack.enter_context(overlay)
-        bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if voice.talks else True))
+        bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if output.visible else True))
         for frame in stack.enter_context(closing(chain.run(source.frames))):
             results.add(frame)
             if overlay:
@@ -95,21 +95,21 @@ def _run(chain: "Chain", source: "Source", path: Path, out: Path, voice: Voice, 
                 bar.set_postfix_str(results.speed())
         if not results.frames:
             raise InputError("no frame could be read", path, "; ".join(source.notes[:1]))
-    _report(chain, source, results, out, voice, video=video)
+    _report(chain, source, results, out, output, video=video)
 
 
-def _report(chain: "Chain", source: "Source", results: "Results", out: Path, voice: Voice, *, video: bool) -> None:
+def _report(chain: "Chain", source: "Source", results: "Results", out: Path, output: Output, *, video: bool) -> None:
     from pipeline.live.results import CSV, VIDEO
 
     model = chain.model
     for before, after in results.gaps:
-        voice.line(f"no frames between {before} and {after}: a new window starts")
+        output.line(f"no frames between {before} and {after}: a new window starts")
     for note in source.notes:
-        voice.line(note)
+        output.line(note)
     ahead = f", each {model.horizon} frames ahead" if model.horizon else ""
-    voice.line(f"{model.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}")
-    voice.line(f"{out / CSV}, {out / VIDEO}" if video else str(out / CSV))
-    voice.result(
+    output.line(f"{model.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}")
+    output.line(f"{out / CSV}, {out / VIDEO}" if video else str(out / CSV))
+    output.result(
         {
             "model": model.name,
             "source": source.name,

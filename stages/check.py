@@ -4,10 +4,11 @@ from pathlib import Path
 
 from pipeline.base import console, imports
 from pipeline.base.errors import InputError, closest, error_context
+from pipeline.base.params import read
 from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
 from pipeline.sections.models import Model, resolve
 from pipeline.sections.motion import Motion
-from pipeline.sections.params import Params, read, validate
+from pipeline.sections.params import Params, validate
 from pipeline.train import runs
 
 # The code that DVC tracks for every model; of networks, it tracks only the two files that a model names.

@@ -85,14 +85,20 @@ def _mapping(mapping: str, path: Path) -> dict[str, Any]:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    content = read(path)
+    for name in content:
+        if name not in SECTIONS:
+            raise InputError(f"unknown section {name!r}: {closest(str(name), SECTIONS)}", path)
+    return content
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return the content of a params file or a preset. Raises InputError if it is missing or has no sections."""
     if not path.is_file():
         raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
     content = yaml_file.read(path)
     if not isinstance(content, dict):
         raise InputError("expected sections", path)
-    for name in content:
-        if name not in SECTIONS:
-            raise InputError(f"unknown section {name!r}: {closest(str(name), SECTIONS)}", path)
     return content
 
 

@@ -14,7 +14,6 @@ from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.executors import default_workers
 from pipeline.camera import classes
-from pipeline.camera.images import to_units
 from pipeline.fitting import checkpoint
 from pipeline.fitting.precision import autocast
 from pipeline.fitting.prefetch import side_by_side
@@ -120,8 +119,3 @@ def likeliest(logits: Tensor) -> Tensor:
     """Return trainIds int64 [B,H,W] of logits [B,19,H,W], or [B,20,H,W] whose last is void."""
     cls = logits.argmax(dim=1)
     return cls.masked_fill_(cls == classes.COUNT, classes.VOID)
-
-
-def stored_depth(depth_m: np.ndarray, cls: np.ndarray) -> np.ndarray:
-    """Return depth as uint16 in 1/256 m; 0 in the sky and where `depth_m` is 0."""
-    return to_units(np.where(cls == classes.SKY, 0, depth_m))

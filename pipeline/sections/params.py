@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from pipeline.base import yaml_file
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import error_context
 from pipeline.base.params import NAME, Section, parse
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.encoder import Encoder
@@ -21,12 +20,10 @@ from pipeline.sections.pictures import Pictures
 from pipeline.sections.town import Town
 from pipeline.sections.train import Train
 
-LONGEST_NAME = 100  # it becomes part of file names, whose limit is 255 bytes
-
 
 def _check_name(name: str) -> str:
-    if not NAME.fullmatch(name) or len(name) > LONGEST_NAME:
-        raise ValueError(f"expected at most {LONGEST_NAME} letters A-Z and a-z, digits, _ and -, no _ or - first")
+    if not NAME.fullmatch(name):
+        raise ValueError("expected at most 100 letters A-Z and a-z, digits, _ and -, no _ or - first")
     return name
 
 
@@ -51,16 +48,6 @@ class Params(Section):
 
 
 ENTRIES: dict[str, type[Section]] = {"graphs": Variant, "models": Model}
-
-
-def read(path: Path) -> dict[str, Any]:
-    """Return the content of a params file or a preset. Raises InputError if it is missing or holds no sections."""
-    if not path.is_file():
-        raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
-    content = yaml_file.read(path)
-    if not isinstance(content, dict):
-        raise InputError("expected sections", path)
-    return content
 
 
 def validate(content: dict[str, Any], where: Path) -> Params:

@@ -13,8 +13,9 @@ import typer
 from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.params import read
 from pipeline.base.resume import ROOT
-from pipeline.sections.params import read, validate
+from pipeline.sections.params import validate
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"

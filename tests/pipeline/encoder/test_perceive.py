@@ -11,7 +11,7 @@ import torch
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.encoder.perceive import load, passes, perceive, read, save, stored_depth
+from pipeline.encoder.perceive import load, passes, perceive, read, save
 from tests import street
 
 NET = {"conv.weight": torch.zeros(3)}
@@ -124,9 +124,3 @@ def test_an_error_in_a_pass_restores_the_threads(set_threads: Callable[[int], No
         list(passes(fails, (number for number in range(9))))
     assert torch.get_num_threads() == 3
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("prefetch")]
-
-
-def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky() -> None:
-    depth = np.array([1.0, 10.002, 1000.0, 0.0001, 30.0, 0.0])
-    cls = np.array([0, 0, 0, 0, classes.SKY, 0])
-    assert stored_depth(depth, cls).tolist() == [256, 2561, 65535, 1, 0, 0]

@@ -39,6 +39,13 @@ def test_median_ratio_uses_pixels_with_both_depths() -> None:
     assert median_ratio(truth, np.zeros(SIZE)) is None
 
 
+def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky() -> None:
+    depth = np.array([[1.0, 10.002, 1000.0, 0.0001, 30.0, 0.0]], np.float32)
+    cls = np.array([[0, 0, 0, 0, classes.SKY, 0]])
+    process = DepthPostprocessor(Perception(batch=1, depth_scale="metric"), K, 1.65)
+    assert process(depth, cls, None).tolist() == [[256, 2561, 65535, 1, 0, 0]]
+
+
 @pytest.mark.parametrize(("mode", "factor"), [("metric", 1), ("camera_height", 5), ("lidar_median", 5), ("none", 1)])
 def test_each_mode_scales_depth(mode: Any, factor: float) -> None:
     depth_m, cls = road()

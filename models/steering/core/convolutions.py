@@ -1,8 +1,11 @@
 """Graph convolutions of complete frames on a CPU, in tiles of points that fit a core's cache."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
 from itertools import pairwise, starmap
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -12,6 +15,8 @@ from models.steering.core.adjacency import csr_rows, normalised_adjacency
 from models.steering.core.batch import GraphBatch
 from models.steering.core.features import mean_max_pool, node_features
 
+T = TypeVar("T")
+R = TypeVar("R")
 TILE = 2048  # points; with 64 channels and two versions 1 MB in float32
 
 
@@ -62,53 +67,95 @@ class _Block(NamedTuple):
 
 
 class _Convolutions(torch.autograd.Function):
-    """Convolutions block by block: a block is one tile of complete frames, or one frame of several tiles."""
+    """Convolutions block by block: a block is one tile of complete frames, or one frame of several tiles.
+
+    Blocks are computed side by side. Gradients are summed in the order of the blocks, whatever the number of threads.
+    """
 
     @staticmethod
     def forward(ctx: Any, batch: GraphBatch, semantics: float, *parameters: Tensor) -> Tensor:
         ctx.save_for_backward(*parameters)
-        ctx.blocks, pooled, dtype = [], [], parameters[0].dtype
-        for block in batch.blocks(TILE):
-            tiles = _tiles(normalised_adjacency(block.degree, block.indices, dtype))
-            x, inputs = node_features(block.xyz.to(dtype), block.cls, semantics), []  # [n,25]
-            for weight, bias in _pairs(parameters):
-                output, layer_inputs = x.new_empty(len(x), x.shape[1] // len(weight) * len(bias)), []
-                for rows, matrix in tiles:
-                    layer_inputs.append((matrix @ x).view(-1, len(weight)))
-                    torch.addmm(bias, layer_inputs[-1], weight, out=output[rows].view(-1, len(bias))).relu_()
-                inputs.append(layer_inputs)
-                x = output
-            pooled.append(mean_max_pool(x, block.ptr))
-            if any(ctx.needs_input_grad):
-                frames, top = list(starmap(slice, pairwise(block.ptr.tolist()))), pooled[-1][:, x.shape[1] :]
-                ties = torch.stack([_ties(x[rows], maximum) for rows, maximum in zip(frames, top, strict=True)])
-                ctx.blocks.append(_Block(tiles, inputs, frames, top, ties))
+        keep = any(ctx.needs_input_grad)
+
+        def convolve(block: GraphBatch) -> tuple[Tensor, _Block | None]:
+            return _forward(block, semantics, _pairs(parameters), keep)
+
+        pooled, ctx.blocks = zip(*_side_by_side(convolve, batch.blocks(TILE)), strict=True)
         return torch.cat(pooled)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        layers, totals = _pairs(ctx.saved_tensors), [torch.zeros_like(parameter) for parameter in ctx.saved_tensors]
-        grad_blocks = torch.split(gradient, [len(block.frames) for block in ctx.blocks])
-        for block, grad_pooled in zip(ctx.blocks, grad_blocks, strict=True):
-            points, versions = block.tiles[-1][0].stop, block.top.shape[1] // len(layers[-1][1])
-            grad_above: Tensor | None = None  # gradient of the next layer's input, [n, S C]
-            for number in reversed(range(len(layers))):
-                (weight, bias), (grad_weight, grad_bias) = layers[number], _pairs(totals)[number]
-                below = weight.new_empty(points, versions * len(weight)) if number else None
-                for (rows, matrix), inputs in zip(block.tiles, block.inputs[number], strict=True):
-                    output = torch.addmm(bias, inputs, weight).relu_()
-                    if grad_above is None:
-                        grad = block.pooling_gradient(rows, output.view(rows.stop - rows.start, -1), grad_pooled)
-                    else:
-                        grad = matrix @ grad_above  # the matrix is symmetric
-                    grad = torch.ops.aten.threshold_backward(grad.view_as(output), output, 0)  # of ReLU
-                    grad_weight.addmm_(inputs.T, grad)
-                    grad_bias += grad.sum(0)
-                    if below is not None:
-                        torch.mm(grad, weight.T, out=below[rows].view(-1, len(weight)))
-                grad_above = below
+        layers = _pairs(ctx.saved_tensors)
+
+        def differentiate(part: tuple[_Block, Tensor]) -> list[Tensor]:
+            return _backward(*part, layers)
+
+        parts = zip(ctx.blocks, torch.split(gradient, [len(block.frames) for block in ctx.blocks]), strict=True)
+        totals = [torch.zeros_like(parameter) for parameter in ctx.saved_tensors]
+        for gradients in _side_by_side(differentiate, parts):
+            torch._foreach_add_(totals, gradients)
         return None, None, *totals
+
+
+@torch.no_grad()  # a thread of the pool starts with gradients
+def _forward(
+    block: GraphBatch, semantics: float, layers: Sequence[tuple[Tensor, Tensor]], keep: bool
+) -> tuple[Tensor, _Block | None]:
+    """Return mean ‖ max of a block's frames [b, 2SC], and what backward needs if `keep`."""
+    dtype = layers[0][0].dtype
+    tiles = _tiles(normalised_adjacency(block.degree, block.indices, dtype))
+    x, inputs = node_features(block.xyz.to(dtype), block.cls, semantics), []  # [n,25]
+    for weight, bias in layers:
+        output, layer_inputs = x.new_empty(len(x), x.shape[1] // len(weight) * len(bias)), []
+        for rows, matrix in tiles:
+            layer_inputs.append((matrix @ x).view(-1, len(weight)))
+            torch.addmm(bias, layer_inputs[-1], weight, out=output[rows].view(-1, len(bias))).relu_()
+        inputs.append(layer_inputs)
+        x = output
+    pooled = mean_max_pool(x, block.ptr)
+    if not keep:
+        return pooled, None
+    frames, top = list(starmap(slice, pairwise(block.ptr.tolist()))), pooled[:, x.shape[1] :]
+    ties = torch.stack([_ties(x[rows], maximum) for rows, maximum in zip(frames, top, strict=True)])
+    return pooled, _Block(tiles, inputs, frames, top, ties)
+
+
+@torch.no_grad()
+def _backward(block: _Block, grad_pooled: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> list[Tensor]:
+    """Return the gradients of the layers' weights and biases, given the one of a block's mean ‖ max [b, 2SC]."""
+    gradients: list[Tensor] = []
+    points, versions = block.tiles[-1][0].stop, block.top.shape[1] // len(layers[-1][1])
+    grad_above: Tensor | None = None  # gradient of the next layer's input, [n, S C]
+    for number in reversed(range(len(layers))):
+        weight, bias = layers[number]
+        grad_weight, grad_bias = torch.zeros_like(weight), torch.zeros_like(bias)
+        below = weight.new_empty(points, versions * len(weight)) if number else None
+        for (rows, matrix), inputs in zip(block.tiles, block.inputs[number], strict=True):
+            output = torch.addmm(bias, inputs, weight).relu_()
+            if grad_above is None:
+                grad = block.pooling_gradient(rows, output.view(rows.stop - rows.start, -1), grad_pooled)
+            else:
+                grad = matrix @ grad_above  # the matrix is symmetric
+            grad = torch.ops.aten.threshold_backward(grad.view_as(output), output, 0)  # of ReLU
+            grad_weight.addmm_(inputs.T, grad)
+            grad_bias += grad.sum(0)
+            if below is not None:
+                torch.mm(grad, weight.T, out=below[rows].view(-1, len(weight)))
+        gradients[:0] = [grad_weight, grad_bias]
+        grad_above = below
+    return gradients
+
+
+def _side_by_side(work: Callable[[T], R], items: Iterable[T]) -> Iterable[R]:
+    """Return ``work(item)`` of each item in order; the cores share the items, with one torch thread each."""
+    items = list(items)
+    return _pool().map(work, items) if len(items) > 1 else map(work, items)
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "convolve", initializer=partial(torch.set_num_threads, 1))
 
 
 def _tiles(matrix: Tensor) -> list[tuple[slice, Tensor]]:

@@ -10,12 +10,15 @@ from contextlib import contextmanager
 from functools import cached_property
 from itertools import accumulate, count, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+
+if TYPE_CHECKING:
+    from torch_geometric.data import Data
 
 Arrays = dict[str, np.ndarray]
 
@@ -101,6 +104,29 @@ class Graphs:
             if not np.array_equal(edges[arrays["ptr"]], arrays.pop("indices_ptr")):
                 raise self._damaged("the sum of degree is not the number of indices")
         return arrays
+
+    def to_pyg(self, number: int, steering_rad: float = np.nan) -> "Data":
+        """Return the graph of frame `number` for PyTorch Geometric, which is installed with '.[dev]'.
+
+        pos [N,3] in metres, x [N,25] node features with λ = 1, edge_index [2,E], both directions of each edge, and y
+        [1], the angle. Raises InputError if the file has no such frame or holds no kNN graphs.
+        """
+        import torch
+        from torch_geometric.data import Data
+
+        from models.steering.core.features import node_features
+
+        if self.contents["kind"] != "graph":
+            raise InputError(f"expected kNN graphs, got {describe(self.contents)}", self.path)
+        row = self._file.row_of(number)
+        arrays = {name: torch.from_numpy(array) for name, array in self.read(row, row + 1).items()}
+        points = torch.arange(len(arrays["xyz"]))
+        return Data(
+            pos=arrays["xyz"],
+            x=node_features(arrays["xyz"], arrays["cls"], semantics=1.0),
+            edge_index=torch.stack([points.repeat_interleave(arrays["degree"].long()), arrays["indices"].long()]),
+            y=torch.tensor([steering_rad], dtype=torch.float32),
+        )
 
     def _renumber(self, name: str, rows: np.ndarray, ptr: np.ndarray, first: np.ndarray) -> np.ndarray:
         """Return row numbers that count from 0 in the batch. Raises InputError if one exceeds its frame.

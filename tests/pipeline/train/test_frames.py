@@ -6,7 +6,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import torch
 
+from models.steering.core.batch import GraphBatch, from_arrays
+from models.steering.core.features import node_features
+from models.steering.spatial import gnn
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.train import frames
@@ -121,3 +125,24 @@ def test_motion(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"found: visual") as raised:
             graphs.motion("lidar")
         assert "motion.kinds" in raised.value.fix
+
+
+def test_to_pyg_is_the_graph_that_gcn_sees(paths: dict[str, Path]) -> None:
+    """PyTorch Geometric's propagation on it equals ours."""
+    gcn = pytest.importorskip("torch_geometric.nn")
+    with frames.open_graphs(paths["graph"]) as graphs:
+        data, batch = graphs.to_pyg(3, 0.25), from_arrays(graphs.read(3, 4))
+        with pytest.raises(InputError, match="no frame 99"):
+            graphs.to_pyg(99)
+    assert isinstance(batch, GraphBatch)
+    assert data.y.tolist() == [0.25]
+    assert torch.equal(data.pos, batch.xyz)
+    assert data.validate()
+    assert not data.is_directed()
+    net = gnn.GCNLayer(25, 4)
+    peer = gcn.GCNConv(25, 4)
+    peer.lin.weight.data, peer.bias.data = net.weight.data.T, net.bias.data
+    ours = net(node_features(batch.xyz, batch.cls, 1.0), gnn.GCNLayer.operator(batch, torch.float32))
+    torch.testing.assert_close(peer(data.x, data.edge_index), ours, atol=1e-5, rtol=0)
+    with frames.open_graphs(paths["image"]) as images, pytest.raises(InputError, match="expected kNN graphs"):
+        images.to_pyg(3)

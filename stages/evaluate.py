@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from pipeline.base import console, store
@@ -57,7 +56,7 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     }
     store.write_json(out / "metrics.json", result)
     for number, folder in enumerate(runs.folders(out, seeds).values()):
-        rows = [(case.drive, case.predicted[number]) for case in cases["test"]]
+        rows = [(case.drive, case.predictions[number]) for case in cases["test"]]
         predictions.write(folder / "predictions.csv", rows)
     sharpest_bend.write_graphs(out / "structure.json", tested)
     # With folds, the first network may only show the test drive that it was not fitted to.
@@ -89,8 +88,8 @@ def _predict(
             for name in (name for name in getattr(fold, part) if name not in found):
                 drive = windows.read_drive(variant, labels, name, line["horizon"], line["motion"])
                 with frames.open_graphs(drive.graphs) as graphs:
-                    predicted = np.stack([model.predict(graphs) for model in seeds])
-                found[name] = split.Case(drive, predicted, seeds[0].target.mean_rad)
+                    predictions = [model.predict_with_sigma(graphs) for model in seeds]
+                found[name] = split.Case(drive, predictions, seeds[0].target.mean_rad)
     return {part: list(found.values()) for part, found in cases.items()}
 
 

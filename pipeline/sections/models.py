@@ -32,6 +32,7 @@ class Model(Section):
         Literal["none", "visual", "lidar"],
         Field(description="measured motion as a second input; the network predicts the residual to its angle"),
     ] = "none"
+    uncertainty: Annotated[bool, Field(description="predict the standard deviation of the error, too")] = False
     fit_to: Annotated[
         Literal["train", "others", "both"],
         Field(

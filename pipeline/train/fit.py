@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
 WARM_UP = 0.05  # share of the steps
+WITHIN_SIGMA = 0.6827  # of a normal distribution
 REPORTED_WAIT = 0.02  # share of an epoch; the log mentions longer waits for data
 
 
@@ -153,7 +154,7 @@ class Fit:
             residual = (steering - batch["base_rad"].to(predicted)) / target.std_rad
             if settings.mirror == "pairs":
                 residual = torch.cat([residual, -residual])
-            error = weighted_error(predicted, residual, weight)
+            error = weighted_loss(predicted, residual, weight)
             self.optimiser.zero_grad(set_to_none=True)
             # DistributedDataParallel averages gradients over processes; the loss is a sum over them.
             (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
@@ -169,11 +170,28 @@ class Fit:
         if not drives:
             return math.nan, math.nan
         net: Any = self.average.module
-        predicted = np.concatenate(predict.predict_drives(net, drives, self.window, target, self.world))
+        predictions = predict.predict_drives(net, drives, self.window, target, self.world)
+        predicted = np.concatenate([each.steering_rad for each in predictions])
         steering = np.concatenate([drive.steering_rad for drive in drives])
         valid = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(predicted)
         steering, predicted = steering[valid], predicted[valid]
         return score.mse(steering, predicted), score.nmse(steering, predicted)
+
+    def sigma_factor(self, drives: Sequence[windows.Drive], target: predict.Target) -> float:
+        """Return the factor of the predicted σ at which ±σ contains 68 % of the drives' errors, for the best weights.
+
+        Training errors are smaller than those on new drives, so σ fitted to them is too small.
+        """
+        net: Any = self.average.module
+        net.load_state_dict(self.best)
+        ratios = []
+        for drive, predicted in zip(
+            drives, predict.predict_drives(net, drives, self.window, target, self.world), strict=True
+        ):
+            assert predicted.sigma_rad is not None, "the model has uncertainty"
+            counted = drive.valid & ~np.isnan(predicted.steering_rad)
+            ratios.append((np.abs(predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad)[counted])
+        return float(np.quantile(np.concatenate(ratios), WITHIN_SIGMA))
 
     def _resume(self, path: Path, title: str) -> None:
         """Load the state of an interrupted run, if the main process has one."""
@@ -210,6 +228,12 @@ def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
     return float(weight.sum() ** 2 / (weight**2).sum())
 
 
-def weighted_error(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
-    """Return Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 when divided by Σ w."""
-    return (weight * (predicted - target).square()).sum()
+def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+    """Return Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 when divided by Σ w.
+
+    With `predicted` [W,2], Θ̂ and log σ: Σ w (log σ + (Θ̂ - Θ)² / 2σ²), the negative log-likelihood up to a constant.
+    """
+    if predicted.ndim == 1:
+        return (weight * (predicted - target).square()).sum()
+    mean, log_sigma = predicted.unbind(1)
+    return (weight * (log_sigma + ((mean - target) * torch.exp(-log_sigma)).square() / 2)).sum()

@@ -10,7 +10,7 @@ with frames.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as grap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
@@ -24,6 +24,7 @@ from pipeline.train.distributed import World
 
 if TYPE_CHECKING:
     import torch
+    from torch import Tensor
 
     from models.steering.core.steering_net import SteeringNet
 
@@ -36,13 +37,15 @@ class Target:
     """Scale of the network's output, from the training drives: Θ = base + std · output.
 
     base is the measured angle of the window's last frame, 0 without motion; std is the standard deviation of the
-    residual Θ - base. So output 0 means the base angle. The mean of Θ is for the baseline train_mean.
+    residual Θ - base. So output 0 means the base angle. The mean of Θ is for the baseline train_mean. With uncertainty,
+    σ = std · sigma_factor · exp(second output); the factor makes ±σ contain 68 % of the validation drives' errors.
     """
 
     mean_rad: FiniteFloat
     std_rad: Annotated[FiniteFloat, Field(gt=0)]
     wheelbase_m: FiniteFloat
     min_speed_mps: FiniteFloat
+    sigma_factor: FiniteFloat = 1.0
 
     @classmethod
     def from_drives(cls, drives: Sequence[windows.Drive]) -> "Target":
@@ -54,6 +57,13 @@ class Target:
     @property
     def car(self) -> windows.Car:
         return windows.Car(self.wheelbase_m, self.min_speed_mps)
+
+
+class Prediction(NamedTuple):
+    """Predicted steering for G frames, NaN where no complete window ends, and its standard deviation, or None."""
+
+    steering_rad: np.ndarray
+    sigma_rad: np.ndarray | None = None
 
 
 class Checkpoint(BaseModel):
@@ -91,7 +101,13 @@ class Trained:
         return int(self.line["horizon"])
 
     def predict(self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Return the steering in rad, left +, for frames of an open graph file: float64, one per frame.
+        """Return the steering in rad, left +, for frames of an open graph file; see :meth:`predict_with_sigma`."""
+        return self.predict_with_sigma(graphs, numbers).steering_rad
+
+    def predict_with_sigma(
+        self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None
+    ) -> Prediction:
+        """Return the steering in rad, left +, and with uncertainty its σ: float64, one per frame of an open graph file.
 
         The value for frame t is the angle at frame t + :attr:`horizon`, predicted from the frames up to t. NaN where no
         complete window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded once,
@@ -114,10 +130,9 @@ class Trained:
         with error_context(where=f"model {self.name}"):
             timeline = windows.Timeline.read(graphs, self.line["motion"], self.target.car)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows(numbers)
-        (steering_rad,) = predict_drives(
-            self.net, [timeline], self.window, self.target, rows=[rows], opened={0: graphs}
-        )
-        return steering_rad[rows]
+        (predicted,) = predict_drives(self.net, [timeline], self.window, self.target, rows=[rows], opened={0: graphs})
+        sigma_rad = None if predicted.sigma_rad is None else predicted.sigma_rad[rows]
+        return Prediction(predicted.steering_rad[rows], sigma_rad)
 
     @property
     def wiring(self) -> dict[str, Any] | None:
@@ -192,8 +207,8 @@ def predict_drives(
     world: World = World(),
     rows: Sequence[np.ndarray] | None = None,
     opened: Mapping[int, frames.Graphs] | None = None,
-) -> list[np.ndarray]:
-    """Return the predicted steering in rad for each timeline's frames, [G] each; NaN where no window ends.
+) -> list[Prediction]:
+    """Return the predicted steering for each timeline's frames.
 
     With `rows`, int [..] per timeline, at least for these; other frames are not encoded. The processes of a `world`
     share the work and all get the complete result. `opened` as in :func:`windows.batches`.
@@ -205,11 +220,17 @@ def predict_drives(
     net.eval()
     with torch.inference_mode():
         read = prefetch(windows.batches(timelines, [[span] for span in own], window, opened))
-        predicted = [
-            batch["base_rad"] + target.std_rad * net(*net.inputs(batch)).double().cpu().numpy() for batch in read
-        ]
-    steering_rad = [np.full(len(timeline.frame), np.nan) for timeline in timelines]
+        predicted = [angles(net(*net.inputs(batch)), batch["base_rad"], target) for batch in read]
+    columns = 1 + net.uncertainty
+    result = [np.full((columns, len(timeline.frame)), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(own, predicted, strict=True))):
         for span, values in part:
-            steering_rad[span.drive][span.start + window - 1 : span.stop] = values
-    return steering_rad
+            result[span.drive][:, span.start + window - 1 : span.stop] = values
+    return [Prediction(*values) for values in result]
+
+
+def angles(output: "Tensor", base_rad: np.ndarray, target: Target) -> np.ndarray:
+    """Return the steering, and with uncertainty its σ, [1 or 2, W] in rad, of a network's output for W windows."""
+    values = output.double().cpu().numpy().reshape(len(base_rad), -1).T
+    steering_rad, scale_rad = base_rad + target.std_rad * values[0], target.std_rad * target.sigma_factor
+    return np.stack([steering_rad, *(scale_rad * np.exp(values[1:]))])

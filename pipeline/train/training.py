@@ -4,7 +4,7 @@ import shutil
 import statistics
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +76,17 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     state = job.pending / f"{key}.pt"
     fitting = fit.Fit(net, line["window"], line["alpha"], settings, run.seed, world)
     target = predict.Target.from_drives(train)
-    metadata = {"name": job.name, "contents": contents, "target": vars(target), "revision": revision(), **inputs}
+    metadata: dict[str, Any] = {
+        "name": job.name,
+        "contents": contents,
+        "target": vars(target),
+        "revision": revision(),
+        **inputs,
+    }
     fitting.run(train, val, state, metadata, f"{job.name} {run}")
+    if line["uncertainty"] and val:
+        factor = fitting.sigma_factor(val, target)
+        metadata["target"] = vars(replace(target, sigma_factor=factor))
     if world.is_main:
         figures = {
             "seeds": settings.seeds,

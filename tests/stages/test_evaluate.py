@@ -49,6 +49,21 @@ def test_metrics_are_means_over_seeds(folder: Path) -> None:
     assert "Means over 2 seeds" in (folder / "report/table.md").read_text()
 
 
+def test_uncertainty_is_calibrated_on_validation_drives(folder: Path) -> None:
+    write_params(folder, {"uncertainty": True}, epochs=2)
+    trained, evaluated = run_train(folder), run_evaluate(folder)
+    metrics = json.loads((evaluated / "metrics.json").read_text())
+    assert metrics["val"]["uncertainty"]["coverage_68"] == pytest.approx(0.6827, abs=0.02)
+    model = predict.load(trained)
+    assert model.target.sigma_factor != 1
+    rows = read(evaluated / "predictions.csv")
+    with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+        predicted = model.predict_with_sigma(graphs, [3, 59])
+    assert predicted.sigma_rad is not None
+    assert [float(rows[number]["sigma_rad"]) for number in (3, 59)] == pytest.approx(predicted.sigma_rad, abs=1e-6)
+    assert rows[2]["sigma_rad"] == ""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fit_to", ["others", "both"])
 def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder: Path, fit_to: str) -> None:

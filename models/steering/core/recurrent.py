@@ -14,7 +14,7 @@ State = tuple[Tensor, ...]
 
 
 class RecurrentCell(nn.Module):
-    """Recurrent network from a window of frame features to one number per frame.
+    """Recurrent network from a window of frame features to O numbers per frame: steering, and log σ with uncertainty.
 
     It has two parts, so that windows share frames: `sense` depends on a frame alone and runs once per frame; `forward`
     is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per frame, S
@@ -35,7 +35,7 @@ class RecurrentCell(nn.Module):
             dt_s: [W,T] seconds since the previous frame.
             state: from an earlier call, to continue a window; None: zero state.
         Returns:
-            One number per window and frame [W,T,1], and the state after the last frame.
+            The output per window and frame [W,T,O], and the state after the last frame.
         """
         raise NotImplementedError
 

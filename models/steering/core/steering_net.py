@@ -48,16 +48,23 @@ class SteeringNet(nn.Module):
             recurrent network. The paper has no such symmetry.
         motion: the recurrent network also gets the measured motion, and its output is the residual to the measured
             angle, in units of its standard deviation. The paper has no such input.
+        uncertainty: predict log σ, too: the logarithm of the error's standard deviation. It is even under mirroring.
     """
 
     def __init__(
-        self, spatial: nn.Module, temporal: RecurrentCell, equivariant: bool = False, motion: bool = False
+        self,
+        spatial: nn.Module,
+        temporal: RecurrentCell,
+        equivariant: bool = False,
+        motion: bool = False,
+        uncertainty: bool = False,
     ) -> None:
         super().__init__()
         self.spatial = spatial
         self.temporal = temporal
         self.equivariant = equivariant
         self.motion = motion
+        self.uncertainty = uncertainty
 
     def encode(self, batch: Batch) -> Tensor:
         """Return the spatial features of each frame [B,F]."""
@@ -86,13 +93,13 @@ class SteeringNet(nn.Module):
             motion: [B,4], see core/motion.py; required with motion.
             pairs: predict for the windows and for their mirror images.
         Returns:
-            [W]; with pairs [2W], the mirror images last.
+            [W], or with uncertainty [W,2], the second is log σ. With pairs the mirror images follow: [2W], [2W,2].
         """
         if not pairs:
             return self.recall(self.encode(batch), windows, dt_s, motion)
         if self.equivariant:
             out = self.recall(self.encode(batch), windows, dt_s, motion)
-            return torch.cat([out, -out])
+            return torch.cat([out, self._mirror(out)])
         original, mirrored = self.encode_both(batch)
         windows = torch.cat([windows, windows + len(original)])
         if motion is not None:
@@ -106,8 +113,12 @@ class SteeringNet(nn.Module):
             out, _ = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
             if self.equivariant:
                 mirrored, _ = self._last(torch.cat([-odd, even], dim=1), windows, dt_s)
-                out = (out - mirrored) / 2
+                out = (out + self._mirror(mirrored)) / 2
             return out
+
+    def _mirror(self, output: Tensor) -> Tensor:
+        """Return the output for the mirrored scene: steering changes its sign, its σ does not."""
+        return output * output.new_tensor([-1.0, 1.0]) if self.uncertainty else -output
 
     def activity(self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
         """Return the recurrent network's state at each window's end [W,U]; arguments as of `forward`."""
@@ -148,17 +159,18 @@ class SteeringNet(nn.Module):
         return torch.cat([features, odd], dim=1), even
 
     def _last(self, inputs: Tensor, windows: Tensor, dt_s: Tensor) -> tuple[Tensor, State]:
-        """Run the recurrent network on inputs [B,D]; return its output at each window's end [W], and its state."""
+        """Run the recurrent network on inputs [B,D]; return its output at each window's end, and its state."""
         sensed = self.temporal.sense(inputs)  # [B,S]
-        out, state = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,1]
-        return out[:, -1, 0], state
+        out, state = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,O]
+        return out[:, -1] if self.uncertainty else out[:, -1, 0], state
 
 
 def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
     """Build the network of a model's entry, with new weights from torch's random state.
 
     Args:
-        line: spatial, temporal, window, features, equivariant, motion, and knobs of the two networks; others ignored.
+        line: spatial, temporal, window, features, equivariant, motion, uncertainty, and knobs of the two networks;
+            others are ignored.
         kind: of the frames in the entry's input.
         levels: samplings of an input of kind pointnet2.
         image_size: (H,W) pixels of an input of kind image.
@@ -171,12 +183,12 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
         raise ValueError(
             f"spatial = {line['spatial']!r} expects {KINDS[expected]}, but input: {line['input']} holds {KINDS[kind]}"
         )
-    sizes = Sizes(line["features"], line["window"], levels, image_size or (0, 0))
-    motion = line.get("motion", "none") != "none"
+    motion, uncertainty = line.get("motion", "none") != "none", line.get("uncertainty", False)
+    sizes = Sizes(line["features"], line["window"], levels, image_size or (0, 0), outputs=1 + uncertainty)
     # Random numbers are drawn in this order: a seed's weights depend on it.
     each = spatial.build(sizes)
     over: Any = temporal.build(replace(sizes, features=sizes.features + motion * COLUMNS))
-    return SteeringNet(each, over, line["equivariant"], motion)
+    return SteeringNet(each, over, line["equivariant"], motion, uncertainty)
 
 
 def knobs(part: Part, line: Line) -> NetworkKnobs:

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import store
-from pipeline.report.judge import decisions, errors, paths
+from pipeline.report.judge import certainty, decisions, errors, paths
 from pipeline.report.judge.interval import nmse_interval, nmse_std
 from pipeline.sections.evaluate import Evaluate
+from pipeline.train.predict import Prediction
 from pipeline.train.windows import Drive
 
 
@@ -18,13 +19,13 @@ class Case:
     """A drive with the predictions of a model's S seeds for its G frames."""
 
     drive: Drive
-    predicted: np.ndarray  # [S,G] rad, NaN where no complete window ends
+    predictions: Sequence[Prediction]  # [S]
     train_mean_rad: float
 
     @property
     def counted(self) -> np.ndarray:
         """Return the frames [G] with a valid target and a prediction, bool."""
-        return self.drive.valid & ~np.isnan(self.predicted[0])
+        return self.drive.valid & ~np.isnan(self.predictions[0].steering_rad)
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
@@ -46,6 +47,9 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
         "by_drive": {name: columns.scores(row_names == name) for name in dict.fromkeys(names)},
         "without_decisions": columns.scores(~columns.near),
         "drift_m_per_100m": _drift(cases, settings),
+        "uncertainty": None
+        if columns.sigma is None
+        else certainty.scores(columns.steering, columns.predicted, columns.sigma),
     }
 
 
@@ -55,8 +59,8 @@ def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:
         return None
     tracks = [_track(case.drive, settings) for case in cases]
     by_seed = [
-        paths.drift([(track, case.predicted[seed]) for track, case in zip(tracks, cases, strict=True)])
-        for seed in range(len(cases[0].predicted))
+        paths.drift([(track, case.predictions[seed].steering_rad) for track, case in zip(tracks, cases, strict=True)])
+        for seed in range(len(cases[0].predictions))
     ]
     values = [value for value in by_seed if value is not None]
     return float(np.mean(values)) if values else None
@@ -82,8 +86,10 @@ class _Columns:
 
         drives = [case.drive for case in cases]
         self.steering = column([drive.steering_rad for drive in drives])
-        by_seed = zip(*(case.predicted for case in cases), strict=True)
-        self.predicted = np.stack([column(one_seed) for one_seed in by_seed])  # [S,N]
+        by_seed = list(zip(*(case.predictions for case in cases), strict=True))
+        self.predicted = np.stack([column([each.steering_rad for each in one_seed]) for one_seed in by_seed])  # [S,N]
+        sigma = [[each.sigma_rad for each in one_seed if each.sigma_rad is not None] for one_seed in by_seed]
+        self.sigma = np.stack([column(one_seed) for one_seed in sigma]) if all(sigma) else None  # [S,N]
         self.curvature = column([drive.curvature_1pm for drive in drives])
         self.near = column([decisions.near(drive) for drive in drives])
         self.number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])

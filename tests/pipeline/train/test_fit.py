@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from pipeline.train import fit, windows
 from tests import artefacts
@@ -18,3 +19,11 @@ def test_effective_frames(tmp_path: Path) -> None:
     assert counts[3] == pytest.approx(1, abs=0.1)  # the sharpest bend alone, without overflow
     drives[0].valid[:5] = False
     assert fit.effective_frames(drives, 0.0) == pytest.approx(2 * 23 - 5)
+
+
+def test_loss_with_uncertainty_is_the_likelihood_of_a_normal_distribution() -> None:
+    predicted = torch.tensor([[0.5, -1.0], [0.1, 0.3], [9.0, 0.0]], requires_grad=True)
+    target, weight = torch.tensor([0.2, 0.4, 0.0]), torch.tensor([2.0, 1.0, 0.0])
+    each = torch.distributions.Normal(predicted[:, 0], predicted[:, 1].exp()).log_prob(target)
+    constant = 3 * np.log(2 * np.pi) / 2
+    assert fit.weighted_loss(predicted, target, weight).item() == pytest.approx(-(weight @ each).item() - constant)

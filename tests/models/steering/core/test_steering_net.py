@@ -110,6 +110,20 @@ def test_mirrored_input_negates_an_equivariant_network(make_line, frames, dt_s, 
 
 
 @pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
+def test_a_mirrored_scene_has_the_same_uncertainty(make_line, frames, dt_s, temporal, knobs):
+    batch, signs = frames("gnn"), torch.tensor([-1.0, 1.0], dtype=torch.float64)
+    net = build_any(make_line("gnn", temporal, equivariant=True, uncertainty=True, **knobs)).double()
+    output = net(batch, WINDOWS, dt_s)
+    assert output.shape == (3, 2)
+    torch.testing.assert_close(net(batch.mirrored(), WINDOWS, dt_s), output * signs, **TOLERANCE)
+    pairs = net(batch, WINDOWS, dt_s, pairs=True)
+    torch.testing.assert_close(pairs, torch.cat([output, output * signs]), **TOLERANCE)
+    plain = build_any(make_line("gnn", temporal, uncertainty=True, **knobs)).double()
+    sides = torch.cat([plain(each, WINDOWS, dt_s) for each in (batch, batch.mirrored())])
+    torch.testing.assert_close(plain(batch, WINDOWS, dt_s, pairs=True), sides, **TOLERANCE)
+
+
+@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
 def test_all_parameters_of_a_network_with_motion_have_gradients(make_line, frames, dt_s, temporal, knobs):
     net = build_any(make_line("gnn", temporal, motion="lidar", **knobs)).double()
     residual = net(frames("gnn"), WINDOWS, dt_s, MOTION)

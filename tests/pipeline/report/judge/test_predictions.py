@@ -7,6 +7,7 @@ import pytest
 
 from pipeline.report.judge import decisions, predictions
 from pipeline.train import windows
+from pipeline.train.predict import Prediction
 from tests import artefacts
 
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
@@ -23,7 +24,7 @@ def test_a_row_per_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     drives[1].valid[2] = False
     onsets = {NAMES[0]: np.array([4], np.int32), NAMES[1]: np.empty(0, np.int32)}
     monkeypatch.setattr(decisions, "frames", lambda drive: onsets[drive.name])
-    predicted = [np.full(9, 0.5), np.r_[np.nan, np.full(8, -0.1234567)]]
+    predicted = [Prediction(np.full(9, 0.5)), Prediction(np.r_[np.nan, np.full(8, -0.1234567)])]
     predictions.write(tmp_path / "new/predictions.csv", list(zip(drives, predicted, strict=True)))
     head, *rows = read(tmp_path / "new/predictions.csv")
     assert ",".join(head) == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid,onset,odometry_rad"
@@ -40,7 +41,7 @@ def test_with_a_horizon_angles_are_those_of_a_later_frame(tmp_path: Path) -> Non
     folders = (tmp_path / "graphs/semantic", tmp_path / "labels")
     (drive,) = windows.read_drives(*folders, NAMES[:1], 4, 3)
     (now,) = windows.read_drives(*folders, NAMES[:1], 4)
-    predictions.write(tmp_path / "predictions.csv", [(drive, np.zeros(9))])
+    predictions.write(tmp_path / "predictions.csv", [(drive, Prediction(np.zeros(9)))])
     rows = read(tmp_path / "predictions.csv")[1:]
     assert [float(row[4]) for row in rows[:6]] == pytest.approx(now.steering_rad[3:], abs=1e-9)
     assert [(row[1], row[4], row[6]) for row in rows[6:]] == [(str(number), "", "0") for number in (6, 7, 8)]

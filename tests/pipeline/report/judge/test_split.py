@@ -9,6 +9,7 @@ from pipeline.base.params import load
 from pipeline.report.judge import decisions, split
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import windows
+from pipeline.train.predict import Prediction
 from tests import artefacts
 
 PARAMS = Path(__file__).resolve().parents[4] / "params.yaml"
@@ -18,6 +19,10 @@ NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 def drives(folder: Path, write: object = artefacts.write_graphs, horizon: int = 0) -> list[windows.Drive]:
     artefacts.write_dataset(folder, dict.fromkeys(NAMES, "test"), frames=30, points=40, write=write)
     return windows.read_drives(folder / "graphs/semantic", folder / "labels", NAMES, 4, horizon)
+
+
+def case(drive: windows.Drive, *seeds: np.ndarray, mean: float = 0.0) -> split.Case:
+    return split.Case(drive, [Prediction(angles) for angles in seeds], mean)
 
 
 def metrics(cases: list[split.Case]) -> dict:
@@ -31,7 +36,7 @@ def test_invalid_and_early_frames_do_not_count(tmp_path: Path) -> None:
     for angles, drive in zip(predicted, test, strict=True):
         angles[:3] = np.nan
         angles[~drive.valid] = 99.0
-    found = metrics([split.Case(drive, angles[None], 0.0) for drive, angles in zip(test, predicted, strict=True)])
+    found = metrics([case(drive, angles) for drive, angles in zip(test, predicted, strict=True)])
     assert found["frames"] == 2 * (30 - 3) - 5
     assert found["mse_rad2"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
@@ -43,8 +48,8 @@ def test_invalid_and_early_frames_do_not_count(tmp_path: Path) -> None:
 def test_each_drive_has_its_own_errors_and_training_mean(tmp_path: Path) -> None:
     first, second = drives(tmp_path, horizon=2)
     cases = [
-        split.Case(first, np.stack([first.steering_rad + 0.01, first.steering_rad + 0.03]), 0.0),
-        split.Case(second, np.stack([second.steering_rad, second.steering_rad]), 0.05),
+        case(first, first.steering_rad + 0.01, first.steering_rad + 0.03),
+        case(second, second.steering_rad, second.steering_rad, mean=0.05),
     ]
     found = metrics(cases)["by_drive"]
     assert list(found) == NAMES
@@ -68,7 +73,7 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
 
     def baselines() -> dict:
         again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, 5)
-        return metrics([split.Case(drive, np.zeros((1, 30)), 0.0) for drive in again])
+        return metrics([case(drive, np.zeros(30)) for drive in again])
 
     found, (first, second) = (
         baselines()["baselines"],
@@ -88,12 +93,12 @@ def test_frames_near_decisions_are_left_out_of_one_score(tmp_path: Path, monkeyp
     (first, _) = drives(tmp_path)
     near = np.arange(30) < 10
     monkeypatch.setattr(decisions, "near", lambda drive: near)
-    found = metrics([split.Case(first, np.where(near, 0.0, first.steering_rad)[None], 0.0)])
+    found = metrics([case(first, np.where(near, 0.0, first.steering_rad))])
     assert found["nmse"] > 0
     assert (found["without_decisions"]["frames"], found["without_decisions"]["nmse"]) == (20, 0)
     assert found["without_decisions"]["baselines"]["zero"]["frames"] == 20
     monkeypatch.setattr(decisions, "near", lambda drive: np.ones(30, bool))
-    assert metrics([split.Case(first, np.zeros((1, 30)), 0.0)])["without_decisions"]["nmse"] is None
+    assert metrics([case(first, np.zeros(30))])["without_decisions"]["nmse"] is None
 
 
 def test_sizes_are_means_or_none(tmp_path: Path) -> None:
@@ -105,7 +110,7 @@ def test_sizes_are_means_or_none(tmp_path: Path) -> None:
 
 
 def test_drift_uses_the_formula_of_the_params(tmp_path: Path) -> None:
-    cases = [split.Case(drive, drive.steering_rad[None] + 0.03, 0.0) for drive in drives(tmp_path)]
+    cases = [case(drive, drive.steering_rad + 0.03) for drive in drives(tmp_path)]
     settings = load(Evaluate, PARAMS)
     assert settings.path == "bicycle"
     bicycle, paper = (

@@ -31,10 +31,7 @@ class Train(Section):
     clip_norm: Positive
     run_windows: Count
     batch_runs: Count
-    mirror: Annotated[
-        bool | Literal["pairs"],
-        Field(description="true: mirror random runs | pairs: each run together with its mirror image in one step"),
-    ]
+    mirror: Annotated[bool, Field(description="train each run of frames together with its mirror image in one step")]
     rescale: Annotated[float, Field(ge=1, le=2)]
     noise: Noise
     average: Annotated[float, Field(ge=0, lt=1)]

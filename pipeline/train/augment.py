@@ -1,57 +1,15 @@
-"""Augmentation: mirror and rescale runs of frames together with their steering."""
-
-from collections.abc import Sequence
-from dataclasses import dataclass
+"""Augmentation: change the size of the scene together with the steering. SteeringNet.forward mirrors."""
 
 import numpy as np
 
 from pipeline.sections.train import Train
 from pipeline.train.windows import Batch
 
-ANGLES = ("steering_rad", "base_rad")  # per window
 
-
-@dataclass(frozen=True)
-class Augmentation:
-    """Transformations of a step's runs [R]: whether to mirror each, and the factor of its lengths."""
-
-    mirrored: np.ndarray
-    factor: np.ndarray
-
-    @classmethod
-    def draw(cls, runs: int, settings: Train, rng: np.random.Generator) -> "Augmentation":
-        """Draw the transformations of a number of runs."""
-        mirrored = rng.random(runs) < 0.5 if settings.mirror is True else np.zeros(runs, bool)
-        factor = settings.rescale ** rng.uniform(-1, 1, runs) if settings.rescale > 1 else np.ones(runs)
-        return cls(mirrored, factor.astype(np.float32))
-
-    def select(self, runs: Sequence[int]) -> "Augmentation":
-        """Return the transformations of some of the runs."""
-        return Augmentation(self.mirrored[list(runs)], self.factor[list(runs)])
-
-    def apply(self, batch: Batch, frames: Sequence[int]) -> Batch:
-        """Transform a batch with targets; `frames` is the length of each run."""
-        batch = mirror(batch, np.repeat(self.mirrored, frames))
-        return rescale(batch, np.repeat(self.factor, frames))
-
-
-def mirror(batch: Batch, chosen: np.ndarray) -> Batch:
-    """Reflect points or images, motion and steering left-right: x → −x, steering → −steering. Edges do not change.
-
-    `chosen` bool [B]: which frames to reflect; equal for all frames of a span.
-    """
-    sign = np.where(chosen, -1, 1).astype(np.int8)
-    changed = {name: batch[name] * sign[batch["windows"][:, -1]] for name in ANGLES}
-    if "motion" in batch:
-        changed["motion"] = batch["motion"].copy()
-        changed["motion"][:, :2] *= sign[:, None]  # angle and yaw rate
-    if "image" in batch:  # assumes the optical axis in the middle of the image; KITTI's is within 2 %
-        changed["image"] = batch["image"].copy()
-        changed["image"][chosen] = batch["image"][chosen, :, ::-1]
-    else:
-        changed["xyz"] = batch["xyz"].copy()
-        changed["xyz"][:, 0] *= np.repeat(sign, np.diff(batch["ptr"]))
-    return batch | changed
+def random_factors(runs: int, settings: Train, rng: np.random.Generator) -> np.ndarray:
+    """Draw a factor of the lengths of each of a step's runs, float32 [R], of at most `train.rescale`."""
+    factor = settings.rescale ** rng.uniform(-1, 1, runs) if settings.rescale > 1 else np.ones(runs)
+    return factor.astype(np.float32)
 
 
 def rescale(batch: Batch, factor: np.ndarray) -> Batch:

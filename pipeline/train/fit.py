@@ -22,7 +22,7 @@ from pipeline.fitting.precision import autocast
 from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.sections.train import Train
 from pipeline.train import predict, reading, score, windows
-from pipeline.train.augment import Augmentation
+from pipeline.train.augment import random_factors
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World
 
@@ -123,10 +123,10 @@ class Fit:
         steps = []
         for number, (group, share) in enumerate(zip(groups, shares, strict=True)):
             own = share or [0]  # a process without a run takes part with a run of weight 0
-            augmentation = Augmentation.draw(len(group), settings, rng).select(own)  # drawn for all processes' runs
+            factor = random_factors(len(group), settings, rng)[own]  # drawn for all processes' runs
             first = 1 + number * settings.batch_runs  # from 1: numpy ignores zeros at the end of a seed
             seeds = tuple((self.seed, epoch, first + run) for run in own)
-            steps.append(reading.Step(tuple(group[run] for run in own), augmentation, seeds))
+            steps.append(reading.Step(tuple(group[run] for run in own), factor, seeds))
         return shares, steps
 
     def _train(
@@ -145,14 +145,14 @@ class Fit:
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
             with autocast(device, settings.precision):
-                predicted = self.learner(*self.net.inputs(batch), pairs=settings.mirror == "pairs")
+                predicted = self.learner(*self.net.inputs(batch), pairs=settings.mirror)
             steering = batch["steering_rad"].to(predicted)
             weight = batch["valid"].to(predicted) * torch.exp(self.alpha * steering.abs())
             weight = weight if share else torch.zeros_like(weight)
-            weight = weight.repeat(len(predicted) // len(weight))  # twice with mirror: pairs
+            weight = weight.repeat(len(predicted) // len(weight))  # twice with mirror
             mass = self.world.sum(weight.sum())
             residual = (steering - batch["base_rad"].to(predicted)) / target.std_rad
-            if settings.mirror == "pairs":
+            if settings.mirror:
                 residual = torch.cat([residual, -residual])
             error = weighted_loss(predicted, residual, weight)
             self.optimiser.zero_grad(set_to_none=True)

@@ -19,7 +19,7 @@ from pipeline.base.executors import default_workers
 from pipeline.fitting.prefetch import prefetch
 from pipeline.sections.train import Noise
 from pipeline.train import frames, windows
-from pipeline.train.augment import Augmentation
+from pipeline.train.augment import rescale
 from pipeline.train.noise import add_noise
 
 AHEAD = 4  # batches per process
@@ -27,10 +27,10 @@ AHEAD = 4  # batches per process
 
 @dataclass(frozen=True)
 class Step:
-    """One batch: spans of frames, their augmentation, and the seeds of their noise."""
+    """One batch: spans of frames, the factors of their lengths, and the seeds of their noise."""
 
     runs: tuple[windows.Span, ...]
-    augmentation: Augmentation
+    factor: np.ndarray  # float32, one per run
     seeds: tuple[tuple[int, ...], ...]
 
 
@@ -49,7 +49,7 @@ class Steps(Dataset[dict[str, Any]]):
             self._opened[drive] = self._files.enter_context(graphs)
         (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
         lengths = [run.stop - run.start for run in step.runs]
-        batch = step.augmentation.apply(batch, lengths)
+        batch = rescale(batch, np.repeat(step.factor, lengths))
         batch = add_noise(batch, lengths, [np.random.default_rng(seed) for seed in step.seeds], self._noise)
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
 

@@ -186,8 +186,8 @@ def test_bfloat16_trains_nearly_the_same(folder: Path) -> None:
     assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.05)
 
 
-def test_mirror_pairs_train_the_same_on_a_mirrored_data_set(folder: Path) -> None:
-    write_params(folder, {"equivariant": False}, mirror="pairs", precision="float64", epochs=2)
+def test_mirror_trains_the_same_on_a_mirrored_data_set(folder: Path) -> None:
+    write_params(folder, {"equivariant": False}, mirror=True, precision="float64", epochs=2)
     curves = [load(run_train(folder) / "last.pt")["curve"]]
     for drive in SPLITS:
         with h5py.File(folder / f"graphs/semantic/{drive}.h5", "a") as file:

@@ -11,7 +11,6 @@ from tests.pipeline.train.shared import DRIVES, read_batch
 
 PARAMS = Path(__file__).resolve().parents[3] / "params.yaml"
 FRAMES = [10, 9]  # of the two spans, with three and two windows
-FIRST = np.repeat([True, False], FRAMES)
 TWICE = np.repeat(np.array([2.0, 1.0], np.float32), FRAMES)
 
 
@@ -22,23 +21,6 @@ def batch(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     write = {"graphs": artefacts.write_graphs, "sets": artefacts.write_sets, "images": artefacts.write_images}
     artefacts.write_dataset(folder, DRIVES, frames=12, points=40, write=write[request.param])
     return read_batch(folder, [windows.Span(0, 0, 10), windows.Span(1, 1, 10)])
-
-
-def test_mirror_reflects_chosen_frames_and_twice_is_the_identity(batch: windows.Batch) -> None:
-    mirrored = augment.mirror(batch, FIRST)
-    if "image" in batch:
-        assert (mirrored["image"][:10] == batch["image"][:10, :, ::-1]).all()
-        assert (mirrored["image"][10:] == batch["image"][10:]).all()
-    else:
-        sign = np.where(np.arange(len(batch["xyz"])) < batch["ptr"][10], -1, 1)
-        assert (mirrored["xyz"] == batch["xyz"] * np.stack([sign, abs(sign), abs(sign)], axis=1)).all()
-    assert (mirrored["steering_rad"] == batch["steering_rad"] * [-1, -1, -1, 1, 1]).all()
-    assert (mirrored["motion"] == batch["motion"] * np.where(FIRST[:, None], [-1, -1, 1, 1], 1)).all()
-    assert (mirrored["base_rad"] == mirrored["motion"][batch["windows"][:, -1], 0]).all()
-    same = batch.keys() - {"image", "xyz", "steering_rad", "motion", "base_rad"}
-    assert all((mirrored[key] == batch[key]).all() for key in same)
-    back = augment.mirror(mirrored, FIRST)
-    assert all((back[key] == batch[key]).all() for key in batch)
 
 
 def test_a_world_twice_as_large_has_bends_of_twice_the_radius(batch: windows.Batch) -> None:
@@ -56,16 +38,9 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(batch: windows.Bat
     assert (scaled["base_rad"] == scaled["motion"][batch["windows"][:, -1], 0]).all()
 
 
-def test_each_run_has_its_own_augmentation(batch: windows.Batch) -> None:
+def test_factors_are_between_the_setting_and_its_inverse() -> None:
     settings = load(Train, PARAMS)
-    drawn = augment.Augmentation.draw(50, settings, np.random.default_rng(0))
-    assert 10 < drawn.mirrored.sum() < 40
-    assert 1 / settings.rescale <= drawn.factor.min() < drawn.factor.max() <= settings.rescale
-    assert drawn.select([3, 7]).factor.tolist() == [drawn.factor[3], drawn.factor[7]]
-    changed = augment.Augmentation(np.array([True, False]), np.array([1, 2], np.float32)).apply(batch, FRAMES)
-    expected = augment.rescale(augment.mirror(batch, FIRST), np.repeat(np.array([1, 2], np.float32), FRAMES))
-    assert all((changed[key] == expected[key]).all() for key in batch)
-    off = settings.model_copy(update={"mirror": False, "rescale": 1.0})
-    drawn = augment.Augmentation.draw(9, off, np.random.default_rng(0))
-    assert not drawn.mirrored.any()
-    assert (drawn.factor == 1).all()
+    drawn = augment.random_factors(50, settings, np.random.default_rng(0))
+    assert 1 / settings.rescale <= drawn.min() < 1 < drawn.max() <= settings.rescale
+    off = settings.model_copy(update={"rescale": 1.0})
+    assert (augment.random_factors(9, off, np.random.default_rng(0)) == 1).all()

@@ -7,7 +7,7 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.report import drawing, street_view
-from pipeline.report.figures import chain, neurons, paths, wheels
+from pipeline.report.figures import chain, paths, wheels
 from pipeline.report.judge.paths import Track
 from pipeline.report.results import Results
 
@@ -24,11 +24,10 @@ def draw(out: Path, results: Results, data: Path) -> Figures:
     now = models[models["line.horizon"] == 0].sort_values("test.nmse", kind="stable") if len(models) else models
     if now.empty:
         return {}
-    best, folder = now.iloc[0], data / "evaluate" / now.iloc[0]["model"]
+    best = now.iloc[0]
     captions = _draw_images(out, best, results.first_seed([best["model"]]), data)
-    captions |= _draw_pruning(out, best, folder / "structure.json")
+    captions |= _draw_pruning(out, best, data / "evaluate" / best["model"] / "structure.json")
     captions |= _draw_paths(out, now[:MAX_MODELS], results)
-    captions |= _draw_neurons(out, best["model"], folder / "neurons.json")
     return dict(sorted(captions.items(), key=_number))
 
 
@@ -120,11 +119,3 @@ def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Figures:
         f"the true one at each dot: at its start and at the onset of a turn. Drift per 100 m: {text}."
     )
     return {"paths": caption}
-
-
-def _draw_neurons(out: Path, model: str, path: Path) -> Figures:
-    content = store.read_json(path, stage=f"evaluate@{model}") if path.is_file() else {}
-    if not content:
-        return {}
-    neurons.draw(out / "neurons", model, content)
-    return {"neurons": f"Figure 6. Synapses of {model}, and its neurons' states in a bend of {content['drive']}."}

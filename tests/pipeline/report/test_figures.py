@@ -10,30 +10,18 @@ import pytest
 
 from pipeline.base import store
 from pipeline.graphs import cloud
-from pipeline.report.figures import chain, draw, neurons, paths, wheels
+from pipeline.report.figures import chain, draw, paths, wheels
 from pipeline.report.judge.paths import Track
 from pipeline.report.street_view import View
 from tests import street
 from tests.pipeline.report import examples
 
 IMAGE = np.zeros((40, 120, 3), np.uint8)
-NEURONS = {
-    "wiring": {
-        "motor": 1, "command": 2, "inter": 3, "sensory": [[0, 3, 1], [1, 5, -1]],
-        "internal": [[3, 1, 1], [4, 2, -1], [1, 2, 1], [2, 0, 1]],
-    },
-    "drive": "a", "frame": [3, 4, 5, 6], "steering_rad": [0.1, None, 0.2, 0.3],
-    "activity": np.linspace(-1, 1, 24).reshape(4, 6).tolist(),
-}  # fmt: skip
 
 
 def draw_wheels(path: Path) -> None:
     examples_ = [wheels.Example("left", IMAGE, 12.34, 14.0), wheels.Example("straight", IMAGE, -0.01, 0.0)]
     wheels.draw(path, "net", examples_)
-
-
-def draw_neurons(path: Path) -> None:
-    neurons.draw(path, "net", NEURONS)
 
 
 def draw_paths(path: Path) -> None:
@@ -64,7 +52,6 @@ def draw_chain(path: Path) -> None:
             r"(?:predicted|driven) [+-][\d.]+°",
             ["predicted +12.3°", "driven +14.0°", "predicted +0.0°", "driven +0.0°"],
         ),
-        (draw_neurons, r">(\d \w+)<", ["2 features", "3 inter", "2 command", "1 motor"]),
         (draw_paths, r">(net|driven|other)<", ["driven", "net"]),  # no path of "other" in this drive
         (draw_pruning, r"(before pruning: 600 edges|after pruning)", ["before pruning: 600 edges", "after pruning"]),
         (draw_chain, r">(image|driven|odometry|predicted)<", ["image", "driven", "odometry", "predicted"]),
@@ -100,11 +87,10 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     rng = np.random.default_rng(0)
     graph = {"frame": 5, "xyz_m": rng.uniform(-9, 9, (60, 3)).tolist(), "cls": [0] * 30 + [2] * 30}
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
-    store.write_json(tmp_path / "evaluate/net/neurons.json", NEURONS)
     results = examples.load_results(tmp_path / "evaluate", ["net"])
     captions = draw.draw(tmp_path / "figures", results, tmp_path)
-    assert [*captions] == ["chain", "street", "pruning", "wheels", "paths", "neurons"]
-    assert [caption[:9] for caption in captions.values()] == [f"Figure {number}." for number in range(1, 7)]
+    assert [*captions] == ["chain", "street", "pruning", "wheels", "paths"]
+    assert [caption[:9] for caption in captions.values()] == [f"Figure {number}." for number in range(1, 6)]
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
 
 

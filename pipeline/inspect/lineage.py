@@ -1,11 +1,10 @@
-"""Trace an artefact back through dvc.lock to its stage, the stages before it, and the raw drive."""
+"""Trace an artefact back through dvc.lock to its stage and its inputs."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pipeline.base import yaml_file
-from pipeline.inspect import drive_file
 from pipeline.inspect.reading import read_errors
 
 Stages = Mapping[str, Mapping[str, Any]]
@@ -49,7 +48,6 @@ def trace(path: Path) -> dict[str, str]:
     if len(names) == 1:
         inputs = (path for path in _paths(stages[names[0]], "deps") if _writers(path, stages))
         facts["inputs"] = ", ".join(inputs) or "none"
-        facts["stages before"] = ", ".join(_upstream(names[0], stages)) or "none"
     return facts
 
 
@@ -60,24 +58,3 @@ def _overlap(a: str, b: str) -> bool:
 
 def _writers(path: str, stages: Stages) -> list[str]:
     return [name for name, stage in stages.items() if any(_overlap(path, out) for out in _paths(stage, "outs"))]
-
-
-def _upstream(name: str, stages: Stages) -> list[str]:
-    """Return all stages that `name` depends on, the nearest first."""
-    found = [name]
-    for stage in found:  # grows
-        for path in _paths(stages[stage], "deps"):
-            found += [writer for writer in _writers(path, stages) if writer not in found]
-    return found[1:]
-
-
-def raw_drive(path: Path, drive: str) -> str:
-    """Return the folder of a drive's raw files; empty if its file of stage ingest is not here."""
-    folders = (folder / "ingest" for folder in path.absolute().parents)
-    ingest = next((folder for folder in folders if (folder / f"{drive}.h5").is_file()), None)
-    if ingest is None:
-        return ""
-    summary = drive_file.summary(ingest / f"{drive}.h5")
-    source = "raw" if summary["attributes"].get("source") == "kitti" else "town"
-    folder = ingest.parent / source / drive[:10] / f"{drive}_sync"
-    return str(folder) if folder.is_dir() else f"{folder} (missing)"

@@ -6,13 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.inspect import lineage, project
-from tests import kitti_drive
 
 PIPELINE = """
 stages:
@@ -62,9 +59,9 @@ def copy(finished: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_stage_and_the_stages_before(finished: Path) -> None:
+def test_stage_and_its_inputs(finished: Path) -> None:
     assert lineage.trace(finished / "data/train/small/labels/code.py") == {
-        "written by": "train@small", "inputs": "data/labels", "stages before": "labels, ingest",
+        "written by": "train@small", "inputs": "data/labels",
     }  # fmt: skip
     assert set(lineage.trace(finished / "data/train")["written by"].split(", ")) == {"train@large", "train@small"}
     assert "no stage" in lineage.trace(finished / "labels.py")["written by"]
@@ -99,17 +96,3 @@ def test_damaged_lock_is_named(tmp_path: Path, content: str) -> None:
     with pytest.raises(InputError, match=r"dvc\.lock") as raised:
         lineage.trace(tmp_path)
     assert len(str(raised.value)) < 1000
-
-
-def test_raw_drive_of_an_artefact(tmp_path: Path) -> None:
-    folder = kitti_drive.write_drive(tmp_path / "raw")
-    path = tmp_path / f"ingest/{kitti_drive.DRIVE}.h5"
-    with store.DriveWriter(path, stage="ingest", drive=kitti_drive.DRIVE, params={}) as file:
-        file.attrs |= {"source": "kitti"}
-        file.put("frame", np.arange(4, dtype=np.int32))
-        file.put("time_s", np.arange(4) * 0.1)
-    labels = tmp_path / "labels/a.h5"
-    assert lineage.raw_drive(labels, kitti_drive.DRIVE) == str(folder)
-    folder.rename(tmp_path / "elsewhere")
-    assert lineage.raw_drive(labels, kitti_drive.DRIVE) == f"{folder} (missing)"
-    assert lineage.raw_drive(labels, "2011_09_26_drive_0002") == ""

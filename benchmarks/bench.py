@@ -22,7 +22,6 @@ import torch
 import typer
 
 from benchmarks import files, graph_network, neighbours, recurrent, training
-from benchmarks.demo import demo
 from benchmarks.row import Row
 from benchmarks.street import Street, recorded, sample
 from pipeline.base import console
@@ -33,20 +32,17 @@ STREET_ROWS: dict[str, Callable[[Street], Row]] = {
     "gcn_vs_pyg_edge_index": graph_network.beside_edge_index,
     "gcn_vs_pyg_csr": graph_network.beside_csr,
     "windows_vs_naive": training.windows,
-    "step_ms": training.step,
-    "peak_memory_gb": training.memory,
     "load": files.load,
     "bytes": files.size,
     "graph_build": neighbours.graph_build,
     "knn_vs_scipy": neighbours.beside_scipy,
     "knn_vs_open3d": neighbours.beside_open3d,
 }
-OTHER_ROWS: dict[str, Callable[[], Row]] = {"ltc": recurrent.ltc, "demo": demo}
-BY_NAME = ("demo",)  # takes minutes, so it is not measured by default
+OTHER_ROWS: dict[str, Callable[[], Row]] = {"ltc": recurrent.ltc}
 
 
 def main(
-    names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all except demo")] = None,
+    names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all")] = None,
     kitti: Annotated[
         Path | None, typer.Option(envvar="STEER_KITTI", help="KITTI raw with scans; default: measure on the sample")
     ] = None,
@@ -70,8 +66,7 @@ def main(
             # A new folder for each try, in case an earlier one failed half-way.
             return recorded(kitti, Path(tempfile.mkdtemp(dir=scratch))) if kitti else sample(data)
 
-        chosen = names or [name for name in known if name not in BY_NAME]
-        measured = {name: _measure(name, make_street) for name in chosen}
+        measured = {name: _measure(name, make_street) for name in names or known}
     print(f"{table(measured)}\n\n{device_name()}")
     if out:
         _write(out, measured, keep_others=bool(names))

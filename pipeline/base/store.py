@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 
 import h5py
 import hdf5plugin
@@ -29,8 +29,8 @@ from pipeline.base.params import SPLITS
 from pipeline.base.sink import Sink
 
 SCHEMA = 2  # 1: gzip
-# What h5py raises for damaged bytes, besides OSError.
-_H5PY_ERRORS = (RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
+# What h5py raises for damaged bytes.
+_H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
 _CHUNK_ROWS = 32768  # of ragged data
 _CHECKED_ROWS = 1024  # of uncompressed data, under one checksum
 # A checksum, as Blosc2 does not detect a changed bit. Sizes and speeds of the alternatives: docs/files.md.
@@ -131,28 +131,22 @@ class DriveReader:
         self._stage = stage
         self._datasets: dict[str, h5py.Dataset] = {}  # looking one up takes longer than reading a small one
         with self._read_errors():
-            try:
-                self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
-            except OSError as error:
-                if error.errno:  # the system's, for instance no permission; h5py leaves out the name
-                    raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
-                raise
+            self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
         try:
-            self._check_attributes()
+            self._read_attributes()
         except BaseException:
             self._file.close()
             raise
 
-    def _check_attributes(self) -> None:
+    def _read_attributes(self) -> None:
         with self._read_errors():
             self.attrs: dict[str, Any] = {
                 name: value.decode() if isinstance(value, bytes) else value for name, value in self._file.attrs.items()
             }
-            found = str(self.attrs.get("stage")), str(self.attrs.get("schema"))
-        if found != (self._stage, str(SCHEMA)):
-            problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {found[0]!r}, schema {found[1]}"
+        self.drive, stage, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
+        if (stage, schema) != (self._stage, str(SCHEMA)):
+            problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {stage!r}, schema {schema}"
             raise InputError(problem, self.path, _other_version(self._stage))
-        self.drive = str(self.attrs.get("drive"))
         if "_drive_" in self.path.stem and self.drive != self.path.stem:
             raise InputError(f"contains drive {self.drive}", self.path, fix_hint(self.path, self._stage))
 
@@ -161,16 +155,11 @@ class DriveReader:
         """Re-raise errors of h5py and of validation as an InputError that names the file and the dataset."""
         try:
             yield
-        except OSError as error:
-            if error.errno and error.filename:
-                raise
-            self._raise_damaged(error, name)
         except _H5PY_ERRORS as error:
-            self._raise_damaged(error, name)
-
-    def _raise_damaged(self, error: Exception, name: str | None) -> NoReturn:
-        where = f" in dataset {name!r}" if name else ""
-        raise InputError(f"damaged{where} ({error})", self.path, fix_hint(self.path, self._stage)) from error
+            if isinstance(error, OSError) and error.errno:  # the system's, for instance no permission
+                raise OSError(error.errno, os.strerror(error.errno), str(self.path)) from error
+            where = f" in dataset {name!r}" if name else ""
+            raise InputError(f"damaged{where} ({error})", self.path, fix_hint(self.path, self._stage)) from error
 
     @cached_property
     def params(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
@@ -78,7 +79,8 @@ def run_over_drives(
         unit = " frames" if frames else " drives"
         with tqdm(total=sum(counts.values()), initial=done, unit=unit, disable=not sys.stderr.isatty()) as bar:
             jobs = [(drive, paths[drive]) for drive in todo]
-            for job, result in run_jobs(_Drive(work), jobs, workers=workers, counter=bar.update, name=itemgetter(0)):
+            make = partial(_run, work=work)
+            for job, result in run_jobs(make, jobs, workers=workers, counter=bar.update, name=itemgetter(0)):
                 done += counts[job[0]]
                 bar.update(max(0, done - bar.n))  # a cluster does not count frames
                 tqdm.write(_log_line(job, result, describe), file=sys.stdout)
@@ -152,28 +154,23 @@ def _worker_died(jobs: Sequence[str]) -> InputError:
     return InputError("a worker process died (out of memory?)", f"at or near {', '.join(jobs)}", fix)
 
 
-class _Drive:
+def _run(job: tuple[str, Path], work: Work) -> tuple[Summary, float]:
     """Make one drive's file with its summary beside it; an error names the drive and, where known, the frame."""
-
-    def __init__(self, work: Work) -> None:
-        self.work = work
-
-    def __call__(self, job: tuple[str, Path]) -> tuple[Summary, float]:
-        drive, path = job
-        start = time.perf_counter()
-        progress.start()
-        try:
-            summary = self.work(drive, path)
-        except Exception as error:
-            frame = progress.current_frame()
-            where = drive if frame is None else f"{drive} frame {frame}"
-            if isinstance(error, InputError):
-                with error_context(where):
-                    raise
-            error.add_note(f"while processing {where}")
-            raise
-        write_json(_sidecar(path), summary)
-        return summary, time.perf_counter() - start
+    drive, path = job
+    start = time.perf_counter()
+    progress.start()
+    try:
+        summary = work(drive, path)
+    except Exception as error:
+        frame = progress.current_frame()
+        where = drive if frame is None else f"{drive} frame {frame}"
+        if isinstance(error, InputError):
+            with error_context(where):
+                raise
+        error.add_note(f"while processing {where}")
+        raise
+    write_json(_sidecar(path), summary)
+    return summary, time.perf_counter() - start
 
 
 def _publish(targets: Mapping[Path, Path], out: Path) -> None:

@@ -41,13 +41,6 @@ def test_rows_are_printed_and_written(tmp_path: Path, monkeypatch: pytest.Monkey
     assert content["rows"]["fast"] == {"ours": 2.0, "alternative": 6.0, "unit": "ms", "ratio": 3.0, "what": "a / b"}
 
 
-def test_a_named_row_is_added_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    use_rows(monkeypatch, fast=FAST, slow=FAST)
-    for names, written in (None, ["fast", "slow"]), (["fast"], ["fast", "slow"]):
-        bench.main(names, data=tmp_path, out=tmp_path / "results.json")
-        assert list(json.loads((tmp_path / "results.json").read_text())["rows"]) == written
-
-
 def test_the_other_rows_are_measured_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     use_rows(monkeypatch, last=FAST)
     monkeypatch.setattr(bench, "OTHER_ROWS", {"first": failing, **bench.OTHER_ROWS})

@@ -10,18 +10,11 @@ import pytest
 
 from pipeline.base import store
 from pipeline.graphs import cloud
-from pipeline.report.figures import chain, draw, paths, wheels
+from pipeline.report.figures import chain, draw, paths
 from pipeline.report.judge.paths import Track
 from pipeline.report.street_view import View
 from tests import street
 from tests.pipeline.report import examples
-
-IMAGE = np.zeros((40, 120, 3), np.uint8)
-
-
-def draw_wheels(path: Path) -> None:
-    examples_ = [wheels.Example("left", IMAGE, 12.34, 14.0), wheels.Example("straight", IMAGE, -0.01, 0.0)]
-    wheels.draw(path, "net", examples_)
 
 
 def draw_paths(path: Path) -> None:
@@ -47,11 +40,6 @@ def draw_chain(path: Path) -> None:
 @pytest.mark.parametrize(
     ("drawn", "pattern", "texts"),
     [
-        (
-            draw_wheels,
-            r"(?:predicted|driven) [+-][\d.]+°",
-            ["predicted +12.3°", "driven +14.0°", "predicted +0.0°", "driven +0.0°"],
-        ),
         (draw_paths, r">(net|driven|other)<", ["driven", "net"]),  # no path of "other" in this drive
         (draw_pruning, r"(before pruning: 600 edges|after pruning)", ["before pruning: 600 edges", "after pruning"]),
         (draw_chain, r">(image|driven|odometry|predicted)<", ["image", "driven", "odometry", "predicted"]),
@@ -65,13 +53,6 @@ def test_a_figure_shows_its_numbers_and_repeats(
     assert re.findall(pattern, (tmp_path / "a.svg").read_text()) == texts
     for suffix in ("svg", "png"):
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
-
-
-def test_frames_are_chosen_by_predictions() -> None:
-    predicted = np.array([np.nan, 2.0, 11.0, -3.1, -10.0, -0.2, 5.0])
-    assert wheels.choose(predicted) == {"left": 2, "slight right": 3, "sharp right": 4, "straight": 5}
-    assert wheels.choose(np.array([1.0, 4.0])) == {"left": 1, "straight": 0}
-    assert wheels.choose(np.array([np.nan])) == {}
 
 
 def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path) -> None:
@@ -89,8 +70,8 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
     results = examples.load_results(tmp_path / "evaluate", ["net"])
     captions = draw.draw(tmp_path / "figures", results, tmp_path)
-    assert [*captions] == ["chain", "street", "pruning", "wheels", "paths"]
-    assert [caption[:9] for caption in captions.values()] == [f"Figure {number}." for number in range(1, 6)]
+    assert [*captions] == ["chain", "street", "pruning", "paths"]
+    assert [caption[:8] for caption in captions.values()] == [f"Figure {number}" for number in range(1, 5)]
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
 
 

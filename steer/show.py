@@ -24,14 +24,14 @@ def show(
     steer show data/graphs/semantic/2026_01_03_drive_0001.h5 --frame 40
     steer show data/train/sa-gnn-ncp --json
     """
-    from pipeline.inspect import artefact, lineage
+    from pipeline.inspect import artefact, project
 
     output = Output(quiet, as_json)
     if frame is not None or out:
         output.result(_show_frame(path, frame, out, output))
         return
     content = artefact.describe(path)
-    origin = lineage.trace(path)
+    origin = project.trace(path)
     output.facts(content)
     output.facts(origin)
     output.result(content | {"origin": origin})

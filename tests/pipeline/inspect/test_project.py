@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.inspect import lineage, project
+from pipeline.inspect import project
 
 PIPELINE = """
 stages:
@@ -60,11 +60,11 @@ def copy(finished: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_stage_and_its_inputs(finished: Path) -> None:
-    assert lineage.trace(finished / "data/train/small/labels/code.py") == {
+    assert project.trace(finished / "data/train/small/labels/code.py") == {
         "written by": "train@small", "inputs": "data/labels",
     }  # fmt: skip
-    assert set(lineage.trace(finished / "data/train")["written by"].split(", ")) == {"train@large", "train@small"}
-    assert "no stage" in lineage.trace(finished / "labels.py")["written by"]
+    assert set(project.trace(finished / "data/train")["written by"].split(", ")) == {"train@large", "train@small"}
+    assert "no stage" in project.trace(finished / "labels.py")["written by"]
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
 
 def test_without_dvc_lock_the_origin_is_unknown(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
-    assert lineage.trace(tmp_path / "data")["written by"].startswith("unknown")
+    assert project.trace(tmp_path / "data")["written by"].startswith("unknown")
 
 
 @pytest.mark.parametrize(
@@ -94,5 +94,5 @@ def test_without_dvc_lock_the_origin_is_unknown(tmp_path: Path) -> None:
 def test_damaged_lock_is_named(tmp_path: Path, content: str) -> None:
     (tmp_path / "dvc.lock").write_text(content)
     with pytest.raises(InputError, match=r"dvc\.lock") as raised:
-        lineage.trace(tmp_path)
+        project.trace(tmp_path)
     assert len(str(raised.value)) < 1000

@@ -51,6 +51,12 @@ class DriveWriter:
             "drive": drive,
             "params": json.dumps(params, sort_keys=True),
         }
+        # Open until the end: HDF5 writes chunks when a dataset is closed, and bytes would depend on when that is.
+        self._datasets: dict[str, h5py.Dataset] = {}
+
+    def _create(self, name: str, unit: str, **options: Any) -> None:
+        self._datasets[name] = self._file.create_dataset(name, **options)
+        self._datasets[name].attrs["unit"] = unit
 
     def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
         """Write a complete dataset, a row per frame. Arrays of three or more axes are compressed frame by frame."""
@@ -60,7 +66,7 @@ class DriveWriter:
             options = {"chunks": (1, *array.shape[1:]), **_ENCODED}
         elif array.ndim and array.size:
             options = {"chunks": (min(len(array), _CHECKED_ROWS), *array.shape[1:]), "fletcher32": True}
-        self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
+        self._create(name, unit, data=array, **options)
         self._sink.check()
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
@@ -70,15 +76,14 @@ class DriveWriter:
     def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape."""
         rows = np.asarray(rows)
-        if name not in self._file:
+        if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
             chunk = (1 if rows.ndim >= 3 else _CHUNK_ROWS, *rows.shape[1:])
-            dataset = self._file.create_dataset(
-                name, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
+            self._create(
+                name, unit, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
                 chunks=chunk, **_ENCODED,
             )  # fmt: skip
-            dataset.attrs["unit"] = unit
-        dataset = self._file[name]
+        dataset = self._datasets[name]
         start = len(dataset)
         dataset.resize(start + len(rows), axis=0)
         dataset[start:] = rows
@@ -86,15 +91,14 @@ class DriveWriter:
 
     def blank(self, name: str, shape: tuple[int, ...], dtype: type, unit: str = "", value: int = 0) -> None:
         """Create a dataset [F, ...] of `value`, for :meth:`fill`. Frames that are never filled take no space."""
-        dataset = self._file.create_dataset(
-            name, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
+        self._create(
+            name, unit, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
             chunks=(1, *shape[1:]), **_ENCODED,
         )  # fmt: skip
-        dataset.attrs["unit"] = unit
 
     def fill(self, name: str, index: int, array: np.ndarray) -> None:
         """Write one frame of a dataset created by :meth:`blank`."""
-        self._file[name][index] = array
+        self._datasets[name][index] = array
         self._sink.check()
 
     def __enter__(self) -> Self:

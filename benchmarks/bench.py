@@ -5,7 +5,6 @@ recorded scans if a folder of KITTI raw is given, and of the embedded sample oth
 """
 
 import contextlib
-import json
 import os
 import platform
 import sys
@@ -22,36 +21,31 @@ import torch
 import typer
 
 from benchmarks import files, graph_network, neighbours, recurrent, training
-from benchmarks.demo import demo
 from benchmarks.row import Row
 from benchmarks.street import Street, recorded, sample
-from pipeline.base import console
-from pipeline.base.atomic import replacing
+from pipeline.base import console, store
 from pipeline.base.errors import InputError, closest
 
 STREET_ROWS: dict[str, Callable[[Street], Row]] = {
     "gcn_vs_pyg_edge_index": graph_network.beside_edge_index,
     "gcn_vs_pyg_csr": graph_network.beside_csr,
     "windows_vs_naive": training.windows,
-    "step_ms": training.step,
-    "peak_memory_gb": training.memory,
     "load": files.load,
     "bytes": files.size,
     "graph_build": neighbours.graph_build,
     "knn_vs_scipy": neighbours.beside_scipy,
     "knn_vs_open3d": neighbours.beside_open3d,
 }
-OTHER_ROWS: dict[str, Callable[[], Row]] = {"ltc": recurrent.ltc, "demo": demo}
-BY_NAME = ("demo",)  # takes minutes, so it is not measured by default
+OTHER_ROWS: dict[str, Callable[[], Row]] = {"ltc": recurrent.ltc}
 
 
 def main(
-    names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all except demo")] = None,
+    names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all")] = None,
     kitti: Annotated[
         Path | None, typer.Option(envvar="STEER_KITTI", help="KITTI raw with scans; default: measure on the sample")
     ] = None,
     data: Annotated[Path, typer.Option(help="the output of make demo")] = Path("data"),
-    out: Annotated[Path | None, typer.Option(help="results as JSON; named rows replace only their own")] = None,
+    out: Annotated[Path | None, typer.Option(help="results as JSON")] = None,
 ) -> None:
     """Measure rows and print them as a Markdown table.
 
@@ -70,11 +64,11 @@ def main(
             # A new folder for each try, in case an earlier one failed half-way.
             return recorded(kitti, Path(tempfile.mkdtemp(dir=scratch))) if kitti else sample(data)
 
-        chosen = names or [name for name in known if name not in BY_NAME]
-        measured = {name: _measure(name, make_street) for name in chosen}
+        measured = {name: _measure(name, make_street) for name in names or known}
     print(f"{table(measured)}\n\n{device_name()}")
     if out:
-        _write(out, measured, keep_others=bool(names))
+        rows = {name: {"error": row} if isinstance(row, str) else asdict(row) for name, row in measured.items()}
+        store.write_json(out, {"device": device_name(), "rows": rows}, sort_keys=False)
     if any(isinstance(row, str) and not row.startswith(ModuleNotFoundError.__name__) for row in measured.values()):
         raise typer.Exit(1)
 
@@ -90,17 +84,6 @@ def _measure(name: str, make_street: Callable[[], Street]) -> Row | str:
         row = f"{type(error).__name__}: {error}".splitlines()[0]
     print(f"{name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
     return row
-
-
-def _write(out: Path, measured: Mapping[str, Row | str], keep_others: bool) -> None:
-    """Write the results as JSON, together with earlier rows of the same device if `keep_others`."""
-    content = {name: {"error": row} if isinstance(row, str) else asdict(row) for name, row in measured.items()}
-    earlier = json.loads(out.read_text(encoding="utf-8")) if keep_others and out.is_file() else {}
-    if earlier.get("device") == device_name():
-        content = earlier["rows"] | content
-    with replacing(out) as tmp:
-        text = json.dumps({"device": device_name(), "rows": content}, indent=1, ensure_ascii=False)
-        tmp.write_text(text + "\n", encoding="utf-8")
 
 
 def table(measured: Mapping[str, Row | str]) -> str:

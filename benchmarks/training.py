@@ -1,10 +1,7 @@
 """Measure a training step of sa-gnn-ncp: read a run of frames, forward, backward, update."""
 
-import multiprocessing
-import statistics
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +21,6 @@ WINDOW = 8
 WINDOWS = FRAMES - WINDOW + 1
 MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 32}
 MODEL |= {"equivariant": False, "motion": "none", "semantics": 1.0}
-STEPS = 5
 
 
 def windows(street: Street) -> Row:
@@ -39,29 +35,6 @@ def windows(street: Street) -> Row:
             f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded for itself",
             higher_is_better=True,
         )
-
-
-def step(street: Street) -> Row:
-    """Measure the time of a step in a process of its own."""
-    time_ms, _ = in_process(profile, street)
-    return Row(time_ms, None, "ms/frame", None, f"{street.title}: a training step of {FRAMES} frames")
-
-
-def memory(street: Street) -> Row:
-    """Measure the peak memory of a process that trains."""
-    _, peak_bytes = in_process(profile, street)
-    return Row(peak_bytes / 1e9, None, "GB", None, f"{street.title}: the process of a step of {FRAMES} frames, at most")
-
-
-def profile(street: Street) -> tuple[float, int]:
-    """Return the median time of a step in ms per frame, and the peak resident memory of this process in bytes."""
-    measure = milliseconds(shared_step(street), FRAMES)
-    measure()
-    times = [measure() for _ in range(STEPS)]
-    # Not getrusage: Linux counts there what the parent used before this process started.
-    status = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
-    (peak_kib,) = (line.split()[1] for line in status if line.startswith("VmHWM"))
-    return statistics.median(times), int(peak_kib) * 1024
 
 
 def shared_step(street: Street) -> Callable[[], None]:
@@ -115,9 +88,3 @@ class NaiveNet(nn.Module):
         x = torch.cat([global_mean_pool(x, batch.batch), global_max_pool(x, batch.batch)], dim=1)
         output: Tensor = self.temporal(torch.tanh(self.read_out(x))[None])[0][:, -1, 0]
         return output
-
-
-def in_process(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in a new process."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(function, *arguments).result()

@@ -1,7 +1,6 @@
-"""Draw the README's pictures from the output of `make demo`: python docs/make_pictures.py [DRIVE FRAME]."""
+"""Draw the README's picture from the output of `make demo`: python docs/make_pictures.py [DRIVE FRAME]."""
 
 import csv
-import shutil
 import sys
 from pathlib import Path
 
@@ -20,7 +19,7 @@ MODEL = "sa-gnn-ncp"
 
 
 def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
-    """Draw the steps of the chain for one frame, and copy the sample's contact sheet."""
+    """Draw the steps of the chain for one frame."""
     figure = Figure(figsize=(13, 6.2), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
     with (
@@ -46,8 +45,6 @@ def main(drive: str = "2026_01_03_drive_0001", number: int = 60) -> None:
     street_view.look_from_above(panels["e"])
     _draw_steering(panels["f"], drive, number)
     figure.savefig(DOCS / "chain.png", dpi=85, metadata={"Software": None})
-
-    shutil.copyfile(DATA / "town/contact_sheet.png", DOCS / "town.png")
 
 
 def _draw_graph(panel: Axes, xyz: np.ndarray, colour: np.ndarray, pruned: graph.Graph) -> None:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pipeline.base import console, imports
+from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import read
 from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
@@ -10,9 +10,6 @@ from pipeline.sections.models import Model, resolve
 from pipeline.sections.motion import Motion
 from pipeline.sections.params import Params, validate
 from pipeline.train import runs
-
-# The code that DVC tracks for every model; of networks, it tracks only the two files that a model names.
-TRACKED = {Path("models/steering/core"), Path("pipeline/camera/classes.py")}
 
 
 def main(params: Path = Path("params.yaml")) -> Path:
@@ -76,28 +73,12 @@ def check_model(model: Model, settings: Params) -> None:
         raise InputError(f"input = {model.input!r} needs scans, but ingest.lidar is false")
     runs.folds(settings.ingest.drives.splits(), line)
     steering_net.build(line, variant.kind, len(variant.levels), settings.ingest.image_size)
-    check_imports(f"models.steering.spatial.{model.spatial}")
-    check_imports(f"models.steering.temporal.{model.temporal}")
 
 
 def check_motion(key: str, kind: str, motion: Motion) -> None:
     """Raise InputError unless stage motion measures `kind`."""
     if kind not in motion.kinds:
         raise InputError(f"motion.kinds has only {', '.join(motion.kinds)} (got {kind!r})", key)
-
-
-def check_imports(module: str) -> None:
-    """Raise InputError if a network imports code that DVC does not track for its model."""
-    own = Path(*module.split(".")).with_suffix(".py")
-    allowed = {own, *TRACKED}
-    others = [
-        str(file)
-        for file in imports.import_closure(module)
-        if file.name != "__init__.py" and allowed.isdisjoint([file, *file.parents])
-    ]
-    if others:
-        problem = f"imports {', '.join(others)}, and an edit there would not train the model again"
-        raise InputError(problem, own, "Move what it needs to models/steering/core")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def main(
     out: Annotated[Path, typer.Option(help="the model's results go to a folder in it")] = Path("data/evaluate"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write metrics.json and, for the test drives, predictions.csv, structure.json and neurons.json.
+    """Write metrics.json and, for the test drives, predictions.csv and structure.json.
 
     Metrics are means over the seeds and ignore invalid frames. Predictions of further seeds go to folders seed-<n>.
     With folds, each test drive is evaluated with the network that was not fitted to it, and each other drive with the
@@ -59,9 +59,6 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
         rows = [(case.drive, case.predictions[number]) for case in cases["test"]]
         predictions.write(folder / "predictions.csv", rows)
     sharpest_bend.write_graphs(out / "structure.json", tested)
-    # With folds, the first network may only show the test drive that it was not fitted to.
-    first, model = next(iter(models.items()))
-    sharpest_bend.write_neurons(out / "neurons.json", model, tested if first.fold.name is None else tested[:1])
     print(_summary(result))
     return out
 

@@ -6,19 +6,15 @@ With town.replay the roads follow the tracks of real drives, of which only oxts 
 from functools import partial
 from pathlib import Path
 
-import cv2
-
 from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
-from pipeline.camera.pixels import write_png
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.town import Town
-from pipeline.town.contact_sheet import contact_sheet, read_views
 from pipeline.town.drive import Drive
 from pipeline.town.rig import make_rig, write_calibration
 
@@ -63,9 +59,6 @@ def main(
     )
     for date in {folder.parent for folder in folders.values()}:
         write_calibration(make_rig(settings.image_size, date.name), date)
-    with replacing(out / "contact_sheet.png") as tmp:
-        sheet = contact_sheet(read_views(list(folders.values()), count=7))
-        write_png(tmp, sheet, cv2.IMWRITE_PNG_COMPRESSION, 9)
     return out
 
 

@@ -24,7 +24,7 @@ def diff(
 ) -> None:
     """Compare two artefacts and print what differs: dataset, first frame, number of frames, largest difference.
 
-    HDF5 files are matched by frame, CSV files by drive and frame, JSON files and checkpoints by key; others by bytes.
+    HDF5 files are compared by frame, JSON files and checkpoints by key, others by bytes.
 
     Exit status: 0 equal, 3 different, 1 error, 2 wrong option.
 

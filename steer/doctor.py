@@ -35,10 +35,10 @@ def doctor(
     steer doctor data/raw --json
     """
     from pipeline.base.errors import InputError
-    from pipeline.inspect import lineage, project
+    from pipeline.inspect import project
 
     output = Output(quiet, as_json)
-    folder = lineage.project_root(Path.cwd())
+    folder = project.project_root(Path.cwd())
     if root is None and folder is None:
         fix = "Run from the project's folder, or pass a KITTI raw folder: steer doctor KITTI_ROOT"
         raise InputError("no dvc.yaml in this folder or above", Path.cwd(), fix)

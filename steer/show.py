@@ -9,34 +9,29 @@ from steer.options import Debug, Json, Output, Quiet
 
 
 def show(
-    path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="an artefact of a stage, or a raw drive")],
+    path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="an artefact of a stage")],
     frame: Annotated[int | None, typer.Option(min=0, help="show this frame only, and draw it")] = None,
     out: Annotated[Path | None, typer.Option(help="name of the PNG; default NAME-frame-N.png")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Describe an artefact of any stage, and trace it back to the raw drive; or draw one of its frames.
+    """Describe an artefact of any stage, and the stage that wrote it; or draw one of its frames.
 
     \b
     steer show data
     steer show data/graphs/semantic/2026_01_03_drive_0001.h5
     steer show data/graphs/semantic/2026_01_03_drive_0001.h5 --frame 40
     steer show data/train/sa-gnn-ncp --json
-    steer show data/raw/2011_09_26/2011_09_26_drive_0052_sync --frame 10 --out street.png
     """
-    from pipeline.inspect import artefact, lineage
+    from pipeline.inspect import artefact, project
 
     output = Output(quiet, as_json)
     if frame is not None or out:
         output.result(_show_frame(path, frame, out, output))
         return
     content = artefact.describe(path)
-    origin: dict[str, str] = {}
-    if "raw drive" not in content["kind"]:
-        origin = lineage.trace(path)
-        raw = lineage.raw_drive(path, content["drive"]) if "drive" in content else ""
-        origin |= {"raw drive": raw} if raw else {}
+    origin = project.trace(path)
     output.facts(content)
     output.facts(origin)
     output.result(content | {"origin": origin})

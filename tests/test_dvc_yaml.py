@@ -8,8 +8,9 @@ from typing import Any, get_args
 import pytest
 import yaml
 
-from pipeline.base import imports, resume
+from pipeline.base import resume
 from pipeline.sections.graphs import Variant
+from tests import imports
 
 CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
@@ -27,6 +28,22 @@ BEYOND: dict[str, set[str]] = {
         "pipeline/fitting",
     },
 }
+
+
+def _files(dep: str) -> set[Path]:
+    """Return the source files that a dep covers, without __init__.py that only name a package."""
+    for name, folder in NETWORKS.items():
+        if name in dep:
+            return _files(folder)
+    path = resume.ROOT / dep
+    assert path.exists(), dep
+    files = path.rglob("*.py") if path.is_dir() else [path]
+    return {file.relative_to(resume.ROOT) for file in files if not _is_empty(file.relative_to(resume.ROOT))}
+
+
+def _is_empty(path: Path) -> bool:
+    """A package's __init__.py that only names it."""
+    return path.name == "__init__.py" and len(ast.parse((resume.ROOT / path).read_text()).body) <= 1
 
 
 def test_one_name_four_places() -> None:
@@ -58,6 +75,13 @@ def test_a_network_is_a_dependency_by_its_name() -> None:
         assert {f"{folder}/{name}.py" for name, folder in NETWORKS.items()} <= set(STAGES[stage]["deps"])
     for folder in NETWORKS.values():
         assert not any(dep == folder for stage in ("train", "evaluate") for dep in STAGES[stage]["deps"])
+
+
+@pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in _files(folder)], ids=str)
+def test_a_network_imports_only_code_that_dvc_tracks_for_it(network: Path) -> None:
+    imported = set(imports.import_closure(".".join(network.with_suffix("").parts)))
+    tracked = {network, Path("pipeline/camera/classes.py"), *_files("models/steering/core")}
+    assert {path for path in imported if not _is_empty(path)} <= tracked
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -92,19 +116,3 @@ def _outs(stage: dict[str, Any]) -> list[str]:
 
 def _code(name: str) -> list[str]:
     return [dep for dep in STAGES[name]["deps"] if not dep.startswith("data/") and dep != "params.yaml"]
-
-
-def _files(dep: str) -> set[Path]:
-    """Return the source files that a dep covers, without __init__.py that only name a package."""
-    for name, folder in NETWORKS.items():
-        if name in dep:
-            return _files(folder)
-    path = resume.ROOT / dep
-    assert path.exists(), dep
-    files = path.rglob("*.py") if path.is_dir() else [path]
-    return {file.relative_to(resume.ROOT) for file in files if not _is_empty(file.relative_to(resume.ROOT))}
-
-
-def _is_empty(path: Path) -> bool:
-    """A package's __init__.py that only names it."""
-    return path.name == "__init__.py" and len(ast.parse((resume.ROOT / path).read_text()).body) <= 1

@@ -141,7 +141,7 @@ def frame_damaged() -> None:
 
 
 def worker_died() -> None:
-    raise runner._worker_died(executors.BrokenExecutor(), [DRIVE])
+    raise runner._worker_died([DRIVE])
 
 
 def disk_full() -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails
 
 from pipeline.base import yaml_file
 from pipeline.base.errors import InputError, closest, error_context
@@ -107,7 +106,9 @@ def parse(kind: type[S], value: Any, where: str) -> S:
     try:
         return kind.model_validate(value)
     except ValidationError as error:
-        first = first_fault(error)
+        faults = error.errors()
+        # An unknown key before the key that is missing in its place.
+        first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
         key = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
         if first["type"] == "extra_forbidden":
             name = str(first["loc"][-1])
@@ -123,9 +124,3 @@ def parse(kind: type[S], value: Any, where: str) -> S:
 def _shorten(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:80]}…"
-
-
-def first_fault(error: ValidationError) -> ErrorDetails:
-    """Return the fault to show: an unknown key before the key that is missing in its place."""
-    faults = error.errors()
-    return next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])

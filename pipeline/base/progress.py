@@ -1,16 +1,9 @@
 """Count processed frames, in worker processes too, and remember the current one for error messages."""
 
 from collections.abc import Callable, Iterable, Iterator
-from multiprocessing.sharedctypes import Synchronized
 
 _frame: int | None = None
-
-
-def _ignore(frames: int) -> object:
-    return None
-
-
-_report: Callable[[int], object] = _ignore
+_report: Callable[[int], object] | None = None
 
 
 def track(frames: Iterable[int]) -> Iterator[int]:
@@ -25,7 +18,8 @@ def track(frames: Iterable[int]) -> Iterator[int]:
 
 def advance(frames: int) -> None:
     """Count `frames` more as done."""
-    _report(frames)
+    if _report:
+        _report(frames)
 
 
 def start() -> None:
@@ -42,14 +36,4 @@ def current_frame() -> int | None:
 def report_to(report: Callable[[int], object] | None) -> None:
     """Have :func:`advance` call `report` in this process; None: do not count."""
     global _report
-    _report = report or _ignore
-
-
-def report_to_counter(counter: "Synchronized[int]") -> None:
-    """Have :func:`advance` add to a counter shared between processes."""
-
-    def add(frames: int) -> None:
-        with counter.get_lock():
-            counter.value += frames
-
-    report_to(add)
+    _report = report

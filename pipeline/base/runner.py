@@ -11,6 +11,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,14 +21,14 @@ from tqdm import tqdm
 from pipeline.base import progress
 from pipeline.base.atomic import replacing, sweep
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.executors import JobKilled, executor
+from pipeline.base.executors import executor
 from pipeline.base.lock import exclusive
 from pipeline.base.store import indexed, write_json
 
 J = TypeVar("J")
 Summary = dict[str, Any]
 Work = Callable[[str, Path], Summary]
-_POLL_S = 5  # how often new workers of a cluster are looked for
+_POLL_S = 0.5  # how often frames are counted, and new workers of a cluster looked for
 
 
 def run_over_drives(
@@ -76,12 +78,11 @@ def run_over_drives(
         todo.sort(key=counts.__getitem__, reverse=True)
         unit = " frames" if frames else " drives"
         with tqdm(total=sum(counts.values()), initial=done, unit=unit, disable=not sys.stderr.isatty()) as bar:
-            counter = bar.update if frames else None
-            for job, result in run_jobs(
-                _Drive(work), [(drive, paths[drive]) for drive in todo], workers=workers, counter=counter, name=_drive
-            ):
-                if not frames:
-                    bar.update()
+            jobs = [(drive, paths[drive]) for drive in todo]
+            make = partial(_run, work=work)
+            for job, result in run_jobs(make, jobs, workers=workers, counter=bar.update, name=itemgetter(0)):
+                done += counts[job[0]]
+                bar.update(max(0, done - bar.n))  # a cluster does not count frames
                 tqdm.write(_log_line(job, result, describe), file=sys.stdout)
                 sys.stdout.flush()
         summaries = {drive: json.loads(_sidecar(path).read_text(encoding="utf-8")) for drive, path in paths.items()}
@@ -114,31 +115,28 @@ def run_jobs(
     failures: list[BaseException] = []
     running: dict[Future[Any], J] = {}
     waiting = deque(jobs)
-    with executor(workers, len(jobs), counter or _ignore, threads) as (pool, capacity):
+    with executor(workers, len(jobs), counter or _ignore, threads) as pool:
         while running or (waiting and not failures):
             # No more than can run at once, so that after a failure there is nothing to cancel.
-            while waiting and not failures and len(running) < capacity():
+            while waiting and not failures and len(running) < pool.capacity():
                 job = waiting.popleft()
                 try:
-                    running[pool.submit(work, job)] = job
-                except BrokenExecutor as error:
-                    failures.append(_worker_died(error, [name(job) for job in (*running.values(), job)]))
-            for future in wait(running, _POLL_S, FIRST_COMPLETED).done:
+                    running[pool.executor.submit(work, job)] = job
+                except BrokenExecutor:
+                    failures.append(_worker_died([name(job) for job in (*running.values(), job)]))
+            finished = wait(running, _POLL_S, FIRST_COMPLETED).done
+            pool.report()
+            for future in finished:
                 failure = future.exception()
                 if failure is None:
                     yield running[future], future.result()
-                elif isinstance(failure, BrokenExecutor):
-                    near = [running[future]] if isinstance(failure, JobKilled) else running.values()
-                    failures.append(_worker_died(failure, [name(job) for job in near]))
                 else:  # whatever it is, the jobs in progress are worth finishing
-                    failures.append(failure)
+                    died = isinstance(failure, BrokenExecutor) or type(failure).__name__ == "KilledWorker"  # of Dask
+                    near = [name(job) for job in running.values()]
+                    failures.append(_worker_died(near) if died else failure)
                 del running[future]
-    if failures:
-        raise failures[0]
-
-
-def _drive(job: tuple[str, Path]) -> str:
-    return job[0]
+        if failures:
+            raise failures[0]
 
 
 def _log_line(job: tuple[str, Path], result: tuple[Summary, float], describe: Callable[[Summary], str]) -> str:
@@ -151,34 +149,28 @@ def _ignore(frames: int) -> None:
     return None
 
 
-def _worker_died(error: BrokenExecutor, jobs: Sequence[str]) -> InputError:
-    problem = str(error) if isinstance(error, JobKilled) else "a worker process died (out of memory?)"
+def _worker_died(jobs: Sequence[str]) -> InputError:
     fix = "Use fewer workers (STEER_WORKERS=1) or repeat the command: finished drives are kept"
-    return InputError(problem, f"at or near {', '.join(jobs)}", fix)
+    return InputError("a worker process died (out of memory?)", f"at or near {', '.join(jobs)}", fix)
 
 
-class _Drive:
+def _run(job: tuple[str, Path], work: Work) -> tuple[Summary, float]:
     """Make one drive's file with its summary beside it; an error names the drive and, where known, the frame."""
-
-    def __init__(self, work: Work) -> None:
-        self.work = work
-
-    def __call__(self, job: tuple[str, Path]) -> tuple[Summary, float]:
-        drive, path = job
-        start = time.perf_counter()
-        progress.start()
-        try:
-            summary = self.work(drive, path)
-        except Exception as error:
-            frame = progress.current_frame()
-            where = drive if frame is None else f"{drive} frame {frame}"
-            if isinstance(error, InputError):
-                with error_context(where):
-                    raise
-            error.add_note(f"while processing {where}")
-            raise
-        write_json(_sidecar(path), summary)
-        return summary, time.perf_counter() - start
+    drive, path = job
+    start = time.perf_counter()
+    progress.start()
+    try:
+        summary = work(drive, path)
+    except Exception as error:
+        frame = progress.current_frame()
+        where = drive if frame is None else f"{drive} frame {frame}"
+        if isinstance(error, InputError):
+            with error_context(where):
+                raise
+        error.add_note(f"while processing {where}")
+        raise
+    write_json(_sidecar(path), summary)
+    return summary, time.perf_counter() - start
 
 
 def _publish(targets: Mapping[Path, Path], out: Path) -> None:

@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 
 import h5py
 import hdf5plugin
@@ -29,8 +29,8 @@ from pipeline.base.params import SPLITS
 from pipeline.base.sink import Sink
 
 SCHEMA = 2  # 1: gzip
-# What h5py raises for damaged bytes, besides OSError.
-_H5PY_ERRORS = (RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
+# What h5py raises for damaged bytes.
+_H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
 _CHUNK_ROWS = 32768  # of ragged data
 _CHECKED_ROWS = 1024  # of uncompressed data, under one checksum
 # A checksum, as Blosc2 does not detect a changed bit. Sizes and speeds of the alternatives: docs/files.md.
@@ -51,6 +51,12 @@ class DriveWriter:
             "drive": drive,
             "params": json.dumps(params, sort_keys=True),
         }
+        # Open until the end: HDF5 writes chunks when a dataset is closed, and bytes would depend on when that is.
+        self._datasets: dict[str, h5py.Dataset] = {}
+
+    def _create(self, name: str, unit: str, **options: Any) -> None:
+        self._datasets[name] = self._file.create_dataset(name, **options)
+        self._datasets[name].attrs["unit"] = unit
 
     def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
         """Write a complete dataset, a row per frame. Arrays of three or more axes are compressed frame by frame."""
@@ -60,7 +66,7 @@ class DriveWriter:
             options = {"chunks": (1, *array.shape[1:]), **_ENCODED}
         elif array.ndim and array.size:
             options = {"chunks": (min(len(array), _CHECKED_ROWS), *array.shape[1:]), "fletcher32": True}
-        self._file.create_dataset(name, data=array, **options).attrs["unit"] = unit
+        self._create(name, unit, data=array, **options)
         self._sink.check()
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
@@ -70,15 +76,14 @@ class DriveWriter:
     def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape."""
         rows = np.asarray(rows)
-        if name not in self._file:
+        if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
             chunk = (1 if rows.ndim >= 3 else _CHUNK_ROWS, *rows.shape[1:])
-            dataset = self._file.create_dataset(
-                name, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
+            self._create(
+                name, unit, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
                 chunks=chunk, **_ENCODED,
             )  # fmt: skip
-            dataset.attrs["unit"] = unit
-        dataset = self._file[name]
+        dataset = self._datasets[name]
         start = len(dataset)
         dataset.resize(start + len(rows), axis=0)
         dataset[start:] = rows
@@ -86,15 +91,14 @@ class DriveWriter:
 
     def blank(self, name: str, shape: tuple[int, ...], dtype: type, unit: str = "", value: int = 0) -> None:
         """Create a dataset [F, ...] of `value`, for :meth:`fill`. Frames that are never filled take no space."""
-        dataset = self._file.create_dataset(
-            name, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
+        self._create(
+            name, unit, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
             chunks=(1, *shape[1:]), **_ENCODED,
         )  # fmt: skip
-        dataset.attrs["unit"] = unit
 
     def fill(self, name: str, index: int, array: np.ndarray) -> None:
         """Write one frame of a dataset created by :meth:`blank`."""
-        self._file[name][index] = array
+        self._datasets[name][index] = array
         self._sink.check()
 
     def __enter__(self) -> Self:
@@ -131,28 +135,22 @@ class DriveReader:
         self._stage = stage
         self._datasets: dict[str, h5py.Dataset] = {}  # looking one up takes longer than reading a small one
         with self._read_errors():
-            try:
-                self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
-            except OSError as error:
-                if error.errno:  # the system's, for instance no permission; h5py leaves out the name
-                    raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
-                raise
+            self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
         try:
-            self._check_attributes()
+            self._read_attributes()
         except BaseException:
             self._file.close()
             raise
 
-    def _check_attributes(self) -> None:
+    def _read_attributes(self) -> None:
         with self._read_errors():
             self.attrs: dict[str, Any] = {
                 name: value.decode() if isinstance(value, bytes) else value for name, value in self._file.attrs.items()
             }
-            found = str(self.attrs.get("stage")), str(self.attrs.get("schema"))
-        if found != (self._stage, str(SCHEMA)):
-            problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {found[0]!r}, schema {found[1]}"
+        self.drive, stage, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
+        if (stage, schema) != (self._stage, str(SCHEMA)):
+            problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {stage!r}, schema {schema}"
             raise InputError(problem, self.path, _other_version(self._stage))
-        self.drive = str(self.attrs.get("drive"))
         if "_drive_" in self.path.stem and self.drive != self.path.stem:
             raise InputError(f"contains drive {self.drive}", self.path, fix_hint(self.path, self._stage))
 
@@ -161,16 +159,11 @@ class DriveReader:
         """Re-raise errors of h5py and of validation as an InputError that names the file and the dataset."""
         try:
             yield
-        except OSError as error:
-            if error.errno and error.filename:
-                raise
-            self._raise_damaged(error, name)
         except _H5PY_ERRORS as error:
-            self._raise_damaged(error, name)
-
-    def _raise_damaged(self, error: Exception, name: str | None) -> NoReturn:
-        where = f" in dataset {name!r}" if name else ""
-        raise InputError(f"damaged{where} ({error})", self.path, fix_hint(self.path, self._stage)) from error
+            if isinstance(error, OSError) and error.errno:  # the system's, for instance no permission
+                raise OSError(error.errno, os.strerror(error.errno), str(self.path)) from error
+            where = f" in dataset {name!r}" if name else ""
+            raise InputError(f"damaged{where} ({error})", self.path, fix_hint(self.path, self._stage)) from error
 
     @cached_property
     def params(self) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
-from pipeline.base.params import SECTIONS, SPLITS
+from pipeline.base.params import SECTIONS
 from pipeline.base.store import read_json
-from pipeline.inspect import drive_file, raw_drive
+from pipeline.inspect import drive_file
 from pipeline.inspect.diff import flatten
 from pipeline.inspect.reading import read_errors, size_of
 
@@ -27,14 +27,12 @@ def describe(path: Path) -> Content:
         return drive_file.describe(path) if path.suffix == ".h5" else describe(path.absolute().parent)
     content = _folder(path) if path.is_dir() else None
     if content is None:
-        problem = "holds no artefact of a stage and no raw drive" if path.is_dir() else "no file or folder of this name"
-        raise InputError(problem, path, "Pass data/, a folder or an .h5 file in it, or a KITTI raw drive")
+        problem = "holds no artefact of a stage" if path.is_dir() else "no file or folder of this name"
+        raise InputError(problem, path, "Pass data/, or a folder or an .h5 file in it; for raw drives: steer doctor")
     return {"kind": content.pop("kind"), "path": str(path), "bytes": size_of(path), **content}
 
 
 def _folder(folder: Path) -> Content | None:
-    if drives := raw_drive.drives_below(folder):
-        return raw_drive.describe(drives)
     if (folder / "index.json").is_file():
         index = read_json(folder / "index.json", stage=folder.name)
         if "kinds" not in index:  # motion/index.json lists folders
@@ -42,7 +40,8 @@ def _folder(folder: Path) -> Content | None:
     if (folder / "config.json").is_file():
         return _network(folder)
     if (folder / "metrics.json").is_file():
-        return _metrics(folder)
+        numbers = flatten(read_json(folder / "metrics.json", stage=folder.name))
+        return {"kind": "metrics", **{key: value for key, value in numbers.items() if "[" not in key}}
     if pictures := sorted(folder.glob("????_??_??_drive_????.png")):
         return {"kind": "pictures", "drives": [{"drive": path.stem, "bytes": size_of(path)} for path in pictures]}
     return _parts(folder)
@@ -80,24 +79,6 @@ def _network(folder: Path) -> Content:
         with read_errors(curve), curve.open(newline="", encoding="utf-8") as file:
             content["end_of_curve"] = [*csv.DictReader(file, strict=True)][-1]
     return content
-
-
-def _metrics(folder: Path) -> Content:
-    """Describe metrics.json: a row for each number that has splits, the other numbers one by one."""
-    metrics = read_json(folder / "metrics.json", stage=folder.name)
-    content: Content = {"kind": "metrics", "model": metrics.get("model"), "line": metrics.pop("line", None)}
-    rows: dict[str, Content] = {}
-    for key, value in flatten(metrics).items():
-        keys = key.split(".")
-        if not isinstance(value, int | float) or "[" in key or "by_drive" in keys:
-            continue
-        split = next((part for part in keys if part in SPLITS), None)
-        if split is None:
-            content[key] = value
-        else:
-            name = ".".join(part for part in keys if part != split)
-            rows.setdefault(name, {"metric": name} | dict.fromkeys(SPLITS))[split] = value
-    return content | {"metrics": [*rows.values()]}
 
 
 def _parts(folder: Path) -> Content | None:

@@ -1,9 +1,8 @@
-"""Compare two artefacts file by file: HDF5 by dataset and frame, CSV, JSON and checkpoints by key, others by byte.
+"""Compare two artefacts file by file: HDF5 by dataset and frame, JSON and checkpoints by key, others by byte.
 
 Each file is read as columns: name → frame number → value, or function that reads the value.
 """
 
-import csv
 import filecmp
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -173,24 +172,7 @@ def _read_checkpoint(path: Path) -> dict[str, Column]:
     return _leaves(checkpoint.load(path))
 
 
-def _read_csv(path: Path) -> dict[str, Column]:
-    """Match rows by drive and frame, if the file has such columns, else by position."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = csv.DictReader(file, restval="", strict=True)
-        names = ((row, f"{row.get('drive', '')} {row.get('frame', number)}") for number, row in enumerate(rows))
-        return _leaves({name: {key: _number(cell) for key, cell in row.items()} for row, name in names})
-
-
-def _number(cell: str) -> float | str:
-    try:
-        return float(cell)
-    except ValueError:
-        return cell
-
-
-_READERS: dict[str, Callable[[Path], dict[str, Column]]] = {
-    ".json": _read_json, ".csv": _read_csv, ".pt": _read_checkpoint,
-}  # fmt: skip
+_READERS: dict[str, Callable[[Path], dict[str, Column]]] = {".json": _read_json, ".pt": _read_checkpoint}
 
 
 def _drive_columns(file: DriveReader) -> dict[str, Column]:

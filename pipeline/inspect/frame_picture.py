@@ -7,13 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.inspect.frame_view import FrameView
-from pipeline.report import street_view
-
-_DPI = 110
+from pipeline.report import drawing, street_view
 
 
 def draw(path: Path, title: str, view: FrameView) -> None:
@@ -47,8 +44,7 @@ def draw(path: Path, title: str, view: FrameView) -> None:
     if labels:
         street_view.class_legend(figure, np.concatenate(labels), columns=6 if width < 10 else 8)
     figure.suptitle(title, fontsize="medium")
-    with replacing(path) as unfinished:
-        figure.savefig(unfinished, format="png", dpi=_DPI, metadata={"Software": None})
+    drawing.save(figure, path)
 
 
 def _draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray, edges: np.ndarray | None) -> None:

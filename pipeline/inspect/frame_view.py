@@ -1,4 +1,4 @@
-"""Read one frame of a drive's file or of a raw drive: numbers, images, and points."""
+"""Read one frame of a drive's file: numbers, images, and points."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,16 +8,10 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.camera.classes import VOID
-from pipeline.camera.geometry import transform
 from pipeline.camera.images import to_metres
-from pipeline.camera.pixels import read_pixels
 from pipeline.graphs.cloud import Cloud, lidar_cloud
-from pipeline.inspect import raw_drive
 from pipeline.inspect.drive_file import open_drive
-from pipeline.kitti.raw import read_scan
 
-_CAMERAS = (2, 0, 3, 1)
 # LiDAR (x forward, y left, z up) to camera (x right, y down, z forward), for drives without calibration.
 _CAMERA_AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)
 
@@ -45,11 +39,9 @@ class FrameView:
 
 
 def read(path: Path, frame: int | None) -> FrameView:
-    """Read frame `frame` (None: the first) of a drive's file or of a raw drive's folder. Raises InputError."""
+    """Read frame `frame` (None: the first) of a drive's file. Raises InputError."""
     if path.is_dir():
-        if not raw_drive.is_drive(path):
-            raise InputError("expected the file of one drive, got a folder", path, f"Pass {path}/DRIVE.h5")
-        return _read_raw(path, frame)
+        raise InputError("expected the file of one drive, got a folder", path, f"Pass {path}/DRIVE.h5")
     with open_drive(path) as file:
         number = _choose(frame, file.frame, path)
         row = int(np.searchsorted(file.frame, number))
@@ -103,19 +95,3 @@ def _read_points(file: DriveReader, row: int, view: FrameView) -> None:
 def _ragged(file: DriveReader, name: str, pointers: str, row: int) -> np.ndarray:
     start, stop = (int(end) for end in file.rows(pointers, row, row + 2))
     return file.rows(name, start, stop)
-
-
-def _read_raw(folder: Path, frame: int | None) -> FrameView:
-    files = raw_drive.modalities(folder)
-    images = [files[raw_drive.image_folder(camera)] for camera in _CAMERAS]
-    scans = files["velodyne_points"]
-    frames = np.array(sorted({*scans, *(number for paths in images for number in paths)}))
-    view = FrameView(_choose(frame, frames, folder))
-    for paths in reversed(images):
-        if view.frame in paths:
-            pixels = read_pixels(paths[view.frame])
-            view.rgb = pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=-1)
-    if view.frame in scans:
-        xyz = transform(_CAMERA_AXES, read_scan(scans[view.frame])[:, :3].astype(np.float64))
-        view.cloud = (xyz.astype(np.float32), np.full(len(xyz), VOID, np.uint8))
-    return view

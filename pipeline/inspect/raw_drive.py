@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 from pipeline.kitti.raw import RawDrive
 
@@ -49,12 +48,3 @@ def modalities(folder: Path) -> dict[str, dict[int, Path]]:
 def calibration(folder: Path) -> list[str]:
     """Return which calibration files a drive's date has, as cam_to_cam."""
     return [name for name in _CALIBRATION if (folder.parent / f"calib_{name}.txt").is_file()]
-
-
-def describe(folders: list[Path]) -> dict[str, Any]:
-    """Return a table of drives: number of files of each modality, and calibration."""
-    rows = []
-    for folder in folders:
-        counts = {name: len(files) for name, files in modalities(folder).items() if files}
-        rows.append({"drive": name_of(folder), **counts, "calibration": calibration(folder)})
-    return {"kind": "raw drives", "drives": rows}

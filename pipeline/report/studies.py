@@ -12,21 +12,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pipeline.report import drawing
-from pipeline.report.dvc_files import write_csv
 from pipeline.report.judge.interval import difference_interval
 from pipeline.report.results import Results
 from pipeline.report.tables import Table, cells, with_text
 from pipeline.sections.evaluate import Evaluate
 
 DEFAULT = "sa-gnn-ncp"
-_CSV = {
-    "study": "study", "value": "value", "model": "model", "seeds": "seeds", "test_nmse": "test.nmse",
-    "test_nmse_std": "test.nmse_std", "test_nmse_low": "test.nmse_low", "test_nmse_high": "test.nmse_high",
-    "val_nmse": "val.nmse", "test_mae_deg": "test.mae_deg", "edges_per_frame": "edges_per_frame",
-    "parameters": "parameters",
-}  # fmt: skip
-
-
 _LINES = {
     "val.nmse": ("validation", ":", "tab:blue"),
     "test.baselines.odometry.nmse": ("odometry", "--", "tab:orange"),
@@ -67,7 +58,7 @@ CLAIMS = (
 
 
 def write(results: Results, out: Path, settings: Evaluate) -> str:
-    """Write studies.md, studies.csv and a figure per study to folder `out`; return the Markdown.
+    """Write studies.md and a figure per study to folder `out`; return the Markdown.
 
     Writes nothing and returns an empty text without models of a study.
     """
@@ -78,9 +69,6 @@ def write(results: Results, out: Path, settings: Evaluate) -> str:
         drawing.save(figure(STUDIES[name], rows), out / f"{name}.png")
     text = "\n\n".join([*(table(name, rows).markdown() for name, rows in studies.items()), *claims(results, settings)])
     (out / "studies.md").write_text(f"{text}\n", encoding="utf-8")
-    rows = pd.concat([rows.assign(study=name) for name, rows in studies.items()])
-    rows["value"] = rows["value"].map("{:g}".format)
-    write_csv(out / "studies.csv", rows[[*_CSV.values()]].set_axis([*_CSV], axis=1), na="")
     return text
 
 

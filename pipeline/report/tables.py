@@ -42,10 +42,6 @@ _MOTION = (
     "nmse: of the steering angle from the last measurement, from a drive's first measured frame on. Drives without "
     "scans count for visual only."
 )
-_LABELS = (
-    "Mean square is the error of always predicting 0. Reversing or sideways frames, and steps much longer than 0.1 s, "
-    "are reasons to check a drive before its labels are used."
-)
 
 
 class Table(NamedTuple):
@@ -218,18 +214,6 @@ def _depth(scores: Mapping[str, Any]) -> pd.DataFrame:
                 row[f"{head}{', Eigen' if crop else ''}"] = text
             rows.append(row)
     return pd.DataFrame(rows)
-
-
-def label_table(summary: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Return the table of the summary.json of stage labels, drive → numbers."""
-    rows = pd.DataFrame([{"drive": drive, **numbers} for drive, numbers in summary.items()], dtype=object)
-    columns = {
-        "drive": ("drive", ""), "frames": ("frames", ""), "valid": ("valid_share", ".1%"),
-        "mean abs rad": ("mean_abs_steering_rad", ".3f"), "largest rad": ("max_abs_steering_rad", ".3f"),
-        "mean square rad²": ("zero_mse_rad2", ".5f"), "longest step s": ("dt_max_s", ".3f"),
-        "reversing": ("reversing_frames", ""), "sideways": ("sideways_frames", ""),
-    }  # fmt: skip
-    return Table("Labels", cells(rows, columns), _LABELS)
 
 
 def missing(models: Sequence[str]) -> str:

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 import typer
 
-from benchmarks import bench, demo
+from benchmarks import bench
 from benchmarks.row import Row
 from pipeline.base.errors import InputError
 
-FAST, ALONE, DEMO = Row(2.0, 6.0, "ms", 3.0, "a / b"), Row(1.5, None, "GB", None, "c"), Row(300.0, None, "s", None, "d")
+FAST, ALONE = Row(2.0, 6.0, "ms", 3.0, "a / b"), Row(1.5, None, "GB", None, "c")
 
 
 def failing() -> Row:
@@ -41,13 +41,6 @@ def test_rows_are_printed_and_written(tmp_path: Path, monkeypatch: pytest.Monkey
     assert content["rows"]["fast"] == {"ours": 2.0, "alternative": 6.0, "unit": "ms", "ratio": 3.0, "what": "a / b"}
 
 
-def test_a_named_row_is_added_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    use_rows(monkeypatch, fast=FAST, demo=DEMO)
-    for names, written in (None, ["fast"]), (["demo"], ["fast", "demo"]), (None, ["fast"]):
-        bench.main(names, data=tmp_path, out=tmp_path / "results.json")
-        assert list(json.loads((tmp_path / "results.json").read_text())["rows"]) == written
-
-
 def test_the_other_rows_are_measured_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     use_rows(monkeypatch, last=FAST)
     monkeypatch.setattr(bench, "OTHER_ROWS", {"first": failing, **bench.OTHER_ROWS})
@@ -70,11 +63,3 @@ def test_the_sample_is_needed_without_recorded_scans(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         bench.sample(tmp_path)
     assert "make demo" in raised.value.fix
-
-
-def test_the_times_of_a_stage_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0.0, 1.0, 3.0, 6.0, 10.0])
-    monkeypatch.setattr(demo.time, "perf_counter", lambda: next(clock))
-    lines = ["Running stage 'town':", "> python", "Running stage 'graphs@a':", "Running stage 'graphs@b':", "done"]
-    assert demo.stage_seconds(lines) == {"town": 2, "graphs": 7}
-    assert "town 2, graphs 7" in demo.demo_row({"town": 2.0, "graphs": 7.0}).what

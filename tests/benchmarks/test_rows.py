@@ -78,12 +78,6 @@ def check(measured: row.Row) -> None:
     assert all(0 < number < math.inf for number in (measured.ours, measured.alternative, measured.ratio))
 
 
-def test_a_step_has_a_time_and_a_memory(street: Street) -> None:
-    time_ms, peak_bytes = training.profile(street)
-    assert time_ms > 0
-    assert peak_bytes > 50e6  # a process with torch
-
-
 def test_a_street_has_the_asked_points(street: Street, tmp_path: Path) -> None:
     arrays = street.arrays(FRAMES)
     assert np.diff(arrays["ptr"]).tolist() == [POINTS] * FRAMES

@@ -145,13 +145,14 @@ def test_a_checkpoint_that_does_not_fit_is_refused(folder: Path) -> None:
 
 
 def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:
-    """predictions.csv has each frame; metrics, structure.json and neurons.json agree with it."""
+    """predictions.csv has each frame; metrics and structure.json agree with it."""
     write_params(folder, {"equivariant": False}, epochs=1)
-    trained, evaluated = run_train(folder), run_evaluate(folder)
+    run_train(folder)
+    evaluated = run_evaluate(folder)
     first = {path.name: path.read_bytes() for path in evaluated.iterdir()}
     run_evaluate(folder)
     assert first == {path.name: path.read_bytes() for path in evaluated.iterdir()}
-    assert set(first) == {"metrics.json", "predictions.csv", "structure.json", "neurons.json"}
+    assert set(first) == {"metrics.json", "predictions.csv", "structure.json"}
     result, rows = json.loads(first["metrics.json"]), read(evaluated / "predictions.csv")
     assert not any("ms_per" in key for key in result)  # artefacts hold no times
     assert [row["frame"] for row in rows] == [str(number) for number in range(60)]
@@ -167,22 +168,6 @@ def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:
     np.testing.assert_allclose(graph["xyz_m"], arrays["xyz"], atol=6e-4)
     assert graph["cls"] == arrays["cls"].tolist()
     assert 2 * len(graph["edges"]) == len(arrays["indices"])
-
-    neurons = json.loads(first["neurons.json"])
-    wiring, activity = neurons["wiring"], np.array(neurons["activity"])
-    assert activity.shape[1] == wiring["motor"] + wiring["command"] + wiring["inter"]
-    assert sharpest in neurons["frame"]
-    model = predict.load(trained)
-    scale, shift = (getattr(model.net.temporal, f"output_{name}").item() for name in ("scale", "shift"))
-    outputs = model.target.std_rad * (activity[:, 0] * scale + shift)  # from the state of the motor neuron
-    predicted = {int(row["frame"]): row["predicted_rad"] for row in rows}
-    np.testing.assert_allclose(outputs, [float(predicted[number]) for number in neurons["frame"]], atol=1e-4)
-
-
-def test_a_network_without_wiring_has_no_neurons(folder: Path) -> None:
-    write_params(folder, {"temporal": "lstm"}, epochs=1)
-    run_train(folder)
-    assert json.loads((run_evaluate(folder) / "neurons.json").read_text()) == {}
 
 
 def test_the_memory_of_the_bootstrap_is_bounded_by_the_params(folder: Path) -> None:

@@ -7,12 +7,12 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.report import drawing, street_view
-from pipeline.report.figures import chain, neurons, paths, wheels
+from pipeline.report.figures import chain, paths
 from pipeline.report.judge.paths import Track
 from pipeline.report.results import Results
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
-MAX_MODELS = 4  # models with a path in Figure 5
+MAX_MODELS = 4  # models with a path in Figure 4
 FORMULA = {"bicycle": "bicycle model", "paper": "the paper's formula, which takes the steering angle as heading"}
 Figures = dict[str, str]
 """Name of the file without suffix → caption."""
@@ -24,11 +24,10 @@ def draw(out: Path, results: Results, data: Path) -> Figures:
     now = models[models["line.horizon"] == 0].sort_values("test.nmse", kind="stable") if len(models) else models
     if now.empty:
         return {}
-    best, folder = now.iloc[0], data / "evaluate" / now.iloc[0]["model"]
+    best = now.iloc[0]
     captions = _draw_images(out, best, results.first_seed([best["model"]]), data)
-    captions |= _draw_pruning(out, best, folder / "structure.json")
+    captions |= _draw_pruning(out, best, data / "evaluate" / best["model"] / "structure.json")
     captions |= _draw_paths(out, now[:MAX_MODELS], results)
-    captions |= _draw_neurons(out, best["model"], folder / "neurons.json")
     return dict(sorted(captions.items(), key=_number))
 
 
@@ -37,19 +36,15 @@ def _number(item: tuple[str, str]) -> str:
 
 
 def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path) -> Figures:
-    """Draw Figures 1, 2 and 4: a frame's way from image to steering, perception, and four kinds of bend."""
-    both = steering.dropna(subset=["driven_deg", "predicted_deg"]).reset_index(drop=True)
-    examples, views = [], []
-    for kind, number in wheels.choose(both["predicted_deg"].to_numpy()).items():
-        row = both.iloc[number]
-        if view := _read_view(data, row["drive"], row["frame"]):
-            views.append((row["drive"], view))
-            title = f"{kind}: {row['drive']}, {row['frame']}"
-            examples.append(wheels.Example(title, view.rgb, row["predicted_deg"], row["driven_deg"]))
+    """Draw Figures 1 and 2, a frame's way from image to steering, and perception: each drive's sharpest left turn."""
+    predicted = steering.dropna(subset=["driven_deg", "predicted_deg"])
+    rows = predicted.loc[predicted.groupby("drive")["predicted_deg"].idxmax()]
+    frames = rows.sort_values("predicted_deg", ascending=False)[["drive", "frame"]].to_numpy().tolist()
+    views = [(drive, view) for drive, number in frames if (view := _read_view(data, drive, number))]
     if not views:
         return {}
-    captions = {}
     drive, view = views[0]
+    captions = {}
     if pd.notna(model.get("variant.k")):
         variant = model["variant.k"], model["variant.keep_inter_class"]
         chain.draw_chain(out / "chain", view, steering[steering["drive"] == drive], *variant)
@@ -60,11 +55,6 @@ def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path
     drive, view = views[-1]
     drawing.save_png_and_svg(street_view.sheet(drive, [view]), out / "street")
     captions["street"] = f"Figure 2. {drive}, frame {view.frame}: image, depth, classes, semantic cloud from above."
-    wheels.draw(out / "wheels", model["model"], examples)
-    captions["wheels"] = (
-        f"Figure 4. Frames of four kinds of bend, chosen by the predictions of {model['model']}: steering wheel as "
-        "predicted (green box) and as driven (red box)."
-    )
     return captions
 
 
@@ -116,15 +106,8 @@ def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Figures:
     drift = [(row["model"], row["test.drift_m_per_100m"]) for _, row in models.iterrows()]
     text = ", ".join(f"{model} {metres:.1f} m" for model, metres in drift if pd.notna(metres))
     caption = (
-        f"Figure 5. Paths from measured speed and predicted steering ({FORMULA[first['path']]}). A path restarts from "
-        f"the true one at each dot: at its start and at the onset of a turn. Drift per 100 m: {text}."
+        f"Figure 4 (5 in the paper). Paths from measured speed and predicted steering: {FORMULA[first['path']]}. A "
+        "path restarts from the true one at each dot: at its start and at the onset of a turn. Drift per 100 m: "
+        f"{text}."
     )
     return {"paths": caption}
-
-
-def _draw_neurons(out: Path, model: str, path: Path) -> Figures:
-    content = store.read_json(path, stage=f"evaluate@{model}") if path.is_file() else {}
-    if not content:
-        return {}
-    neurons.draw(out / "neurons", model, content)
-    return {"neurons": f"Figure 6. Synapses of {model}, and its neurons' states in a bend of {content['drive']}."}

@@ -1,4 +1,4 @@
-"""Draw driven paths and the paths of predicted steering (Figure 5)."""
+"""Draw driven paths and the paths of predicted steering (the paper's Figure 5)."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -18,7 +18,7 @@ from pipeline.base.errors import InputError
 from pipeline.report.dvc_files import load_curves
 from pipeline.report.page import plots
 from pipeline.report.results import Results
-from pipeline.report.tables import Table, label_table
+from pipeline.report.tables import Table
 
 JPEG_QUALITY = 82
 MAX_WIDTH = 1600  # pixels of a picture
@@ -91,7 +91,6 @@ def write_page(
         Section("Models in detail", tables[1:]),
         Section("Depth, classes and motion", perception),
         Section("Input of the test drives", _inputs(results, data / "pictures")),
-        Section("Labels", _labels(data / "labels/summary.json")),
     ]
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -121,7 +120,6 @@ def _steering(results: Results) -> list[Section]:
         content += [
             Plot(f"All test frames: predicted over driven steering{ahead}", plots.scatter(predictions)),
             Plot("Error by curvature of the road, mean over seeds", plots.by_curvature(rows)),
-            Plot("Error by speed", plots.by_speed(predictions)),
         ]
         sections.append(Section(f"Steering on the test drives{ahead}", content))
     return sections
@@ -149,10 +147,6 @@ def _learning(models: Sequence[str], train: Path) -> list[str | Plot]:
     first = {model: next(iter(found.values())) for model, found in curves.items() if found}
     caption = "Training loss (dotted) and validation nmse of each model's first network"
     return [Plot(caption, plots.learning(first))] if first else []
-
-
-def _labels(path: Path) -> list[Table]:
-    return [label_table(store.read_json(path, stage="labels"))] if path.is_file() else []
 
 
 def _inputs(results: Results, pictures: Path) -> list[Picture]:

@@ -1,7 +1,6 @@
 """Build the interactive plots of the page. Angles in degrees, left +."""
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ COLOURS = ["#1b998b", "#7a6a53", "#c2185b", "#0b57a4", "#d1495b", "#2e8b57", "#8
 FIXED = {"driven": "#1b2027", "odometry": "#e08e0b", "zero": "#9aa3ad"}
 MODELS_SHOWN = 3  # at first; a click in the legend adds others
 SLIDER_S = 20.0  # drives longer than this get a range slider
-SPEEDS_MPS = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0, np.inf)
 _LEGEND = {"orientation": "h", "title": "", "y": 1.02, "yanchor": "bottom"}
 _STEERING = "steering in deg, left +"
 
@@ -57,24 +55,11 @@ def by_curvature(metrics: pd.DataFrame) -> Figure:
     rows = metrics.set_index("model")[[*columns.values()]].dropna(how="all").dropna(how="all", axis=1)
     frames = {name: metrics.iloc[0][f"test.by_curvature.{name}.frames"] for name in columns}
     names = {column: f"{name}<br>{frames[name]} frames" for name, column in columns.items()}
-    return _bars(rows.rename(columns=names).T, "|curvature| of the road in 1/m")
-
-
-def by_speed(predictions: pd.DataFrame) -> Figure:
-    """Plot the RMSE of models in the ranges of speed that have frames."""
-    names = [f"{low:g} to {high:g}" if np.isfinite(high) else f"≥ {low:g}" for low, high in pairwise(SPEEDS_MPS)]
-    rows = predictions.dropna(subset=["driven_deg", "predicted_deg"])
-    speed = pd.cut(rows["speed_mps"].abs(), SPEEDS_MPS, right=False, labels=names)
-    squared = (rows["predicted_deg"] - rows["driven_deg"]) ** 2
-    mse = squared.groupby([speed, rows["model"]], observed=True, sort=False).mean().unstack().sort_index()
-    return _bars(mse**0.5, "speed in m/s")
-
-
-def _bars(rmse_deg: pd.DataFrame, x: str) -> Figure:
-    """Plot a bar per range (rows) and model (columns)."""
-    rows = rmse_deg.astype(float).rename_axis(index="range", columns="model").stack().rename("rmse").reset_index()
-    axes = {"range": x, "rmse": "RMSE in deg"}
-    return _finish(px.bar(rows, x="range", y="rmse", color="model", barmode="group", labels=axes, **_style()), 380)
+    rows = rows.rename(columns=names).T.astype(float).rename_axis(index="range", columns="model")
+    bars = rows.stack().rename("rmse").reset_index()
+    axes = {"range": "|curvature| of the road in 1/m", "rmse": "RMSE in deg"}
+    figure = px.bar(bars, x="range", y="rmse", color="model", barmode="group", labels=axes, **_style())
+    return _finish(figure, 380)
 
 
 def learning(curves: Mapping[str, pd.DataFrame]) -> Figure:

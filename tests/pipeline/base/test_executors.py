@@ -110,8 +110,8 @@ def test_a_job_whose_worker_dies_goes_to_another(folder: Path, expected: dict[st
     with pytest.raises(InputError) as raised:
         toy_stage.main(folder)
     dask.scheduler.allowed_failures = before
-    assert raised.value.where == "at or near b"
-    assert "1 workers died" in raised.value.problem
+    assert "b" in raised.value.where.removeprefix("at or near ").split(", ")
+    assert "died" in raised.value.problem
     end_trouble(folder)
     toy_stage.main(folder)
     assert outputs(folder) == expected
@@ -138,7 +138,7 @@ def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
         client.run(restore)
     assert raised.value.where.startswith("worker tcp://")
     assert "0123456789" in raised.value.problem
-    assert "dask worker" in raised.value.fix
+    assert "--nthreads 1" in raised.value.fix
     assert calls(folder) == []
 
 
@@ -149,7 +149,7 @@ def test_a_worker_with_two_threads_is_refused(folder: Path, monkeypatch: pytest.
         monkeypatch.setenv(SCHEDULER, two.scheduler_address)
         with pytest.raises(InputError) as raised:
             toy_stage.main(folder)
-    assert raised.value.problem == "expected one thread, got 2"
+    assert raised.value.problem.startswith("threads: got 2")
     assert "--nthreads 1" in raised.value.fix
     assert calls(folder) == []
 

@@ -1,6 +1,5 @@
 """Frames counted as done, and the frame that an error names."""
 
-import multiprocessing
 from collections.abc import Iterator
 
 import pytest
@@ -33,13 +32,3 @@ def test_the_frame_of_an_error_stays_until_the_next_drive(counts: list[int]) -> 
     assert counts == []
     progress.start()
     assert progress.current_frame() is None
-
-
-def test_processes_share_a_counter() -> None:
-    counter = multiprocessing.get_context("spawn").Value("q", 0)
-    progress.report_to_counter(counter)
-    progress.advance(2)
-    progress.advance(3)
-    progress.report_to(None)
-    progress.advance(4)
-    assert counter.value == 5

@@ -146,9 +146,8 @@ def files_up_to(size: int) -> Iterator[None]:
 
 
 def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path: Path) -> None:
-    """It writes a chunk once nothing uses it, and fails to read it back for the next rows, with errors of its own."""
+    """HDF5 drops errors or raises its own, depending on when the disk is full."""
     rng = np.random.default_rng(0)
-    causes = []
     for size in range(1000, 25_000, 2000):
         with (  # noqa: PT012
             pytest.raises(OSError, match=str(tmp_path / "a.h5")) as error,
@@ -158,10 +157,6 @@ def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path: Path) -> 
             for _ in range(100):
                 file.append("lidar", rng.random((100, 4), np.float32))
         assert error.value.errno == errno.EFBIG
-        causes.append(error.value.__cause__)
-    assert any(isinstance(cause, OSError) and cause.errno is None for cause in causes), (
-        "HDF5's own errors were among them"
-    )
     assert not list(tmp_path.iterdir())
 
 

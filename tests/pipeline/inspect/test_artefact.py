@@ -7,7 +7,6 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.inspect import artefact
-from tests import kitti_drive
 from tests.artefacts import write_dataset
 
 SPLITS = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
@@ -56,17 +55,12 @@ def test_encoder(tmp_path: Path) -> None:
     assert (content["kind"], content["drives"], content["backbone"]) == ("encoder", 2, "small")
 
 
-def test_metrics_have_a_column_for_each_split(tmp_path: Path) -> None:
-    metrics = {
-        "model": "gnn", "line": {"window": 8}, "drives": {"test": ["b"]}, "val": None, "parameters": 9,
-        "test": {"nmse": 0.5, "baselines": {"zero": {"nmse": 1.0}}, "by_drive": {"b": {"nmse": 3.0}}},
-    }  # fmt: skip
+def test_metrics_are_listed_by_key(tmp_path: Path) -> None:
+    metrics = {"model": "gnn", "drives": {"test": ["b"]}, "test": {"nmse": 0.5, "baselines": {"zero": {"nmse": 1.0}}}}
     content = artefact.describe(write(tmp_path / "evaluate/gnn/metrics.json", metrics))
-    assert (content["model"], content["line"], content["parameters"]) == ("gnn", {"window": 8}, 9)
-    assert content["metrics"] == [
-        {"metric": "nmse", "train": None, "val": None, "test": 0.5},
-        {"metric": "baselines.zero.nmse", "train": None, "val": None, "test": 1.0},
-    ]
+    assert (content["kind"], content["model"]) == ("metrics", "gnn")
+    assert (content["test.nmse"], content["test.baselines.zero.nmse"]) == (0.5, 1.0)
+    assert not any("drives" in key for key in content)
 
 
 def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> None:
@@ -82,15 +76,6 @@ def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> N
     }  # fmt: skip
     assert "config.json" in rows["train/other"]["problem"]
     assert (rows["labels"]["drives"], rows["labels"]["frames"]) == (2, 10)
-
-
-def test_raw_drive_and_raw_root(tmp_path: Path) -> None:
-    folder = kitti_drive.write_drive(tmp_path, frames=[0, 1, 4])
-    for path in (tmp_path, folder.parent, folder):
-        (row,) = artefact.describe(path)["drives"]
-        calibration = row.pop("calibration")
-        assert row == {"drive": kitti_drive.DRIVE, "oxts": 3, "image_02": 3, "velodyne_points": 3}
-        assert calibration == ["cam_to_cam", "velo_to_cam"]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Differences of drives' files, JSON, CSV, checkpoints and other files."""
+"""Differences of drives' files, JSON, checkpoints and other files."""
 
 import json
 from collections.abc import Callable
@@ -135,18 +135,7 @@ def test_json_by_key(tmp_path: Path) -> None:
     assert compare_texts(tmp_path, "metrics.json", '{"a": [1, 2]}', '{"a":[1.0,2]}') == {}
 
 
-def test_csv_by_drive_and_frame(tmp_path: Path) -> None:
-    a = "drive,frame,rad\nx,1,\nx,2,0.5\ny,1,0.5\n"
-    b = "drive,frame,rad\ny,1,0.75\nx,2,0.25\nx,1,\nx,3,0.5\n"
-    found = compare_texts(tmp_path, "predictions.csv", a, b)
-    assert {key for key in found if key.startswith("x 3")} == {"x 3.drive", "x 3.frame", "x 3.rad"}
-    assert {key: difference.largest for key, difference in found.items() if difference.largest} == {
-        "x 2.rad": 0.25, "y 1.rad": 0.25,
-    }  # fmt: skip
-    assert set(compare_texts(tmp_path, "curve.csv", "epoch,loss\n0,1.0\n", "epoch,loss\n0,1.5\n")) == {" 0.loss"}
-
-
-@pytest.mark.parametrize(("name", "content"), [("a.csv", 'a,b\n"x'), ("a.json", "{"), ("a.pt", "no checkpoint")])
+@pytest.mark.parametrize(("name", "content"), [("a.json", "{"), ("a.pt", "no checkpoint")])
 def test_damaged_file_is_named(tmp_path: Path, name: str, content: str) -> None:
     with pytest.raises(InputError, match=name):
         compare_texts(tmp_path, name, content, f"{content} ")

@@ -14,7 +14,6 @@ from pipeline.inspect import frame_picture, frame_view
 from pipeline.inspect.frame_view import FrameView
 from pipeline.kitti import ingest_file
 from pipeline.kitti.oxts import make_rows
-from tests import kitti_drive
 from tests.artefacts import write_graphs, write_images, write_labels
 
 DRIVE = "2011_09_26_drive_0001"
@@ -84,18 +83,6 @@ def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
     assert view.cloud is not None
     np.testing.assert_allclose(view.cloud[0], [[-2, 1.7, 10]], atol=1e-6)
     assert not frame_view.read(path, 3).drawable
-
-
-def test_raw_drive_has_its_image_and_scan(tmp_path: Path) -> None:
-    folder = kitti_drive.write_drive(tmp_path, frames=[0, 5], camera=0)
-    view = frame_view.read(folder, 5)
-    assert view.rgb is not None
-    assert view.cloud is not None
-    stored = cv2.imread(str(folder / "image_00/data/0000000005.png"), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(view.rgb[..., 0], stored)
-    assert np.median(view.cloud[0][:, 1]) > 0  # the camera's y points down, to the road
-    with pytest.raises(InputError, match="expected the file of one drive"):
-        frame_view.read(tmp_path, 0)
 
 
 @pytest.mark.parametrize(("dataset", "value"), [("degree", 9), ("indices", 200)])

@@ -10,30 +10,11 @@ import pytest
 
 from pipeline.base import store
 from pipeline.graphs import cloud
-from pipeline.report.figures import chain, draw, neurons, paths, wheels
+from pipeline.report.figures import chain, draw, paths
 from pipeline.report.judge.paths import Track
 from pipeline.report.street_view import View
 from tests import street
 from tests.pipeline.report import examples
-
-IMAGE = np.zeros((40, 120, 3), np.uint8)
-NEURONS = {
-    "wiring": {
-        "motor": 1, "command": 2, "inter": 3, "sensory": [[0, 3, 1], [1, 5, -1]],
-        "internal": [[3, 1, 1], [4, 2, -1], [1, 2, 1], [2, 0, 1]],
-    },
-    "drive": "a", "frame": [3, 4, 5, 6], "steering_rad": [0.1, None, 0.2, 0.3],
-    "activity": np.linspace(-1, 1, 24).reshape(4, 6).tolist(),
-}  # fmt: skip
-
-
-def draw_wheels(path: Path) -> None:
-    examples_ = [wheels.Example("left", IMAGE, 12.34, 14.0), wheels.Example("straight", IMAGE, -0.01, 0.0)]
-    wheels.draw(path, "net", examples_)
-
-
-def draw_neurons(path: Path) -> None:
-    neurons.draw(path, "net", NEURONS)
 
 
 def draw_paths(path: Path) -> None:
@@ -59,12 +40,6 @@ def draw_chain(path: Path) -> None:
 @pytest.mark.parametrize(
     ("drawn", "pattern", "texts"),
     [
-        (
-            draw_wheels,
-            r"(?:predicted|driven) [+-][\d.]+°",
-            ["predicted +12.3°", "driven +14.0°", "predicted +0.0°", "driven +0.0°"],
-        ),
-        (draw_neurons, r">(\d \w+)<", ["2 features", "3 inter", "2 command", "1 motor"]),
         (draw_paths, r">(net|driven|other)<", ["driven", "net"]),  # no path of "other" in this drive
         (draw_pruning, r"(before pruning: 600 edges|after pruning)", ["before pruning: 600 edges", "after pruning"]),
         (draw_chain, r">(image|driven|odometry|predicted)<", ["image", "driven", "odometry", "predicted"]),
@@ -80,13 +55,6 @@ def test_a_figure_shows_its_numbers_and_repeats(
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
-def test_frames_are_chosen_by_predictions() -> None:
-    predicted = np.array([np.nan, 2.0, 11.0, -3.1, -10.0, -0.2, 5.0])
-    assert wheels.choose(predicted) == {"left": 2, "slight right": 3, "sharp right": 4, "straight": 5}
-    assert wheels.choose(np.array([1.0, 4.0])) == {"left": 1, "straight": 0}
-    assert wheels.choose(np.array([np.nan])) == {}
-
-
 def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path) -> None:
     drive = examples.DRIVES[0]
     street.write_drive(tmp_path / "ingest", drive, 9)
@@ -100,11 +68,10 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     rng = np.random.default_rng(0)
     graph = {"frame": 5, "xyz_m": rng.uniform(-9, 9, (60, 3)).tolist(), "cls": [0] * 30 + [2] * 30}
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
-    store.write_json(tmp_path / "evaluate/net/neurons.json", NEURONS)
     results = examples.load_results(tmp_path / "evaluate", ["net"])
     captions = draw.draw(tmp_path / "figures", results, tmp_path)
-    assert [*captions] == ["chain", "street", "pruning", "wheels", "paths", "neurons"]
-    assert [caption[:9] for caption in captions.values()] == [f"Figure {number}." for number in range(1, 7)]
+    assert [*captions] == ["chain", "street", "pruning", "paths"]
+    assert [caption[:8] for caption in captions.values()] == [f"Figure {number}" for number in range(1, 5)]
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
 
 

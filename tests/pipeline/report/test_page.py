@@ -22,7 +22,7 @@ from tests.pipeline.report import examples
 EVIL = "x</script><script>alert(1)</script>"
 SECTIONS = [
     "Results", "Steering on the test drives", "Steering on the test drives, 10 frames ahead", "Figures of the paper",
-    "Graphs in 3D", "Learning curves", "Models in detail", "Input of the test drives", "Labels",
+    "Graphs in 3D", "Learning curves", "Models in detail", "Input of the test drives",
 ]  # fmt: skip
 
 
@@ -39,9 +39,6 @@ def data(tmp_path: Path) -> Path:
         "cls": [0] * 30 + [2] * 29 + [255], "edges": [[0, 1], [1, 2], [30, 31]],
     }  # fmt: skip
     store.write_json(tmp_path / "evaluate/net/structure.json", dict.fromkeys(examples.DRIVES, graph))
-    names = ("valid_share", "mean_abs_steering_rad", "max_abs_steering_rad", "zero_mse_rad2")
-    summary = dict.fromkeys(names) | {"frames": 60, "dt_max_s": 0.31, "reversing_frames": 4, "sideways_frames": 0}
-    store.write_json(tmp_path / "labels/summary.json", {examples.DRIVES[0]: summary})
     for name in (f"pictures/{examples.DRIVES[1]}", "figures/paths", "figures/chain"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         cv2.imwrite(str(tmp_path / f"{name}.png"), rng.integers(0, 255, (60, 2000, 3), np.uint8))
@@ -78,8 +75,6 @@ def test_a_name_with_a_script_is_text(data: Path) -> None:
         table.to_csv(data / f"evaluate/{model}/predictions.csv", index=False)
     graphs = json.loads((data / "evaluate/net/structure.json").read_text())
     store.write_json(data / "evaluate/net/structure.json", {EVIL: graphs[examples.DRIVES[0]]})
-    (labels,) = json.loads((data / "labels/summary.json").read_text()).values()
-    store.write_json(data / "labels/summary.json", {EVIL: labels})
     text = write(data)
     assert "alert(1)" in text
     assert "<script>alert" not in text
@@ -89,9 +84,9 @@ def test_a_name_with_a_script_is_text(data: Path) -> None:
 
 
 def test_stages_that_are_not_here_have_no_section(data: Path) -> None:
-    for name in ("train", "labels", "pictures", "evaluate/net/structure.json"):
+    for name in ("train", "pictures", "evaluate/net/structure.json"):
         shutil.rmtree(data / name) if (data / name).is_dir() else (data / name).unlink()
-    missing = {"Graphs in 3D", "Learning curves", "Input of the test drives", "Labels"}
+    missing = {"Graphs in 3D", "Learning curves", "Input of the test drives"}
     assert headings(write(data)) == [title for title in SECTIONS if title not in missing]
 
 
@@ -128,9 +123,6 @@ def test_scatter_has_equal_axes_around_all_points(data: Path) -> None:
 
 def test_bars_leave_out_empty_ranges(data: Path) -> None:
     found = load_results(data / "evaluate", ["net"])
-    speed = plots.by_speed(found.predictions).data[0]
-    assert [*speed.x] == ["3 to 6", "6 to 9", "9 to 12", "12 to 15"]
-    np.testing.assert_allclose(speed.y, np.rad2deg(0.01), atol=1e-6)
     net, zero = plots.by_curvature(found.metrics).data
     assert (net.name, zero.name, len(net.x)) == ("net", "zero", 2)
 

@@ -67,12 +67,8 @@ def test_files_of_studies_and_claims(results: Results, tmp_path: Path) -> None:
     settings = load(Evaluate, ROOT / "params.yaml")
     text = studies.write(results, tmp_path, settings)
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == ["keep.png", "lambda.png", "points.png", "studies.csv", "studies.md"]
+    assert names == ["keep.png", "lambda.png", "points.png", "studies.md"]
     assert (tmp_path / "studies.md").read_text() == f"{text}\n"
-    rows = pd.read_csv(tmp_path / "studies.csv")
-    assert rows.iloc[0][["study", "value", "model", "seeds", "test_nmse"]].tolist() == [
-        "points", 125, "points-125", 2, 0.6
-    ]  # fmt: skip
     pruning, semantics = [line for line in text.splitlines() if line.startswith("- ")]  # no LSTM here
     assert "no difference shown" in pruning
     assert semantics.startswith("- semantics: λ = 1 against 0: better.")

@@ -1,10 +1,10 @@
-"""Import closures: on what a resume key and dvc.yaml's deps rest."""
+"""Import closures, with which test_dvc_yaml compares dvc.yaml."""
 
 from pathlib import Path
 
 import pytest
 
-from pipeline.base import imports
+from tests import imports
 
 
 def closure(*modules: str) -> set[str]:

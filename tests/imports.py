@@ -1,4 +1,4 @@
-"""Which source files a module imports, to compare with what dvc.yaml watches."""
+"""Which source files a module imports."""
 
 import ast
 from collections.abc import Iterator

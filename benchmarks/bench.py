@@ -21,6 +21,7 @@ import torch
 import typer
 
 from benchmarks import files, graph_network, neighbours, recurrent, training
+from benchmarks.demo import demo
 from benchmarks.row import Row
 from benchmarks.street import Street, recorded, sample
 from pipeline.base import console, store
@@ -36,11 +37,12 @@ STREET_ROWS: dict[str, Callable[[Street], Row]] = {
     "knn_vs_scipy": neighbours.beside_scipy,
     "knn_vs_open3d": neighbours.beside_open3d,
 }
-OTHER_ROWS: dict[str, Callable[[], Row]] = {"ltc": recurrent.ltc}
+OTHER_ROWS: dict[str, Callable[[], Row]] = {"ltc": recurrent.ltc, "demo": demo}
+BY_NAME = ("demo",)  # takes minutes, so it is not measured by default
 
 
 def main(
-    names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all")] = None,
+    names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all except demo")] = None,
     kitti: Annotated[
         Path | None, typer.Option(envvar="STEER_KITTI", help="KITTI raw with scans; default: measure on the sample")
     ] = None,
@@ -64,7 +66,7 @@ def main(
             # A new folder for each try, in case an earlier one failed half-way.
             return recorded(kitti, Path(tempfile.mkdtemp(dir=scratch))) if kitti else sample(data)
 
-        measured = {name: _measure(name, make_street) for name in names or known}
+        measured = {name: _measure(name, make_street) for name in names or [row for row in known if row not in BY_NAME]}
     print(f"{table(measured)}\n\n{device_name()}")
     if out:
         rows = {name: {"error": row} if isinstance(row, str) else asdict(row) for name, row in measured.items()}

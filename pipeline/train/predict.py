@@ -134,31 +134,6 @@ class Trained:
         sigma_rad = None if predicted.sigma_rad is None else predicted.sigma_rad[rows]
         return Prediction(predicted.steering_rad[rows], sigma_rad)
 
-    @property
-    def wiring(self) -> dict[str, Any] | None:
-        """Synapses of the recurrent network as lists; None if it has no wiring.
-
-        Neurons are numbered motor, command, inter, whose counts are given; sensory and internal: [from, to, ±1], …
-        """
-        wiring = self.net.temporal.wiring
-        if wiring is None:
-            return None
-        return {"motor": wiring.motor, "command": wiring.command, "inter": wiring.inter, **wiring.synapses()}
-
-    def activity(self, graphs: frames.Graphs, start: int, stop: int) -> np.ndarray:
-        """Return the recurrent network's state [stop - start, U] where windows end at rows [start, stop) of a file.
-
-        Each window must be complete.
-        """
-        import torch
-
-        timeline = windows.Timeline.read(graphs, self.line["motion"], self.target.car)
-        spans = [windows.Span(0, start - self.window + 1, stop)]
-        with torch.inference_mode():
-            (batch,) = windows.batches([timeline], [spans], self.window, {0: graphs})
-            state: np.ndarray = self.net.activity(*self.net.inputs(batch)).double().cpu().numpy()
-        return state
-
 
 def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
     """Load the selected epoch of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.

@@ -4,8 +4,6 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from models.steering.core.wiring import Wiring
-
 NOMINAL_STEP_S = 0.1  # KITTI's frame interval is one unit of a cell's time, as ncps has 1 per frame
 # A new cell's outputs are within about ±1 before scaling; standardised steering reaches 3 and more in sharp bends.
 # With an initial scale of 1, as in ncps, training error after 8 epochs on synthetic streets was twice as large.
@@ -20,8 +18,6 @@ class RecurrentCell(nn.Module):
     is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per frame, S
     numbers from `sense`.
     """
-
-    wiring: Wiring | None = None  # of cells with sparse synapses
 
     def sense(self, x: Tensor) -> Tensor:
         """Return the per-frame part: [..., D] → [..., S]."""

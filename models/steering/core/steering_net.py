@@ -28,7 +28,7 @@ from models.steering.core.batch import Array, Batch, Kind, from_arrays
 from models.steering.core.knobs import NetworkKnobs, Sizes
 from models.steering.core.motion import COLUMNS, MIRROR_SIGNS, odd_and_even
 from models.steering.core.network_file import Part, load
-from models.steering.core.recurrent import RecurrentCell, State
+from models.steering.core.recurrent import RecurrentCell
 
 Line = Mapping[str, Any]
 """A model's entry of params.yaml: general keys as in pipeline/sections/models.py, and knobs of its networks."""
@@ -110,21 +110,15 @@ class SteeringNet(nn.Module):
         """Predict as `forward`, from the features [B,F] of encoded frames."""
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
             odd, even = self._recurrent_inputs(features, motion)
-            out, _ = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
+            out = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
             if self.equivariant:
-                mirrored, _ = self._last(torch.cat([-odd, even], dim=1), windows, dt_s)
+                mirrored = self._last(torch.cat([-odd, even], dim=1), windows, dt_s)
                 out = (out + self._mirror(mirrored)) / 2
             return out
 
     def _mirror(self, output: Tensor) -> Tensor:
         """Return the output for the mirrored scene: steering changes its sign, its σ does not."""
         return output * output.new_tensor([-1.0, 1.0]) if self.uncertainty else -output
-
-    def activity(self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
-        """Return the recurrent network's state at each window's end [W,U]; arguments as of `forward`."""
-        inputs = torch.cat(self._recurrent_inputs(self.encode(batch), motion), dim=1)
-        _, state = self._last(inputs, windows, dt_s)
-        return torch.cat(state, dim=1)
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
         """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
@@ -158,11 +152,11 @@ class SteeringNet(nn.Module):
         odd, even = odd_and_even(motion.to(features))
         return torch.cat([features, odd], dim=1), even
 
-    def _last(self, inputs: Tensor, windows: Tensor, dt_s: Tensor) -> tuple[Tensor, State]:
-        """Run the recurrent network on inputs [B,D]; return its output at each window's end, and its state."""
+    def _last(self, inputs: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
+        """Run the recurrent network on inputs [B,D]; return its output at each window's end."""
         sensed = self.temporal.sense(inputs)  # [B,S]
-        out, state = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,O]
-        return out[:, -1] if self.uncertainty else out[:, -1, 0], state
+        out, _ = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,O]
+        return out[:, -1] if self.uncertainty else out[:, -1, 0]
 
 
 def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:

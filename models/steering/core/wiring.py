@@ -31,13 +31,6 @@ class Wiring:
         """U, the number of neurons without the sensory ones."""
         return self.motor + self.command + self.inter
 
-    def synapses(self) -> dict[str, list[list[int]]]:
-        """Return lists of [from, to, ±1], by name of the matrix."""
-        return {
-            name: [[*map(int, pair), int(matrix[tuple(pair)])] for pair in np.argwhere(matrix)]
-            for name, matrix in (("sensory", self.sensory), ("internal", self.internal))
-        }
-
 
 class Layout(Group):
     """Option `wiring`: neurons per layer, synapses per neuron, and the seed of the random choice."""

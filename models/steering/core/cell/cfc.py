@@ -24,7 +24,7 @@ class CfC(RecurrentCell):
     def __init__(self, wiring: Wiring) -> None:
         super().__init__()
         motor, command, inter = np.split(np.arange(wiring.units), [wiring.motor, wiring.motor + wiring.command])
-        self.wiring, self.inputs = wiring, len(wiring.sensory)
+        self.inputs = len(wiring.sensory)
         self.inter = Layer(wiring.sensory[:, inter])
         self.command = Layer(wiring.internal[np.ix_(inter, command)])
         self.motor = Layer(wiring.internal[np.ix_(command, motor)])

@@ -31,7 +31,7 @@ class Eq4(RecurrentCell):
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
         super().__init__()
         inputs, units = wiring.sensory.shape
-        self.wiring, self.motor, self.unfolds = wiring, wiring.motor, unfolds
+        self.motor, self.unfolds = wiring.motor, unfolds
         signs = [torch.from_numpy(polarity).float() for polarity in (wiring.sensory, wiring.internal)]
         # |w| from U(0,1), as in the LTC cell
         self.sensory, self.internal = (SparseMatrix(sign * torch.rand(sign.shape), sign != 0) for sign in signs)

@@ -28,7 +28,7 @@ class LTC(RecurrentCell):
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
         super().__init__()
         inputs, units = wiring.sensory.shape
-        self.wiring, self.motor, self.unfolds = wiring, wiring.motor, unfolds
+        self.motor, self.unfolds = wiring.motor, unfolds
         self.input_scale, self.input_shift = nn.Parameter(torch.ones(inputs)), nn.Parameter(torch.zeros(inputs))
         self.sensory, self.internal = Synapses(wiring.sensory), Synapses(wiring.internal)
         self.capacity = nn.Parameter(inverse_softplus(uniform(units, 0.4, 0.6)))  # cm, before softplus

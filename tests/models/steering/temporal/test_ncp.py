@@ -1,4 +1,5 @@
 import pytest
+import torch
 
 from models.steering.core.knobs import Sizes
 from models.steering.core.wiring import Layout
@@ -9,4 +10,5 @@ from models.steering.temporal.ncp import CELLS, Knobs
 def test_knobs_choose_cell_and_wiring(cell):
     net = Knobs(cell=cell, wiring=Layout(inter=9, command=7)).build(Sizes(features=5))
     assert type(net) is CELLS[cell]
-    assert net.wiring.sensory.shape == (5, 1 + 7 + 9)
+    _, state = net(net.sense(torch.zeros(1, 1, 5)), torch.full((1, 1), 0.1))
+    assert sum(part.shape[1] for part in state) == 1 + 7 + 9

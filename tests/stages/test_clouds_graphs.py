@@ -147,34 +147,6 @@ def test_a_crop_without_any_point_is_refused(data: Path, tmp_path: Path, variant
     assert not (tmp_path / "v/index.json").exists()  # so that no model trains on it
 
 
-def test_images_are_copied_by_frame(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(data / "ingest", tmp_path / "ingest")
-    raw = read(data / "ingest", stage="ingest")
-    with store.DriveWriter(tmp_path / f"ingest/{FULL}.h5", stage="ingest", drive=FULL, params={}) as file:
-        put_motion(file, np.array([3, 4, 6, 9]), raw["time_s"], make_rows(FRAMES))
-        put_pixels(file, "image", FRAMES, street.SIZE, [(row, raw["image"][row]) for row in (0, 2, 3)])
-    kinds.write(tmp_path / "motion", [])
-    folder = run_graphs(tmp_path, tmp_path / "graphs", source="ingest")  # neither clouds nor perception exist
-    assert f"no frames in {BLIND}" in capsys.readouterr().out
-    content = read(folder)
-    assert content["frame"].tolist() == [3, 6, 9]
-    assert (content["time_s"] == raw["time_s"][[0, 2, 3]]).all()
-    assert (content["image"] == raw["image"][[0, 2, 3]]).all()
-    assert read(folder, BLIND)["image"].shape == (0, *street.SIZE, 3)
-
-
-def test_unknown_variants_and_files_of_other_stages_are_refused(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="semantic"):
-        graphs.main("semantics", data, tmp_path, data / "params.yaml", workers=1)
-    kinds.write(tmp_path / "motion", [])
-    shutil.copytree(data / "ingest", tmp_path / "clouds/pseudo")
-    with pytest.raises(InputError, match="clouds"):
-        run_graphs(tmp_path, tmp_path / "graphs", **PSEUDO)
-    (tmp_path / f"clouds/pseudo/{BLIND}.h5").unlink()
-    with pytest.raises(InputError, match=BLIND):
-        run_graphs(tmp_path, tmp_path / "graphs", **PSEUDO)
-
-
 def write_motion(folder: Path, frame: list[int], valid: list[int]) -> None:
     """Write the motion of a car that drives straight on, one metre per frame."""
     T_before = np.tile(np.eye(4, dtype=np.float32), (len(frame), 1, 1))
@@ -211,30 +183,3 @@ def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> Non
         run_graphs(tmp_path, tmp_path / "graphs", **{**variant, **lidar})
 
 
-@pytest.mark.parametrize("variant", [PSEUDO, {"source": "ingest"}], ids=["points", "images"])
-def test_graph_files_contain_the_measured_motion(data: Path, tmp_path: Path, variant: dict[str, object]) -> None:
-    for folder in ("clouds", "ingest"):
-        (tmp_path / folder).symlink_to(data / folder)
-    write_motion(tmp_path / "motion/visual", [1, 3], [0, 1])
-    content = read(run_graphs(tmp_path, tmp_path / "graphs", **variant))
-    assert content["visual_speed_mps"].tolist() == [0, 0, 0, 10]
-    assert content["visual_valid"].tolist() == [0, 0, 0, 1]
-    assert "lidar_valid" not in content
-
-
-@pytest.mark.parametrize(
-    ("variant", "message"),
-    [
-        (
-            {"source": "ingest", "accumulate": {"motion": "visual", "frames": 3}},
-            "accumulate does not apply",
-        ),
-        ({**PSEUDO, "accumulate": {"motion": "visual", "frames": 1}}, r"accumulate\.frames"),
-        ({**PSEUDO, "accumulate": {"motion": "oxts", "frames": 3}}, r"accumulate\.motion"),
-        ({**PSEUDO, "accumulate": {"motion": "lidar", "frames": 3}}, "only roughly"),
-        ({**PSEUDO, "accumulate": {"motion": "visual", "frame": 3}}, r"accumulate\.frame"),
-    ],
-)
-def test_invalid_settings_of_accumulate_are_refused(tmp_path: Path, variant: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        run_graphs(tmp_path, tmp_path, **variant)

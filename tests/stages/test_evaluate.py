@@ -74,24 +74,6 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder: Path, f
     assert len(list((folder / "report/learning").iterdir())) == 4
 
 
-@pytest.mark.slow
-def test_a_drive_without_bends_is_named_and_trained_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    short, *tested = ["2026_01_03_drive_0001", *write_two_test_drives(folder)]
-    store.write_index(folder / "graphs/semantic", {**dict.fromkeys([*tested, short], "test")})
-    artefacts.write_labels(folder / f"labels/{short}.h5", short, np.zeros(60), np.arange(60))
-    write_params(folder, {"fit_to": "others"}, epochs=1)
-    trained, evaluated = run_train(folder), run_evaluate(folder)
-    assert f"every valid label of {short} is 0" in capsys.readouterr().out
-    assert sorted(path.parent.name for path in trained.rglob("best.pt")) == [f"fold-{drive}" for drive in tested]
-    result = json.loads((evaluated / "metrics.json").read_text())
-    assert result["drives"]["test"] == tested
-    assert short in result["drives"]["train"]
-    for drive in tested:
-        artefacts.write_labels(folder / f"labels/{drive}.h5", drive, np.zeros(60), np.arange(60))
-    with pytest.raises(InputError, match="is 0"):
-        run_train(folder)
-
-
 def _text(angle: float) -> str:
     return "" if np.isnan(angle) else f"{angle:.6f}"
 

@@ -48,16 +48,3 @@ def test_each_drive_with_images_has_a_picture(data: Path, tmp_path: Path, capsys
     assert draw(data, tmp_path / "b") == drawn
 
 
-def test_clouds_of_other_frames_are_one_error(data: Path, tmp_path: Path) -> None:
-    for stage in ("ingest", "perception"):
-        (tmp_path / stage).symlink_to(data / stage)
-    for name in (LONG, BLIND, SHORT):
-        with store.DriveReader(data / f"clouds/pseudo/{name}.h5", stage="clouds") as old:
-            ptr = old["ptr"]
-            points = [tuple(old.rows(key, a, b) for key in ("xyz", "cls")) for a, b in pairwise(ptr)]
-            path = tmp_path / f"clouds/pseudo/{name}.h5"
-            with store.DriveWriter(path, stage="clouds", drive=name, params={}) as new:
-                cloud.write(new, old.frame + 1000, old.time_s, points)
-    store.write_index(tmp_path / "clouds/pseudo", SPLITS)
-    with pytest.raises(InputError, match=r"clouds/pseudo/.*\.h5: no frame \d"):
-        draw(tmp_path, tmp_path / "pictures")

@@ -51,8 +51,3 @@ def test_without_results_all_outputs_exist(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}
 
 
-def test_damaged_scores_are_one_error(tmp_path: Path) -> None:
-    (tmp_path / "scores").mkdir()
-    (tmp_path / "scores/metrics.json").write_text("{")
-    with pytest.raises(InputError, match="dvc repro --force --single-item scores"):
-        run(tmp_path, "lonely")

@@ -96,38 +96,6 @@ def test_scores_equal_errors_computed_from_the_files(folder: Path, flat: bool) -
     assert set(metrics["val"].values()) == {None}
 
 
-def test_each_drive_has_its_own_scores(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    metrics = run(folder)
-    drives = {drive: json.loads((folder / "scores" / drive / "metrics.json").read_text()) for drive in SPLITS}
-    assert drives[DENSE] == {**metrics["train"], "motion": {}}
-    assert {**drives[BLIND], "motion": None} == {**dict.fromkeys(metrics["val"]), "motion": None}
-    assert "no ground truth" in capsys.readouterr().out
-
-
-def test_frames_are_matched_by_number(folder: Path) -> None:
-    before = run(folder)["train"]["depth_dense"]["abs_rel"]
-    with (
-        store.DriveReader(folder / "perception" / f"{DENSE}.h5", stage="perception") as file,
-        store.DriveWriter(
-            folder / "some" / f"{DENSE}.h5", stage="perception", drive=DENSE, params=file.params
-        ) as target,
-    ):
-        target.attrs["camera_height_m"] = file.attrs["camera_height_m"]
-        for name in ("frame", "depth_m", "cls"):
-            target.put(name, file[name][[1, 4]])
-    (folder / "some" / f"{DENSE}.h5").replace(folder / "perception" / f"{DENSE}.h5")
-    score = run(folder)["train"]["depth_dense"]
-    assert score["frames"] == 2
-    assert score["abs_rel"] == pytest.approx(before, rel=1e-3)
-
-
-@pytest.mark.parametrize("stage", ["perception", "motion"])
-def test_a_missing_input_is_one_error_with_a_command(folder: Path, stage: str) -> None:
-    (folder / stage / "index.json").unlink()
-    with pytest.raises(InputError, match=f"dvc repro {stage}"):
-        run(folder)
-
-
 def test_measured_motion_is_scored_against_oxts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Ground truth is 8 m/s straight on; measured are 8.8 m/s, and nothing in the first frame."""
     for drive in SPLITS:

@@ -1,6 +1,5 @@
 """Files and folders that appear complete, or not at all."""
 
-import errno
 import os
 import stat
 from pathlib import Path
@@ -61,29 +60,6 @@ def test_two_writers_of_one_path_do_not_meet(tmp_path: Path) -> None:
         first.write_text("first")
         second.write_text("second")
     assert contents(tmp_path) == {"a": b"first"}, "the last to end"
-
-
-def test_unfinished_files_do_not_match_a_glob(tmp_path: Path) -> None:
-    with replacing(tmp_path / "a.h5") as tmp:
-        tmp.touch()
-        assert not list(tmp_path.glob("*.h5"))
-
-
-def test_errors_name_the_path_that_the_user_knows(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-
-    def message(error: OSError) -> str | None:
-        with pytest.raises(OSError, match=r".") as raised, replacing(path):
-            raise error
-        name: str | None = raised.value.filename
-        return name
-
-    assert message(OSError(errno.ENOSPC, "No space left on device")) == str(path)
-    assert message(OSError(errno.EIO, "Input/output error")) is None, "it may have been reading another"
-    assert message(OSError(errno.EACCES, "Permission denied", "b")) == "b"
-    with pytest.raises(FileNotFoundError) as raised, replacing(path) as tmp:
-        (tmp / "below").touch()
-    assert raised.value.filename == str(path / "below")
 
 
 def test_sweeping_removes_what_was_left_and_nothing_else(tmp_path: Path) -> None:

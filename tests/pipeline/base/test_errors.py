@@ -33,19 +33,6 @@ def test_context_adds_where_and_fix(error: Exception) -> None:
     assert raised.value.__cause__ is error
 
 
-def test_the_inner_fix_wins() -> None:
-    with pytest.raises(InputError) as raised, error_context("a", "outer"):
-        raise InputError("cut", fix="inner")
-    assert raised.value.fix == "inner"
-
-
-@pytest.mark.parametrize("error", [KeyError("a"), OSError("b"), KeyboardInterrupt()])
-def test_other_errors_pass(error: BaseException) -> None:
-    with pytest.raises(type(error)) as raised, error_context("where", "fix"):
-        raise error
-    assert raised.value is error
-
-
 def test_closest_names() -> None:
     assert closest("gn", ["gnn", "pointnet2"]) == "did you mean gnn?"
     assert closest("xyz", ["gnn", "pointnet2"]) == "known: gnn, pointnet2"

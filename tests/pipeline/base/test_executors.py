@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pipeline.base import executors
-from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.errors import InputError
 from pipeline.base.executors import SCHEDULER
 from pipeline.base.resume import ROOT
 from pipeline.base.runner import run_jobs
@@ -36,12 +36,6 @@ def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pyt
     assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
-@pytest.mark.slow
-def test_fewer_jobs_than_cores_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEER_WORKERS", "5")
-    assert {used for _, (_, used) in run_jobs(threads, [0, 1])} == {"2"}
-
-
 @pytest.mark.parametrize("text", ["0", "-1", "two", "1.5"])
 def test_workers_are_a_positive_number(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv("STEER_WORKERS", text)
@@ -49,13 +43,6 @@ def test_workers_are_a_positive_number(monkeypatch: pytest.MonkeyPatch, text: st
         executors.default_workers()
     assert raised.value.where == "STEER_WORKERS"
     assert repr(text) in raised.value.problem
-
-
-@pytest.mark.parametrize("workers", [0, -2])
-def test_a_stage_needs_a_worker(folder: Path, workers: int) -> None:
-    with pytest.raises(InputError) as raised:
-        toy_stage.main(folder, workers=workers)
-    assert raised.value.where == "--workers"
 
 
 @pytest.fixture(scope="module")
@@ -83,20 +70,6 @@ def test_a_cluster_writes_the_bytes_of_one_process(
     processes = {line.split()[1] for line in (folder / "calls").read_text().splitlines()}
     assert str(os.getpid()) not in processes
     assert "14/14" in capsys.readouterr().err.split("\r")[-1]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("dask")
-def test_an_error_of_a_cluster_names_drive_and_frame(folder: Path, expected: dict[str, bytes]) -> None:
-    trouble(folder, c="fail")
-    with pytest.raises(DamagedFile) as raised:
-        toy_stage.main(folder)
-    assert raised.value.where == "c frame 2: 0.png"
-    end_trouble(folder)
-    calls(folder)
-    toy_stage.main(folder)
-    assert "b" not in calls(folder), "the drive in progress was finished and kept"
-    assert outputs(folder) == expected
 
 
 @pytest.mark.slow
@@ -142,18 +115,6 @@ def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
     assert calls(folder) == []
 
 
-@pytest.mark.slow
-def test_a_worker_with_two_threads_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, protocol="tcp", **LOCAL) as two:
-        monkeypatch.setenv(SCHEDULER, two.scheduler_address)
-        with pytest.raises(InputError) as raised:
-            toy_stage.main(folder)
-    assert raised.value.problem == "expected one thread, got 2"
-    assert "--nthreads 1" in raised.value.fix
-    assert calls(folder) == []
-
-
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://127.0.0.1", "here:8786", "tcp://x:y"])
 def test_a_scheduler_that_does_not_answer_is_one_error(
     folder: Path, monkeypatch: pytest.MonkeyPatch, address: str
@@ -165,14 +126,6 @@ def test_a_scheduler_that_does_not_answer_is_one_error(
     assert "dask scheduler" in raised.value.fix
     toy_stage.main(folder, workers=1)
     assert calls(folder) == DRIVES, "one worker is this process"
-
-
-def test_without_dask_the_error_names_the_extra(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(SCHEDULER, "tcp://127.0.0.1:8786")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError) as raised:
-        toy_stage.main(folder)
-    assert ".[cluster]" in raised.value.fix
 
 
 @pytest.mark.soak

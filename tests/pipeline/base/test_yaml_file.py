@@ -19,9 +19,7 @@ def test_anchors_are_read(tmp_path: Path) -> None:
     ("content", "where", "problem"),
     [
         (b"a: 1\nb: 2\na: 3\n", ":3", "duplicate key"),
-        (b"a:\n  b: 1\n  b: 1\n", ":3", "duplicate key"),
         (b"\na: !!python/object/apply:os.system [ls]\n", ":2", "could not determine a constructor"),
-        (b"a: 2026-02-31\n", "", "day is out of range"),
         (b"a: [1\nb\n", ":3", "invalid YAML"),
         (b"a: " + b"[" * 5000, "", "invalid YAML"),
         ("a: ü\n".encode("latin-1"), "", "invalid UTF-8"),

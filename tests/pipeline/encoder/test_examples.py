@@ -58,15 +58,6 @@ def test_spread_is_even_and_without_repeats(count: int, wanted: int) -> None:
     assert steps.max() - steps.min() <= 1
 
 
-def test_frames_are_spread_over_drives_by_their_length(ingest: Path) -> None:
-    with Examples(ingest, [DENSE, LIDAR], 6) as examples:
-        assert len(examples) == 6
-        assert examples.frames_per_drive == {DENSE: 2, LIDAR: 4}
-        assert examples.size == street.SIZE
-        unlabelled = [bool((examples[i].cls == classes.VOID).all()) for i in range(6)]
-        assert unlabelled == [False] * 2 + [True] * 4
-
-
 def test_a_teacher_classifies_each_colour_frame_without_labels_once(ingest: Path) -> None:
     inputs = []
 

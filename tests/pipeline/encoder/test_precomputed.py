@@ -1,9 +1,7 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from pipeline.base.errors import DamagedFile, InputError
 from pipeline.encoder.precomputed import fingerprint, read
 from tests.kitti_drive import write_png
 
@@ -33,24 +31,3 @@ def test_the_fingerprint_depends_on_contents(tmp_path: Path) -> None:
     assert path.stat().st_size == size
     assert fingerprint(tmp_path) != before
     assert fingerprint(tmp_path)[0] == 1
-
-
-def test_wrong_files_are_named(tmp_path: Path) -> None:
-    depth, cls = (tmp_path / DRIVE / kind / "0000000000.png" for kind in ("depth", "cls"))
-    with pytest.raises(InputError, match="missing") as raised:
-        read(tmp_path, DRIVE, 0, (4, 4))
-    assert raised.value.where == str(depth)
-    assert "DRIVE/depth/" in raised.value.fix
-    write_png(depth, np.zeros((4, 4), np.uint16))
-    write_png(cls, np.full((4, 4), 33, np.uint8))
-    with pytest.raises(InputError, match="class 33, expected trainIds 0 to 18, or 255") as raised:
-        read(tmp_path, DRIVE, 0, (4, 4))
-    assert raised.value.where == str(cls)
-    write_png(depth, np.zeros((4, 4), np.uint8))
-    with pytest.raises(InputError, match="uint16"):
-        read(tmp_path, DRIVE, 0, (4, 4))
-    depth.write_bytes(b"no picture")
-    with pytest.raises(DamagedFile):
-        read(tmp_path, DRIVE, 0, (4, 4))
-    with pytest.raises(InputError, match="no PNG files"):
-        fingerprint(tmp_path / "empty")

@@ -27,19 +27,12 @@ def files(*parts: str) -> Weights:
         ("depth_head", SMALL, None, {"lidar", "cls"}, False, Supervision.LIDAR),
         ("depth_head", SMALL, CHECKPOINT, ALL, False, Supervision.DENSE_DEPTH),  # the fit starts from a checkpoint
         ("depth_head", SMALL, files("depth_head"), ALL, False, Supervision.FILE),  # a published head is not changed
-        ("depth_head", SMALL, CHECKPOINT, {"cls"}, False, Supervision.FILE),
-        ("depth_head", SMALL, files("backbone", "depth_head"), {"cls"}, False, Supervision.FILE),
         ("depth_head", ESPNET, None, {"cls"}, False, Supervision.FLAT_GROUND),
-        ("depth_head", ESPNET, files("backbone"), {"cls"}, True, Supervision.FLAT_GROUND),
         ("class_head", SMALL, None, ALL, True, Supervision.CLASS_LABELS),
         ("class_head", SMALL, None, {"lidar"}, True, Supervision.TEACHER),
-        ("class_head", SMALL, files("class_head"), {"lidar"}, True, Supervision.FILE),
         ("class_head", ESPNET, files("backbone"), {"lidar"}, False, Supervision.FILE),  # its classes are the backbone's
         ("depth_head", SMALL, None, {"cls"}, False, "no depth_head"),
-        ("depth_head", SMALL, files("depth_head"), {"cls"}, False, "no backbone"),
         ("class_head", SMALL, None, {"depth"}, False, "no class_head"),
-        ("class_head", SMALL, files("class_head"), {"depth"}, False, "no backbone"),
-        ("class_head", ESPNET, None, {"depth"}, False, "no backbone"),
     ],
 )
 def test_each_head_has_one_target_or_is_refused(

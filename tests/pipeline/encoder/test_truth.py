@@ -6,7 +6,7 @@ import pytest
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.pixels import read_pixels
-from pipeline.encoder.truth import read_truth, training_rows, visible
+from pipeline.encoder.truth import read_truth, visible
 from pipeline.kitti.raw import RawDrive
 from tests import street
 
@@ -35,15 +35,6 @@ def test_lidar_truth_is_sparse_and_has_no_classes(tmp_path: Path) -> None:
     assert truth.depth_source == "lidar"
     assert not truth.has_cls
     assert (truth.cls == classes.VOID).all()
-
-
-def test_training_rows_have_an_image_and_a_target(tmp_path: Path) -> None:
-    street.write_drive(tmp_path, DRIVE, 3, dense=False, lidar=False)
-    street.write_drive(tmp_path, "2026_01_01_drive_0002", 3, images=False)
-    for name in (DRIVE, "2026_01_01_drive_0002"):
-        with store.DriveReader(tmp_path / f"{name}.h5", stage="ingest") as file:
-            assert len(training_rows(file, has_teacher=False)) == 0
-            assert len(training_rows(file, has_teacher=True)) == file["has_image"].sum()
 
 
 def test_hidden_points_are_dropped_and_ground_stays() -> None:

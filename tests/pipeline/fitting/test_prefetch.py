@@ -124,39 +124,3 @@ def test_an_error_of_the_caller_ends_the_threads(ahead: Ahead) -> None:
         consume()
     del raised  # it refers to the frame of the generator
     assert source.closed
-
-
-def test_generators_can_be_chained() -> None:
-    source = Source(30)
-    squares = prefetch(number**2 for number in prefetch(source.items()))
-    assert next(squares) == 0
-    squares.close()
-    assert source.closed
-
-
-def test_closing_ends_threads_that_wait_for_items() -> None:
-    at, go = threading.Event(), threading.Event()
-
-    def slow() -> Generator[int]:
-        yield 0
-        at.set()
-        go.wait(10)
-        yield from range(1, 9)
-
-    results = side_by_side(lambda number: number, slow(), threads=2)
-    assert next(results) == 0
-    assert at.wait(10)
-    threading.Timer(0.05, go.set).start()
-    results.close()
-
-
-def test_each_working_thread_calls_start_once() -> None:
-    started: list[str] = []
-    results = side_by_side(
-        lambda number: threading.current_thread().name,
-        Source(30).items(),
-        threads=2,
-        start=lambda: started.append(threading.current_thread().name),
-    )
-    assert set(results) <= set(started)
-    assert len(started) == len(set(started)) <= 2

@@ -7,7 +7,6 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.inspect import artefact
-from tests import kitti_drive
 from tests.artefacts import write_dataset
 
 SPLITS = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
@@ -49,26 +48,6 @@ def test_model_by_its_folder_or_a_file_in_it(tmp_path: Path) -> None:
     assert artefact.describe(folder / "best.pt") == content
 
 
-def test_encoder(tmp_path: Path) -> None:
-    folder = write(tmp_path / "encoder/config.json", {"backbone": "small", "frames_per_drive": {"a": 3, "b": 4}})
-    write(folder / "encoder.pt", "")
-    content = artefact.describe(folder)
-    assert (content["kind"], content["drives"], content["backbone"]) == ("encoder", 2, "small")
-
-
-def test_metrics_have_a_column_for_each_split(tmp_path: Path) -> None:
-    metrics = {
-        "model": "gnn", "line": {"window": 8}, "drives": {"test": ["b"]}, "val": None, "parameters": 9,
-        "test": {"nmse": 0.5, "baselines": {"zero": {"nmse": 1.0}}, "by_drive": {"b": {"nmse": 3.0}}},
-    }  # fmt: skip
-    content = artefact.describe(write(tmp_path / "evaluate/gnn/metrics.json", metrics))
-    assert (content["model"], content["line"], content["parameters"]) == ("gnn", {"window": 8}, 9)
-    assert content["metrics"] == [
-        {"metric": "nmse", "train": None, "val": None, "test": 0.5},
-        {"metric": "baselines.zero.nmse", "train": None, "val": None, "test": 1.0},
-    ]
-
-
 def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> None:
     write_dataset(tmp_path, SPLITS, frames=5, points=20)
     write_model(tmp_path)
@@ -82,15 +61,6 @@ def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> N
     }  # fmt: skip
     assert "config.json" in rows["train/other"]["problem"]
     assert (rows["labels"]["drives"], rows["labels"]["frames"]) == (2, 10)
-
-
-def test_raw_drive_and_raw_root(tmp_path: Path) -> None:
-    folder = kitti_drive.write_drive(tmp_path, frames=[0, 1, 4])
-    for path in (tmp_path, folder.parent, folder):
-        (row,) = artefact.describe(path)["drives"]
-        calibration = row.pop("calibration")
-        assert row == {"drive": kitti_drive.DRIVE, "oxts": 3, "image_02": 3, "velodyne_points": 3}
-        assert calibration == ["cam_to_cam", "velo_to_cam"]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Differences of drives' files, JSON, CSV, checkpoints and other files."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
 from pipeline.inspect import diff
 from pipeline.inspect.diff import Difference
@@ -96,32 +94,6 @@ def test_frames_are_matched_by_number(tmp_path: Path) -> None:
     assert problems == {"2 frames only in A, first 10, 3 frames only in B, first 19"}
 
 
-def test_params_datasets_dtypes_units_and_shapes(folder: Path) -> None:
-    def edit(file: h5py.File) -> None:
-        params = json.loads(file.attrs["params"])
-        params["labels"]["wheelbase_m"] = 2.5
-        file.attrs["params"] = json.dumps(params)
-        del file["valid"]
-        speed = file["speed_mps"][:]
-        del file["speed_mps"]
-        file["speed_mps"] = speed.astype(np.float32)
-        file["speed_mps"].attrs["unit"] = "km/h"
-        del file["yaw_rate_radps"]
-        file["yaw_rate_radps"] = np.zeros((12, 2))
-        file["yaw_rate_radps"].attrs["unit"] = "rad/s, left positive"
-
-    change(folder, "labels", edit)
-    problems = {difference.key: difference.problem for difference in compare_drives(folder, "labels")}
-    assert problems == {
-        "params.labels.wheelbase_m": "2.7 and 2.5",
-        "valid": "only in A",
-        "unit of valid": "only in A",
-        "speed_mps": "float64 () and float32 ()",
-        "unit of speed_mps": "m/s and km/h",
-        "yaw_rate_radps": "float64 () and float64 (2,)",
-    }
-
-
 def test_json_by_key(tmp_path: Path) -> None:
     a = '{"test": {"nmse": 0.25, "frames": 9, "x": null}, "seeds": [0, 1], "on": true, "old": 1}'
     b = '{"test": {"nmse": 0.5, "frames": 9.0, "x": 3}, "seeds": [0, 1, 2], "on": 1, "new": 1}'
@@ -146,12 +118,6 @@ def test_csv_by_drive_and_frame(tmp_path: Path) -> None:
     assert set(compare_texts(tmp_path, "curve.csv", "epoch,loss\n0,1.0\n", "epoch,loss\n0,1.5\n")) == {" 0.loss"}
 
 
-@pytest.mark.parametrize(("name", "content"), [("a.csv", 'a,b\n"x'), ("a.json", "{"), ("a.pt", "no checkpoint")])
-def test_damaged_file_is_named(tmp_path: Path, name: str, content: str) -> None:
-    with pytest.raises(InputError, match=name):
-        compare_texts(tmp_path, name, content, f"{content} ")
-
-
 def test_checkpoints_by_tensor(tmp_path: Path) -> None:
     net = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(2)}
     other = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(3)}
@@ -173,25 +139,3 @@ def test_folders_are_compared_file_by_file(tmp_path: Path) -> None:
     assert [str(each) for each in found] == [
         "table.md: 10 and 10 bytes, not the same", "x/one.json: only in A", "x/two.json: only in B",
     ]  # fmt: skip
-
-
-def test_two_kinds_are_refused(tmp_path: Path) -> None:
-    folder, one, text = tmp_path / "a", tmp_path / "a/one.json", tmp_path / "a/table.md"
-    folder.mkdir()
-    for path in (one, text):
-        path.write_text("{}")
-    for a, b in ((folder, one), (one, folder), (one, tmp_path / "none.json"), (one, text)):
-        with pytest.raises(InputError) as raised:
-            diff.pairs(a, b)
-        assert "two files of one kind" in raised.value.fix
-
-
-def test_numbers_that_differ() -> None:
-    nan, inf = np.nan, np.inf
-    a, b = np.array([1.0, nan, nan, inf, inf, 2.0]), np.array([1.5, nan, 1.0, inf, -inf, 2.0])
-    assert (diff._distances(a, b) > 0).tolist() == [True, False, True, False, True, False]
-    assert (diff._distances(a, b) > 0.5).tolist() == [False, False, True, False, True, False]
-    assert diff._distances(np.array([250], np.uint8), np.array([5], np.uint8)).tolist() == [245]
-    big = np.array([2**60], np.int64)
-    assert diff._distances(big, big + 1) > 0  # equal as float64
-    assert diff._distances("a", "b") == inf

@@ -85,22 +85,6 @@ def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
         project.due_stages(copy)
 
 
-def test_without_dvc_lock_the_origin_is_unknown(tmp_path: Path) -> None:
-    (tmp_path / "data").mkdir()
-    assert lineage.trace(tmp_path / "data")["written by"].startswith("unknown")
-
-
-@pytest.mark.parametrize(
-    "content",
-    ["", "[]", "stages: 3", "stages: {a: 3}", "[" * 100_000, "a: [", "\x00", "stages: {a: {outs: 3}}"],
-)
-def test_damaged_lock_is_named(tmp_path: Path, content: str) -> None:
-    (tmp_path / "dvc.lock").write_text(content)
-    with pytest.raises(InputError, match=r"dvc\.lock") as raised:
-        lineage.trace(tmp_path)
-    assert len(str(raised.value)) < 1000
-
-
 def test_raw_drive_of_an_artefact(tmp_path: Path) -> None:
     folder = kitti_drive.write_drive(tmp_path / "raw")
     path = tmp_path / f"ingest/{kitti_drive.DRIVE}.h5"

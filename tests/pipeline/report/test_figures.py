@@ -108,8 +108,3 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
 
 
-def test_without_images_and_with_a_horizon(tmp_path: Path) -> None:
-    results = examples.results(tmp_path, examples.metrics("net"))
-    assert [*draw.draw(tmp_path / "figures", results, tmp_path)] == ["paths"]
-    ahead = examples.results(tmp_path, examples.metrics("ahead", horizon=10))
-    assert draw.draw(tmp_path / "figures", ahead, tmp_path) == {}

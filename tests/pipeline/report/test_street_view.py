@@ -42,33 +42,3 @@ def test_a_view_is_read_by_frame_number(tmp_path: Path) -> None:
     np.testing.assert_array_equal(third.points_cls, third.cls[v, u])
 
 
-def test_from_above_high_points_hide_low_ones() -> None:
-    panel = Figure().add_subplot()
-    xyz = np.array([[1.0, -3.0, 9.0], [1.0, 1.6, 9.0], [-2.0, 0.0, 20.0]])
-    street_view.draw_cloud(panel, xyz, np.array([classes.VEGETATION, classes.ROAD, classes.CAR]))
-    (points,) = panel.collections
-    np.testing.assert_array_equal(points.get_offsets(), [[1, 9], [-2, 20], [1, 9]])
-    colours = classes.COLOURS[[classes.ROAD, classes.CAR, classes.VEGETATION]] / 255
-    np.testing.assert_allclose(np.asarray(points.get_facecolor())[:, :3], colours)
-
-
-def test_frames_are_spread_evenly_over_the_drive() -> None:
-    assert street_view.evenly_spread(np.arange(100, 109), 3) == [101, 104, 107]
-    assert street_view.evenly_spread(np.array([4, 7]), 3) == [4, 7]
-
-
-def test_a_sheet_names_each_visible_class_once() -> None:
-    one = view()
-    void = one._replace(cls=np.full_like(one.cls, classes.VOID))
-    names = [text.get_text() for text in street_view.sheet("drive", [one, void]).legends[0].get_texts()]
-    assert names == ["road", "building", "sky"]
-    assert not street_view.sheet("drive", [void]).legends[0].get_texts()
-
-
-def test_depth_runs_from_red_to_blue_and_is_clipped() -> None:
-    depth_m = np.array([[street_view.NEAR_M, street_view.FAR_M, 0.0, 1.0, 500.0]])
-    near, far, none, nearer, farther = street_view.colourise_depth(depth_m)[0].astype(int)
-    assert near[0] > near[2] + 50
-    assert far[2] > far[0]
-    assert none.tolist() == [0, 0, 0, 0]
-    assert (nearer.tolist(), farther.tolist()) == (near.tolist(), far.tolist())

@@ -60,14 +60,6 @@ def test_a_short_drive_does_not_shorten_the_blocks_of_a_long_one() -> None:
     assert joined == pytest.approx(alone, rel=0.1)
 
 
-def test_the_memory_of_the_bootstrap_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(0)
-    steering, drive = rng.normal(size=300), np.zeros(300)
-    at_once = interval.nmse_interval(steering, steering + 0.3, drive, 20, 500, seed=0)
-    monkeypatch.setattr(interval, "_DRAWS_AT_ONCE", 40)
-    assert interval.nmse_interval(steering, steering + 0.3, drive, 20, 500, seed=0) == at_once
-
-
 def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
     rng = np.random.default_rng(0)
     steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)

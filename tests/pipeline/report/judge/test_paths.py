@@ -63,14 +63,6 @@ def test_a_step_uses_speed_and_angle_of_its_end() -> None:
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [1 + 2 * np.cos(0.1), 2 * np.sin(0.1)]])
 
 
-def test_in_the_papers_formula_the_angle_is_the_heading() -> None:
-    bend = replace(track(0.1, 50), formula="paper")
-    whole = bend.path(bend.steering_rad, 0, STEPS)
-    np.testing.assert_allclose(bend.path(bend.steering_rad, 40, 70), whole[40:70], atol=1e-9)
-    off = drift([(bend, np.full(STEPS, 0.13))])
-    assert off == pytest.approx(100 * 2 * np.sin(0.03 / 2))
-
-
 # Metres off per 100 m, mean over pieces of 100 m, of the drives that miss 1, and why: "beside" is what their positions
 # and the integral of their own velocities, north and east, are apart.
 MISSED = {

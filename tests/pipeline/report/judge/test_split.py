@@ -96,21 +96,3 @@ def test_frames_near_decisions_are_left_out_of_one_score(tmp_path: Path, monkeyp
     assert metrics([split.Case(first, np.zeros((1, 30)), 0.0)])["without_decisions"]["nmse"] is None
 
 
-def test_sizes_are_means_or_none(tmp_path: Path) -> None:
-    sizes = split.sizes(drives(tmp_path / "graphs"))
-    assert sizes["points_per_frame"] == 40
-    assert 0 < sizes["edges_per_frame"] < sizes["edges_per_frame_unpruned"]
-    images = split.sizes(drives(tmp_path / "images", artefacts.write_images))
-    assert set(images.values()) == {None}
-
-
-def test_drift_uses_the_formula_of_the_params(tmp_path: Path) -> None:
-    cases = [split.Case(drive, drive.steering_rad[None] + 0.03, 0.0) for drive in drives(tmp_path)]
-    settings = load(Evaluate, PARAMS)
-    assert settings.path == "bicycle"
-    bicycle, paper = (
-        split.metrics(cases, settings.model_copy(update={"path": path}))["drift_m_per_100m"]
-        for path in ("bicycle", "paper")
-    )
-    assert paper == pytest.approx(100 * 2 * np.sin(0.03 / 2), rel=0.01)  # on almost straight road
-    assert bicycle > 2 * paper

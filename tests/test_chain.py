@@ -3,14 +3,12 @@
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
 from pipeline.base import store
-from pipeline.camera import classes
 from pipeline.sections import preset
 from tests import scratch
 from tests.scratch import MODEL, STAGES
@@ -73,13 +71,6 @@ def test_bytes_do_not_depend_on_workers(chain: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_bytes_of_all_stages_do_not_depend_on_workers(chain: Path, tmp_path: Path, number: int) -> None:
-    stages = [stage for stage in STAGES if stage not in ("encoder", "train", "evaluate", "report")]
-    check_same_bytes(chain, tmp_path / "copy", dict.fromkeys(stages, number))
-
-
-@pytest.mark.soak
 def test_a_longer_training_predicts_steering_from_the_scene(tmp_path: Path) -> None:
     folder = scratch.copy(tmp_path / "sample")
     params = yaml.safe_load((folder / "params.yaml").read_text())
@@ -127,37 +118,23 @@ def test_real_drives_run_the_same_chain(real_half: Path, real_weights: Path, tmp
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
     output = scratch.run(folder, "dvc", "repro")
     assert "no validation drives, so no early stopping" in output
-    assert grey in next(line for line in output.splitlines() if line.startswith("no scans"))
     assert f"lidar: no motion of {grey}" in output
-
-    _check_folds(folder, model, sample, real)
+    result = json.loads((folder / f"data/evaluate/{model}/metrics.json").read_text())
+    for drive in real:  # ten frames ahead, with a network that was not trained on the drive
+        assert (folder / f"data/train/{model}/fold-{drive}/best.pt").is_file()
+        errors = result["test"]["by_drive"][drive]
+        assert errors["frames"] == 50 - 7 - 10
+        assert errors["baselines"]["odometry"]["nmse"] < 0.3  # the angle a second ago
+        assert errors["nmse"] < 1.5  # hardly trained, but it starts from odometry
     with store.DriveReader(folder / f"data/labels/{grey}.h5", stage="labels") as file:
-        assert file["valid"].all()
         assert -0.14 < file["steering_rad"].min() < file["steering_rad"].max() < 0  # a right bend
-    with store.DriveReader(folder / f"data/ingest/{grey}.h5", stage="ingest") as file:
-        assert file.attrs["camera"] == 0
-        image = file["image"]
-        assert image.shape[0] == 50
-        assert (image[..., 0] == image[..., 2]).all()
-    for kind, drive, frames in (
-        ("pseudo", colour, 50),
-        ("pseudo", grey, 50),
-        ("lidar", colour, 50),
-        ("lidar", grey, 0),
-    ):
-        _check_cloud(folder, kind, drive, frames)
-    assert {path.stem for path in (folder / "data/pictures").iterdir()} == {*sample, *real}
+    with store.DriveReader(folder / f"data/clouds/lidar/{colour}.h5", stage="clouds") as file:
+        x, y, z = file["xyz"].T
+        road = (np.abs(x) < 3) & (z > 4) & (z < 12)
+        assert np.median(y[road]) == pytest.approx(1.65, abs=0.15)  # below the camera
     scores = {drive: json.loads((folder / f"data/scores/{drive}/metrics.json").read_text()) for drive in real}
     assert scores[colour]["depth_lidar"]["abs_rel"] < scores[colour]["ground_plane_lidar"]["abs_rel"]
-    for drive, kind in ((colour, "visual"), (colour, "lidar"), (grey, "visual")):
-        assert scores[drive]["motion"][kind]["nmse"] < 0.02, f"{kind} {drive}"
-        assert scores[drive]["motion"][kind]["valid"] > 0.95
-
-    params["models"][model] |= {"input": "lidar", "motion": "lidar"}
-    (folder / "params.yaml").write_text(yaml.safe_dump(params))
-    output = scratch.run(folder, "dvc", "repro")
-    result = json.loads((folder / f"data/evaluate/{model}/metrics.json").read_text())
-    assert list(result["test"]["by_drive"]) == [colour]
+    assert scores[grey]["motion"]["visual"]["nmse"] < 0.02
 
 
 def _cut(source: Path, root: Path, drives: dict[str, range]) -> None:
@@ -170,42 +147,3 @@ def _cut(source: Path, root: Path, drives: dict[str, range]) -> None:
                 link.parent.mkdir(parents=True, exist_ok=True)
                 if not link.exists():
                     link.symlink_to(path)
-
-
-def _check_folds(folder: Path, model: str, sample: list[str], real: dict[str, range]) -> None:
-    """Each real drive is tested, ten frames ahead, with a network that was not trained on it, beside odometry."""
-    result = json.loads((folder / f"data/evaluate/{model}/metrics.json").read_text())
-    first, second = real
-    # The training drives of all folds.
-    assert result["drives"] == {"train": [*sample, second, first], "val": [], "test": list(real)}
-    assert result["val"] is None
-    window, horizon = 8, 10
-    for drive, frames in real.items():
-        assert (folder / f"data/train/{model}/fold-{drive}/best.pt").is_file()
-        errors = result["test"]["by_drive"][drive]
-        assert errors["frames"] == len(frames) - (window - 1) - horizon
-        assert errors["baselines"]["zero"]["nmse"] == 1.0
-        assert errors["baselines"]["odometry"]["nmse"] < 0.3  # the angle a second ago: 0.11, 0.17
-        assert errors["nmse"] < 1.5  # hardly trained, but it starts from odometry
-    table = (folder / "data/report/table.md").read_text()
-    assert all(f" {drive} |" in table for drive in real)
-    assert "| *odometry* " in table
-
-
-def _check_cloud(folder: Path, kind: str, drive: str, frames: int) -> None:
-    with store.DriveReader(folder / f"data/clouds/{kind}/{drive}.h5", stage="clouds") as file:
-        ptr: Any = file["ptr"]
-        assert len(file.frame) == frames
-        if not frames:
-            assert len(file["xyz"]) == 0
-            return
-        assert np.diff(ptr).min() > 1000
-        xyz, cls = file["xyz"], file["cls"]
-    assert np.isfinite(xyz).all()
-    if kind == "lidar":
-        # The road is 1.65 m below the camera.
-        near = (np.abs(xyz[:, 0]) < 3) & (xyz[:, 2] > 4) & (xyz[:, 2] < 12)
-        assert np.median(xyz[near, 1]) == pytest.approx(1.65, abs=0.15)
-    else:
-        assert xyz[:, 2].min() > 0
-        assert not np.isin(cls, [classes.SKY, classes.VOID]).any()

@@ -38,15 +38,6 @@ def files(pattern: str) -> list[str]:
     return paths
 
 
-@pytest.mark.parametrize(
-    "pattern", ["pipeline/report/**/*.py", "pipeline/perception/*scores.py", "stages/scores.py", "stages/report.py"]
-)
-def test_reports_and_scores_run_no_network(pattern: str) -> None:
-    for file in files(pattern):
-        assert stages_run_by(file), f"{file} belongs to no stage"
-        assert not stages_run_by(file) & NETWORKS
-
-
 @pytest.mark.parametrize("pattern", ["pipeline/train/*.py", "models/steering/core/**/*.py"])
 def test_the_trainer_and_steering_networks_run_neither_encoder_nor_graphs(pattern: str) -> None:
     for file in files(pattern):

@@ -120,17 +120,3 @@ def test_a_second_run_of_a_preset_is_refused(checkout: Path) -> None:
     failed = make(checkout, "kitti")
     assert failed.returncode != 0
     assert "another make" not in failed.stderr
-
-
-@pytest.mark.slow
-def test_a_preset_is_written_over_params_yaml(checkout: Path) -> None:
-    missing = make(checkout, "params")
-    assert missing.returncode != 0
-    assert " ".join(sorted(path.stem for path in preset.PRESETS.glob("*.yaml"))) in missing.stderr
-    (checkout / "mine.yaml").write_text("train: {epochs: 3}\n")
-    done = make(checkout, "params", "PRESET=mine.yaml")
-    assert "mine.yaml" in done.stdout, done.stderr
-    assert yaml.safe_load((checkout / "params.yaml").read_text())["train"]["epochs"] == 3
-    unknown = make(checkout, "params", "PRESET=kiti")
-    assert unknown.returncode != 0
-    assert "kitti" in unknown.stderr

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import h5py
 import pytest
 import yaml
 
@@ -140,39 +139,6 @@ def test_a_half_copied_object_is_refused_and_the_way_out_works(lab: Lab, tmp_pat
         shutil.rmtree(second / "data/labels")
     typed(second, "dvc pull labels")
     assert scratch.outputs(second, "labels") == scratch.outputs(lab.first, "labels")
-
-
-@pytest.mark.soak
-def test_what_another_schema_made_is_named_and_trains_nothing(lab: Lab, tmp_path: Path) -> None:
-    old, remote = tmp_path / "old", tmp_path / "remote"
-    shutil.copytree(lab.first, old, ignore=shutil.ignore_patterns("town", "cache"))
-    with h5py.File(old / f"data/labels/{DRIVE}", "r+") as file:
-        file.attrs["schema"] = 1
-    scratch.run(old, "dvc", "commit", "--force", "labels")
-    shutil.copytree(lab.folder, remote)
-    scratch.run(old, "dvc", "remote", "modify", "lab", "url", str(remote))
-    scratch.run(old, "dvc", "push", "labels")
-    scratch.commit(old, "of another schema")
-
-    second = clone(old, tmp_path / "second")
-    output = typed(second, TRAIN, check=False)
-    (line,) = (line for line in output.splitlines() if line.startswith("error: "))
-    assert line.startswith(f"error: data/labels/{DRIVE}")
-    assert "schema 1" in line
-    assert "dvc pull labels" in line
-    assert not (second / f"data/train/{MODEL}").exists()
-
-
-@pytest.mark.soak
-def test_what_a_remote_lacks_trains_nothing(lab: Lab, tmp_path: Path) -> None:
-    second, remote = clone_with_a_remote(lab, tmp_path)
-    object_of(lab.first, remote).unlink()
-    change(second, semantics=0.5)
-    for line in (TRAIN, GO_ON):
-        output = typed(second, line, check=False)
-        assert f"failed to reproduce 'train@{MODEL}'" in output
-        assert set(scratch.stages_run(output)) <= {"check"}
-        assert not (second / f"data/train/{MODEL}").exists()
 
 
 def change(machine: Path, **line: object) -> None:

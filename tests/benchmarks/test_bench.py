@@ -8,7 +8,6 @@ import typer
 
 from benchmarks import bench, demo
 from benchmarks.row import Row
-from pipeline.base.errors import InputError
 
 FAST, ALONE, DEMO = Row(2.0, 6.0, "ms", 3.0, "a / b"), Row(1.5, None, "GB", None, "c"), Row(300.0, None, "s", None, "d")
 
@@ -17,18 +16,9 @@ def failing() -> Row:
     raise ValueError("first line\nsecond line")
 
 
-def missing() -> Row:
-    raise ModuleNotFoundError("No module named 'alternative'")
-
-
 def use_rows(monkeypatch: pytest.MonkeyPatch, **rows: Row) -> None:
     monkeypatch.setattr(bench, "STREET_ROWS", {})
     monkeypatch.setattr(bench, "OTHER_ROWS", {name: lambda row=row: row for name, row in rows.items()})
-
-
-def test_an_unknown_row_is_an_error_with_the_closest_name() -> None:
-    with pytest.raises(InputError, match="gcn_vs_pyg_csr"):
-        bench.main(["gcn_vs_pyg_cs"])
 
 
 def test_rows_are_printed_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
@@ -41,13 +31,6 @@ def test_rows_are_printed_and_written(tmp_path: Path, monkeypatch: pytest.Monkey
     assert content["rows"]["fast"] == {"ours": 2.0, "alternative": 6.0, "unit": "ms", "ratio": 3.0, "what": "a / b"}
 
 
-def test_a_named_row_is_added_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    use_rows(monkeypatch, fast=FAST, demo=DEMO)
-    for names, written in (None, ["fast"]), (["demo"], ["fast", "demo"]), (None, ["fast"]):
-        bench.main(names, data=tmp_path, out=tmp_path / "results.json")
-        assert list(json.loads((tmp_path / "results.json").read_text())["rows"]) == written
-
-
 def test_the_other_rows_are_measured_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     use_rows(monkeypatch, last=FAST)
     monkeypatch.setattr(bench, "OTHER_ROWS", {"first": failing, **bench.OTHER_ROWS})
@@ -57,19 +40,6 @@ def test_the_other_rows_are_measured_after_a_failure(tmp_path: Path, monkeypatch
     rows = json.loads((tmp_path / "results.json").read_text())["rows"]
     assert rows["first"] == {"error": "ValueError: first line"}
     assert rows["last"]["ratio"] == 3
-
-
-def test_an_alternative_that_is_not_installed_is_no_failure(tmp_path: Path, monkeypatch, capsys) -> None:
-    use_rows(monkeypatch)
-    monkeypatch.setattr(bench, "OTHER_ROWS", {"a": missing})
-    bench.main(data=tmp_path)
-    assert "No module named 'alternative'" in capsys.readouterr().out
-
-
-def test_the_sample_is_needed_without_recorded_scans(tmp_path: Path) -> None:
-    with pytest.raises(InputError) as raised:
-        bench.sample(tmp_path)
-    assert "make demo" in raised.value.fix
 
 
 def test_the_times_of_a_stage_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,5 @@
 """Stages clouds and graphs, one after the other."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,6 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import DEPTH_UNITS_PER_M
 from pipeline.graphs import cloud
-from pipeline.kitti.ingest_file import put_motion, put_pixels
-from pipeline.kitti.oxts import make_rows
 from pipeline.motion import kinds
 from stages import clouds, graphs
 from tests import street
@@ -181,5 +178,3 @@ def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> Non
     lidar = {"source": "clouds/lidar", "accumulate": {"motion": "lidar", "frames": 3}}
     with pytest.raises(InputError, match=r"accumulate\.motion = 'lidar'"):
         run_graphs(tmp_path, tmp_path / "graphs", **{**variant, **lidar})
-
-

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 import pytest
 import torch
 import yaml
@@ -16,7 +15,6 @@ from pipeline.base.errors import InputError
 from pipeline.encoder import perceive
 from stages.encoder import main
 from tests import street
-from tests.kitti_drive import write_png
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
 SETTINGS = {
@@ -171,5 +169,3 @@ def test_a_teacher_labels_images_of_all_drives_without_use_of_their_labels(inges
         assert all(config(out)["frames_per_drive"][drive] > 0 for drive in (TRAIN, VAL, TEST))
         digests.add(hashlib.sha256((out / "encoder.pt").read_bytes()).hexdigest())
     assert len(digests) == 1
-
-

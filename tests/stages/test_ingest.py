@@ -1,6 +1,5 @@
 """Stage ingest on small drives in KITTI raw's layout, intact and damaged."""
 
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 import tarfile
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
 from pipeline.kitti.ingest_file import put_motion
 from pipeline.kitti.oxts import make_rows

@@ -124,5 +124,3 @@ def test_depth_of_another_unit_is_scaled(tmp_path: Path, mode: str, expected: fl
     assert np.median(depth[truth > 0] / truth[truth > 0]) == pytest.approx(expected, rel=0.01)
     with store.DriveReader(tmp_path / "perception" / f"{DENSE}.h5", stage="perception") as file:
         assert ("unknown unit" in file.dataset("depth_m").attrs["unit"]) == (mode == "none")
-
-

@@ -1,4 +1,3 @@
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -6,9 +5,7 @@ import pytest
 from matplotlib.image import imread
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.graphs import cloud
 from stages import clouds, pictures
 from tests import street
 
@@ -46,5 +43,3 @@ def test_each_drive_with_images_has_a_picture(data: Path, tmp_path: Path, capsys
     shown = {number for number, colour in enumerate(classes.COLOURS) if (pixels == colour).all(axis=-1).sum() > 500}
     assert shown == {classes.ROAD, classes.BUILDING, classes.SKY}
     assert draw(data, tmp_path / "b") == drawn
-
-

@@ -4,10 +4,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.perception.scores import Scores
 from stages import report
 from tests.pipeline.report import examples
@@ -49,5 +47,3 @@ def test_without_results_all_outputs_exist(tmp_path: Path) -> None:
     folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}
     assert folders == {"learning", "steering", "settings", "figures"}
     assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}
-
-

@@ -6,7 +6,6 @@ import pytest
 import yaml
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres, to_units
 from pipeline.encoder.truth import read_truth

@@ -126,5 +126,3 @@ def test_replay_copies_recorded_packets_up_to_the_split_s_limit(
             assert path.read_bytes() == recorded[drive].oxts[frame].read_bytes()
         assert rendered[drive].camera([2]) is not None
     assert "drive_0001: 5 frames, 2.4 m" in capsys.readouterr().out
-
-

@@ -18,7 +18,7 @@ import torch
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
-from pipeline.train import distributed, training, windows
+from pipeline.train import training, windows
 from tests import artefacts
 from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params, write_two_test_drives
 

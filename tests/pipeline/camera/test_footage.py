@@ -74,8 +74,3 @@ def test_unusable_images(tmp_path: Path, images: list[np.ndarray], kind: type, p
     with pytest.raises(kind, match=problem) as raised:
         list(open_footage(tmp_path).frames())
     assert raised.value.where.startswith(str(tmp_path))
-
-
-def test_missing_path(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="missing"):
-        open_footage(tmp_path / "nothing.mp4")

@@ -1,6 +1,5 @@
 """Videos: frames, times, rotation, and the faults of files."""
 
-import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -29,23 +28,6 @@ def test_frames_and_times_of_the_container(tmp_path: Path, kind: str) -> None:
     assert len(list(video.frames())) == 12  # a second pass
 
 
-def test_given_frame_rate_replaces_timestamps(tmp_path: Path) -> None:
-    video = open_footage(write_video(tmp_path / "a.mp4", pictures(3), fps=25), fps=10)
-    assert [frame.time_s for frame in video.frames()] == pytest.approx([0, 0.1, 0.2])
-
-
-def test_rotation_as_opencv_applies_it(tmp_path: Path) -> None:
-    path = write_video(tmp_path / "a.mp4", pictures(3))
-    content = bytearray(path.read_bytes())
-    matrix = content.index(b"tkhd") + 44  # 3 x 3, of the track header
-    content[matrix : matrix + 36] = struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, SIZE[0] << 16, 0, 1 << 30)
-    path.write_bytes(content)
-    expected = cv2.VideoCapture(str(path)).read()[1][..., ::-1]
-    video = open_footage(path)
-    assert video.size == expected.shape[:2] == SIZE[::-1]
-    assert np.abs(next(iter(video.frames())).image.astype(int) - expected).max() <= 1
-
-
 @pytest.mark.parametrize(
     ("stamps", "times", "start"),
     [
@@ -62,13 +44,6 @@ def test_clock_follows_timestamps_while_they_increase(
     clock = Clock(Path("a.mp4"), 10, fixed_fps=False)
     assert [clock.time_s(index, stamp) for index, stamp in enumerate(stamps)] == pytest.approx(times)
     assert clock.untimed_from == start
-
-
-def test_clock_without_timestamps_or_frame_rate() -> None:
-    clock = Clock(Path("a.mp4"), None, fixed_fps=False)
-    with pytest.raises(DamagedFile) as raised:
-        clock.time_s(0, None)
-    assert raised.value.fix == "Pass --fps"
 
 
 def test_changing_size_is_refused(tmp_path: Path) -> None:

@@ -45,13 +45,9 @@ def test_missing_files_and_cameras(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
-        ("P_rect_02: 5.0", "P_rect_02: nan 5.0", "P_rect_02: expected 12 finite"),
         ("P_rect_02: 5.000000000e+01", "P_rect_02: inf", "P_rect_02: expected 12 finite"),
-        ("P_rect_02: 5.000000000e+01", "P_rect_02: 5.000000000e+09", "implausible intrinsics"),
-        ("S_rect_02: 64", "S_rect_02:", "S_rect_02: expected 2 finite"),
         ("S_rect_02: 64", "S_rect_02: 64000", "implausible image size"),
         ("R_rect_00: 9", "R_rect_00: -9", "expected a rotation"),
-        ("R_rect_00", "R_rect_99", "no entry R_rect_00"),
         ("calib_time:", "<html>\ncalib_time:", "not a calibration file"),
     ],
 )

@@ -95,12 +95,6 @@ def test_fingerprint_covers_all_inputs(tmp_path: Path) -> None:
     assert RawDrive(folder).fingerprint([2]) not in hashes, "packets count by content, not by size"
 
 
-def test_scan_round_trip(tmp_path: Path) -> None:
-    points = scan(np.random.default_rng(0))
-    write(tmp_path / "0.bin", points.tobytes())
-    np.testing.assert_array_equal(read_scan(tmp_path / "0.bin"), points)
-
-
 def test_damaged_scans(tmp_path: Path) -> None:
     points = scan(np.random.default_rng(0), 640)
     nan, far = points.copy(), points.copy()

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base import progress
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.kitti.tolerant import TolerantReader
 
@@ -36,15 +35,3 @@ def test_damaged_frame_is_an_error() -> None:
 def test_faults_of_more_than_a_frame_are_never_tolerated() -> None:
     with pytest.raises(InputError, match="calibration"):
         list(TolerantReader(tolerant=True).each("image", read, FILES, [9]))
-
-
-def test_progress_counts_each_frame_once_over_all_passes() -> None:
-    counted: list[int] = []
-    progress.report_to(counted.append)
-    try:
-        reader = TolerantReader(tolerant=True, passes=2)
-        for kind in ("oxts", "image"):
-            list(reader.each(kind, read, FILES, [2, 3, 5, 6]))
-            assert sum(counted) == (2 if kind == "oxts" else 4)
-    finally:
-        progress.report_to(None)

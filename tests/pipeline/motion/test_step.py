@@ -31,17 +31,6 @@ def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     return np.array([clock.duration(*pair) for pair in zip(frame.tolist(), time_s.tolist(), strict=True)])
 
 
-def test_durations_average_the_jitter_of_time_stamps() -> None:
-    """Times on a grid of 10 ms, as in KITTI, of a camera with a period of 103.7 ms."""
-    frame = np.delete(np.arange(60), [20, 21])
-    time_s = np.round(frame * 0.1037, 2)
-    assert np.abs(np.diff(time_s)[:10] / 0.1037 - 1).max() > 0.03
-    measured = durations(frame, time_s)
-    assert np.isnan(measured[0])
-    assert np.abs(measured[1:] / 0.1037 - 1).max() < 0.04
-    assert measured[10:] == pytest.approx(0.1037, rel=0.011)
-
-
 def test_durations_equal_the_mean_of_recent_similar_steps() -> None:
     time_s = np.cumsum(np.random.default_rng(0).uniform(0.05, 0.2, 60))
     steps = np.diff(time_s)
@@ -50,8 +39,3 @@ def test_durations_equal_the_mean_of_recent_similar_steps() -> None:
         recent = steps[max(0, row + 1 - step.RECENT) : row + 1]
         expected.append(recent[(recent < own * step.SIMILAR) & (recent > own / step.SIMILAR)].mean())
     np.testing.assert_allclose(durations(np.arange(60), time_s)[1:], expected, rtol=1e-12)
-
-
-def test_a_pause_has_its_own_duration() -> None:
-    measured = durations(np.arange(5), np.array([0, 0.1, 0.2, 5.2, 5.3]))
-    assert measured[1:] == pytest.approx([0.1, 0.1, 5.0, 0.1])

@@ -38,12 +38,6 @@ def test_overlap() -> None:
         assert f"--offset by {offset}" in raised.value.fix
 
 
-def test_times_from_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "times.txt"
-    path.write_text("1774951200.125\n1774951200.250 \n1774951200.5\n\n")
-    np.testing.assert_array_equal(read_times(path) - 1774951200, [0.125, 0.25, 0.5])
-
-
 @pytest.mark.parametrize("text", ["", "1\n12:30\n", "inf\n", "1\n2\n2\n", "0\n1e12\n", "-62e9\n1\n"])
 def test_unusable_times(tmp_path: Path, text: str) -> None:
     path = tmp_path / "times.txt"

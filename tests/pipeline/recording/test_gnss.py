@@ -1,6 +1,5 @@
 """GPX and NMEA tracks: intact fixes only."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -58,15 +57,6 @@ def test_nmea_sentences(track: Callable[[str], Path]) -> None:
     np.testing.assert_allclose(fixes.velocity_mps, velocity, atol=1e-3)
 
 
-def test_standing_car_has_no_course(track: Callable[[str], Path]) -> None:
-    time_s, places, heading = bend(3, 1.0)
-    text = nmea(time_s, places, 0.0, heading)
-    np.testing.assert_array_equal(read_nmea(track(text)).velocity_mps, np.zeros((3, 2)))
-    moving = text.replace(",0.0000,,", ",9.0000,,")
-    lines = "".join(sentence(line[1:].partition("*")[0]) for line in moving.splitlines())
-    assert read_nmea(track(lines)).velocity_mps is None
-
-
 @pytest.mark.parametrize(
     ("read", "text", "problem"),
     [
@@ -79,11 +69,3 @@ def test_no_track(track: Callable[[str], Path], read: Callable[[Path], Fixes], t
     with pytest.raises(InputError, match=problem) as raised:
         read(track(text))
     assert raised.value.where.endswith("track")
-
-
-@pytest.mark.parametrize(("library", "read"), [("gpxpy", read_gpx), ("pynmea2", read_nmea)])
-def test_missing_library(monkeypatch: pytest.MonkeyPatch, library: str, read: Callable[[Path], Fixes]) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=library) as raised:
-        read(Path("track"))
-    assert "pip install" in raised.value.fix

@@ -6,10 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.base.errors import InputError
-from pipeline.perception.scores import Scores
 from pipeline.report import dvc_files
-from pipeline.report.results import load_results
 from tests.pipeline.report import examples
 
 

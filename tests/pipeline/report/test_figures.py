@@ -106,5 +106,3 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     assert [*captions] == ["chain", "street", "pruning", "wheels", "paths", "neurons"]
     assert [caption[:9] for caption in captions.values()] == [f"Figure {number}." for number in range(1, 7)]
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
-
-

@@ -3,8 +3,6 @@
 import html
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import cv2
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.report import tables
 from pipeline.report.page import plots
 from pipeline.report.page.page import write_page
@@ -102,5 +99,3 @@ def test_plots_show_driven_odometry_and_predictions(data: Path) -> None:
     assert [trace.name for trace in plots.over_time(without).data] == ["driven", "ahead"]
     long = table.assign(elapsed_s=table["elapsed_s"] * 10)
     assert plots.over_time(long).layout.xaxis.rangeslider.visible
-
-

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.report.results import load_results
 from tests.pipeline.report import examples
@@ -74,5 +73,3 @@ def test_a_damaged_file_is_one_error(tmp_path: Path, name: str, text: str | byte
         load_results(tmp_path / "evaluate", ["net"])
     assert f"net/{name}" in str(raised.value)
     assert "dvc repro --force --single-item evaluate@net" in str(raised.value)
-
-

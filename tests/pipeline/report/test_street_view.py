@@ -2,11 +2,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.camera import classes, geometry
+from pipeline.camera import geometry
 from pipeline.camera.images import DEPTH_UNITS_PER_M
 from pipeline.graphs import cloud
 from pipeline.report import street_view
@@ -40,5 +39,3 @@ def test_a_view_is_read_by_frame_number(tmp_path: Path) -> None:
     u, v = np.rint(uv).astype(int).T
     assert z == pytest.approx(third.depth_m[v, u], abs=0.5 / DEPTH_UNITS_PER_M)
     np.testing.assert_array_equal(third.points_cls, third.cls[v, u])
-
-

@@ -3,11 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pipeline.perception.scores import Scores
 from pipeline.report import tables
-from pipeline.report.results import load_results
 from tests.pipeline.report import examples
 
 CARD = {

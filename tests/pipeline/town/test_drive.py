@@ -10,7 +10,6 @@ from pipeline.camera.images import to_metres
 from pipeline.camera.pixels import read_pixels
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive, read_scan
-from pipeline.town.contact_sheet import contact_sheet, read_views
 from pipeline.town.drive import Drive
 from pipeline.town.oxts import ALTITUDE_M
 from pipeline.town.rig import make_rig, rotation, write_calibration
@@ -117,16 +116,3 @@ def test_name_and_seed_determine_all_bytes(tmp_path: Path) -> None:
         assert path.read_bytes() == (again.folder / path.relative_to(first.folder)).read_bytes(), path
     for different in (render(tmp_path / "a", "2026_01_01_drive_0002"), render(tmp_path / "c", seed=1)):
         assert different.truth_depth[0].read_bytes() != first.truth_depth[0].read_bytes()
-
-
-def test_contact_sheet(drive: RawDrive) -> None:
-    rgb, depth_m = np.full((10, 40, 3), 200, np.uint8), np.full((10, 40), 8.0)
-    depth_m[:5] = 0
-    sheet = contact_sheet([(rgb, depth_m, np.full((10, 40), classes.CAR, np.uint8))] * 2, width=80, gap=4)
-    assert sheet.shape == (2 * 24 - 4, 3 * 84 - 4, 3)
-    assert sheet[10, 40].tolist() == [200, 200, 200]
-    assert sheet[5, 84 + 40].tolist() == [0, 0, 0]
-    assert sheet[15, 84 + 40].tolist() == [127, 127, 127]  # half as near as white
-    assert sheet[10, 2 * 84 + 40].tolist() == classes.COLOURS[classes.CAR].tolist()
-    views = read_views([drive.folder], count=3)
-    np.testing.assert_array_equal(views[1][0], read_pixels(drive.images(2)[4]))

@@ -6,17 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.kitti.oxts import COLUMNS, GRAVITY_MPS2, WU, YAW
+from pipeline.kitti.oxts import COLUMNS, WU, YAW
 from pipeline.kitti.raw import find_drives
 from pipeline.label import steering_angle
 from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
     BRAKE_MPS2,
-    PERIOD_S,
     Body,
     Motion,
     draw_body,
-    draw_stops,
     drive,
     frame_times,
     speed_profile,
@@ -107,32 +105,6 @@ def test_real_rates_have_the_same_delay(real_kitti: Path, tmp_path: Path) -> Non
         assert late_s[np.argmin(error)] == pytest.approx(RATES_LATE_S, abs=0.0101)
 
 
-def test_duration_of_a_halt(driven: Drive) -> None:
-    _, motion, _, oxts = driven
-    standing = oxts["vf"] == 0
-    if not standing.any():
-        assert oxts["vf"].min() > 2
-        return
-    np.testing.assert_allclose(motion.s_m[standing], 40.0, atol=0.1)
-    assert np.ptp(motion.time_s[standing]) == pytest.approx(2.0, abs=0.22)
-
-
-def test_halts_lie_ahead_of_junctions() -> None:
-    rng = np.random.default_rng(0)
-    routes = [draw_route(rng, 200.0, 3.5) for _ in range(16)]
-    halts = [(route, halt) for route in routes for halt in draw_stops(rng, route, 80.0)]
-    assert 0 < len(halts) < 8
-    for route, halt in halts:
-        assert np.abs(np.array(route.junctions_m) - halt - 13.0).min() < 1e-9
-        assert 0 < halt < 80
-
-
-def test_too_short_a_route_is_refused() -> None:
-    route = draw_route(np.random.default_rng(0), 20.0, 3.5)
-    with pytest.raises(ValueError, match="too short"):
-        drive(route, speed_profile(route, 9.0, LATERAL), np.array([0.0, 500.0]), 1.0)
-
-
 def test_body_leans_dives_and_rests_at_standstill(driven: Drive) -> None:
     _, _, body, oxts = driven
     assert np.corrcoef(body.roll_rad, oxts["al"])[0, 1] > 0.7  # left bend: the left side comes up
@@ -143,14 +115,3 @@ def test_body_leans_dives_and_rests_at_standstill(driven: Drive) -> None:
     standing = oxts["vf"] == 0
     if standing.any():
         assert np.ptp(body.heave_m[standing]) < 1e-9
-
-
-def test_oxts_has_the_body_with_gravity_on_its_axes(driven: Drive) -> None:
-    _, _, body, oxts = driven
-    np.testing.assert_array_equal(oxts["roll"], body.roll_rad)
-    np.testing.assert_array_equal(oxts["pitch"], body.pitch_rad)
-    np.testing.assert_allclose(oxts["ax"], oxts["af"] - GRAVITY_MPS2 * body.pitch_rad, atol=0.02)
-    np.testing.assert_allclose(oxts["ay"], oxts["al"] + GRAVITY_MPS2 * body.roll_rad, atol=0.02)
-    steps = np.diff(body.pitch_rad)
-    between = (oxts["wy"][1:] + oxts["wy"][:-1]) / 2 * np.diff(np.arange(200) * PERIOD_S)
-    assert np.corrcoef(steps, between)[0, 1] > 0.8

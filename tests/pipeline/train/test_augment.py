@@ -3,8 +3,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.params import load
-from pipeline.sections.train import Train
 from pipeline.train import augment, windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES, read_batch
@@ -54,18 +52,3 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(batch: windows.Bat
     assert (speed == batch["motion"][:, 2] * TWICE).all()
     assert (valid == batch["motion"][:, 3]).all()
     assert (scaled["base_rad"] == scaled["motion"][batch["windows"][:, -1], 0]).all()
-
-
-def test_each_run_has_its_own_augmentation(batch: windows.Batch) -> None:
-    settings = load(Train, PARAMS)
-    drawn = augment.Augmentation.draw(50, settings, np.random.default_rng(0))
-    assert 10 < drawn.mirrored.sum() < 40
-    assert 1 / settings.rescale <= drawn.factor.min() < drawn.factor.max() <= settings.rescale
-    assert drawn.select([3, 7]).factor.tolist() == [drawn.factor[3], drawn.factor[7]]
-    changed = augment.Augmentation(np.array([True, False]), np.array([1, 2], np.float32)).apply(batch, FRAMES)
-    expected = augment.rescale(augment.mirror(batch, FIRST), np.repeat(np.array([1, 2], np.float32), FRAMES))
-    assert all((changed[key] == expected[key]).all() for key in batch)
-    off = settings.model_copy(update={"mirror": False, "rescale": 1.0})
-    drawn = augment.Augmentation.draw(9, off, np.random.default_rng(0))
-    assert not drawn.mirrored.any()
-    assert (drawn.factor == 1).all()

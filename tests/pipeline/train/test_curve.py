@@ -5,7 +5,7 @@ from typing import get_args
 import pytest
 
 from pipeline.sections.train import Train
-from pipeline.train.curve import Epoch, out_of_patience, selected_epoch, write_curve
+from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 
 
 def epochs(*val_nmse):
@@ -32,11 +32,3 @@ def test_epochs_without_validation_error_are_not_selected(keep):
     assert selected_epoch(epochs(0.9, 0.8, nothing), keep) == (3 if keep == "last" else 2)
     assert selected_epoch(epochs(nothing, nothing), keep) == 2
     assert selected_epoch([], keep) == 0
-
-
-def test_nan_is_an_empty_field(tmp_path):
-    nothing = float("nan")
-    write_curve(tmp_path / "curve.csv", [Epoch(1, 0.003, 0.5, nothing, nothing)])
-    assert (tmp_path / "curve.csv").read_text() == (
-        "epoch,learning_rate,train_loss,val_mse_rad2,val_nmse\n1,0.003,0.5,,\n"
-    )

@@ -33,19 +33,6 @@ def read(path: Path, runs: list[tuple[int, int]]) -> frames.Arrays:
         return frames.concatenate([graphs.read(*run) for run in runs])
 
 
-@pytest.mark.parametrize(
-    ("contents", "words"),
-    [
-        ({"kind": "graph"}, ["kNN graphs"]),
-        ({"kind": "pointnet2", "levels": 2}, ["PointNet++", "2 levels"]),
-        ({"kind": "image", "image_size": (32, 48)}, ["images", "32 x 48"]),
-    ],
-)
-def test_contents(paths: dict[str, Path], contents: dict[str, object], words: list[str]) -> None:
-    assert frames.contents(paths[str(contents["kind"])]) == contents
-    assert all(word in frames.describe(contents) for word in words)
-
-
 def test_row_numbers_refer_to_the_same_points_in_file_and_batch(paths: dict[str, Path]) -> None:
     batch = read(paths["pointnet2"], RUNS)
     names = {"xyz", "cls", "ptr", "centres_1", "neighbours_1", "centres_1_ptr"}
@@ -79,11 +66,6 @@ def test_edges_connect_the_same_points_in_file_and_batch(paths: dict[str, Path])
         ptr, indices_ptr, indices, xyz = (file[name] for name in ("ptr", "indices_ptr", "indices", "xyz"))
     ends = np.concatenate([xyz[ptr[row] + indices[indices_ptr[row] : indices_ptr[row + 1]]] for row in ROWS])
     np.testing.assert_array_equal(batch["xyz"][batch["indices"]], ends)
-
-
-def test_images(paths: dict[str, Path]) -> None:
-    with store.DriveReader(paths["image"], stage="graphs") as file:
-        assert (read(paths["image"], RUNS)["image"] == file["image"][ROWS]).all()
 
 
 @pytest.mark.parametrize("kind", ["graph", "pointnet2"])

@@ -1,9 +1,7 @@
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.train import runs
 
 PLAIN = {"fit_to": "train", "roads": None}
@@ -35,21 +33,3 @@ def test_leave_one_out(fit_to: str, left: tuple[str, ...]) -> None:
 def test_roads_are_the_first_training_drives() -> None:
     assert runs.folds(SPLITS, PLAIN | {"roads": 1})[0].train == ("a",)
     assert runs.folds(SPLITS, PLAIN | {"roads": 2, "fit_to": "both"})[0].train == ("a", "b", "y", "z")
-
-
-@pytest.mark.parametrize(
-    ("line", "splits", "message"),
-    [
-        ({"roads": 3}, SPLITS, "roads = 3, but there are 2 training drives"),
-        ({"fit_to": "others"}, {"a": "train", "x": "test"}, r"fit_to = 'others' needs two test drives \(got x\)"),
-    ],
-)
-def test_impossible_folds(line: dict[str, Any], splits: dict[str, str], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        runs.folds(splits, PLAIN | line)
-
-
-def test_model_name_of_a_relative_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "gnn").mkdir()
-    monkeypatch.chdir(tmp_path / "gnn")
-    assert runs.model_name(Path()) == "gnn"

@@ -11,12 +11,5 @@ def test_scores_by_hand() -> None:
     assert score.nmse(steering, np.zeros(3)) == 1
 
 
-def test_mean_over_seeds() -> None:
-    rng = np.random.default_rng(0)
-    steering, seeds = rng.normal(size=40), rng.normal(size=(3, 40))
-    for metric in (score.mse, score.nmse):
-        assert metric(steering, seeds) == pytest.approx(np.mean([metric(steering, one) for one in seeds]))
-
-
 def test_labels_that_are_all_zero_have_no_nmse() -> None:
     assert np.isnan(score.nmse(np.zeros(3), np.ones(3)))

@@ -5,7 +5,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from models.encoder.backbones.espnetv2 import EESP, espnetv2
+from models.encoder.backbones.espnetv2 import espnetv2
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.camera import classes
 from pipeline.camera.geometry import project, scale_K, transform
@@ -23,11 +23,6 @@ GROUND = (classes.ROAD, classes.SIDEWALK, classes.TERRAIN)
 @pytest.mark.parametrize(("scale", "numbers"), [(1.0, 247_279), (2.0, 814_351)])
 def test_number_of_parameters_matches_the_published_files(scale: float, numbers: int) -> None:
     assert sum(tensor.numel() for tensor in espnetv2(scale).backbone.state_dict().values()) == numbers
-
-
-def test_branches_beyond_the_limit_have_three_pixels() -> None:
-    for limit, dilations in {13: [1, 2, 3, 4], 9: [1, 2, 3, 4], 7: [1, 1, 2, 3]}.items():
-        assert [branch.conv.dilation[0] for branch in EESP(16, 16, limit).spp_dw] == dilations
 
 
 def test_an_image_of_any_size_is_padded_with_its_edges() -> None:

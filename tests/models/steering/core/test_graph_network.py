@@ -27,14 +27,6 @@ def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
     return GraphBatch(batch.xyz[rows], batch.cls[rows], torch.tensor([0, end - start]), batch.degree[rows], indices)
 
 
-def test_dtypes_of_files(make_batch, network):
-    batch = make_batch([40, 7])
-    narrow = dataclasses.replace(batch, indices=batch.indices.int())
-    torch.testing.assert_close(network(narrow), network(batch), rtol=0, atol=0)
-    single = dataclasses.replace(batch, xyz=batch.xyz.float())
-    torch.testing.assert_close(network(single), network(batch), rtol=0, atol=1e-5)
-
-
 def test_order_of_points_changes_nothing(make_batch, network):
     batch = make_batch([40])
     order = torch.randperm(40)

@@ -79,25 +79,6 @@ def test_new_file_is_a_network(make_batch, make_line, write_network):
         assert next(iter(wrong)) in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", r"own\.py defines no class Knobs"),
-        ("Knobs = 3", r"own\.py defines no class Knobs"),
-        (
-            MEAN.replace('kind: ClassVar[Kind] = "graph"', "pass"),
-            r"own\.py: Knobs.kind = None.*graph, pointnet2, image",
-        ),
-        (MEAN.replace("hidden: Count", "window: Count"), r"window: defined twice"),
-        (MEAN.replace("hidden: Count", "units: Count"), r"units: defined twice"),
-    ],
-)
-def test_incomplete_file_is_refused(write_network, text, words):
-    write_network("own", text)
-    with pytest.raises(InputError, match=words):
-        resolve(Model(input="semantic", spatial="own", temporal="lstm", window=4))
-
-
 @pytest.mark.parametrize("name", ["../temporal/lstm", "..core.wiring", "__init__", "gnn.py", "", "os", "a-b", "ä"])
 def test_only_files_of_the_folder_are_imported(write_network, name):
     for odd in ("a-b", "ä"):

@@ -49,16 +49,6 @@ def test_network_equals_plain_loops(make_sets, network):
     torch.testing.assert_close(network(batch), torch.stack(expected), **TOLERANCE)
 
 
-def test_sizes_of_width_one_are_the_references():
-    network = PointNet2(32, levels=2)
-    widths = [[linear.out_features for linear in layer.mlp[::3]] for layer in network.levels]
-    assert widths == [[64, 64, 128], [128, 128, 256]]
-    assert [linear.out_features for linear in network.whole[::3]] == [256, 512, 1024]
-    assert [linear.out_features for linear in network.head[::3]] == [512, 256]
-    inputs = [network.levels[0].mlp[0], network.levels[1].mlp[0], network.whole[0]]
-    assert [linear.in_features for linear in inputs] == [3 + 25, 3 + 128, 3 + 256]
-
-
 def test_order_of_points_and_of_neighbours_changes_nothing(make_sets, network):
     batch = make_sets([40])
     order = torch.randperm(40)

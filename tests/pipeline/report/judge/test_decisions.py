@@ -1,13 +1,10 @@
 """The onset of a turn, by hand and on a recorded drive."""
 
-import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline import label
-from pipeline.kitti.oxts import VF, WU
 from pipeline.report.judge import decisions
 from pipeline.train import windows
 from tests import artefacts
@@ -71,5 +68,3 @@ def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: i
     artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
     drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
     assert np.flatnonzero(decisions.near(drive)).tolist() == list(range(first, 41))
-
-

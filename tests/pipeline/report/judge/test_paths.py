@@ -1,7 +1,6 @@
 """Paths of predicted steering: restarts and drift."""
 
 import tarfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np

@@ -94,5 +94,3 @@ def test_frames_near_decisions_are_left_out_of_one_score(tmp_path: Path, monkeyp
     assert found["without_decisions"]["baselines"]["zero"]["frames"] == 20
     monkeypatch.setattr(decisions, "near", lambda drive: np.ones(30, bool))
     assert metrics([split.Case(first, np.zeros((1, 30)), 0.0)])["without_decisions"]["nmse"] is None
-
-

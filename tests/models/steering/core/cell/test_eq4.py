@@ -85,9 +85,3 @@ def test_extreme_inputs_and_pauses_stay_finite(size, dt_s):
     out.sum().backward()
     for tensor in (out, h, x.grad, *(parameter.grad for parameter in cell.parameters())):
         assert tensor.isfinite().all()
-
-
-def test_synapses_start_with_the_sign_of_the_wiring():
-    cell = Eq4(WIRING)
-    assert np.array_equal(cell.sensory.dense().sign().detach().numpy(), WIRING.sensory)
-    assert np.array_equal(cell.internal.dense().sign().detach().numpy(), WIRING.internal)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pipeline.base import store, yaml_file
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.camera.calib_file import projection, read_entries
 from pipeline.camera.images import read_image
@@ -28,23 +28,11 @@ anything = settings(
     max_examples=60,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
-NUMBERS = st.floats(allow_nan=True).map(repr) | st.integers().map(str) | st.text(max_size=6)
-WORDS = st.lists(NUMBERS, max_size=40).map(" ".join)
-TIMES = st.lists(WORDS | st.just("2011-09-26 13:02:25.5")).map("\n".join)
-ENTRIES = st.lists(st.tuples(st.sampled_from(["P_rect_02", "S_rect_02", "R"]), WORDS))
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=9),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner, max_size=4),
-)
 Read = Callable[[Path], Any]
 
 
 def check_names(error: InputError, path: str) -> None:
     assert path in str(error)
-
-
-def starting_with(magic: bytes) -> st.SearchStrategy[bytes]:
-    return st.binary(max_size=400).map(magic.__add__)
 
 
 def read_times(path: Path) -> np.ndarray:
@@ -73,38 +61,6 @@ def read_graphs(path: Path) -> dict[str, np.ndarray]:
 
     with frames.open_graphs(path) as graphs:
         return {name: np.asarray(value) for name, value in graphs.read(0, len(graphs.frame)).items()}
-
-
-GENERATED: dict[str, tuple[st.SearchStrategy[bytes], Read]] = {
-    "0.txt": (WORDS.map(str.encode), oxts.read_row),
-    "timestamps.txt": (TIMES.map(str.encode), read_times),
-    "calib.txt": (ENTRIES.map(lambda lines: "\n".join(": ".join(line) for line in lines).encode()), read_projection),
-    "0.bin": (st.binary(max_size=4000), read_scan),
-    "0.png": (starting_with(b"\x89PNG\r\n\x1a\n"), read_pixels),
-    "0.jpg": (starting_with(b"\xff\xd8"), read_pixels),
-    "best.pt": (starting_with(b"PK\x03\x04"), checkpoint.load),
-    "text.yaml": (st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")), yaml_file.read),
-    "signs.yaml": (st.text("&*!<>[]{}:,|-? a1\n\"'", max_size=60).map(str.encode), yaml_file.read),
-    "value.json": (JSON.map(lambda value: json.dumps(value).encode()), read_object),
-    "bytes.json": (st.binary(max_size=99), read_object),
-    "a.h5": (starting_with(b"\x89HDF\r\n\x1a\n"), read_drive),
-}
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) for name in GENERATED])
-def test_any_content_is_read_or_refused(tmp_path: Path, name: str) -> None:
-    contents, read = GENERATED[name]
-
-    @anything
-    @given(contents)
-    def check(content: bytes) -> None:
-        (tmp_path / name).write_bytes(content)
-        try:
-            read(tmp_path / name)
-        except InputError as error:
-            check_names(error, name)
-
-    check()
 
 
 RAW = f"town/2026_01_01/{DRIVE}_sync"

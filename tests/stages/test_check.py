@@ -1,12 +1,9 @@
-import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from pipeline.base import imports
 from pipeline.base.errors import InputError
 from pipeline.encoder import weights
 from pipeline.sections import preset
@@ -96,34 +93,3 @@ def test_a_fault_is_one_line_with_its_key(tmp_path: Path, where: str, value: Any
         run(tmp_path, changed(where, value))
     assert str(raised.value).startswith(str(tmp_path / "params.yaml"))
     assert "\n" not in str(raised.value)
-
-
-@pytest.mark.parametrize(
-    ("line", "imported"),
-    [
-        ("from models.steering.spatial.gatv2 import HEADS", "models/steering/spatial/gatv2.py"),
-        ("from models.steering.core.cell import ltc", None),
-    ],
-)
-def test_a_network_imports_only_code_that_dvc_tracks_for_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, imported: str | None
-) -> None:
-    """The source is read in a copy of the project, and imported from there beside this one's networks."""
-    from models.steering import spatial
-
-    for package in ("models", "pipeline"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(imports, "ROOT", tmp_path)
-    monkeypatch.setattr(spatial, "__path__", [*spatial.__path__, str(tmp_path / "models/steering/spatial")])
-    own = tmp_path / "models/steering/spatial/own.py"
-    own.write_text(f"{line}\n" + (ROOT / "models/steering/spatial/gnn.py").read_text())
-    try:
-        if imported is None:
-            run(tmp_path, changed(f"{MODEL}.spatial", "own"))
-        else:
-            with pytest.raises(InputError, match=imported) as raised:
-                run(tmp_path, changed(f"{MODEL}.spatial", "own"))
-            assert str(own.relative_to(tmp_path)) in raised.value.where
-    finally:
-        sys.modules.pop("models.steering.spatial.own", None)
-        vars(spatial).pop("own", None)

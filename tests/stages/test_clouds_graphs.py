@@ -123,27 +123,6 @@ def test_pruning_removes_only_edges_between_classes(data: Path, tmp_path: Path) 
     assert (pruned["edges_kept"] < full["edges_kept"]).all()
 
 
-def test_a_crop_keeps_the_points_inside(data: Path, tmp_path: Path) -> None:
-    variant = {"source": "clouds/lidar", "points": 10**6, "k": 6}
-    crop = [-6.0, 4.0, 5.0, 12.0]
-    full, near = read(run_graphs(data, tmp_path, **variant)), read(run_graphs(data, tmp_path, **variant, crop_m=crop))
-    x, _, z = full["xyz"].T
-    inside = (crop[0] <= x) & (x <= crop[2]) & (crop[1] <= z) & (z <= crop[3])
-    assert 0 < inside.sum() < len(x)
-    np.testing.assert_array_equal(near["xyz"], full["xyz"][inside])
-    assert near["ptr"].tolist() == [0, *np.cumsum(inside)[full["ptr"][1:] - 1]]
-    beside = read(run_graphs(data, tmp_path, **variant, crop_m=[5, 0, 10, 60]))  # between walls at changing distances
-    assert (np.diff(beside["ptr"]) > 0).tolist() == [False, True, True, False]
-
-
-@pytest.mark.parametrize("variant", [{"k": 6, "points": 100, "source": "clouds/lidar"}, SETS], ids=["lidar", "sets"])
-def test_a_crop_without_any_point_is_refused(data: Path, tmp_path: Path, variant: dict[str, object]) -> None:
-    with pytest.raises(InputError, match=r"graphs\.v: no point in any of the \d frames of the train drives") as raised:
-        run_graphs(data, tmp_path, **variant, crop_m=[900, 900, 901, 901])
-    assert "crop_m" in raised.value.fix
-    assert not (tmp_path / "v/index.json").exists()  # so that no model trains on it
-
-
 def write_motion(folder: Path, frame: list[int], valid: list[int]) -> None:
     """Write the motion of a car that drives straight on, one metre per frame."""
     T_before = np.tile(np.eye(4, dtype=np.float32), (len(frame), 1, 1))

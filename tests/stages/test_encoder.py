@@ -4,14 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-import h5py
 import pytest
 import torch
 import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.encoder import perceive
 from stages.encoder import main
 from tests import street
@@ -121,42 +119,6 @@ def test_a_fit_starts_from_weights_and_from_lidar_alone_fits_depth_only(lidar: P
     before, after = state(fitted), state(out)
     changed = {name.split(".")[0] for name in before if not torch.equal(before[name], after[name])}
     assert changed == {"depth_head"}  # weight decay does not change the class head either
-
-
-def test_depth_without_target_needs_weights_or_flat_ground(ingest: Path, fitted: Path) -> None:
-    with h5py.File(ingest / f"{TRAIN}.h5", "r+") as file:
-        file["has_depth"][:] = 0
-    with pytest.raises(InputError, match="no depth_head"):
-        run(ingest)
-    before, after = state(fitted), state(run(ingest, weights=str(fitted / "encoder.pt")))
-    assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("depth_head"))
-    assert not torch.equal(before["backbone.down1.0.weight"], after["backbone.down1.0.weight"])
-    flat = state(run(ingest, "flat", backbone="espnetv2-s1"))
-    assert not flat["depth_head.ground.layers.3.weight"].any()  # no correction
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"epochs": 0}, "epochs: 0 needs fitted weights"),
-        ({"frozen": True}, "frozen: true needs"),
-        ({"teacher": {"backbone": "small", "weights": {"backbone": "a.pth"}}}, r"teacher\.weights.*class_head"),
-        ({"backbone": "precomputed", "weights": "nowhere"}, "no PNG files"),
-        ({"weights": "BAD"}, "damaged"),
-        ({"weights": "OTHER"}, "backbone is 'swin-t', expected 'small'"),
-    ],
-)
-def test_a_bad_setting_is_one_line_and_writes_nothing(
-    ingest: Path, tmp_path: Path, settings: dict[str, Any], message: str
-) -> None:
-    (tmp_path / "bad.pt").write_bytes(b"no checkpoint")
-    perceive.save(tmp_path / "other", "swin-t", {})
-    text = json.dumps(settings).replace("BAD", str(tmp_path / "bad.pt"))
-    settings = json.loads(text.replace("OTHER", str(tmp_path / "other/encoder.pt")))
-    with pytest.raises(InputError, match=message) as raised:
-        run(ingest, **settings)
-    assert "\n" not in str(raised.value)
-    assert not (ingest.parent / "encoder").exists()
 
 
 def test_a_teacher_labels_images_of_all_drives_without_use_of_their_labels(ingest: Path, espnet: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.geometry import scale_K
-from stages import ingest, labels
-from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
+from stages import ingest
+from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params
 
 OTHER = "2011_09_26_drive_0002"
 NEW = (32, 40)
@@ -87,20 +87,6 @@ def test_grey_drive_without_scans(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert f"no scans: {DRIVE}\n" in capsys.readouterr().out
 
 
-def test_oxts_alone_is_enough_for_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_drive(tmp_path / "raw", camera=None, lidar=False)
-    for path in (tmp_path / "raw" / DATE).glob("calib_*"):
-        path.unlink()
-    write_drive(tmp_path / "raw", "2011_09_28_drive_0001", seed=1)
-    with run(tmp_path, (DRIVE, "2011_09_28_drive_0001")) as file:
-        assert not {"K", "T_cam_velo"} & set(file.names)
-        assert (file.attrs["camera"], file.shape("image")) == (-1, (4, *NEW, 3))
-        assert not file["has_image"].any()
-    assert f"no images: {DRIVE}\nno scans: {DRIVE}\n" in capsys.readouterr().out
-    labels.main(tmp_path / "data/ingest", tmp_path / "data/labels", tmp_path / "params.yaml")
-    assert read_index(tmp_path / "data/labels", stage="labels")[DRIVE] == "train"
-
-
 def cut(path: Path) -> None:
     write(path, path.read_bytes()[: path.stat().st_size * 6 // 10])
 
@@ -135,36 +121,6 @@ def test_damaged_frame_is_an_error_or_left_out(tmp_path: Path, damage: str, caps
             expected = [1, 0, 1, 1] if present == kind else [1] * len(file.frame)
             np.testing.assert_array_equal(file[f"has_{present}"], expected)
     assert f"1 damaged {kind} left out" in capsys.readouterr().out
-
-
-def swap_times(folder: Path) -> None:
-    path = folder / "oxts/timestamps.txt"
-    lines = path.read_text().splitlines()
-    write(path, "\n".join([lines[1], lines[0], *lines[2:]]))
-
-
-FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "time goes backwards": (swap_times, "time goes from"),
-    "no packets": (lambda folder: shutil.rmtree(folder / "oxts/data"), "no oxts packets"),
-    "image of another size": (
-        lambda folder: write_png(folder / "image_02/data/0000000002.png", np.zeros((50, 64, 3), np.uint8)),
-        r"64 x 50 pixels .*64 x 48",
-    ),
-    "no calibration": (lambda folder: (folder.parent / "calib_cam_to_cam.txt").unlink(), "calib_cam_to_cam.txt"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_faults_of_a_drive_are_never_tolerated(tmp_path: Path, fault: str) -> None:
-    folder = write_drive(tmp_path / "raw")
-    run(tmp_path, on_damaged="skip")
-    before = contents(tmp_path / "data/ingest")
-    spoil, problem = FAULTS[fault]
-    spoil(folder)
-    with pytest.raises(InputError, match=problem) as raised:
-        run(tmp_path, on_damaged="skip")
-    assert raised.value.fix
-    assert contents(tmp_path / "data/ingest") == before
 
 
 def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:

@@ -16,11 +16,10 @@ import pytest
 import torch
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
 from pipeline.train import training, windows
 from tests import artefacts
-from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params, write_two_test_drives
+from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params
 
 TEST = "2026_01_03_drive_0001"
 EPOCHS = 12
@@ -92,45 +91,6 @@ def test_resumed_training_writes_the_same_bytes(folder: Path, trained: Path, mon
     run_train(folder)
     assert contents(folder) == contents(trained)
     assert not (folder / ".resume/train-net").exists()
-
-
-def test_resume_requires_equal_settings_and_splits(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And a kill between best.pt and config.json leaves a pair that is refused until training resumes."""
-    write_params(folder, epochs=1)
-    run_train(folder)
-    for number, rate, splits in (
-        (1, 0.01, SPLITS),
-        (2, 0.02, SPLITS),
-        (3, 0.02, SPLITS | {"2026_01_01_drive_0003": "val"}),
-    ):
-        store.write_index(folder / "graphs/semantic", splits)
-        write_params(folder, epochs=1, learning_rate=rate)
-        with killed(monkeypatch, "write_curve"):
-            run_train(folder)
-        assert len(list((folder / ".resume/train-net").glob("*.pt"))) == number
-    with pytest.raises(InputError, match=r"best\.pt and .*config\.json are of different runs"):
-        run_evaluate(folder)
-    run_train(folder)
-    assert run_evaluate(folder)
-
-
-@pytest.mark.slow
-def test_any_number_of_workers_writes_the_same_bytes(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Two networks with fit_to: others, which have no validation drives."""
-    first, second = write_two_test_drives(folder)
-    write_params(folder, {"fit_to": "others"}, epochs=2)
-    results = []
-    for workers in ("1", "2"):
-        monkeypatch.setenv("STEER_WORKERS", workers)
-        run_train(folder)
-        results.append(contents(folder))
-    assert results[0] == results[1]
-    assert "no validation drives, so no early stopping" in capfd.readouterr().out
-    assert json.loads(results[0][f"train/net/fold-{first}/config.json"])["best_epoch"] == 2
-    assert f"train/net/fold-{second}/best.pt" in results[0]
-    assert results[0]["train/net/config.json"] == results[0][f"train/net/fold-{first}/config.json"]
 
 
 @pytest.mark.slow
@@ -247,23 +207,3 @@ def test_two_machines_train_as_one_process(folder: Path, tmp_path: Path, monkeyp
     for status, _, errors in train_on_two_machines(clones):
         assert status == 1
         assert "processes differ in code" in errors
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ({"spatial": "cnn"}, ["models.net", "cnn", "images", "semantic holds kNN graphs"]),
-        ({"window": 61}, ["no window of 61 consecutive frames"]),
-        ({"motion": "lidar"}, ["no motion of kind lidar"]),
-        ({"roads": 4}, ["models.net", "roads = 4, but there are 3 training drives"]),
-        ({"fit_to": "others"}, ["models.net", "fit_to = 'others' needs two test drives"]),
-    ],
-)
-def test_impossible_models_are_refused_before_anything_is_written(
-    folder: Path, line: dict[str, object], words: list[str]
-) -> None:
-    write_params(folder, line)
-    with pytest.raises(InputError) as raised:
-        run_train(folder)
-    assert all(word in str(raised.value) for word in words)
-    assert not (folder / "train").exists()

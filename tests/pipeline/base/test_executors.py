@@ -1,9 +1,6 @@
 """Where jobs run: threads of local processes, and the workers of a Dask cluster of this machine."""
 
-import json
 import os
-import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -15,10 +12,9 @@ import pytest
 from pipeline.base import executors
 from pipeline.base.errors import InputError
 from pipeline.base.executors import SCHEDULER
-from pipeline.base.resume import ROOT
 from pipeline.base.runner import run_jobs
 from tests.pipeline.base import toy_stage
-from tests.pipeline.base.toy_stage import DRIVES, calls, end_trouble, outputs, start, trouble, wait_for, waiting
+from tests.pipeline.base.toy_stage import DRIVES, calls, end_trouble, outputs, trouble
 
 LOCAL = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
 
@@ -126,36 +122,3 @@ def test_a_scheduler_that_does_not_answer_is_one_error(
     assert "dask scheduler" in raised.value.fix
     toy_stage.main(folder, workers=1)
     assert calls(folder) == DRIVES, "one worker is this process"
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("ends", ["ctrl-c", "scheduler"])
-def test_ctrl_c_and_a_lost_scheduler_are_one_line(folder: Path, expected: dict[str, bytes], ends: str) -> None:
-    pytest.importorskip("distributed")
-    common = ["--no-dashboard", "--host", "127.0.0.1", f"--scheduler-file={folder / 'scheduler.json'}"]
-    commands = [["dask_scheduler", "--port=0"], ["dask_worker", "--nthreads=1", f"--local-directory={folder}"]]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with (folder / "log").open("w") as log:
-        scheduler, worker = (
-            subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.{name}", *options, *common],
-                env=environment, cwd=folder, stdout=log, stderr=log,
-            )
-            for name, *options in commands
-        )  # fmt: skip
-    try:
-        wait_for((folder / "scheduler.json").exists)
-        address = json.loads((folder / "scheduler.json").read_text())["address"]
-        trouble(folder, b="wait")
-        with start(folder, **{SCHEDULER: address}) as process:
-            waiting(folder, "b")
-            scheduler.kill() if ends == "scheduler" else os.killpg(process.pid, signal.SIGINT)
-            _, errors = process.communicate(timeout=60)
-        assert process.returncode == (1 if ends == "scheduler" else 130), errors
-        assert errors.count("\n") == 1, errors
-        assert errors.startswith("error: STEER_SCHEDULER=" if ends == "scheduler" else "error: interrupted")
-    finally:
-        end_trouble(folder)
-        for process in (worker, scheduler):
-            process.terminate()
-            process.wait()

@@ -103,18 +103,6 @@ def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path: Path) -> 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_is_reported_on_closing(tmp_path: Path) -> None:
-    with (  # noqa: PT012
-        pytest.raises(OSError, match=str(tmp_path / "a.h5")) as error,
-        files_up_to(100_000),
-        DriveWriter(tmp_path / "a.h5", stage="ingest", drive=DRIVE, params={}) as file,
-    ):
-        file.blank("image", (9, 8, 9), np.uint8)
-        file.attrs |= {f"a{i}": "x" * 60_000 for i in range(20)}  # written as the block ends
-    assert error.value.errno == errno.EFBIG
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("damage", [lambda chunk: bytes(len(chunk)), lambda chunk: chunk[:-9] + b"\x99" + chunk[-8:]])
 def test_damage_is_reported_with_file_and_dataset(tmp_path: Path, damage: Callable[..., bytes]) -> None:
     path = write(tmp_path / "a.h5")

@@ -21,14 +21,6 @@ def test_heights_of_the_samples_cameras(tmp_path: Path, date: str, height_m: flo
     assert heights(tmp_path) == pytest.approx([height_m] * 4, abs=0.01)
 
 
-@pytest.mark.real
-@pytest.mark.parametrize("date", ["2011_09_26", "2011_10_03"])
-def test_heights_of_kittis_cameras(real_half: Path, date: str) -> None:
-    found = heights(real_half / date)
-    assert found == pytest.approx([CAMERA_HEIGHT_M] * len(found), abs=0.025)
-    assert found
-
-
 def test_default_and_implausible_height() -> None:
     assert camera_height(None) == CAMERA_HEIGHT_M
     T_cam_velo = np.array([[0.0, -1, 0, 0], [0, 0, -1, -1.8], [1, 0, 0, 0], [0, 0, 0, 1]])

@@ -7,7 +7,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.geometry import rays
-from pipeline.encoder.examples import Example, Examples, mirrored, relit, spread
+from pipeline.encoder.examples import Example, Examples, mirrored, spread
 from tests import street
 
 DENSE, LIDAR, BARE, BLIND, GREY = DRIVES = [f"2026_01_01_drive_000{number}" for number in range(1, 6)]
@@ -91,16 +91,3 @@ def test_mirroring_negates_the_rays_and_is_its_own_inverse(example: Example) -> 
     np.testing.assert_array_equal(mirror.depth_m, example.depth_m[:, ::-1])
     for a, b in zip(vars(mirrored(mirror)).values(), vars(example).values(), strict=True):
         np.testing.assert_allclose(a, b)
-
-
-def test_relighting_is_a_function_of_the_colour_and_changes_nothing_else(example: Example) -> None:
-    other = relit(example, np.random.default_rng(1))
-    assert other.image.dtype == np.uint8
-    assert not np.array_equal(other.image, example.image)
-    for name in ("K", "depth_m", "cls"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(example, name))
-    _, first = np.unique(example.image.reshape(-1, 3), axis=0, return_inverse=True)
-    for group in np.unique(first)[:20]:
-        assert len(np.unique(other.image.reshape(-1, 3)[first == group], axis=0)) == 1
-    grey = [relit(example, np.random.default_rng(seed)).image.std(axis=-1).max() == 0 for seed in range(60)]
-    assert 0 < sum(grey) < 30

@@ -96,31 +96,3 @@ def test_an_error_of_the_items_arrives_in_its_place(ahead: Ahead) -> None:
     with pytest.raises(ValueError, match="frame 4 is damaged"):
         received.extend(ahead(source.items()))
     assert source.closed
-
-
-def test_an_error_of_the_work_arrives_in_its_place() -> None:
-    def work(number: int) -> int:
-        if number == 4:
-            raise ValueError("frame 4")
-        return number
-
-    source, received = Source(20), list[int]()
-    with pytest.raises(ValueError, match="frame 4"):
-        received.extend(side_by_side(work, source.items(), threads=2))
-    assert received == [0, 1, 2, 3]
-    assert source.closed
-
-
-@both
-def test_an_error_of_the_caller_ends_the_threads(ahead: Ahead) -> None:
-    source = Source(100)
-
-    def consume() -> None:
-        for number in ahead(source.items()):
-            if number == 2:
-                raise RuntimeError("loss is not finite")
-
-    with pytest.raises(RuntimeError, match="loss is not finite") as raised:
-        consume()
-    del raised  # it refers to the frame of the generator
-    assert source.closed

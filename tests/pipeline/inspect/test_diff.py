@@ -4,14 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5py
-import numpy as np
 import pytest
 import torch
 
 from pipeline.fitting import checkpoint
 from pipeline.inspect import diff
 from pipeline.inspect.diff import Difference
-from tests.artefacts import write_dataset, write_labels
+from tests.artefacts import write_dataset
 
 DRIVE = "2026_01_01_drive_0001"
 
@@ -40,17 +39,6 @@ def compare_texts(folder: Path, name: str, a: str, b: str, tolerance: float = 0.
         (folder / which / name).write_text(content)
     found = diff.compare(name, folder / "a" / name, folder / "b" / name, tolerance)
     return {difference.key: difference for difference in found}
-
-
-def test_equal_content_in_other_bytes_is_equal(folder: Path) -> None:
-    def reorder(file: h5py.File) -> None:
-        file["more"] = 1
-        del file["more"]
-
-    change(folder, "graphs/semantic", reorder)
-    first, second = (folder / name / f"graphs/semantic/{DRIVE}.h5" for name in "ab")
-    assert first.read_bytes() != second.read_bytes()
-    assert compare_drives(folder, "graphs/semantic") == []
 
 
 def test_values_of_frames(folder: Path) -> None:
@@ -86,14 +74,6 @@ def test_ragged_rows_belong_to_frames(folder: Path) -> None:
     assert xyz.largest == pytest.approx(2.0, rel=1e-5)
 
 
-def test_frames_are_matched_by_number(tmp_path: Path) -> None:
-    frames = np.arange(10, 22)
-    for name, rows in (("a", slice(0, 9)), ("b", slice(2, 12))):
-        write_labels(tmp_path / name / f"labels/{DRIVE}.h5", DRIVE, 0.1 * np.sin(frames[rows]), frames[rows])
-    problems = {difference.problem for difference in compare_drives(tmp_path, "labels")}
-    assert problems == {"2 frames only in A, first 10, 3 frames only in B, first 19"}
-
-
 def test_json_by_key(tmp_path: Path) -> None:
     a = '{"test": {"nmse": 0.25, "frames": 9, "x": null}, "seeds": [0, 1], "on": true, "old": 1}'
     b = '{"test": {"nmse": 0.5, "frames": 9.0, "x": 3}, "seeds": [0, 1, 2], "on": 1, "new": 1}'
@@ -105,17 +85,6 @@ def test_json_by_key(tmp_path: Path) -> None:
     assert found["test.nmse"].largest == 0.25
     assert "test.nmse" not in compare_texts(tmp_path, "metrics.json", a, b, tolerance=0.3)
     assert compare_texts(tmp_path, "metrics.json", '{"a": [1, 2]}', '{"a":[1.0,2]}') == {}
-
-
-def test_csv_by_drive_and_frame(tmp_path: Path) -> None:
-    a = "drive,frame,rad\nx,1,\nx,2,0.5\ny,1,0.5\n"
-    b = "drive,frame,rad\ny,1,0.75\nx,2,0.25\nx,1,\nx,3,0.5\n"
-    found = compare_texts(tmp_path, "predictions.csv", a, b)
-    assert {key for key in found if key.startswith("x 3")} == {"x 3.drive", "x 3.frame", "x 3.rad"}
-    assert {key: difference.largest for key, difference in found.items() if difference.largest} == {
-        "x 2.rad": 0.25, "y 1.rad": 0.25,
-    }  # fmt: skip
-    assert set(compare_texts(tmp_path, "curve.csv", "epoch,loss\n0,1.0\n", "epoch,loss\n0,1.5\n")) == {" 0.loss"}
 
 
 def test_checkpoints_by_tensor(tmp_path: Path) -> None:

@@ -2,18 +2,15 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.images import to_units
-from pipeline.inspect import frame_picture, frame_view
+from pipeline.inspect import frame_view
 from pipeline.kitti import ingest_file
 from pipeline.kitti.oxts import make_rows
-from tests import kitti_drive
-from tests.artefacts import write_graphs, write_labels
+from tests.artefacts import write_graphs
 
 DRIVE = "2011_09_26_drive_0001"
 FRAMES = np.array([3, 4, 6])
@@ -42,14 +39,6 @@ def test_graph_has_each_edge_once(graphs: Path) -> None:
     assert view.values["edges_knn"] == 240
 
 
-def test_labels_are_numbers_only(tmp_path: Path) -> None:
-    write_labels(tmp_path / "labels/a.h5", DRIVE, np.array([0.1, 0.2, 0.3]), FRAMES)
-    view = frame_view.read(tmp_path / "labels/a.h5", 4)
-    assert view.values["steering_rad"] == pytest.approx(0.2)
-    with pytest.raises(InputError, match="nothing to draw"):
-        frame_picture.draw(tmp_path / "a.png", "a", view)
-
-
 def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
     rng, path = np.random.default_rng(0), tmp_path / "ingest/a.h5"
     image, cls = rng.integers(0, 256, (20, 30, 3), np.uint8), rng.integers(0, 19, (20, 30), np.uint8)
@@ -67,15 +56,3 @@ def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
     assert view.cloud is not None
     np.testing.assert_allclose(view.cloud[0], [[-2, 1.7, 10]], atol=1e-6)
     assert not frame_view.read(path, 3).drawable
-
-
-def test_raw_drive_has_its_image_and_scan(tmp_path: Path) -> None:
-    folder = kitti_drive.write_drive(tmp_path, frames=[0, 5], camera=0)
-    view = frame_view.read(folder, 5)
-    assert view.rgb is not None
-    assert view.cloud is not None
-    stored = cv2.imread(str(folder / "image_00/data/0000000005.png"), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(view.rgb[..., 0], stored)
-    assert np.median(view.cloud[0][:, 1]) > 0  # the camera's y points down, to the road
-    with pytest.raises(InputError, match="expected the file of one drive"):
-        frame_view.read(tmp_path, 0)

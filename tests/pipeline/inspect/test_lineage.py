@@ -6,13 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.inspect import lineage, project
-from tests import kitti_drive
 
 PIPELINE = """
 stages:
@@ -83,17 +80,3 @@ def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
     (copy / "dvc.yaml").write_text("stages: [")
     with pytest.raises(InputError, match="dvc status failed"):
         project.due_stages(copy)
-
-
-def test_raw_drive_of_an_artefact(tmp_path: Path) -> None:
-    folder = kitti_drive.write_drive(tmp_path / "raw")
-    path = tmp_path / f"ingest/{kitti_drive.DRIVE}.h5"
-    with store.DriveWriter(path, stage="ingest", drive=kitti_drive.DRIVE, params={}) as file:
-        file.attrs |= {"source": "kitti"}
-        file.put("frame", np.arange(4, dtype=np.int32))
-        file.put("time_s", np.arange(4) * 0.1)
-    labels = tmp_path / "labels/a.h5"
-    assert lineage.raw_drive(labels, kitti_drive.DRIVE) == str(folder)
-    folder.rename(tmp_path / "elsewhere")
-    assert lineage.raw_drive(labels, kitti_drive.DRIVE) == f"{folder} (missing)"
-    assert lineage.raw_drive(labels, "2011_09_26_drive_0002") == ""

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.footage import open_footage
-from pipeline.recording.clock import check_overlap, coverage, read_times, timed
+from pipeline.recording.clock import coverage, read_times, timed
 from pipeline.recording.track import Rates
 from tests.footage import pictures, write_folder, write_video
 
@@ -27,15 +27,6 @@ def test_images_between_close_samples_are_usable() -> None:
     assert (wider.in_gaps, wider.interpolated, wider.largest_gap_s) == (0, 4, pytest.approx(0.6))
     none = coverage(sampled(0, 10), np.array([4.0, 5.0]), max_gap_s=2)
     assert (none.usable.any(), none.in_gaps, none.interpolated, none.largest_gap_s) == (False, 2, 0, 0)
-
-
-def test_overlap() -> None:
-    check_overlap(sampled(5, 9), 0, 5)
-    check_overlap(sampled(5, 9), 9, float("inf"))
-    for span, offset in (((0, 4.9), "-5.000"), ((9.1, 12), "+4.100")):
-        with pytest.raises(InputError) as raised:
-            check_overlap(sampled(5, 9), *span)
-        assert f"--offset by {offset}" in raised.value.fix
 
 
 @pytest.mark.parametrize("text", ["", "1\n12:30\n", "inf\n", "1\n2\n2\n", "0\n1e12\n", "-62e9\n1\n"])

@@ -47,19 +47,3 @@ def test_yaw_rate_is_zero_at_standstill(measured: bool) -> None:
     rates, _ = rates_of(fixes, FILE)
     np.testing.assert_array_equal(rates.yaw_rate_radps, 0)
     assert rates.speed_mps.max() < 1.0
-
-
-def test_missing_fixes() -> None:
-    whole = fixes_of(60, 1.0, 9.0, 0.02, measured=False)
-    there = np.delete(np.arange(60), [20, 21, 40])
-    some = Fixes(whole.time_s[there], whole.latitude_deg[there], whole.longitude_deg[there], None)
-    rates, _ = rates_of(some, FILE)
-    np.testing.assert_array_equal(rates.time_s, there)
-    np.testing.assert_allclose(rates.speed_mps, 9.0, rtol=0.01)
-
-
-def test_across_the_date_line() -> None:
-    fixes = Fixes(np.arange(6.0), np.zeros(6), (179.9998 + np.arange(6) * 1e-4 + 180) % 360 - 180, None)
-    rates, _ = rates_of(fixes, FILE)
-    np.testing.assert_allclose(rates.speed_mps, 11.13, atol=0.01)
-    np.testing.assert_allclose(rates.yaw_rate_radps, 0, atol=1e-6)

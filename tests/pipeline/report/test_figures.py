@@ -1,22 +1,15 @@
 """Figures of the paper: which frames, what they show, the same bytes each time."""
 
-import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import pytest
 
 from pipeline.base import store
 from pipeline.graphs import cloud
-from pipeline.report.figures import chain, draw, neurons, paths, wheels
-from pipeline.report.judge.paths import Track
-from pipeline.report.street_view import View
+from pipeline.report.figures import draw, wheels
 from tests import street
 from tests.pipeline.report import examples
 
-IMAGE = np.zeros((40, 120, 3), np.uint8)
 NEURONS = {
     "wiring": {
         "motor": 1, "command": 2, "inter": 3, "sensory": [[0, 3, 1], [1, 5, -1]],
@@ -25,59 +18,6 @@ NEURONS = {
     "drive": "a", "frame": [3, 4, 5, 6], "steering_rad": [0.1, None, 0.2, 0.3],
     "activity": np.linspace(-1, 1, 24).reshape(4, 6).tolist(),
 }  # fmt: skip
-
-
-def draw_wheels(path: Path) -> None:
-    examples_ = [wheels.Example("left", IMAGE, 12.34, 14.0), wheels.Example("straight", IMAGE, -0.01, 0.0)]
-    wheels.draw(path, "net", examples_)
-
-
-def draw_neurons(path: Path) -> None:
-    neurons.draw(path, "net", NEURONS)
-
-
-def draw_paths(path: Path) -> None:
-    track = Track(np.arange(40) / 10, np.full(40, 8.0), np.zeros(40), np.array([20]), 2.7)
-    paths.draw(path, {"a": track}, {"net": {"a": np.full(40, 0.05)}, "other": {}})
-
-
-def draw_pruning(path: Path) -> None:
-    rng = np.random.default_rng(1)
-    xyz, cls = rng.uniform(-20, 20, (500, 3)).astype(np.float32), rng.integers(0, 3, 500).astype(np.uint8)
-    chain.draw_pruning(path, "a drive", xyz, cls, 6, 0.2)
-
-
-def draw_chain(path: Path) -> None:
-    rgb, depth_m, cls = street.scene(3)
-    view = View(3, rgb, depth_m, cls, *cloud.pseudo_cloud(depth_m, cls, street.K, 80.0))
-    angle = np.linspace(0, 5, 6)
-    columns = ("driven_deg", "odometry_deg", "predicted_deg")
-    steering = pd.DataFrame({"frame": range(6), "elapsed_s": angle / 10, **dict.fromkeys(columns, angle)})
-    chain.draw_chain(path, view, steering, 6, 0.2)
-
-
-@pytest.mark.parametrize(
-    ("drawn", "pattern", "texts"),
-    [
-        (
-            draw_wheels,
-            r"(?:predicted|driven) [+-][\d.]+°",
-            ["predicted +12.3°", "driven +14.0°", "predicted +0.0°", "driven +0.0°"],
-        ),
-        (draw_neurons, r">(\d \w+)<", ["2 features", "3 inter", "2 command", "1 motor"]),
-        (draw_paths, r">(net|driven|other)<", ["driven", "net"]),  # no path of "other" in this drive
-        (draw_pruning, r"(before pruning: 600 edges|after pruning)", ["before pruning: 600 edges", "after pruning"]),
-        (draw_chain, r">(image|driven|odometry|predicted)<", ["image", "driven", "odometry", "predicted"]),
-    ],
-)  # fmt: skip
-def test_a_figure_shows_its_numbers_and_repeats(
-    tmp_path: Path, drawn: Callable[[Path], None], pattern: str, texts: list[str]
-) -> None:
-    for name in ("a", "b"):
-        drawn(tmp_path / name)
-    assert re.findall(pattern, (tmp_path / "a.svg").read_text()) == texts
-    for suffix in ("svg", "png"):
-        assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
 def test_frames_are_chosen_by_predictions() -> None:

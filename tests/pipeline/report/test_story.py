@@ -21,17 +21,6 @@ def test_a_model_behind_odometry(tmp_path: Path) -> None:
     assert "motion: visual" in step
 
 
-def test_a_model_that_wobbles_and_beats_odometry_ahead(tmp_path: Path) -> None:
-    content = examples.metrics("ahead", 0.3, {"odometry": 0.6}, horizon=10, motion="visual")
-    content["test"]["by_curvature"][0] |= {"rmse_deg": 6.0}
-    accuracy, weakness, step = sentences(examples.results(tmp_path, content))
-    assert "10 frames ahead" in accuracy
-    assert "50 % of the error of odometry, so it beats odometry" in accuracy
-    assert "it wobbles: RMSE 6.0°" in weakness
-    assert "equivariant: true" in step
-    assert "motion: visual" not in step
-
-
 @pytest.mark.parametrize("nmse", [None, 0.2])
 def test_missing_numbers_are_left_out(tmp_path: Path, nmse: float | None) -> None:
     content = examples.metrics("net")

@@ -62,35 +62,6 @@ def test_the_text_is_the_merged_content_with_all_comments(name: str) -> None:
             assert any(comment in other for other in rest), line
 
 
-def test_mappings_are_merged_other_values_replaced_and_nulls_remove(tmp_path: Path) -> None:
-    name = written(
-        tmp_path,
-        "town: {replay: data/raw, frames: {val: 7}}\n"
-        "train: {seeds: [3, 4]}\n"
-        "encoder: {weights: {backbone: a.pth}, frozen: true}\n"
-        "models:\n"
-        "  sa-gnn-ncp: {semantics: null, equivariant: null, wiring: {command: 5}}\n"
-        "  new: {input: semantic, spatial: gnn, temporal: lstm, window: 4, layers: [8, 8], equivariant: true}\n",
-    )
-    merged = preset.merged(name)
-    assert merged["town"] == OWN["town"] | {"replay": "data/raw", "frames": OWN["town"]["frames"] | {"val": 7}}
-    assert merged["train"]["seeds"] == [3, 4]
-    assert merged["encoder"]["weights"] == {"backbone": "a.pth"}
-    entry = {
-        key: value for key, value in OWN["models"]["sa-gnn-ncp"].items() if key not in ("semantics", "equivariant")
-    }
-    new = {
-        "input": "semantic",
-        "spatial": "gnn",
-        "temporal": "lstm",
-        "window": 4,
-        "layers": [8, 8],
-        "equivariant": True,
-    }
-    assert merged["models"] == {"sa-gnn-ncp": {**entry, "wiring": {"command": 5}}, "new": new}
-    assert yaml.safe_load(preset.text(name)) == merged
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

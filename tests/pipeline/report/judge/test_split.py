@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.params import load
-from pipeline.report.judge import decisions, split
+from pipeline.report.judge import split
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import windows
 from tests import artefacts
@@ -82,15 +82,3 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
     found = baselines()
     assert [found["by_drive"][name]["baselines"]["odometry_lidar"]["nmse"] is None for name in NAMES] == [False, True]
     assert found["baselines"]["odometry_lidar"]["nmse"] is None
-
-
-def test_frames_near_decisions_are_left_out_of_one_score(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (first, _) = drives(tmp_path)
-    near = np.arange(30) < 10
-    monkeypatch.setattr(decisions, "near", lambda drive: near)
-    found = metrics([split.Case(first, np.where(near, 0.0, first.steering_rad)[None], 0.0)])
-    assert found["nmse"] > 0
-    assert (found["without_decisions"]["frames"], found["without_decisions"]["nmse"]) == (20, 0)
-    assert found["without_decisions"]["baselines"]["zero"]["frames"] == 20
-    monkeypatch.setattr(decisions, "near", lambda drive: np.ones(30, bool))
-    assert metrics([split.Case(first, np.zeros((1, 30)), 0.0)])["without_decisions"]["nmse"] is None

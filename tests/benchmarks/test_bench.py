@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from benchmarks import bench, demo
+from benchmarks import bench
 from benchmarks.row import Row
 
 FAST, ALONE, DEMO = Row(2.0, 6.0, "ms", 3.0, "a / b"), Row(1.5, None, "GB", None, "c"), Row(300.0, None, "s", None, "d")
@@ -40,11 +40,3 @@ def test_the_other_rows_are_measured_after_a_failure(tmp_path: Path, monkeypatch
     rows = json.loads((tmp_path / "results.json").read_text())["rows"]
     assert rows["first"] == {"error": "ValueError: first line"}
     assert rows["last"]["ratio"] == 3
-
-
-def test_the_times_of_a_stage_are_added_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0.0, 1.0, 3.0, 6.0, 10.0])
-    monkeypatch.setattr(demo.time, "perf_counter", lambda: next(clock))
-    lines = ["Running stage 'town':", "> python", "Running stage 'graphs@a':", "Running stage 'graphs@b':", "done"]
-    assert demo.stage_seconds(lines) == {"town": 2, "graphs": 7}
-    assert "town 2, graphs 7" in demo.demo_row({"town": 2.0, "graphs": 7.0}).what

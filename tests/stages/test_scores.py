@@ -93,38 +93,3 @@ def test_scores_equal_errors_computed_from_the_files(folder: Path, flat: bool) -
     assert metrics["test"]["depth_lidar"]["frames"] == 5
     assert metrics["test"]["classes"] is None
     assert set(metrics["val"].values()) == {None}
-
-
-def test_measured_motion_is_scored_against_oxts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Ground truth is 8 m/s straight on; measured are 8.8 m/s, and nothing in the first frame."""
-    for drive in SPLITS:
-        with (
-            store.DriveReader(folder / "perception" / f"{drive}.h5", stage="perception") as perceived,
-            store.DriveWriter(
-                folder / "motion/visual" / f"{drive}.h5", stage="motion", drive=drive, params={}
-            ) as motion,
-        ):
-            valid = np.arange(len(perceived.frame)) > 0
-            motion.put("frame", perceived.frame)
-            motion.put("yaw_rate_radps", np.float32(0.01) * valid)
-            motion.put("speed_mps", np.float32(8.8) * valid)
-            motion.put("valid", valid.astype(np.uint8))
-    store.write_index(folder / "motion/visual", SPLITS)
-    kinds.write(folder / "motion", ["visual"])
-    scores, out = run(folder)["motion"]["visual"], folder / "scores"
-    assert scores["test"] == {
-        "drives": 1,  # the blind one has no frames
-        "frames": 5,
-        "valid": 0.8,
-        "judged": 4,
-        "yaw_rmse_degps": pytest.approx(np.degrees(0.01)),
-        "yaw_median_degps": pytest.approx(np.degrees(0.01)),
-        "speed_ratio": pytest.approx(1.1),
-        "nmse": None,  # a straight road
-    }
-    assert scores["val"] is None
-    assert json.loads((out / DENSE / "metrics.json").read_text())["motion"]["visual"] == scores["train"]
-    assert (
-        "visual motion, test: 80% of 5 frames measured, yaw rate to 0.57 deg/s, speed x 1.100"
-        in capsys.readouterr().out
-    )

@@ -87,12 +87,3 @@ def test_due_stages(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "stages that have to run: 1" in text
     found = json.loads(doctor("--json", status=1))["project"]
     assert (set(found["due"]), found["unused"]) == ({"ingest"}, ["graphs@lidar"])
-
-
-@pytest.mark.real
-@pytest.mark.slow
-def test_real_drives(root: Path, real_kitti: Path, real_half: Path) -> None:
-    assert doctor(real_half, "--deep", status=0).endswith("no problems found\n")
-    content = json.loads(doctor(real_kitti, "--json", status=1))
-    assert ["2011_09_26_drive_0001" in command for command in content["commands"]] == [True]
-    assert "image_02: 107 of 108 frames are missing: 0-4, 6-107" in content["problems"][0]

@@ -14,7 +14,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.executors import SCHEDULER
 from pipeline.base.runner import run_jobs
 from tests.pipeline.base import toy_stage
-from tests.pipeline.base.toy_stage import DRIVES, calls, end_trouble, outputs, trouble
+from tests.pipeline.base.toy_stage import calls, end_trouble, outputs, trouble
 
 LOCAL = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
 
@@ -30,15 +30,6 @@ def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pyt
     ((_, (process, used)),) = run_jobs(threads, [0], workers=1, threads=1)
     assert (process != os.getpid(), used) == (True, "1")
     assert os.environ["OMP_NUM_THREADS"] == "7"
-
-
-@pytest.mark.parametrize("text", ["0", "-1", "two", "1.5"])
-def test_workers_are_a_positive_number(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    monkeypatch.setenv("STEER_WORKERS", text)
-    with pytest.raises(InputError) as raised:
-        executors.default_workers()
-    assert raised.value.where == "STEER_WORKERS"
-    assert repr(text) in raised.value.problem
 
 
 @pytest.fixture(scope="module")
@@ -109,16 +100,3 @@ def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
     assert "0123456789" in raised.value.problem
     assert "dask worker" in raised.value.fix
     assert calls(folder) == []
-
-
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://127.0.0.1", "here:8786", "tcp://x:y"])
-def test_a_scheduler_that_does_not_answer_is_one_error(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, address: str
-) -> None:
-    monkeypatch.setenv(SCHEDULER, address)
-    with pytest.raises(InputError) as raised:
-        toy_stage.main(folder)
-    assert raised.value.where == f"{SCHEDULER}={address}"
-    assert "dask scheduler" in raised.value.fix
-    toy_stage.main(folder, workers=1)
-    assert calls(folder) == DRIVES, "one worker is this process"

@@ -1,12 +1,9 @@
 """One writer per stage folder."""
 
-import errno
-import fcntl
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -65,19 +62,3 @@ def test_a_lock_file_that_is_a_link_is_refused_and_the_file_elsewhere_stays(tmp_
         take(tmp_path)
     assert raised.value.where.endswith("stage.lock")
     assert (tmp_path / "precious").read_text() == "content"
-
-
-@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
-def test_a_file_system_without_locks_is_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: int
-) -> None:
-    monkeypatch.setattr(fcntl, "flock", refuse(number))
-    take(tmp_path)
-    assert "does not support locks" in capsys.readouterr().out
-
-
-def refuse(number: int) -> Any:
-    def flock(file: Any, how: int) -> None:
-        raise OSError(number, os.strerror(number))
-
-    return flock

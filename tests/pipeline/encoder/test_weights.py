@@ -1,8 +1,6 @@
 import hashlib
-import zipfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -89,18 +87,6 @@ def test_published_tensors_are_found_alone_or_beside_other_data(content: object)
     assert {name: tensor.tolist() for name, tensor in read_published(Path("file.pth")).items()} == {
         "conv.weight": [0, 1, 2]
     }
-
-
-def test_numbers_of_numpy_1_are_read() -> None:
-    """DINOv2's depth heads have them beside the tensors."""
-    meta = {"abs_rel": np.float64(0.08), "step": np.int64(38400)}
-    torch.save({"state_dict": STATE, "meta": meta}, "new.pth")
-    with zipfile.ZipFile("new.pth") as new, zipfile.ZipFile("old.pth", "w") as old:
-        for item in new.infolist():
-            old.writestr(item, new.read(item).replace(b"numpy._core.multiarray", b"numpy.core.multiarray"))
-    assert b"numpy.core.multiarray" in Path("old.pth").read_bytes()
-    for name in ("new.pth", "old.pth"):
-        assert read_published(Path(name))["conv.weight"].tolist() == [0, 1, 2]
 
 
 class Code:

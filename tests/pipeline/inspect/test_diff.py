@@ -55,25 +55,6 @@ def test_values_of_frames(folder: Path) -> None:
     assert compare_drives(folder, "labels", tolerance=0.5) == [speed]
 
 
-def test_ragged_rows_belong_to_frames(folder: Path) -> None:
-    def edit(file: h5py.File) -> None:
-        file["xyz"][30 * 4 + 2, 1] += 2.0
-        file["degree"][30 * 11] += 1
-        pointer = file["indices_ptr"][:]
-        pointer[6] -= 1  # an edge of frame 5 becomes one of frame 6
-        file["indices_ptr"][:] = pointer
-
-    change(folder, "graphs/semantic", edit)
-    degree, indices, pointer, xyz = compare_drives(folder, "graphs/semantic")
-    assert (degree.key, degree.first_frame, degree.largest) == ("degree", 11, 1)
-    assert (indices.key, indices.frames, indices.first_frame) == ("indices", 2, 5)
-    rows = [int(shape.split("(")[1].rstrip(",)")) for shape in indices.problem.split(" and ")]
-    assert rows[0] - rows[1] == 1
-    assert (pointer.key, pointer.frames, pointer.largest) == ("indices_ptr", 2, 1)
-    assert (xyz.key, xyz.frames, xyz.first_frame) == ("xyz", 1, 4)
-    assert xyz.largest == pytest.approx(2.0, rel=1e-5)
-
-
 def test_json_by_key(tmp_path: Path) -> None:
     a = '{"test": {"nmse": 0.25, "frames": 9, "x": null}, "seeds": [0, 1], "on": true, "old": 1}'
     b = '{"test": {"nmse": 0.5, "frames": 9.0, "x": 3}, "seeds": [0, 1, 2], "on": 1, "new": 1}'

@@ -76,33 +76,3 @@ def test_damage_that_is_found_by_decoding(folder: Path, damage: Callable[[Path],
     damage(image(folder, 7))
     assert not check(folder).problems
     assert len(check(folder, deep=True).problems) == 1
-
-
-def test_partly_extracted_archive_is_a_problem_and_single_frames_are_a_note(folder: Path) -> None:
-    image(folder, 4).unlink()
-    result = check(folder)
-    assert (result.problems, result.notes) == ([], ["image_02: 1 of 20 frames are missing: 4"])
-    for frame in range(10, FRAMES):
-        image(folder, frame).unlink()
-    assert check(folder).problems == ["image_02: 11 of 20 frames are missing: 4, 10-19"]
-    for frame in range(FRAMES):
-        image(folder, frame).unlink(missing_ok=True)
-    assert check(folder).problems == ["image_02: no files, archive not extracted"]
-    (folder / "image_02/data").rmdir()
-    assert len(check(folder).problems) == 1
-    (folder / "image_02").rmdir()
-    assert check(folder).problems == []  # a drive without images
-
-
-@pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])
-@pytest.mark.parametrize("content", [None, "no calibration"])
-def test_unusable_calibration(folder: Path, name: str, content: str | None) -> None:
-    path = folder.parent / name
-    if content is None:
-        path.unlink()
-    else:
-        path.write_bytes(content.encode("latin-1"))
-    result = check(folder)
-    assert len(result.problems) == 1
-    assert result.problems[0].startswith("calibration: ")
-    assert result.fix == f"unzip -o 2011_09_26_calib.zip -d {folder.parent.parent}"

@@ -84,16 +84,3 @@ def test_image_noise_is_not_motion() -> None:
 
     assert measured(noisy(*[street.pose(0.1, 0.0, 5.0)] * 4)) == [None] * 4
     assert rates(measured(noisy(*street.arc(3, 0.0, 2.0))))[:, 1] == pytest.approx(2.0, rel=0.1)
-
-
-def test_without_texture_common_content_or_depth_nothing_is_measured() -> None:
-    frames = views(*street.arc(3, 0.2, 6.0))
-    noise = np.random.default_rng(0).integers(0, 255, (3, *street.SIZE, 3), dtype=np.uint8)
-    for images in (np.zeros_like(noise), np.full_like(noise, 128), noise):
-        changed = [frame._replace(image=image) for frame, image in zip(frames, images, strict=True)]
-        assert measured(changed) == [None] * 3
-    assert measured([frame._replace(depth_m=np.zeros_like(frame.depth_m)) for frame in frames]) == [None] * 3
-    for frame in frames:
-        frame.depth_m[:, 100:180] = 0
-        frame.depth_m[60:80] = 0
-    assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.06)

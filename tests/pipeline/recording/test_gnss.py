@@ -31,20 +31,6 @@ def test_gpx_points(track: Callable[[str], Path]) -> None:
     assert fixes.velocity_mps is None
 
 
-def test_gpx_with_speeds_and_missing_times(track: Callable[[str], Path]) -> None:
-    point = '<trkpt lat="49" lon="8"><time>2027-03-31T10:00:0{}</time><course>{}</course><speed>2</speed></trkpt>'
-    text = (
-        '<gpx version="1.0" creator="test" xmlns="http://www.topografix.com/GPX/1/0"><trk><trkseg>'
-        + point.format("1", 90)  # without a zone: UTC
-        + '<trkpt lat="49" lon="8"/>'
-        + point.format("2Z", 0) * 2  # repeated
-        + "</trkseg></trk></gpx>"
-    )
-    fixes = read_gpx(track(text))
-    np.testing.assert_array_equal(fixes.time_s - START.timestamp(), [1, 2])
-    np.testing.assert_allclose(fixes.velocity_mps, [[2, 0], [0, 2]], atol=1e-12)
-
-
 def test_nmea_sentences(track: Callable[[str], Path]) -> None:
     time_s, places, heading = bend(6, 0.25)
     text = nmea(time_s, places, 9.0, heading)

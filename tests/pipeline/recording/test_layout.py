@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.camera.pixels import read_pixels
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.oxts import make_rows, read_row, read_times
@@ -46,19 +45,3 @@ def test_calibration_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.K, K, rtol=1e-12)
     write_full_calibration(folder.parent)
     assert check_calibration(folder, SIZE, read_camera(folder.parent, 2).K, force=False)
-
-
-def test_another_camera_is_refused(tmp_path: Path) -> None:
-    folder = drive_folder(tmp_path, DRIVE)
-    write_calibration(folder, SIZE, K)
-    folder.mkdir()
-    other = K + np.diag([0.1, 0.1, 0])
-    with pytest.raises(InputError, match=r"64 x 48, focal length 50.00, .*50.10.*--force"):
-        check_calibration(folder, SIZE, other, force=False)
-    assert not check_calibration(folder, SIZE, other, force=True)
-    (folder.parent / "2027_03_31_drive_0002_sync").mkdir()
-    with pytest.raises(InputError, match=r"used by 2027_03_31_drive_0002_sync") as raised:
-        check_calibration(folder, SIZE, other, force=True)
-    assert "--drive" in raised.value.fix
-    with pytest.raises(InputError, match="65 x 48"):
-        check_calibration(folder, (48, 65), K, force=True)

@@ -11,7 +11,6 @@ import pytest
 
 from pipeline.base import store
 from pipeline.report import tables
-from pipeline.report.page import plots
 from pipeline.report.page.page import write_page
 from pipeline.report.results import load_results
 from tests.pipeline.report import examples
@@ -83,19 +82,3 @@ def test_a_name_with_a_script_is_text(data: Path) -> None:
     for plot in re.findall(r'<script type="application/json">(.*?)</script>', text, re.DOTALL):
         assert "<" not in plot
         json.loads(plot)
-
-
-def test_plots_show_driven_odometry_and_predictions(data: Path) -> None:
-    found = load_results(data / "evaluate", ["net", "ahead"])
-    table = found.first_seed(["net"])
-    figure = plots.over_time(table[table["drive"] == examples.DRIVES[0]])
-    driven, odometry, model = figure.data
-    assert [trace.name for trace in figure.data] == ["driven", "odometry", "net"]
-    assert not figure.layout.xaxis.rangeslider.visible
-    assert np.isnan(driven.y[20])  # invalid
-    assert np.isnan(model.y[:7]).all()  # no complete window
-    np.testing.assert_allclose((model.y - odometry.y)[7:], np.rad2deg(0.009), atol=1e-6)
-    without = found.first_seed(["ahead"])
-    assert [trace.name for trace in plots.over_time(without).data] == ["driven", "ahead"]
-    long = table.assign(elapsed_s=table["elapsed_s"] * 10)
-    assert plots.over_time(long).layout.xaxis.rangeslider.visible

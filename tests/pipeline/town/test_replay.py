@@ -1,6 +1,5 @@
 """A replayed drive: the road follows the recorded track, nothing blocks it, and oxts is copied."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +8,11 @@ import pytest
 from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive
 from pipeline.label import steering_labels
-from pipeline.town.character import draw_character
 from pipeline.town.drive import Drive
 from pipeline.town.journey import Journey
-from pipeline.town.light import draw_ground_colours
 from pipeline.town.oxts import read_recording
-from pipeline.town.plan import draw_plan
 from pipeline.town.replay import replay
-from pipeline.town.route import IMU_LEFT_M
-from pipeline.town.street import build_street
 from pipeline.town.traffic import SIGHT_M, draw_traffic, visible
-from pipeline.town.world import World
 from tests.recorded_drive import DRIVE, round_the_block, town_trip, write_recorded
 
 SIZE = (96, 320)
@@ -68,28 +61,6 @@ def test_positions_are_the_recorded_ones_and_on_the_road(trip: Journey) -> None:
     assert np.abs(trip.motion.s_m - driven).max() < 0.01 * driven.max()
     assert trip.motion.s_m[125] < trip.motion.s_m[90] - 3
     np.testing.assert_allclose(trip.motion.s_m[75:90], trip.motion.s_m[75], atol=1e-6)
-
-
-@pytest.mark.parametrize("quarter", ["narrow", "village"])
-def test_nothing_blocks_the_route(block: Journey, quarter: str) -> None:
-    """Rays along both flanks of the car and its centre, from each frame to the next, hit nothing."""
-    journey, rng = block, np.random.default_rng(1)
-    character = replace(draw_character(rng, quarter), bays=1.0)
-    plan = draw_plan(journey.route, rng, character)
-    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
-    left = np.stack([-np.sin(journey.heading_rad), np.cos(journey.heading_rad)], axis=-1)
-    for offset in (-1.0, 0.0, 1.0):
-        places = journey.xy + (offset - IMU_LEFT_M) * left
-        step = np.diff(places, axis=0)
-        length = np.linalg.norm(step, axis=1)
-        for height in (0.4, 1.5):
-            starts = np.column_stack([places[:-1], np.full(len(step), height)])
-            rays = np.column_stack([starts, step / length[:, None], np.zeros(len(step))]).astype(np.float32)
-            assert (world.cast(rays.T).distance_m > length).all()
-    # The car's centre is always on road.
-    assert (plan.to_road_m[plan.cells(*(journey.xy - IMU_LEFT_M * left).T)] == 0).all()
-    assert journey.route.arms  # closed ways at some of the corners
-    assert all(arm.closed for arm in journey.route.arms)
 
 
 def test_cars_do_not_hit_the_ego(block: Journey) -> None:

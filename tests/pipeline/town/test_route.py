@@ -36,3 +36,10 @@ def test_curvature_is_continuous_and_matches_the_line(routes: list[Route]) -> No
         turned = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
         np.testing.assert_allclose(turned / STEP_M, route.curvature_1pm[1:-1], atol=2e-3)
         np.testing.assert_allclose(np.linalg.norm(steps, axis=1), STEP_M)
+
+
+def test_no_road_crosses_itself(routes: list[Route]) -> None:
+    for route in routes:
+        s, xy = route.s_m[::20], route.xy[::20]
+        apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
+        assert apart[np.abs(s[:, None] - s[None]) > 60].min() > 20

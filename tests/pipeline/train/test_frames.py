@@ -89,17 +89,3 @@ def test_inconsistent_graphs_are_refused(tmp_path: Path, kind: str, name: str, v
     with pytest.raises(InputError, match=words) as raised:
         read(path, [(0, 2)])
     assert raised.value.where == str(path)
-
-
-def test_motion(tmp_path: Path) -> None:
-    path = write_file(tmp_path, artefacts.write_graphs)
-    with frames.open_graphs(path) as graphs, pytest.raises(InputError, match=r"found: none"):
-        graphs.motion("visual")
-    artefacts.add_motion(path, "visual", np.linspace(0, 0.2, FRAMES), np.arange(FRAMES) != 3)
-    with frames.open_graphs(path) as graphs, store.DriveReader(path, stage="graphs") as file:
-        assert graphs.motions == ("visual",)
-        for name, values in graphs.motion("visual")._asdict().items():
-            np.testing.assert_array_equal(values, file[f"visual_{name}"])
-        with pytest.raises(InputError, match=r"found: visual") as raised:
-            graphs.motion("lidar")
-        assert "motion.kinds" in raised.value.fix

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from models.steering.core.batch import GraphBatch, ImageBatch
+from models.steering.core.motion import COLUMNS, odd_and_even
 from models.steering.core.network_file import load, names
 from models.steering.core.steering_net import KINDS, SteeringNet, build, parameter_count
 from models.steering.temporal.ncp import CELLS
-from pipeline.base.errors import InputError
 from pipeline.sections.models import Model, resolve
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
@@ -136,24 +136,6 @@ def test_mixed_precision_keeps_the_recursion_in_float32(make_line, frames, spati
     torch.testing.assert_close(mixed, net(*arguments), rtol=0, atol=0.1)
 
 
-@pytest.mark.parametrize(
-    ("networks", "wrong", "words"),
-    [
-        ({}, {"spatial": "gru"}, ["spatial = 'gru'", "cnn, edgeconv, gatv2, gnn, pointnet2"]),
-        ({}, {"width": 0.5}, ["width", "spatial = gnn, temporal = ncp", "layers, semantics, cell, wiring"]),
-        ({"temporal": "lstm"}, {"cell": "ltc"}, ["cell", "temporal = lstm"]),
-        ({}, {"equivarient": True}, ["equivarient", "did you mean equivariant"]),
-        ({}, {"semantics": 1.5}, ["semantics", "less than or equal to 1"]),
-        ({}, {"wiring": {"comand": 5}}, ["wiring.comand"]),
-    ],
-)
-def test_wrong_entries_are_refused_by_key(make_line, networks, wrong, words):
-    with pytest.raises(InputError) as refusal:
-        resolve(Model.model_validate(make_line(**networks) | wrong))
-    assert all(word in str(refusal.value) for word in words)
-    assert "\n" not in str(refusal.value)
-
-
 @pytest.mark.parametrize("temporal", names("temporal"))
 @pytest.mark.parametrize("spatial", KIND)
 def test_resolved_entry_is_complete_and_builds_the_same_network(make_line, spatial, temporal):
@@ -173,3 +155,22 @@ def test_parameter_count_of_the_default_line():
     cfc = sum(2 * (synapses + own**2) + 2 * (inputs + own) * own + 4 * own for inputs, own, synapses in layers)
     assert parameter_count(build({**line, "cell": "cfc"})) == spatial + cfc + 2
     assert parameter_count(build({**line, "temporal": "lstm"})) == spatial + 4 * 32 * (32 + 32 + 2) + 33
+
+
+def test_columns_are_of_order_one_and_the_odd_ones_are_odd():
+    corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
+    motion = torch.tensor([corner, motorway, [0.0] * COLUMNS, [-1.5, 0.0, 0.1, 0.0]])
+    odd, even = odd_and_even(motion)
+    assert odd.abs().max() <= 1 < even.max() < 3
+    assert odd[0].min() > 0.8
+    assert not torch.cat([odd[2], even[2]]).any()
+    there, same = odd_and_even(motion * torch.tensor([-1.0, -1.0, 1.0, 1.0]))
+    assert torch.equal(there, -odd)
+    assert torch.equal(same, even)
+
+
+@pytest.mark.parametrize("name", ["../temporal/lstm", "..core.wiring", "__init__", "gnn.py", "", "os"])
+def test_only_files_of_the_folder_are_imported(name: str) -> None:
+    with pytest.raises(ValueError, match=r"^spatial = .*known: blind, cnn, edgeconv, gatv2, gnn, pointnet2\)"):
+        load("spatial", name)
+    assert name not in names("spatial")

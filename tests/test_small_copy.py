@@ -44,14 +44,6 @@ def test_an_experiment_edits_one_line_and_its_row_has_the_figure(swapped: Path) 
     assert baseline[f"{MODEL}.nmse"] != experiment[f"{MODEL}.nmse"]
 
 
-def test_swapping_back_restores_the_first_model(chain: Path, swapped: Path) -> None:
-    """The last test of the experiment."""
-    scratch.run(swapped, "git", "checkout", "params.yaml", "dvc.lock")
-    assert scratch.stages_run(scratch.run(swapped, "dvc", "repro")) in ([], ["check"])
-    stages = ("train", "evaluate", "report")
-    assert scratch.outputs(swapped, *stages) == scratch.outputs(chain, *stages)
-
-
 HEIGHT = '''"""Mean position of a frame's points: a network that ignores the graph."""
 
 from typing import ClassVar

@@ -52,30 +52,6 @@ def test_mirrored_motion_gives_the_mirrored_label() -> None:
     np.testing.assert_array_equal(same, valid)
 
 
-def test_plausibility_counts_valid_frames_only() -> None:
-    summary = label.plausibility(
-        steering_rad=np.array([0.1, -0.3, 1.5]),
-        valid=np.array([True, True, False]),
-        speed_mps=np.array([5.0, -2.0, 0.1]),
-        sideways_mps=np.array([0.1, -14.0, 0.0]),
-        time_s=np.array([0.0, 0.1, 0.3]),
-    )
-    assert summary == pytest.approx(
-        {
-            "frames": 3,
-            "valid_share": 2 / 3,
-            "mean_abs_steering_rad": 0.2,
-            "max_abs_steering_rad": 0.3,
-            "zero_mse_rad2": 0.05,
-            "reversing_frames": 1,
-            "sideways_frames": 1,
-            "dt_mean_s": 0.15,
-            "dt_std_s": 0.05,
-            "dt_max_s": 0.2,
-        }
-    )
-
-
 def test_constant_steering_drives_a_circle() -> None:
     """After a full circle the car is back; halfway it is 2R to the left of its start."""
     radius, speed, frames = 12.0, 6.0, 2001

@@ -91,26 +91,6 @@ def test_lidar_clouds_are_in_the_camera_frame(data: Path) -> None:
     assert (blind["cls"] == classes.VOID).all()
 
 
-def test_drives_without_a_sensor_have_empty_files(data: Path, tmp_path: Path) -> None:
-    for kind, drive in (("pseudo", BLIND), ("lidar", CAMERA)):
-        assert store.read_index(data / "clouds" / kind, stage="clouds") == SPLITS
-        content = read(data / "clouds" / kind, drive, "clouds")
-        assert (len(content["frame"]), content["xyz"].shape, content["ptr"].tolist()) == (0, (0, 3), [0])
-    assert read(run_graphs(data, tmp_path, **PSEUDO), BLIND)["indices_ptr"].tolist() == [0]
-    sets = read(run_graphs(data, tmp_path, **SETS), BLIND)
-    assert (sets["neighbours_1"].shape, sets["centres_2_ptr"].tolist()) == ((0, 8), [0])
-
-
-def test_limits_of_clouds(data: Path, tmp_path: Path) -> None:
-    run_clouds(data, tmp_path / "clouds", max_points=50, max_depth_m=20.0)
-    content = read(tmp_path / "clouds/pseudo", stage="clouds")
-    assert np.diff(content["ptr"]).tolist() == [50] * FRAMES
-    assert content["xyz"][:, 2].max() <= 20.0
-    with pytest.raises(InputError, match=r"clouds/pseudo: no point in any of the 4 frames") as raised:
-        run_clouds(data, tmp_path / "none", max_depth_m=0.5)
-    assert "clouds.max_depth_m = 0.5" in raised.value.fix
-
-
 def test_pruning_removes_only_edges_between_classes(data: Path, tmp_path: Path) -> None:
     full, pruned = (read(run_graphs(data, tmp_path, **PSEUDO, keep_inter_class=keep)) for keep in (1.0, 0.2))
     for content in (full, pruned):

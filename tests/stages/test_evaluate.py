@@ -109,12 +109,6 @@ def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:
     np.testing.assert_allclose(outputs, [float(predicted[number]) for number in neurons["frame"]], atol=1e-4)
 
 
-def test_a_network_without_wiring_has_no_neurons(folder: Path) -> None:
-    write_params(folder, {"temporal": "lstm"}, epochs=1)
-    run_train(folder)
-    assert json.loads((run_evaluate(folder) / "neurons.json").read_text()) == {}
-
-
 def test_the_memory_of_the_bootstrap_is_bounded_by_the_params(folder: Path) -> None:
     params = folder / "params.yaml"
     params.write_text(params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 1000000000"))

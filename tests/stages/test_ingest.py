@@ -76,17 +76,6 @@ def test_rows_go_by_frame_number(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert f"{DRIVE}: 4 frames, 3 images, 3 scans, camera 2, 1 without an oxts packet left out" in text
 
 
-def test_grey_drive_without_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = write_drive(tmp_path / "raw", camera=0, lidar=False)
-    (folder / "image_02/data").mkdir(parents=True)  # half-extracted: the colour folder exists, but is empty
-    with run(tmp_path) as file:
-        assert file.attrs["camera"] == 0
-        np.testing.assert_array_equal(file["image"][1], pixels(folder / "image_00/data/0000000001.png"))
-        assert file.shape("lidar") == (0, 4)
-        np.testing.assert_array_equal(file["lidar_ptr"], np.zeros(5))
-    assert f"no scans: {DRIVE}\n" in capsys.readouterr().out
-
-
 def cut(path: Path) -> None:
     write(path, path.read_bytes()[: path.stat().st_size * 6 // 10])
 

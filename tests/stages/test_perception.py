@@ -70,16 +70,6 @@ def test_batches_and_threads_change_no_byte(folder: Path, capsys: pytest.Capture
         assert all((one[name] == four[name]).all() for name in one)
 
 
-@pytest.mark.parametrize(("height_m", "expected"), [(None, [1.65, 1.73 - 0.1]), (1.4, [1.4, 1.4])])
-def test_the_camera_height_comes_from_calibration_or_params(
-    folder: Path, height_m: float | None, expected: list[float]
-) -> None:
-    run(folder, "height", camera_height_m=height_m)
-    for drive, height in zip((DENSE, LIDAR), expected, strict=True):
-        with store.DriveReader(folder / "height" / f"{drive}.h5", stage="perception") as file:
-            assert file.attrs["camera_height_m"] == pytest.approx(height)
-
-
 def write_precomputed(root: Path, factor: float, lidar: bool = True) -> None:
     """Write depth, scaled by `factor`, and classes of drive DENSE as PNG files, and the drive itself."""
     for frame in range(FRAMES):

@@ -20,15 +20,6 @@ def test_a_file_takes_the_place_of_another(tmp_path: Path) -> None:
         assert contents(tmp_path) == {"new/folder/a.h5": text.encode()}
 
 
-def test_a_folder_takes_the_place_of_another(tmp_path: Path) -> None:
-    path = tmp_path / "drive"
-    for name in ("first", "second"):
-        with replacing(path) as tmp:
-            tmp.mkdir()
-            (tmp / name).write_text(name)
-        assert contents(tmp_path) == {f"drive/{name}": name.encode()}
-
-
 def test_others_may_read_as_ever(tmp_path: Path) -> None:
     before = os.umask(0o022)
     try:

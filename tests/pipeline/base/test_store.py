@@ -166,15 +166,6 @@ def test_unexpected_contents_are_refused(tmp_path: Path, name: str, values: obje
     assert raised.value.where == str(path)
 
 
-@pytest.mark.parametrize("ptr", [[0, 5000, 4000, 14000], [1, 5000, 5000, 14000]])
-def test_pointers_that_do_not_cover_their_rows_are_refused(tmp_path: Path, ptr: list[int]) -> None:
-    path = write(tmp_path / "a.h5")
-    with h5py.File(path, "r+") as file:
-        file["ptr"][:] = ptr
-    with DriveReader(path, stage="clouds") as file, pytest.raises(InputError, match=r"xyz.*do not fit ptr"):
-        file.rows("xyz", 0, 10)
-
-
 def test_index_round_trip(tmp_path: Path) -> None:
     splits = {"b": "train", "a": "test", "c": "train"}
     for drive in splits:

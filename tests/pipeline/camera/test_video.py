@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.footage import open_footage
-from pipeline.camera.video import Clock, Video
+from pipeline.camera.video import Video
 from tests.footage import SIZE, pictures, write_video
 
 
@@ -23,24 +23,6 @@ def test_frames_and_times_of_the_container(tmp_path: Path, kind: str) -> None:
     assert video.untimed_from is None
     assert np.abs(np.array([frame.image for frame in frames], float) - images).mean() < 4
     assert len(list(video.frames())) == 12  # a second pass
-
-
-@pytest.mark.parametrize(
-    ("stamps", "times", "start"),
-    [
-        ([0, 0, 0, 0], [0, 0.1, 0.2, 0.3], 0),
-        ([None, None, None, None], [0, 0.1, 0.2, 0.3], 0),
-        ([5, 5.2, 5.1, 9], [0, 0.2, 0.3, 0.4], 1),
-        ([5, 5.2, None, 9], [0, 0.2, 0.3, 0.4], 1),
-        ([5, 5.2, 5.3, 5.9], [0, 0.2, 0.3, 0.9], None),
-    ],
-)
-def test_clock_follows_timestamps_while_they_increase(
-    stamps: list[float | None], times: list[float], start: int | None
-) -> None:
-    clock = Clock(Path("a.mp4"), 10, fixed_fps=False)
-    assert [clock.time_s(index, stamp) for index, stamp in enumerate(stamps)] == pytest.approx(times)
-    assert clock.untimed_from == start
 
 
 def test_changing_size_is_refused(tmp_path: Path) -> None:

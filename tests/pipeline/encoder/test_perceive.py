@@ -1,18 +1,14 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.encoder.perceive import load, passes, perceive, read, save
 from tests import street
-
-NET = {"conv.weight": torch.zeros(3)}
 
 
 @pytest.fixture(scope="module")
@@ -30,28 +26,6 @@ def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(model: Un
         assert torch.equal(tensor, loaded.state_dict()[name].cpu()), name
     save(tmp_path / "other", "small", loaded.state_dict())  # it runs with channels last
     assert (tmp_path / "other/encoder.pt").read_bytes() == (tmp_path / "encoder.pt").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (None, "missing"),
-        (b"PK\3\4 cut", "damaged"),
-        ({"kind": "unified encoder", "net": NET}, "backbone's name"),
-        ({"kind": "unified encoder", "backbone": "small", "net": NET}, "does not match"),
-    ],
-)
-def test_other_files_are_refused_with_the_command_that_makes_a_new_one(
-    tmp_path: Path, content: Any, problem: str
-) -> None:
-    if isinstance(content, bytes):
-        (tmp_path / "encoder.pt").write_bytes(content)
-    elif content:
-        torch.save(content, tmp_path / "encoder.pt")
-    with pytest.raises(InputError, match=problem) as raised:
-        load(tmp_path)
-    assert raised.value.where == str(tmp_path / "encoder.pt")
-    assert raised.value.fix.endswith("dvc repro --force --single-item encoder")
 
 
 def test_batched_equals_single(model: UnifiedEncoder) -> None:

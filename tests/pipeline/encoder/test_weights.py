@@ -7,8 +7,8 @@ import torch
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
-from pipeline.encoder import perceive, weights
-from pipeline.encoder.weights import Source, check_available, fetch, fill, read_published
+from pipeline.encoder import perceive
+from pipeline.encoder.weights import Source, fetch, fill, read_published
 from pipeline.sections.encoder import WeightFile, Weights
 
 CONTENT = b"some weights"
@@ -43,25 +43,6 @@ def test_a_path_is_verified_if_it_has_a_hash() -> None:
     with pytest.raises(InputError, match=f"SHA-256 is {SHA256}, expected 0000") as raised:
         fetch(WeightFile(url="published/net.pth", sha256="0" * 64))
     assert "Delete" in raised.value.fix
-
-
-@pytest.mark.parametrize(
-    ("url", "sha256", "problem"),
-    [
-        ("http://127.0.0.1:9/", SHA256, "got a folder"),
-        ("http://127.0.0.1:9/net.pth", None, "without sha256 is not downloaded"),
-    ],
-)
-def test_what_is_neither_there_nor_downloadable_is_refused_without_a_download(
-    monkeypatch: pytest.MonkeyPatch, url: str, sha256: str | None, problem: str
-) -> None:
-    monkeypatch.setattr(weights, "_download", None)
-    Path("weights").mkdir()
-    with pytest.raises(InputError, match=problem) as raised:
-        check_available(Weights(backbone=WeightFile(url=url, sha256=sha256)))
-    assert raised.value.where.startswith("backbone: ")
-    check_available(Weights(backbone=WeightFile(url="http://127.0.0.1:9/net.pth", sha256=SHA256)))
-    check_available(None)
 
 
 def test_a_download_with_another_hash_leaves_nothing() -> None:

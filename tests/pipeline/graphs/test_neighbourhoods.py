@@ -55,10 +55,3 @@ def test_levels_build_on_each_other(xyz: np.ndarray) -> None:
     assert second.centres.tolist() == reference_fps(centres, 10)
     order = np.arange(40)
     assert second.neighbours.tolist() == [reference_ball(centres, int(c), 12.0, 6, order) for c in second.centres]
-
-
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_clouds_smaller_than_asked(xyz: np.ndarray, count: int) -> None:
-    first, second = neighbourhoods.levels(xyz[:count], [(8, 4.0, 3), (6, 9.0, 2)], np.random.default_rng(0))
-    assert first.centres.shape == second.centres.shape == (count,)
-    assert (first.neighbours.shape, second.neighbours.shape) == ((count, 3), (count, 2))

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import h5py
 import pytest
-import torch
 
-from pipeline.fitting import checkpoint
 from pipeline.inspect import diff
 from pipeline.inspect.diff import Difference
 from tests.artefacts import write_dataset
@@ -66,18 +64,6 @@ def test_json_by_key(tmp_path: Path) -> None:
     assert found["test.nmse"].largest == 0.25
     assert "test.nmse" not in compare_texts(tmp_path, "metrics.json", a, b, tolerance=0.3)
     assert compare_texts(tmp_path, "metrics.json", '{"a": [1, 2]}', '{"a":[1.0,2]}') == {}
-
-
-def test_checkpoints_by_tensor(tmp_path: Path) -> None:
-    net = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(2)}
-    other = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(3)}
-    other["w"][1, 2] = 1.5
-    paths = [tmp_path / name / "best.pt" for name in "ab"]
-    for path, state in zip(paths, (net, other), strict=True):
-        checkpoint.write(path, {"kind": "net", "epoch": 3, "net": state})
-    w, gone = diff.compare("best.pt", *paths, 0.0)
-    assert (w.key, w.problem, w.largest) == ("net.w", "values differ", 0.5)
-    assert (gone.key, gone.problem) == ("net.gone", "float32 (2,) and float32 (3,)")
 
 
 def test_folders_are_compared_file_by_file(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import project, transform
-from pipeline.kitti.calibration import cameras_in, read_camera
+from pipeline.kitti.calibration import read_camera
 from tests.kitti_drive import write_calibration
 
 
@@ -27,19 +27,6 @@ def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
     np.testing.assert_allclose(z, expected[:, 2], rtol=1e-9)
     np.testing.assert_allclose(uv, expected[:, :2] / expected[:, 2:], rtol=1e-9)
     assert camera.size == (48, 64)
-
-
-def test_missing_files_and_cameras(tmp_path: Path) -> None:
-    assert cameras_in(tmp_path) == []
-    with pytest.raises(InputError, match=r"calib_cam_to_cam.txt: file is missing"):
-        read_camera(tmp_path, 2)
-    write_calibration(tmp_path, [0])
-    assert cameras_in(tmp_path) == [0]
-    (tmp_path / "calib_velo_to_cam.txt").unlink()
-    camera = read_camera(tmp_path, 0)
-    assert (camera.K[0, 0], camera.T_cam_velo) == (50, None)
-    with pytest.raises(InputError, match="no entry P_rect_02"):
-        read_camera(tmp_path, 2)
 
 
 @pytest.mark.parametrize(

@@ -32,16 +32,6 @@ def test_the_slope_is_weighted_by_length() -> None:
     assert forth.slope == back.slope > 0
 
 
-@pytest.mark.parametrize("slow", [step(0.02, 0.004), step(0.02, 0.0), step(0.1, 0.2)])
-def test_short_steps_are_ignored(slow: np.ndarray) -> None:
-    before, after = road(*[step(0.0, 0.8)] * 50), road(*[step(0.0, 0.8)] * 50, slow)
-    assert after.slope == before.slope
-    (on_road, scale), (as_before, _) = after.find(DEPTH_M, USABLE), before.find(DEPTH_M, USABLE)
-    assert scale == pytest.approx(1, rel=0.01)
-    assert as_before.any()
-    np.testing.assert_array_equal(on_road, as_before)
-
-
 def test_scale_corrects_depth_if_the_height_is_given() -> None:
     assert road().find(DEPTH_M / 2, USABLE)[1] == pytest.approx(2, rel=0.01)
     found, scale = Road(street.K, street.SIZE, None).find(DEPTH_M / 2, USABLE)

@@ -12,7 +12,6 @@ from pipeline.perception.scores import (
     class_ious,
     confusion,
     depth_errors,
-    eigen_crop,
     mean_iou,
     pixel_accuracy,
     summary_line,
@@ -78,16 +77,3 @@ def test_scores_add_up_over_drives_through_json() -> None:
     empty = json.loads(json.dumps(Scores().report(), allow_nan=False))
     assert set(empty) == {*DEPTH_SCORES, *(f"{key}_eigen" for key in DEPTH_SCORES), "classes"}
     assert set(empty.values()) == {None}
-
-
-def test_the_eigen_crop_is_monodepths() -> None:
-    rows, columns = np.mgrid[:375, :1242]
-    assert (eigen_crop(rows).min(), eigen_crop(rows).max() + 1) == (124, 342)
-    assert (eigen_crop(columns).min(), eigen_crop(columns).max() + 1) == (44, 1197)
-    truth = np.full((100, 100), 10.0)
-    predicted = truth.copy()
-    predicted[:33] = 20.0  # above the crop
-    scores = Scores()
-    scores.add_depth("depth_lidar", predicted, truth)
-    assert scores.report()["depth_lidar"]["abs_rel"] == pytest.approx(0.33)
-    assert scores.report()["depth_lidar_eigen"]["abs_rel"] == 0

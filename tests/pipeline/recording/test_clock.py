@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.camera.footage import open_footage
-from pipeline.recording.clock import coverage, read_times, timed
+from pipeline.recording.clock import coverage, read_times
 from pipeline.recording.track import Rates
-from tests.footage import pictures, write_folder, write_video
 
 
 def sampled(*time_s: float) -> Rates:
@@ -38,18 +36,3 @@ def test_unusable_times(tmp_path: Path, text: str) -> None:
     assert raised.value.where == str(path)
     with pytest.raises(InputError, match="missing"):
         read_times(tmp_path / "nothing.txt")
-
-
-def test_times_of_images(tmp_path: Path) -> None:
-    video = open_footage(write_video(tmp_path / "a.mp4", pictures(3), fps=8))
-    folder = open_footage(write_folder(tmp_path / "a", pictures(3)))
-    assert [time_s for time_s, _ in timed(video, None)] == pytest.approx([0, 0.125, 0.25])
-    given = [(time_s, image.number) for time_s, image in timed(video, np.array([7.0, 7.1, 7.3]))]
-    assert given == [(7.0, 0), (7.1, 1), (7.3, 2)]
-    for footage in (folder, video):
-        for count in (2, 4):
-            with pytest.raises(InputError, match=rf"3 images, .* {count} lines"):
-                list(timed(footage, np.arange(float(count))))
-    with pytest.raises(InputError) as raised:
-        list(timed(folder, None))
-    assert "--fps" in raised.value.fix

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.recording.gnss import read_gpx, read_nmea
-from pipeline.recording.track import Fixes
 from tests.gnss import START, bend, gpx, nmea, sentence
 
 
@@ -41,17 +39,3 @@ def test_nmea_sentences(track: Callable[[str], Path]) -> None:
     np.testing.assert_allclose(np.stack([fixes.latitude_deg, fixes.longitude_deg], -1), places, atol=1e-8)
     velocity = 9 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     np.testing.assert_allclose(fixes.velocity_mps, velocity, atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("read", "text", "problem"),
-    [
-        (read_gpx, "<html></html>", "no points with a time"),
-        (read_gpx, "<gpx", "not a GPX file"),
-        (read_nmea, sentence("GNRMC,,V,,,,,,,,,,N"), "no RMC sentences"),
-    ],
-)
-def test_no_track(track: Callable[[str], Path], read: Callable[[Path], Fixes], text: str, problem: str) -> None:
-    with pytest.raises(InputError, match=problem) as raised:
-        read(track(text))
-    assert raised.value.where.endswith("track")

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 
 from pipeline.report import dvc_files
@@ -34,18 +32,3 @@ def test_each_network_has_a_learning_curve(tmp_path: Path) -> None:
     assert names == ["net.csv", "net.seed-1.csv", "net.seed-1.fold-a.csv"]
     # DVC would draw an empty field as 0.
     assert (tmp_path / "out/net.csv").read_text() == "epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
-
-
-def test_steering_counts_rows_over_all_drives(tmp_path: Path) -> None:
-    found = examples.results(tmp_path, examples.metrics("net") | {"seeds": [0, 4]})
-    dvc_files.write_steering(found.predictions, tmp_path / "out")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["net.csv", "net.seed-4.csv"]
-    lines = (tmp_path / "out/net.csv").read_text().splitlines()
-    assert lines[:2] == [
-        "row,drive,frame,time_s,driven_deg,predicted_deg",
-        f"0,{examples.DRIVES[0]},0,100.000000,0.0000,nan",
-    ]
-    table = pd.read_csv(tmp_path / "out/net.csv")
-    assert table["row"].tolist() == list(range(60))
-    assert np.isnan(table["driven_deg"][20])
-    assert table["predicted_deg"][20] == pytest.approx(np.rad2deg(0.21), abs=1e-4)

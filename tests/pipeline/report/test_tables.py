@@ -35,17 +35,6 @@ def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
     assert "Means over 3 seeds" in first.note
 
 
-def test_csv_rows_keep_all_columns_and_types(tmp_path: Path) -> None:
-    results = examples.results(tmp_path, examples.metrics("net", odometry={"odometry": 0.04}))
-    rows = tables.csv_rows(results.metrics)
-    text = rows.to_csv(index=False).splitlines()
-    assert text[1].startswith("net,semantic,gnn,ncp,ltc,False,1.0,8,none,0,train,,1000.0,9259,5160.0,6000.0,1,")
-    odometry = rows.set_index("model").loc["odometry"]
-    columns = ("horizon", "test_nmse", f"test_nmse {examples.DRIVES[1]}", "test_without_decisions_nmse")
-    assert [odometry[column] for column in columns] == [0, 0.04, 0.04, 0.04]
-    assert {"test_nmse_low", "test_rmse_deg 0 to 0.03 1/m", "paper_train_mse"} <= set(rows.columns)
-
-
 def test_perception_has_a_row_per_split_with_ground_truth() -> None:
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)

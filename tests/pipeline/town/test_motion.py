@@ -7,7 +7,6 @@ from pipeline.kitti.oxts import COLUMNS
 from pipeline.label import steering_angle
 from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
-    BRAKE_MPS2,
     Body,
     Motion,
     draw_body,
@@ -64,20 +63,3 @@ def test_label_is_the_curvature_of_the_path_a_moment_earlier(driven: Drive) -> N
     np.testing.assert_allclose(np.tan(label[moving]), 2.7 * route.curvature(s_m)[moving] * faster, atol=1e-12)
     assert label.max() > 0.1  # left and right
     assert label.min() < -0.1
-
-
-def test_rates_are_derivatives_a_moment_earlier(driven: Drive) -> None:
-    route, motion, _, oxts = driven
-    dt = np.diff(motion.time_s)
-    turned = np.diff(np.unwrap(oxts["yaw"]))
-    in_time = np.interp(motion.time_s + RATES_LATE_S, motion.time_s, oxts["wu"])
-    np.testing.assert_allclose(turned[:-1], ((in_time[1:] + in_time[:-1]) / 2 * dt)[:-1], atol=5e-3)
-    np.testing.assert_allclose(np.hypot(oxts["vn"], oxts["ve"]), oxts["vf"], atol=1e-12)
-    np.testing.assert_allclose(
-        np.arctan2(oxts["vn"], oxts["ve"])[oxts["vf"] > 0], oxts["yaw"][oxts["vf"] > 0], atol=1e-9
-    )
-    np.testing.assert_allclose(oxts["al"], oxts["vf"] ** 2 * route.curvature(motion.s_m), atol=1e-12)
-    assert np.abs(oxts["al"]).max() <= LATERAL + 0.01
-    assert np.abs(np.diff(oxts["vf"]) / dt).max() < 1.01 * BRAKE_MPS2
-    assert 0.098 < dt.mean() < 0.108
-    assert 0 < dt.std() < 0.002

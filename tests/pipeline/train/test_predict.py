@@ -107,27 +107,6 @@ def test_folder_of_a_model(tmp_path: Path) -> None:
         predict.load(folder)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"kind": "unified encoder"}, "expected a checkpoint of"),
-        ({"model": {"spatial": "wavelet"}}, r"spatial.*wavelet"),
-        ({"model": {"features": 7}}, "does not match"),
-    ],
-)
-def test_a_checkpoint_that_does_not_rebuild_a_network_is_refused(
-    tmp_path: Path, change: dict[str, Any], words: str
-) -> None:
-    path = write_model(tmp_path / "net/seed-7") / "best.pt"
-    content = checkpoint.read(path, predict.KIND)
-    for key, value in change.items():
-        content[key] = content[key] | value if isinstance(value, dict) else value
-    checkpoint.write(path, {key: value for key, value in content.items() if change.get(key, True) is not None})
-    with pytest.raises(InputError, match=rf"best\.pt.*{words}") as raised:
-        predict.load(path.parent)
-    assert raised.value.fix.endswith("dvc repro --force --single-item train@net")
-
-
 def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
     name = next(iter(DRIVES))
     artefacts.write_dataset(tmp_path, {name: "train"}, frames=40, points=12)

@@ -56,22 +56,6 @@ def test_spans_for_some_frames_have_only_frames_of_their_windows(original: Path)
     assert [span.stop - span.start for span in windows.spans(drives[:1], 1, 10)] == [10, 10, 3]
 
 
-@pytest.mark.parametrize(
-    ("window", "horizon", "motion", "words"),
-    [
-        (24, 0, "none", r"no window of 24 consecutive frames .*at its end.*longest run: 23"),
-        (8, 16, "none", r"no window of 8 .* with a valid label 16 frames after its end"),
-        (8, 0, "lidar", r"drive_0001\.h5: no motion of kind lidar"),
-    ],
-)
-def test_impossible_windows_are_refused(original: Path, window: int, horizon: int, motion: str, words: str) -> None:
-    names = list(DRIVES)
-    with pytest.raises(InputError, match=words):
-        windows.read_drives(original / "graphs/semantic", original / "labels", names, window, horizon, motion)
-    assert len(windows.read_drives(original / "graphs/semantic", original / "labels", names, 23)) == 2
-    assert len(windows.read_drives(original / "graphs/semantic", original / "labels", names, 8, 15)) == 2
-
-
 def test_batch_of_two_spans_equals_single_frames(original: Path) -> None:
     drives = _read(original)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]

@@ -1,5 +1,3 @@
-import dataclasses
-
 import pytest
 import torch
 
@@ -47,11 +45,3 @@ def test_batch_equals_single_frames(make_batch, network, counts):
     batch = make_batch(counts)
     singles = torch.cat([network(one_frame(batch, frame)) for frame in range(batch.frames)])
     torch.testing.assert_close(network(batch), singles, **TOLERANCE)
-
-
-def test_without_semantics_classes_change_nothing(make_batch, network):
-    batch = make_batch([20, 20])
-    other = dataclasses.replace(batch, cls=torch.full_like(batch.cls, 3))
-    assert not torch.allclose(network(batch), network(other))
-    network.semantics = 0.0
-    assert torch.equal(network(batch), network(other))

@@ -8,7 +8,7 @@ import torch
 from models.steering.core.batch import GraphBatch, ImageBatch
 from models.steering.core.motion import COLUMNS, odd_and_even
 from models.steering.core.network_file import load, names
-from models.steering.core.steering_net import KINDS, SteeringNet, build, parameter_count
+from models.steering.core.steering_net import SteeringNet, build
 from models.steering.temporal.ncp import CELLS
 from pipeline.sections.models import Model, resolve
 
@@ -116,13 +116,6 @@ def test_a_seed_gives_the_same_numbers_in_all_versions(make_batch, make_line, te
     assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("spatial", KIND)
-def test_input_of_another_kind_is_refused(make_line, spatial):
-    for kind in KINDS.keys() - {KIND[spatial]}:
-        with pytest.raises(ValueError, match=f"^spatial = '{spatial}' expects {KINDS[KIND[spatial]]}.*{KINDS[kind]}"):
-            build(make_line(spatial), kind, levels=2, image_size=(32, 40))
-
-
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("spatial", KIND)
 def test_mixed_precision_keeps_the_recursion_in_float32(make_line, frames, spatial, cell):
@@ -144,17 +137,6 @@ def test_resolved_entry_is_complete_and_builds_the_same_network(make_line, spati
     assert json.loads(json.dumps(resolved)) == resolved == resolve(Model.model_validate(resolved))
     weights = [build_any(each).state_dict() for each in (line, resolved)]
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
-
-
-def test_parameter_count_of_the_default_line():
-    line = {"spatial": "gnn", "temporal": "ncp", "window": 8, "features": 32, "equivariant": False}
-    spatial = (25 + 1) * 32 + (32 + 1) * 32 + (32 + 1) * 64 + (128 + 1) * 32
-    assert parameter_count(build(line)) == spatial + 4 * (32 * 6 + 60) + 3 * 19 + 2 * 32 + 2
-    assert parameter_count(build({**line, "cell": "eq4"})) == spatial + (32 * 6 + 60) + 19 + 32 * 19 + 2
-    layers = [(32, 12, 32 * 6), (12, 6, 12 * 4), (6, 1, 6)]  # inputs, neurons, synapses between
-    cfc = sum(2 * (synapses + own**2) + 2 * (inputs + own) * own + 4 * own for inputs, own, synapses in layers)
-    assert parameter_count(build({**line, "cell": "cfc"})) == spatial + cfc + 2
-    assert parameter_count(build({**line, "temporal": "lstm"})) == spatial + 4 * 32 * (32 + 32 + 2) + 33
 
 
 def test_columns_are_of_order_one_and_the_odd_ones_are_odd():

@@ -75,11 +75,3 @@ def test_batch_equals_single_frames(make_sets, network, counts):
     together = network(make_sets(counts))
     singles = [network(make_sets(counts, only=frame)) for frame in range(len(counts))]
     torch.testing.assert_close(together, torch.cat(singles), **TOLERANCE)
-
-
-def test_without_semantics_classes_change_nothing(make_sets, network):
-    batch = make_sets([20, 20])
-    other = dataclasses.replace(batch, cls=torch.full_like(batch.cls, 3))
-    assert not torch.allclose(network(batch), network(other))
-    network.semantics = 0.0
-    assert torch.equal(network(batch), network(other))

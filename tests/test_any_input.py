@@ -1,4 +1,4 @@
-"""Any text, any bytes and damaged copies of sound files: readers return sound values or raise one InputError."""
+"""Damaged copies of sound files: readers return sound values or raise one InputError."""
 
 import json
 from collections.abc import Callable

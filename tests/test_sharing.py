@@ -7,11 +7,13 @@ from typing import NamedTuple
 import pytest
 import yaml
 
+from pipeline.base import store
 from tests import scratch, sftp_server
 from tests.scratch import MODEL
 
 pytestmark = pytest.mark.slow
 NETWORK = [f"train@{MODEL}", f"evaluate@{MODEL}", "report"]
+DRIVE = "2026_01_01_drive_0001.h5"
 
 
 def commands(part: str) -> list[str]:
@@ -83,3 +85,25 @@ def test_a_second_machine_trains_the_same_network(lab: Lab) -> None:
     needed = ["evaluate", "graphs/semantic", "labels", "report", "scores", "train"]
     assert present(second) == needed
     assert checkpoint(second) == checkpoint(lab.first)
+
+
+@pytest.mark.soak
+def test_a_third_machine_makes_other_graphs_of_the_clouds(lab: Lab, tmp_path: Path) -> None:
+    third = clone(lab.first, tmp_path / "third")
+    params = yaml.safe_load((third / "params.yaml").read_text())
+    graphs, model = params["graphs"]["semantic"], params["models"][MODEL]
+    params["graphs"] |= {"near": graphs | {"k": 3}, "pruned": graphs | {"keep_inter_class": 0.5}}
+    params["models"] |= {name: model | {"input": name} for name in ("near", "pruned")}
+    scratch.edit_params(third, **params)
+    own = {f"{stage}@{name}" for stage in ("graphs", "train", "evaluate") for name in ("near", "pruned")}
+    assert set(scratch.stages_run(typed(third, GO_ON))) == own | {"check", "report"}
+    graphs_too = ["clouds/pseudo", "evaluate", "graphs/near", "graphs/pruned", "labels", "motion", "report", "scores"]
+    assert present(third) == [*graphs_too, "train"]
+    edges = {name: edges_of(third / f"data/graphs/{name}/{DRIVE}") for name in ("near", "pruned")}
+    usual = edges_of(lab.first / f"data/graphs/semantic/{DRIVE}")
+    assert 0 < edges["near"] < usual < edges["pruned"]
+
+
+def edges_of(path: Path) -> int:
+    with store.DriveReader(path, stage="graphs") as file:
+        return file.shape("indices")[0]

@@ -20,14 +20,6 @@ SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2
 FULL, BLIND, CAMERA = SPLITS
 FRAMES = 4
 PSEUDO: dict[str, object] = {"source": "clouds/pseudo", "points": 300, "k": 4}
-SETS = {
-    "source": "clouds/pseudo",
-    "points": 300,
-    "neighbourhood": "pointnet2",
-    "centres": [20, 6],
-    "radius_m": [4, 9],
-    "neighbours": [8, 5],
-}
 
 
 @pytest.fixture(scope="module")

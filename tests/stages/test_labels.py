@@ -1,6 +1,8 @@
 """Stage labels, down to KITTI's own packets."""
 
 import json
+import re
+import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
 from pipeline.kitti.ingest_file import put_motion
 from pipeline.kitti.oxts import make_rows
-from stages import labels
+from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
 
 DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
@@ -70,3 +72,34 @@ def test_standstill(tmp_path: Path) -> None:
     left, _ = run(tmp_path, standstill="zero")
     assert left["valid"].all()
     assert not left["steering_rad"].any()
+
+
+@pytest.mark.slow
+@pytest.mark.real
+def test_real_drives_follow_the_formula(real_kitti: Path, tmp_path: Path) -> None:
+    """Second route: KITTI's own files and column numbers, and atan2 instead of atan."""
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        members = [member for member in archive if re.search(r"_0(09\d|10\d)_sync", member.name)]
+        archive.extractall(tmp_path / "raw", members, filter="data")
+    folders = {path.name.removesuffix("_sync"): path for path in sorted((tmp_path / "raw").glob("*/*_sync"))}
+    *train, test = folders
+    params = write_params(tmp_path / "params.yaml", train=train, test=[test])
+    ingest.main(raw=tmp_path / "raw", out=tmp_path / "ingest", params=params, workers=1)
+    labels.main(tmp_path / "ingest", tmp_path / "labels", params)
+
+    frames = 0
+    for drive, folder in folders.items():
+        packets = sorted((folder / "oxts/data").glob("*.txt"))
+        vf, wu = np.array([path.read_text().split() for path in packets], float)[:, [8, 22]].T
+        with DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") as file:
+            valid = file["valid"].astype(bool)
+            np.testing.assert_array_equal(valid, np.abs(vf) >= 1.0)
+            expected = np.arctan2(2.7 * wu * np.sign(vf), np.abs(vf))
+            np.testing.assert_allclose(file["steering_rad"][valid], expected[valid], rtol=0, atol=1e-12)
+            np.testing.assert_array_equal(file.frame, [int(path.stem) for path in packets])
+            frames += len(packets)
+    assert frames > 1000
+
+    summary = json.loads((tmp_path / "labels/summary.json").read_text())
+    assert [drive for drive in summary if summary[drive]["sideways_frames"]] == ["2011_09_26_drive_0093"]
+    assert max(drive["dt_max_s"] for drive in summary.values()) < 0.2

@@ -1,7 +1,5 @@
 """Files and folders that appear complete, or not at all."""
 
-import os
-import stat
 from pathlib import Path
 
 import pytest
@@ -18,16 +16,6 @@ def test_a_file_takes_the_place_of_another(tmp_path: Path) -> None:
             assert tmp.suffix == ".h5", "by which some writers choose the format"
             assert path.exists() == (text == "second")
         assert contents(tmp_path) == {"new/folder/a.h5": text.encode()}
-
-
-def test_others_may_read_as_ever(tmp_path: Path) -> None:
-    before = os.umask(0o022)
-    try:
-        with replacing(tmp_path / "a") as tmp:
-            tmp.touch()
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o644
 
 
 @pytest.mark.parametrize("folder", [False, True])

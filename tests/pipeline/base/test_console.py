@@ -3,7 +3,6 @@
 import errno
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -68,19 +67,3 @@ def test_sigterm_ends_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch, capsys: py
     finally:
         signal.signal(signal.SIGTERM, handler)
     assert cleaned_up
-
-
-def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["stage"])
-    with pytest.raises(ValueError, match="a bug"):
-        console.run(raising(ValueError("a bug")))
-
-
-@pytest.mark.parametrize("stage", ["labels", "ingest"])
-def test_help_loads_nothing_heavy(stage: str) -> None:
-    program = (
-        f"import sys, stages.{stage}\n"
-        "print([name for name in ('torch', 'open3d', 'cv2', 'scipy', 'pykitti', 'PIL') if name in sys.modules])"
-    )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"

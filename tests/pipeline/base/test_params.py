@@ -13,7 +13,6 @@ from pipeline.sections.clouds import Clouds
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
-from pipeline.sections.models import Model
 from pipeline.sections.train import Train
 
 
@@ -90,15 +89,6 @@ def test_faulty_files(tmp_path: Path, content: bytes | None, problem: str) -> No
     with pytest.raises(InputError, match=problem) as raised:
         params.load(Train, path)
     assert raised.value.where.startswith(str(path))
-
-
-def test_entries_of_mappings() -> None:
-    path = ROOT / "params.yaml"
-    assert "semantic" in params.names("graphs", path)
-    assert params.load_entry(Variant, "graphs", "semantic", path).source == "clouds/pseudo"
-    assert params.load_entry(Model, "models", "sa-gnn-ncp", path).input == "semantic"
-    with pytest.raises(InputError, match=r"no entry 'sa-gnn-ncq': did you mean .*sa-gnn-ncp"):
-        params.load_entry(Model, "models", "sa-gnn-ncq", path)
 
 
 @pytest.mark.parametrize(

@@ -69,18 +69,3 @@ def test_traffic_is_excluded_by_its_class() -> None:
     for frame in frames:
         frame.cls[bus] = classes.BUILDING
     assert not any(one and abs(step.rates(one.T_before, DT_S)[1] - 6) < 0.3 for one in measured(frames))
-
-
-def test_image_noise_is_not_motion() -> None:
-    """Noise moves half of the corners by more than STANDSTILL_PX, but the car by millimetres."""
-    rng = np.random.default_rng(0)
-
-    def noisy(*poses: np.ndarray) -> list[visual.View]:
-        noise = rng.normal(0, 5, (len(poses), *street.SIZE, 1))
-        return [
-            view._replace(image=np.clip(view.image + view_noise, 0, 255).astype(np.uint8))
-            for view, view_noise in zip(views(*poses), noise, strict=True)
-        ]
-
-    assert measured(noisy(*[street.pose(0.1, 0.0, 5.0)] * 4)) == [None] * 4
-    assert rates(measured(noisy(*street.arc(3, 0.0, 2.0))))[:, 1] == pytest.approx(2.0, rel=0.1)

@@ -36,12 +36,6 @@ def test_rows_are_sorted_by_horizon_then_as_in_the_paper_with_baselines_last(tmp
     assert rows.loc["ours", "paper.test_mse"] is None
 
 
-def test_a_network_on_accumulated_clouds_is_not_one_of_the_paper(tmp_path: Path) -> None:
-    content = examples.metrics("do", **PAPERS)
-    content["variant"]["accumulate"] = {"motion": "visual", "frames": 8}
-    assert examples.results(tmp_path, content).metrics["paper.test_mse"][0] is None
-
-
 def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:
     found = examples.results(tmp_path, examples.metrics("net") | {"seeds": [3, 7]}, examples.metrics("other"))
     table = found.predictions

@@ -42,12 +42,6 @@ def test_hits_of_rays(world: World) -> None:
     np.testing.assert_allclose(hits.normal.T, [[0, 0, 1], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], atol=1e-6)
 
 
-def test_shadows_fall_away_from_the_sun(world: World) -> None:
-    points = np.array([[9.0, 0, 0.2], [12.0, 0, 0.2], [12.0, 9, 0.2]], np.float32).T
-    west = np.array([-1, 0, 0.5]) / np.sqrt(1.25)
-    np.testing.assert_array_equal(world.lit(points, west), [True, False, True])
-
-
 def test_traffic_hides_what_is_behind_it_and_leaves_again(world: World) -> None:
     ray = rays(([-8.0, 0, 0.7], [1, 0, 0]), ([-8.0, 3, 0.7], [0, 1, 0.01]))
     car = shapes.car(np.random.default_rng(0))

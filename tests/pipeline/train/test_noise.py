@@ -92,11 +92,3 @@ def test_removed_points_take_their_edges_with_them(batch: windows.Batch) -> None
     ]
     assert list(zip(np.repeat(np.arange(nodes), after["degree"]), after["indices"], strict=True)) == wanted
     assert isinstance(from_arrays(after), GraphBatch)
-
-
-def test_sets_lose_no_points_and_images_do_not_change(tmp_path: Path) -> None:
-    sets = make(tmp_path / "sets", artefacts.write_sets)
-    after = noisy(sets, ALL)
-    assert differing(sets, after) == {"xyz", "cls", "motion", "base_rad"}
-    images = make(tmp_path / "images", artefacts.write_images)
-    assert noisy(images, ALL) is images

@@ -1,4 +1,4 @@
-"""The complete chain as a user runs it, by `dvc repro` in a scratch copy: the small sample, and real drives."""
+"""The complete chain as a user runs it, by `dvc repro` in a scratch copy."""
 
 import json
 from pathlib import Path

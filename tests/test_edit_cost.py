@@ -1,4 +1,4 @@
-"""Edit cost: which stages run again after a file was edited, by the parsed dvc.yaml; `dvc status` confirms it."""
+"""Which stages run again after a file was edited, by `dvc status`."""
 
 from pathlib import Path
 

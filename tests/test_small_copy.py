@@ -1,4 +1,4 @@
-"""DVC's own commands, a network added by a user, and a notebook, on a copy of the small chain."""
+"""An experiment of DVC, a network added by a user, and a notebook, on a copy of the small chain."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""Test that each row runs on small inputs, and that both of its sides compute the same."""
+"""Each row of `make bench` runs on small inputs, and PyG computes the same."""
 
 import math
 import warnings

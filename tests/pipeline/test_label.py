@@ -1,4 +1,4 @@
-"""The steering label, its plausibility summary, and paths."""
+"""The steering label and paths."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Stage train: learning, resume, worker processes, torchrun, refused models."""
+"""Stage train: learning, resume, mirror pairs, torchrun."""
 
 import json
 import os

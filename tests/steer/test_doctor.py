@@ -1,4 +1,4 @@
-"""steer doctor: raw drives, due stages, and disk space."""
+"""steer doctor: raw drives and due stages."""
 
 import json
 import shutil

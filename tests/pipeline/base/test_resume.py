@@ -1,4 +1,4 @@
-"""Resume keys: everything that determines a result changes them, and nothing else."""
+"""Resume keys: everything that determines a result changes them."""
 
 import shutil
 from collections.abc import Callable

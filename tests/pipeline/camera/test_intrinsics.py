@@ -1,4 +1,4 @@
-"""Intrinsics from a file, an angle or four numbers."""
+"""Intrinsics from a file or an angle."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Videos: frames, times, rotation, and the faults of files."""
+"""Videos: frames, times, and faults of files."""
 
 from pathlib import Path
 

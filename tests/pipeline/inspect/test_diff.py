@@ -1,4 +1,4 @@
-"""Differences of drives' files, JSON, CSV, checkpoints and other files."""
+"""Differences of drives' files, JSON and other files."""
 
 from collections.abc import Callable
 from pathlib import Path

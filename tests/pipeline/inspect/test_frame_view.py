@@ -1,4 +1,4 @@
-"""One frame of each kind of artefact, and its picture."""
+"""One frame of a graph and of an ingest file."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Problems of raw drives, and the command that extracts them again."""
+"""Problems of raw drives."""
 
 import os
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Results appear when a run succeeds; after an error, an interrupt or a kill, the partial results can be read."""
+"""Results appear when a run succeeds; a full disk is an error, and a kill leaves a playable video."""
 
 import resource
 import subprocess

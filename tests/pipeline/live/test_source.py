@@ -1,4 +1,4 @@
-"""Sources: cropping, frame numbers and times, and what is refused."""
+"""Sources: cropping, frame numbers and times."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A flat road in front of a camera: direction of travel, road mask and scale of depth."""
+"""A flat road in front of a camera: direction of travel and scale of depth."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Which images have motion, and when images were taken."""
+"""Which images have motion, and times of images from a file."""
 
 from pathlib import Path
 

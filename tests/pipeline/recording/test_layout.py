@@ -1,4 +1,4 @@
-"""The written folder is what stage ingest reads; the drives of a date share one calibration."""
+"""The written folder is what stage ingest reads."""
 
 from pathlib import Path
 

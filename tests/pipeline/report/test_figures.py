@@ -1,4 +1,4 @@
-"""Figures of the paper: which frames, what they show, the same bytes each time."""
+"""Figures of the paper: which frames, and their numbers."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Metrics and predictions of all models: order of the rows, baselines, runs, damaged files."""
+"""Metrics and predictions of all models: order of the rows, baselines, networks of the paper, the story."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Studies of one setting: points, table, figure, and the paper's claims."""
+"""Studies of one setting: table, figure, and the paper's claims."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Tables of the report: cells, widths, and the columns of table.csv."""
+"""Tables of the report: cells and widths."""
 
 from pathlib import Path
 

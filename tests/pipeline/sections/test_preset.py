@@ -1,4 +1,4 @@
-"""Presets hold only what differs from params.yaml, and keep the rest and its comments."""
+"""Presets are merged into params.yaml and keep its comments."""
 
 import re
 from pathlib import Path

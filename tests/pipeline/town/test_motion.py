@@ -1,4 +1,4 @@
-"""The ego's motion and its oxts packets: positions, speeds and rates are consistent."""
+"""The ego's motion and its oxts packets are consistent."""
 
 import numpy as np
 import pytest

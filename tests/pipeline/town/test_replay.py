@@ -1,4 +1,4 @@
-"""A replayed drive: the road follows the recorded track, nothing blocks it, and oxts is copied."""
+"""A replayed drive: the road follows the recorded track, and oxts is copied."""
 
 from pathlib import Path
 

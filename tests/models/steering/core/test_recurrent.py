@@ -1,4 +1,4 @@
-"""Contract of all recurrent networks."""
+"""All recurrent networks; LSTM compared with torch's."""
 
 import pytest
 import torch

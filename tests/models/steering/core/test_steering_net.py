@@ -1,4 +1,4 @@
-"""Networks of each combination: shared frames, mirroring, motion, mixed precision, entries of params.yaml."""
+"""Networks of each combination: shared frames, mirroring, motion, mixed precision."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The onset of a turn, by hand and on a recorded drive."""
+"""The onset of a turn, by hand."""
 
 from pathlib import Path
 

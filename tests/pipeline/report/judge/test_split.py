@@ -1,4 +1,4 @@
-"""Metrics of a split: counted frames, parts of the split, sizes of its graphs."""
+"""Metrics of a split: counted frames, drives, odometry."""
 
 from pathlib import Path
 

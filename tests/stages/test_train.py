@@ -204,6 +204,6 @@ def test_two_machines_train_as_one_process(folder: Path, tmp_path: Path, monkeyp
 
     with (clones[1] / "pipeline/train/fit.py").open("a") as code:
         code.write("# an edit\n")
-    for status, _, errors in train_on_two_machines(clones):
-        assert status == 1
-        assert "processes differ in code" in errors
+    ended = train_on_two_machines(clones)
+    assert all(status for status, _, _ in ended), "the first to end may stop the other"
+    assert any("processes differ in code" in errors for _, _, errors in ended)

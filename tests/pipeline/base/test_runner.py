@@ -57,6 +57,7 @@ def test_an_error_names_drive_and_frame_and_keeps_finished_drives(
     assert "0/14" not in printed.err
 
 
+@pytest.mark.slow
 def test_a_dead_worker_is_one_error_and_keeps_finished_drives(folder: Path, expected: dict[str, bytes]) -> None:
     trouble(folder, a="die")
     with pytest.raises(InputError) as raised:

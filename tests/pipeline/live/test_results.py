@@ -74,6 +74,7 @@ def test_a_full_disk_is_an_error(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_a_playable_video(tmp_path: Path) -> None:
     code = (
         "import os, signal; from pathlib import Path; from tests.pipeline.live import test_results as t\n"

@@ -72,6 +72,7 @@ def parts(files: dict[str, str]) -> Parts:
     return Parts(model.backbone, model.depth_head, model.class_head)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(56, 84), (50, 75)])
 def test_features_and_depth_equal_the_authors_formulas(
     parts: Parts, backbone_file: State, depth_file: State, size: tuple[int, int]

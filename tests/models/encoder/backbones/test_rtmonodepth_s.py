@@ -60,6 +60,7 @@ def test_an_image_of_any_size_is_resized_to_the_training_size(size: tuple[int, i
     torch.testing.assert_close(depth.log().mean(), whole.log().mean(), rtol=2e-2, atol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_published_weights_give_metric_depth_of_real_streets(real_half: Path, real_weights: Path) -> None:
     model, folder = UnifiedEncoder("rtmonodepth-s").eval(), real_weights / "rtmonodepth-s"

@@ -1,84 +1,10 @@
-"""Edit cost: which stages run again after a file was edited, by the parsed dvc.yaml; `dvc status` confirms it."""
+"""Which stages run again after a file was edited, by `dvc status`."""
 
-import re
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
 
-from pipeline.base.resume import ROOT
 from tests import scratch
-
-MODELS = {
-    "plain": {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 8},
-    "attention": {"input": "semantic", "spatial": "gatv2", "temporal": "lstm", "window": 8},
-}
-ENTRIES: dict[str, dict[str, Any]] = {"graphs": {"semantic": {"source": "clouds/pseudo"}}, "models": MODELS}
-NETWORKS = {"encoder", "perception", "train@plain", "train@attention"}  # hours on KITTI
-TRAIN = {f"{stage}@{model}" for stage in ("train", "evaluate") for model in MODELS}
-
-
-def stages_run_by(file: str) -> set[str]:
-    """Return the stages with a dependency that covers a file, without `check`."""
-    found = set()
-    for name, stage in yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"].items():
-        entries = ENTRIES[stage["foreach"][2:-1]] if "foreach" in stage else {"": {}}
-        for key, entry in entries.items():
-            for template in stage.get("do", stage)["deps"]:
-                dependency = re.sub(r"\$\{item\.(\w+)\}", lambda match, entry=entry: str(entry[match[1]]), template)
-                if file == dependency or file.startswith(f"{dependency}/"):
-                    found.add(f"{name}@{key}" if key else name)
-    return found - {"check"}
-
-
-def files(pattern: str) -> list[str]:
-    paths = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob(pattern) if path.name != "__init__.py")
-    assert paths, pattern
-    return paths
-
-
-@pytest.mark.parametrize(
-    "pattern", ["pipeline/report/**/*.py", "pipeline/perception/*scores.py", "stages/scores.py", "stages/report.py"]
-)
-def test_reports_and_scores_run_no_network(pattern: str) -> None:
-    for file in files(pattern):
-        assert stages_run_by(file), f"{file} belongs to no stage"
-        assert not stages_run_by(file) & NETWORKS
-
-
-@pytest.mark.parametrize("pattern", ["pipeline/train/*.py", "models/steering/core/**/*.py"])
-def test_the_trainer_and_steering_networks_run_neither_encoder_nor_graphs(pattern: str) -> None:
-    for file in files(pattern):
-        assert stages_run_by(file) <= TRAIN | {"report", "check"}, file
-    assert stages_run_by("pipeline/train/fit.py") >= TRAIN
-
-
-@pytest.mark.parametrize("folder", ["spatial", "temporal"])
-def test_a_network_trains_the_models_that_use_it(folder: str) -> None:
-    for file in [*files(f"models/steering/{folder}/*.py"), f"models/steering/{folder}/new.py"]:
-        users = {name for name, model in MODELS.items() if model[folder] == Path(file).stem}
-        assert stages_run_by(file) == {f"{stage}@{model}" for stage in ("train", "evaluate") for model in users}
-
-
-@pytest.mark.parametrize(
-    ("pattern", "stages"),
-    [
-        ("pipeline/town/*.py", {"town"}),
-        ("pipeline/encoder/fit.py", {"encoder"}),
-        ("pipeline/motion/pose.py", {"motion"}),
-        ("pipeline/graphs/neighbourhoods.py", {"graphs@semantic"}),
-        ("pipeline/graphs/cloud.py", {"clouds", "graphs@semantic"}),
-        ("pipeline/sections/train.py", {"train@plain", "train@attention"}),
-        ("models/encoder/backbones/*.py", {"encoder", "perception", "scores"}),
-        ("stages/town.py", {"town"}),
-        ("stages/graphs.py", {"graphs@semantic"}),
-        ("stages/train.py", {"train@plain", "train@attention"}),
-    ],
-)
-def test_other_edits_run_their_own_stage(pattern: str, stages: set[str]) -> None:
-    for file in files(pattern):
-        assert stages_run_by(file) == stages, file
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Test the Makefile: presets with a DVC that only logs its calls, and set-up with a uv and a pip that do the same."""
 
-import fcntl
 import os
 import shutil
 import subprocess
@@ -103,34 +102,3 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
     assert not (checkout / "runs/kitti/pipeline/removed.py").exists()
     first = ["init --quiet --no-scm", "cache dir ../../.dvc/cache", "repro"]
     assert (checkout / "calls").read_text().splitlines() == [*first, *first, *first[1:]]
-
-
-@pytest.mark.slow
-def test_a_second_run_of_a_preset_is_refused(checkout: Path) -> None:
-    (checkout / "runs/kitti/stages").mkdir(parents=True)
-    (checkout / "runs/kitti/stages/check.py").write_text("# of the first run\n")
-    with (checkout / "runs/kitti.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        refused = make(checkout, "kitti")
-        assert refused.returncode != 0
-        assert "error: runs/kitti: another make kitti is running" in refused.stderr
-        assert (checkout / "runs/kitti/stages/check.py").read_text() == "# of the first run\n"
-        assert [path.name for path in (checkout / "runs/kitti").iterdir()] == ["stages"]
-    (checkout / "fake/bin/dvc").write_text("#!/bin/sh\nexit 3\n")
-    failed = make(checkout, "kitti")
-    assert failed.returncode != 0
-    assert "another make" not in failed.stderr
-
-
-@pytest.mark.slow
-def test_a_preset_is_written_over_params_yaml(checkout: Path) -> None:
-    missing = make(checkout, "params")
-    assert missing.returncode != 0
-    assert " ".join(sorted(path.stem for path in preset.PRESETS.glob("*.yaml"))) in missing.stderr
-    (checkout / "mine.yaml").write_text("train: {epochs: 3}\n")
-    done = make(checkout, "params", "PRESET=mine.yaml")
-    assert "mine.yaml" in done.stdout, done.stderr
-    assert yaml.safe_load((checkout / "params.yaml").read_text())["train"]["epochs"] == 3
-    unknown = make(checkout, "params", "PRESET=kiti")
-    assert unknown.returncode != 0
-    assert "kitti" in unknown.stderr

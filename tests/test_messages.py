@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from pipeline.base import console, executors, runner, store
-from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.errors import DamagedFile
 from pipeline.base.lock import exclusive
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import ROOT, file_hash
@@ -196,11 +196,6 @@ def test_messages(tmp_path: Path) -> None:
         assert len(lines) == 1, f"{name}: expected one line"
         assert lines[0].startswith("  error: ")
         assert not lines[0].endswith(":")
-
-
-def test_an_input_error_is_a_line_of_three_fields() -> None:
-    error = InputError("the file is cut short", "a.png", "Extract it again")
-    assert str(error) == "a.png: the file is cut short. Extract it again"
 
 
 if __name__ == "__main__":

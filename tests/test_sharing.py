@@ -1,12 +1,9 @@
 """Three machines: one has the raw data, one trains on its graphs, one computes other graphs; by SSH and by a folder."""
 
-import json
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import h5py
 import pytest
 import yaml
 
@@ -25,7 +22,6 @@ def commands(part: str) -> list[str]:
 
 
 SHARE, TRAIN, GO_ON = commands("dvc remote add -d lab")
-FIND, DELETE_LISTS, PUSH = commands("md5sum")  # how a remote is repaired
 
 
 class Lab(NamedTuple):
@@ -106,98 +102,6 @@ def test_a_third_machine_makes_other_graphs_of_the_clouds(lab: Lab, tmp_path: Pa
     edges = {name: edges_of(third / f"data/graphs/{name}/{DRIVE}") for name in ("near", "pruned")}
     usual = edges_of(lab.first / f"data/graphs/semantic/{DRIVE}")
     assert 0 < edges["near"] < usual < edges["pruned"]
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("verify", [True, False])
-def test_a_half_copied_object_is_refused_and_the_way_out_works(lab: Lab, tmp_path: Path, verify: bool) -> None:
-    second, remote = clone_with_a_remote(lab, tmp_path)
-    scratch.run(second, "dvc", "remote", "modify", "lab", "verify", str(verify).lower())
-    half = object_of(lab.first, remote)
-    half.chmod(0o644)
-    half.write_bytes(half.read_bytes()[: half.stat().st_size // 2])
-    half.chmod(0o444)
-    change(second, semantics=0.5)
-
-    output = typed(second, TRAIN, check=False)
-    assert not (second / f"data/train/{MODEL}").exists()
-    assert "Traceback" not in output
-    if verify:
-        assert "data/labels" in output
-        assert scratch.stages_run(output) == []
-        assert not (second / "data/labels").exists()
-    else:
-        assert scratch.stages_run(output) == NETWORK[:1]
-        (line,) = (line for line in output.splitlines() if line.startswith("error: "))
-        assert f"data/labels/{DRIVE}" in line
-        assert "dvc pull" in line
-
-    for line in (FIND, DELETE_LISTS):
-        typed(remote / "files/md5", line)
-    typed(lab.first, f"{PUSH} --remote {remote.name} labels")
-    if not verify:
-        typed(second / ".dvc/cache/files/md5", FIND)
-        shutil.rmtree(second / "data/labels")
-    typed(second, "dvc pull labels")
-    assert scratch.outputs(second, "labels") == scratch.outputs(lab.first, "labels")
-
-
-@pytest.mark.soak
-def test_what_another_schema_made_is_named_and_trains_nothing(lab: Lab, tmp_path: Path) -> None:
-    old, remote = tmp_path / "old", tmp_path / "remote"
-    shutil.copytree(lab.first, old, ignore=shutil.ignore_patterns("town", "cache"))
-    with h5py.File(old / f"data/labels/{DRIVE}", "r+") as file:
-        file.attrs["schema"] = 1
-    scratch.run(old, "dvc", "commit", "--force", "labels")
-    shutil.copytree(lab.folder, remote)
-    scratch.run(old, "dvc", "remote", "modify", "lab", "url", str(remote))
-    scratch.run(old, "dvc", "push", "labels")
-    scratch.commit(old, "of another schema")
-
-    second = clone(old, tmp_path / "second")
-    output = typed(second, TRAIN, check=False)
-    (line,) = (line for line in output.splitlines() if line.startswith("error: "))
-    assert line.startswith(f"error: data/labels/{DRIVE}")
-    assert "schema 1" in line
-    assert "dvc pull labels" in line
-    assert not (second / f"data/train/{MODEL}").exists()
-
-
-@pytest.mark.soak
-def test_what_a_remote_lacks_trains_nothing(lab: Lab, tmp_path: Path) -> None:
-    second, remote = clone_with_a_remote(lab, tmp_path)
-    object_of(lab.first, remote).unlink()
-    change(second, semantics=0.5)
-    for line in (TRAIN, GO_ON):
-        output = typed(second, line, check=False)
-        assert f"failed to reproduce 'train@{MODEL}'" in output
-        assert set(scratch.stages_run(output)) <= {"check"}
-        assert not (second / f"data/train/{MODEL}").exists()
-
-
-def change(machine: Path, **line: object) -> None:
-    """Change values of the model's entry in params.yaml."""
-    models = yaml.safe_load((machine / "params.yaml").read_text())["models"]
-    scratch.edit_params(machine, models=models | {MODEL: models[MODEL] | line})
-
-
-def clone_with_a_remote(lab: Lab, folder: Path) -> tuple[Path, Path]:
-    """Return a new machine and its own copy of the remote, which the first machine has as a remote of that name."""
-    remote = folder / f"remote-{folder.name}"
-    shutil.copytree(lab.folder, remote)
-    scratch.run(lab.first, "dvc", "remote", "add", "--local", remote.name, str(remote))
-    machine = clone(lab.first, folder / "second")
-    scratch.run(machine, "dvc", "remote", "modify", "lab", "url", str(remote))
-    return machine, remote
-
-
-def object_of(machine: Path, remote: Path) -> Path:
-    """Return the path of a drive's labels in a remote."""
-    folder = remote / "files/md5"
-    (out,) = yaml.safe_load((machine / "dvc.lock").read_text())["stages"]["labels"]["outs"]
-    listed = json.loads((folder / out["md5"][:2] / out["md5"][2:]).read_text())
-    (name,) = (entry["md5"] for entry in listed if entry["relpath"] == DRIVE)
-    return folder / name[:2] / name[2:]
 
 
 def edges_of(path: Path) -> int:

@@ -1,6 +1,5 @@
 """Stages clouds and graphs, one after the other."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,6 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import DEPTH_UNITS_PER_M
 from pipeline.graphs import cloud
-from pipeline.kitti.ingest_file import put_motion, put_pixels
-from pipeline.kitti.oxts import make_rows
 from pipeline.motion import kinds
 from stages import clouds, graphs
 from tests import street
@@ -23,14 +20,6 @@ SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2
 FULL, BLIND, CAMERA = SPLITS
 FRAMES = 4
 PSEUDO: dict[str, object] = {"source": "clouds/pseudo", "points": 300, "k": 4}
-SETS = {
-    "source": "clouds/pseudo",
-    "points": 300,
-    "neighbourhood": "pointnet2",
-    "centres": [20, 6],
-    "radius_m": [4, 9],
-    "neighbours": [8, 5],
-}
 
 
 @pytest.fixture(scope="module")
@@ -94,26 +83,6 @@ def test_lidar_clouds_are_in_the_camera_frame(data: Path) -> None:
     assert (blind["cls"] == classes.VOID).all()
 
 
-def test_drives_without_a_sensor_have_empty_files(data: Path, tmp_path: Path) -> None:
-    for kind, drive in (("pseudo", BLIND), ("lidar", CAMERA)):
-        assert store.read_index(data / "clouds" / kind, stage="clouds") == SPLITS
-        content = read(data / "clouds" / kind, drive, "clouds")
-        assert (len(content["frame"]), content["xyz"].shape, content["ptr"].tolist()) == (0, (0, 3), [0])
-    assert read(run_graphs(data, tmp_path, **PSEUDO), BLIND)["indices_ptr"].tolist() == [0]
-    sets = read(run_graphs(data, tmp_path, **SETS), BLIND)
-    assert (sets["neighbours_1"].shape, sets["centres_2_ptr"].tolist()) == ((0, 8), [0])
-
-
-def test_limits_of_clouds(data: Path, tmp_path: Path) -> None:
-    run_clouds(data, tmp_path / "clouds", max_points=50, max_depth_m=20.0)
-    content = read(tmp_path / "clouds/pseudo", stage="clouds")
-    assert np.diff(content["ptr"]).tolist() == [50] * FRAMES
-    assert content["xyz"][:, 2].max() <= 20.0
-    with pytest.raises(InputError, match=r"clouds/pseudo: no point in any of the 4 frames") as raised:
-        run_clouds(data, tmp_path / "none", max_depth_m=0.5)
-    assert "clouds.max_depth_m = 0.5" in raised.value.fix
-
-
 def test_pruning_removes_only_edges_between_classes(data: Path, tmp_path: Path) -> None:
     full, pruned = (read(run_graphs(data, tmp_path, **PSEUDO, keep_inter_class=keep)) for keep in (1.0, 0.2))
     for content in (full, pruned):
@@ -124,55 +93,6 @@ def test_pruning_removes_only_edges_between_classes(data: Path, tmp_path: Path) 
     assert (full["xyz"] == pruned["xyz"]).all()
     assert (full["edges_kept"] == full["edges_knn"]).all()
     assert (pruned["edges_kept"] < full["edges_kept"]).all()
-
-
-def test_a_crop_keeps_the_points_inside(data: Path, tmp_path: Path) -> None:
-    variant = {"source": "clouds/lidar", "points": 10**6, "k": 6}
-    crop = [-6.0, 4.0, 5.0, 12.0]
-    full, near = read(run_graphs(data, tmp_path, **variant)), read(run_graphs(data, tmp_path, **variant, crop_m=crop))
-    x, _, z = full["xyz"].T
-    inside = (crop[0] <= x) & (x <= crop[2]) & (crop[1] <= z) & (z <= crop[3])
-    assert 0 < inside.sum() < len(x)
-    np.testing.assert_array_equal(near["xyz"], full["xyz"][inside])
-    assert near["ptr"].tolist() == [0, *np.cumsum(inside)[full["ptr"][1:] - 1]]
-    beside = read(run_graphs(data, tmp_path, **variant, crop_m=[5, 0, 10, 60]))  # between walls at changing distances
-    assert (np.diff(beside["ptr"]) > 0).tolist() == [False, True, True, False]
-
-
-@pytest.mark.parametrize("variant", [{"k": 6, "points": 100, "source": "clouds/lidar"}, SETS], ids=["lidar", "sets"])
-def test_a_crop_without_any_point_is_refused(data: Path, tmp_path: Path, variant: dict[str, object]) -> None:
-    with pytest.raises(InputError, match=r"graphs\.v: no point in any of the \d frames of the train drives") as raised:
-        run_graphs(data, tmp_path, **variant, crop_m=[900, 900, 901, 901])
-    assert "crop_m" in raised.value.fix
-    assert not (tmp_path / "v/index.json").exists()  # so that no model trains on it
-
-
-def test_images_are_copied_by_frame(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(data / "ingest", tmp_path / "ingest")
-    raw = read(data / "ingest", stage="ingest")
-    with store.DriveWriter(tmp_path / f"ingest/{FULL}.h5", stage="ingest", drive=FULL, params={}) as file:
-        put_motion(file, np.array([3, 4, 6, 9]), raw["time_s"], make_rows(FRAMES))
-        put_pixels(file, "image", FRAMES, street.SIZE, [(row, raw["image"][row]) for row in (0, 2, 3)])
-    kinds.write(tmp_path / "motion", [])
-    folder = run_graphs(tmp_path, tmp_path / "graphs", source="ingest")  # neither clouds nor perception exist
-    assert f"no frames in {BLIND}" in capsys.readouterr().out
-    content = read(folder)
-    assert content["frame"].tolist() == [3, 6, 9]
-    assert (content["time_s"] == raw["time_s"][[0, 2, 3]]).all()
-    assert (content["image"] == raw["image"][[0, 2, 3]]).all()
-    assert read(folder, BLIND)["image"].shape == (0, *street.SIZE, 3)
-
-
-def test_unknown_variants_and_files_of_other_stages_are_refused(data: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="semantic"):
-        graphs.main("semantics", data, tmp_path, data / "params.yaml", workers=1)
-    kinds.write(tmp_path / "motion", [])
-    shutil.copytree(data / "ingest", tmp_path / "clouds/pseudo")
-    with pytest.raises(InputError, match="clouds"):
-        run_graphs(tmp_path, tmp_path / "graphs", **PSEUDO)
-    (tmp_path / f"clouds/pseudo/{BLIND}.h5").unlink()
-    with pytest.raises(InputError, match=BLIND):
-        run_graphs(tmp_path, tmp_path / "graphs", **PSEUDO)
 
 
 def write_motion(folder: Path, frame: list[int], valid: list[int]) -> None:
@@ -209,32 +129,3 @@ def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> Non
     lidar = {"source": "clouds/lidar", "accumulate": {"motion": "lidar", "frames": 3}}
     with pytest.raises(InputError, match=r"accumulate\.motion = 'lidar'"):
         run_graphs(tmp_path, tmp_path / "graphs", **{**variant, **lidar})
-
-
-@pytest.mark.parametrize("variant", [PSEUDO, {"source": "ingest"}], ids=["points", "images"])
-def test_graph_files_contain_the_measured_motion(data: Path, tmp_path: Path, variant: dict[str, object]) -> None:
-    for folder in ("clouds", "ingest"):
-        (tmp_path / folder).symlink_to(data / folder)
-    write_motion(tmp_path / "motion/visual", [1, 3], [0, 1])
-    content = read(run_graphs(tmp_path, tmp_path / "graphs", **variant))
-    assert content["visual_speed_mps"].tolist() == [0, 0, 0, 10]
-    assert content["visual_valid"].tolist() == [0, 0, 0, 1]
-    assert "lidar_valid" not in content
-
-
-@pytest.mark.parametrize(
-    ("variant", "message"),
-    [
-        (
-            {"source": "ingest", "accumulate": {"motion": "visual", "frames": 3}},
-            "accumulate does not apply",
-        ),
-        ({**PSEUDO, "accumulate": {"motion": "visual", "frames": 1}}, r"accumulate\.frames"),
-        ({**PSEUDO, "accumulate": {"motion": "oxts", "frames": 3}}, r"accumulate\.motion"),
-        ({**PSEUDO, "accumulate": {"motion": "lidar", "frames": 3}}, "only roughly"),
-        ({**PSEUDO, "accumulate": {"motion": "visual", "frame": 3}}, r"accumulate\.frame"),
-    ],
-)
-def test_invalid_settings_of_accumulate_are_refused(tmp_path: Path, variant: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        run_graphs(tmp_path, tmp_path, **variant)

@@ -4,19 +4,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-import h5py
-import numpy as np
 import pytest
 import torch
 import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.encoder import perceive
 from stages.encoder import main
 from tests import street
-from tests.kitti_drive import write_png
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
 SETTINGS = {
@@ -125,71 +121,6 @@ def test_a_fit_starts_from_weights_and_from_lidar_alone_fits_depth_only(lidar: P
     assert changed == {"depth_head"}  # weight decay does not change the class head either
 
 
-def test_heads_without_target_or_weights_are_refused(lidar: Path, tmp_path: Path) -> None:
-    torch.save(UnifiedEncoder("small").class_head.state_dict(), tmp_path / "head.pth")
-    settings: list[dict[str, object]] = [{}, {"weights": {"class_head": str(tmp_path / "head.pth")}}]
-    for part, changes in zip(("class_head", "backbone"), settings, strict=True):
-        with pytest.raises(InputError, match=f"class labels.* no {part}") as raised:
-            run(lidar, **changes)
-        assert "teacher" in raised.value.fix
-    assert not (lidar.parent / "encoder").exists()
-
-
-def test_depth_without_target_needs_weights_or_flat_ground(ingest: Path, fitted: Path) -> None:
-    with h5py.File(ingest / f"{TRAIN}.h5", "r+") as file:
-        file["has_depth"][:] = 0
-    with pytest.raises(InputError, match="no depth_head"):
-        run(ingest)
-    before, after = state(fitted), state(run(ingest, weights=str(fitted / "encoder.pt")))
-    assert all(torch.equal(before[name], after[name]) for name in before if name.startswith("depth_head"))
-    assert not torch.equal(before["backbone.down1.0.weight"], after["backbone.down1.0.weight"])
-    flat = state(run(ingest, "flat", backbone="espnetv2-s1"))
-    assert not flat["depth_head.ground.layers.3.weight"].any()  # no correction
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"epochs": 0}, "epochs: 0 needs fitted weights"),
-        ({"frozen": True}, "frozen: true needs"),
-        ({"backbone": "large"}, r"encoder\.backbone.*'large'.*small"),
-        ({"weights": {"head": "a.pth"}}, r"encoder\.weights.*head"),
-        ({"teacher": {"backbone": "large", "weights": "a.pt"}}, r"encoder\.teacher\.backbone.*'large'"),
-        ({"teacher": {"backbone": "small", "weights": None}}, r"encoder\.teacher\.weights"),
-        ({"teacher": {"backbone": "small", "weights": {"backbone": "a.pth"}}}, r"teacher\.weights.*class_head"),
-        ({"teacher": {"backbone": "precomputed", "weights": "pngs"}}, "precomputed is not a network"),
-        ({"backbone": "precomputed"}, "folder of PNG files"),
-        ({"backbone": "precomputed", "weights": "nowhere"}, "no PNG files"),
-        ({"weights": "nowhere.pt"}, r"encoder\.weights: nowhere\.pt: file is missing"),
-        ({"weights": {"url": "BAD", "sha256": "1" * 64}}, "expected 1111"),
-        ({"weights": "BAD"}, "damaged"),
-        ({"weights": "OTHER"}, "backbone is 'swin-t', expected 'small'"),
-        ({"epoch": 3}, "epochs"),
-    ],
-)
-def test_a_bad_setting_is_one_line_and_writes_nothing(
-    ingest: Path, tmp_path: Path, settings: dict[str, Any], message: str
-) -> None:
-    (tmp_path / "bad.pt").write_bytes(b"no checkpoint")
-    perceive.save(tmp_path / "other", "swin-t", {})
-    text = json.dumps(settings).replace("BAD", str(tmp_path / "bad.pt"))
-    settings = json.loads(text.replace("OTHER", str(tmp_path / "other/encoder.pt")))
-    with pytest.raises(InputError, match=message) as raised:
-        run(ingest, **settings)
-    assert "\n" not in str(raised.value)
-    assert not (ingest.parent / "encoder").exists()
-
-
-def test_a_published_backbone_is_not_changed_and_its_depth_head_is_fitted(lidar: Path, espnet: Path) -> None:
-    out = run(lidar, backbone="espnetv2-s1", weights={"backbone": str(espnet)}, frozen=True)
-    tensors = state(out)
-    assert all(torch.equal(tensors[f"backbone.{name}"], tensor) for name, tensor in torch.load(espnet).items())
-    assert tensors["depth_head.ground.layers.3.weight"].any()  # initially zero
-    assert [(source["part"], source["path"]) for source in config(out)["sources"]] == [("backbone", str(espnet))]
-    with pytest.raises(InputError, match="no file for the depth_head"):
-        run(lidar, "unfitted", backbone="espnetv2-s1", weights={"backbone": str(espnet)}, epochs=0)
-
-
 def test_a_teacher_labels_images_of_all_drives_without_use_of_their_labels(ingest: Path, espnet: Path) -> None:
     teacher = {"backbone": "espnetv2-s1", "weights": {"backbone": str(espnet)}, "drives": "all"}
     digests = set()
@@ -200,19 +131,3 @@ def test_a_teacher_labels_images_of_all_drives_without_use_of_their_labels(inges
         assert all(config(out)["frames_per_drive"][drive] > 0 for drive in (TRAIN, VAL, TEST))
         digests.add(hashlib.sha256((out / "encoder.pt").read_bytes()).hexdigest())
     assert len(digests) == 1
-
-
-def test_a_teacher_replaces_missing_labels_of_training_drives(lidar: Path, espnet: Path) -> None:
-    teacher = {"backbone": "espnetv2-s1", "weights": {"backbone": str(espnet)}}
-    losses = [row["classes"] for row in curve(run(lidar, teacher=teacher, epochs=3))]
-    assert 0 < losses[-1] < losses[0]
-
-
-def test_the_content_of_precomputed_files_is_recorded(ingest: Path, tmp_path: Path) -> None:
-    contents = []
-    for frame in range(2):
-        write_png(tmp_path / "pngs" / TRAIN / "cls" / f"{frame:010d}.png", np.zeros((4, 4), np.uint8))
-        contents.append(config(run(ingest, backbone="precomputed", weights=str(tmp_path / "pngs"), epochs=0)))
-    assert [content["files"] for content in contents] == [1, 2]
-    assert contents[0]["fingerprint"] != contents[1]["fingerprint"]
-    assert contents[0]["weights"] == str(tmp_path / "pngs")

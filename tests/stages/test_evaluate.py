@@ -4,15 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.fitting import checkpoint
 from pipeline.train import frames, predict
 from stages import report
-from tests import artefacts
-from tests.small_model import SPLITS, run_evaluate, run_train, write_params, write_two_test_drives
+from tests.small_model import run_evaluate, run_train, write_params, write_two_test_drives
 
 
 @pytest.fixture(autouse=True)
@@ -89,59 +85,8 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder: Path, f
     assert len(list((folder / "report/learning").iterdir())) == 4
 
 
-@pytest.mark.slow
-def test_a_drive_without_bends_is_named_and_trained_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    short, *tested = ["2026_01_03_drive_0001", *write_two_test_drives(folder)]
-    store.write_index(folder / "graphs/semantic", {**dict.fromkeys([*tested, short], "test")})
-    artefacts.write_labels(folder / f"labels/{short}.h5", short, np.zeros(60), np.arange(60))
-    write_params(folder, {"fit_to": "others"}, epochs=1)
-    trained, evaluated = run_train(folder), run_evaluate(folder)
-    assert f"every valid label of {short} is 0" in capsys.readouterr().out
-    assert sorted(path.parent.name for path in trained.rglob("best.pt")) == [f"fold-{drive}" for drive in tested]
-    result = json.loads((evaluated / "metrics.json").read_text())
-    assert result["drives"]["test"] == tested
-    assert short in result["drives"]["train"]
-    for drive in tested:
-        artefacts.write_labels(folder / f"labels/{drive}.h5", drive, np.zeros(60), np.arange(60))
-    with pytest.raises(InputError, match="is 0"):
-        run_train(folder)
-
-
 def _text(angle: float) -> str:
     return "" if np.isnan(angle) else f"{angle:.6f}"
-
-
-def test_a_checkpoint_that_does_not_fit_is_refused(folder: Path) -> None:
-    """Damaged, or of another model, other settings, another run or other inputs than config.json and the graphs."""
-    write_params(folder, epochs=1)
-    trained = run_train(folder)
-    best, config = (trained / "best.pt").read_bytes(), json.loads((trained / "config.json").read_text())
-    content = torch.load(trained / "best.pt", weights_only=True)
-    without_hash = {key: value for key, value in config.items() if key != "best_sha256"}
-
-    def refused(problem: str) -> None:
-        with pytest.raises(InputError, match=problem) as raised:
-            run_evaluate(folder)
-        assert "dvc repro --force --single-item train@net" in str(raised.value)
-
-    store.write_json(trained / "config.json", without_hash | {"model": config["model"] | {"alpha": 1.0}})
-    refused("config.json")
-    store.write_json(trained / "config.json", without_hash)
-    checkpoint.write(trained / "best.pt", content | {"name": "other"})
-    refused("other")
-    checkpoint.write(trained / "best.pt", content | {"model": content["model"] | {"features": 9}})
-    refused("does not match the network")
-    (trained / "best.pt").write_bytes(best[:-100])
-    refused("best.pt")
-    (trained / "best.pt").write_bytes(best)
-    store.write_json(trained / "config.json", config | {"best_sha256": "0" * 64})
-    refused("best.pt")
-    for beside in (config, without_hash):
-        store.write_json(trained / "config.json", beside)
-        assert predict.load(trained).name == "net"
-    artefacts.write_dataset(folder, SPLITS, frames=60, points=60, write=artefacts.write_images)
-    refused("images")
-    assert not (folder / "evaluate/net/metrics.json").exists()
 
 
 def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:

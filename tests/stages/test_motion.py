@@ -10,7 +10,6 @@ from pipeline.base import store
 from pipeline.camera.images import to_units
 from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
 from pipeline.kitti.oxts import make_rows
-from pipeline.motion import kinds as index
 from pipeline.sections.perception import Perception
 from stages import motion
 from tests import rendered_street as street
@@ -89,14 +88,3 @@ def test_a_drive_without_motion_or_frames(root: Path, kind: str) -> None:
     with opened(root, kind, BLIND) as file:
         assert file.shape("frame") == (0,)
         assert file.shape("T_before") == (0, 4, 4)
-
-
-def test_other_kinds_are_removed_and_drives_without_motion_are_named(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (root / "one/visual").mkdir(parents=True)  # from an earlier run
-    store.write_index(root / "one/visual", {})
-    run(root, "one", kinds=("lidar",))
-    assert {path.name for path in (root / "one").iterdir()} == {"index.json", "lidar"}
-    assert index.read(root / "one") == {"lidar": root / "one/lidar"}
-    assert f"lidar: no motion measured in {STANDS}, {BLIND}" in capsys.readouterr().out

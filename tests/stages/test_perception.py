@@ -70,38 +70,6 @@ def test_batches_and_threads_change_no_byte(folder: Path, capsys: pytest.Capture
         assert all((one[name] == four[name]).all() for name in one)
 
 
-def test_bfloat16_changes_little(folder: Path) -> None:
-    run(folder, "halves", precision="bfloat16")
-    halves, full = read(folder, name="halves"), read(folder)
-    assert (halves["depth_m"] != full["depth_m"]).any()
-    both = (halves["depth_m"] > 0) & (full["depth_m"] > 0)
-    np.testing.assert_allclose(halves["depth_m"][both] / full["depth_m"][both], 1, atol=0.02)
-    assert (halves["cls"] == full["cls"]).mean() > 0.95
-
-
-def test_a_bad_checkpoint_is_one_error_with_a_command(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "encoder").mkdir()
-    (tmp_path / "encoder" / "encoder.pt").write_bytes(b"nothing")
-    (tmp_path / "ingest").symlink_to(folder / "ingest")
-    with pytest.raises(InputError, match="dvc repro --force --single-item encoder"):
-        run(tmp_path, "perception")
-
-
-@pytest.mark.parametrize(("height_m", "expected"), [(None, [1.65, 1.73 - 0.1]), (1.4, [1.4, 1.4])])
-def test_the_camera_height_comes_from_calibration_or_params(
-    folder: Path, height_m: float | None, expected: list[float]
-) -> None:
-    run(folder, "height", camera_height_m=height_m)
-    for drive, height in zip((DENSE, LIDAR), expected, strict=True):
-        with store.DriveReader(folder / "height" / f"{drive}.h5", stage="perception") as file:
-            assert file.attrs["camera_height_m"] == pytest.approx(height)
-
-
-def test_reach_without_metres_is_refused(folder: Path) -> None:
-    with pytest.raises(InputError, match="reach needs depth in metres"):
-        run(folder, "none", depth_scale="none", reach=1.1)
-
-
 def write_precomputed(root: Path, factor: float, lidar: bool = True) -> None:
     """Write depth, scaled by `factor`, and classes of drive DENSE as PNG files, and the drive itself."""
     for frame in range(FRAMES):
@@ -146,19 +114,3 @@ def test_depth_of_another_unit_is_scaled(tmp_path: Path, mode: str, expected: fl
     assert np.median(depth[truth > 0] / truth[truth > 0]) == pytest.approx(expected, rel=0.01)
     with store.DriveReader(tmp_path / "perception" / f"{DENSE}.h5", stage="perception") as file:
         assert ("unknown unit" in file.dataset("depth_m").attrs["unit"]) == (mode == "none")
-
-
-def test_a_frame_without_scale_takes_the_previous_one(tmp_path: Path) -> None:
-    write_precomputed(tmp_path, 0.4)
-    edit_ingest(tmp_path, "has_lidar", [0, 1, 0, 0, 1])
-    for name, batch in (("perception", 1), ("other", 3)):
-        run(tmp_path, name, batch=batch, depth_scale="lidar_median")
-    depth = read(tmp_path)["depth_m"]
-    assert [frame.any() for frame in depth] == [False, True, True, True, True]
-    np.testing.assert_array_equal(depth, read(tmp_path, name="other")["depth_m"])
-
-
-def test_lidar_median_does_not_use_dense_truth(tmp_path: Path) -> None:
-    write_precomputed(tmp_path, 0.4, lidar=False)
-    run(tmp_path, "perception", depth_scale="lidar_median")
-    assert not read(tmp_path)["depth_m"].any()

@@ -4,10 +4,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.perception.scores import Scores
 from stages import report
 from tests.pipeline.report import examples
@@ -49,10 +47,3 @@ def test_without_results_all_outputs_exist(tmp_path: Path) -> None:
     folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}
     assert folders == {"learning", "steering", "settings", "figures"}
     assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}
-
-
-def test_damaged_scores_are_one_error(tmp_path: Path) -> None:
-    (tmp_path / "scores").mkdir()
-    (tmp_path / "scores/metrics.json").write_text("{")
-    with pytest.raises(InputError, match="dvc repro --force --single-item scores"):
-        run(tmp_path, "lonely")

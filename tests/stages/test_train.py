@@ -1,4 +1,4 @@
-"""Stage train: learning, resume, worker processes, torchrun, refused models."""
+"""Stage train: learning, resume, mirror pairs, torchrun."""
 
 import json
 import os
@@ -16,11 +16,10 @@ import pytest
 import torch
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
-from pipeline.train import distributed, training, windows
+from pipeline.train import training, windows
 from tests import artefacts
-from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params, write_two_test_drives
+from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params
 
 TEST = "2026_01_03_drive_0001"
 EPOCHS = 12
@@ -94,45 +93,6 @@ def test_resumed_training_writes_the_same_bytes(folder: Path, trained: Path, mon
     assert not (folder / ".resume/train-net").exists()
 
 
-def test_resume_requires_equal_settings_and_splits(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And a kill between best.pt and config.json leaves a pair that is refused until training resumes."""
-    write_params(folder, epochs=1)
-    run_train(folder)
-    for number, rate, splits in (
-        (1, 0.01, SPLITS),
-        (2, 0.02, SPLITS),
-        (3, 0.02, SPLITS | {"2026_01_01_drive_0003": "val"}),
-    ):
-        store.write_index(folder / "graphs/semantic", splits)
-        write_params(folder, epochs=1, learning_rate=rate)
-        with killed(monkeypatch, "write_curve"):
-            run_train(folder)
-        assert len(list((folder / ".resume/train-net").glob("*.pt"))) == number
-    with pytest.raises(InputError, match=r"best\.pt and .*config\.json are of different runs"):
-        run_evaluate(folder)
-    run_train(folder)
-    assert run_evaluate(folder)
-
-
-@pytest.mark.slow
-def test_any_number_of_workers_writes_the_same_bytes(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Two networks with fit_to: others, which have no validation drives."""
-    first, second = write_two_test_drives(folder)
-    write_params(folder, {"fit_to": "others"}, epochs=2)
-    results = []
-    for workers in ("1", "2"):
-        monkeypatch.setenv("STEER_WORKERS", workers)
-        run_train(folder)
-        results.append(contents(folder))
-    assert results[0] == results[1]
-    assert "no validation drives, so no early stopping" in capfd.readouterr().out
-    assert json.loads(results[0][f"train/net/fold-{first}/config.json"])["best_epoch"] == 2
-    assert f"train/net/fold-{second}/best.pt" in results[0]
-    assert results[0]["train/net/config.json"] == results[0][f"train/net/fold-{first}/config.json"]
-
-
 @pytest.mark.slow
 def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
     for drive in SPLITS:
@@ -155,7 +115,6 @@ def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("write", "line", "epochs", "nmse"),
     [
-        (artefacts.write_graphs, {"spatial": "edgeconv", "cell": "eq4"}, 1, 10),
         (artefacts.write_graphs, {"spatial": "gatv2", "cell": "cfc"}, 1, 10),
         (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
         (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
@@ -172,18 +131,6 @@ def test_other_networks_and_inputs(
     config = json.loads((tmp_path / "train/net/config.json").read_text())
     assert (config["effective_frames"] < 180) == ("alpha" in line)
     assert json.loads((run_evaluate(tmp_path) / "metrics.json").read_text())["test"]["nmse"] < nmse
-
-
-@pytest.mark.slow
-def test_bfloat16_trains_nearly_the_same(folder: Path) -> None:
-    losses = {}
-    for precision in ("float32", "bfloat16"):
-        write_params(folder, precision=precision, epochs=1)
-        last = load(run_train(folder) / "last.pt")
-        losses[precision] = [row["train_loss"] for row in last["curve"]]
-        assert all(tensor.dtype in (torch.float32, torch.int64) for tensor in last["net"].values())
-    assert losses["bfloat16"] != losses["float32"]
-    assert losses["bfloat16"] == pytest.approx(losses["float32"], rel=0.05)
 
 
 def test_mirror_trains_the_same_on_a_mirrored_data_set(folder: Path) -> None:
@@ -257,40 +204,6 @@ def test_two_machines_train_as_one_process(folder: Path, tmp_path: Path, monkeyp
 
     with (clones[1] / "pipeline/train/fit.py").open("a") as code:
         code.write("# an edit\n")
-    for status, _, errors in train_on_two_machines(clones):
-        assert status == 1
-        assert "processes differ in code" in errors
-
-
-def test_more_processes_than_runs_in_a_step_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    @contextmanager
-    def three() -> Iterator[tuple[distributed.World, torch.device]]:
-        yield distributed.World(1, 3), torch.device("cpu")
-
-    monkeypatch.setattr(distributed, "process_group", three)
-    with pytest.raises(InputError, match=r"train.batch_runs = 2, expected at least the 3 processes"):
-        run_train(folder)
-    assert not (folder / "train").exists()
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ({"spatial": "cnnn"}, ["models.net", "spatial", "cnnn", "gnn"]),
-        ({"spatial": "cnn"}, ["models.net", "cnn", "images", "semantic holds kNN graphs"]),
-        ({"temporal": "lstm", "cell": "eq4"}, ["models.net", "cell", "lstm"]),
-        ({"window": 61}, ["no window of 61 consecutive frames"]),
-        ({"motion": "lidar"}, ["no motion of kind lidar"]),
-        ({"roads": 4}, ["models.net", "roads = 4, but there are 3 training drives"]),
-        ({"fit_to": "others"}, ["models.net", "fit_to = 'others' needs two test drives"]),
-        ({"fit_to": "others", "roads": 2}, ["models.net", "roads"]),
-    ],
-)
-def test_impossible_models_are_refused_before_anything_is_written(
-    folder: Path, line: dict[str, object], words: list[str]
-) -> None:
-    write_params(folder, line)
-    with pytest.raises(InputError) as raised:
-        run_train(folder)
-    assert all(word in str(raised.value) for word in words)
-    assert not (folder / "train").exists()
+    ended = train_on_two_machines(clones)
+    assert all(status for status, _, _ in ended), "the first to end may stop the other"
+    assert any("processes differ in code" in errors for _, _, errors in ended)

@@ -1,6 +1,5 @@
 """steer diff: output and exit status."""
 
-import json
 from pathlib import Path
 
 from typer.testing import CliRunner, Result
@@ -29,18 +28,3 @@ def test_exit_status_and_output(tmp_path: Path) -> None:
     result = run(a, tmp_path / "none")
     assert (result.exit_code, result.stdout) == (1, "")
     assert run(a).exit_code == 2
-
-
-def test_text_has_the_first_differences_and_json_all(tmp_path: Path) -> None:
-    for name, shift in (("a", 0), ("b", 1)):
-        store.write_json(tmp_path / name / "x.json", {"values": [n + shift for n in range(30)]})
-        (tmp_path / name / "same.txt").write_text("same")
-    lines = run(tmp_path / "a", tmp_path / "b").stdout.splitlines()
-    assert len(lines) == 22
-    assert "10 more" in lines[-2]
-    assert "1 of 2" in lines[-1]
-    content = json.loads(run(tmp_path / "a", tmp_path / "b", "--json").stdout)
-    assert (content["equal"], content["files"], content["different"]) == (False, 2, 1)
-    assert len(content["differences"]) == 30
-    first = content["differences"][0]
-    assert (first["file"], first["key"], first["problem"], first["largest"]) == ("x.json", "values[0]", "0 and 1", 1.0)

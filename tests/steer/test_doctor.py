@@ -1,7 +1,6 @@
-"""steer doctor: raw drives, due stages, and disk space."""
+"""steer doctor: raw drives and due stages."""
 
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -73,14 +72,6 @@ def test_partly_extracted_drives_and_the_command_that_extracts_them(root: Path) 
     assert content["commands"][0] == f"unzip -o {DRIVE}_sync.zip '*/image_02/*' -d {root}"
 
 
-def test_drives_that_params_do_not_name_give_notes(project: Path, root: Path) -> None:
-    third = kitti_drive.write_drive(root, "2011_09_26_drive_0005", frames=range(kitti_drive.LINES))
-    shutil.rmtree(third / "oxts")
-    content = json.loads(doctor("--json", status=0))
-    assert content["problems"] == []
-    assert "2011_09_26_drive_0005, not in params.yaml: oxts: folder is missing" in content["notes"]
-
-
 def test_drives_of_params_that_are_missing(project: Path, root: Path) -> None:
     shutil.rmtree(root / f"2011_09_26/{OTHER}_sync")
     text = doctor(status=1)
@@ -96,55 +87,3 @@ def test_due_stages(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "stages that have to run: 1" in text
     found = json.loads(doctor("--json", status=1))["project"]
     assert (set(found["due"]), found["unused"]) == ({"ingest"}, ["graphs@lidar"])
-
-
-def test_full_disk(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    set_due(monkeypatch, {"ingest": "has not run here"})
-    (project / "dvc.lock").write_text(f"stages: {{ingest: {{outs: [{{path: data/ingest, size: {10**18}}}]}}}}\n")
-    assert "Free some space" in doctor(status=1)
-
-
-@pytest.mark.parametrize("content", ["ingest: [", "ingest: {source: moon}"])
-def test_damaged_params_are_a_problem(project: Path, content: str) -> None:
-    (project / "params.yaml").write_text(content)
-    assert "params.yaml" in doctor(status=1)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:_NoneStep:DeprecationWarning")  # DVC's own, in pygtrie
-def test_folder_without_dvc(root: Path) -> None:
-    for name in ("params.yaml", "dvc.yaml"):
-        shutil.copyfile(resume.ROOT / name, name)
-    assert "dvc status failed" in doctor(root, status=1)
-
-
-@pytest.mark.parametrize(
-    ("pid", "runs"), [(os.getpid(), True), (2**22 + 1, False), ("x", False)], ids=["runs", "ended", "not a number"]
-)
-def test_dvc_that_runs_is_not_asked(project: Path, monkeypatch: pytest.MonkeyPatch, pid: object, runs: bool) -> None:
-    def due_stages(folder: Path) -> dict[str, str]:
-        assert not runs
-        return {}
-
-    monkeypatch.setattr(checks, "due_stages", due_stages)
-    (project / ".dvc/tmp").mkdir(parents=True)
-    writer = {"pid": pid, "cmd": "dvc repro"}
-    (project / ".dvc/tmp/rwlock").write_text(json.dumps({"write": {"data/train": writer}}))
-    assert ("DVC is running here (dvc repro)" in doctor(status=0)) == runs
-
-
-def test_errors_are_one_line(root: Path) -> None:
-    for arguments, message in (([], "no dvc.yaml"), ([root / "nowhere"], "holds no drives")):
-        text = doctor(*arguments, status=1)
-        assert text.startswith("error: ")
-        assert message in text
-        assert text.count("\n") == 1
-
-
-@pytest.mark.real
-@pytest.mark.slow
-def test_real_drives(root: Path, real_kitti: Path, real_half: Path) -> None:
-    assert doctor(real_half, "--deep", status=0).endswith("no problems found\n")
-    content = json.loads(doctor(real_kitti, "--json", status=1))
-    assert ["2011_09_26_drive_0001" in command for command in content["commands"]] == [True]
-    assert "image_02: 107 of 108 frames are missing: 0-4, 6-107" in content["problems"][0]

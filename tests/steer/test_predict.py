@@ -110,18 +110,3 @@ def test_sigterm_ends_a_run_like_ctrl_c_and_keeps_the_earlier_result(sample: Pat
     assert (out / "steering.csv").read_text() == "earlier"
     assert read(frames)[-1]["latency_ms"]
     assert cv2.VideoCapture(str(frames.with_name("overlay.mp4"))).read()[0]
-
-
-def test_settings_must_be_those_of_the_model(sample: Path, tmp_path: Path) -> None:
-    params, moved, out = tmp_path / "params.yaml", tmp_path / "model", tmp_path / "out"
-    params.write_text((sample / "params.yaml").read_text().replace("reach: 1.1", "reach: 2.0"))
-    with pytest.raises(InputError, match=r"reach = 2.0, but .* was made with 1.1") as raised:
-        predict(drive(sample), model=sample / "data/train/points", out=out, params=params)
-    assert "--params" in raised.value.fix
-    shutil.copytree(sample / "data/train/points", moved)
-    with pytest.raises(InputError, match="not in a data/train") as raised:
-        predict(drive(sample), model=moved, out=out)
-    assert "--encoder" in raised.value.fix
-    given = {"encoder": sample / "data/encoder", "params": sample / "params.yaml"}
-    predict(drive(sample), model=moved, out=out, video=False, quiet=True, **given)
-    assert len(read(out / "steering.csv")) == 12

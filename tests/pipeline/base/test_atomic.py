@@ -1,8 +1,5 @@
 """Files and folders that appear complete, or not at all."""
 
-import errno
-import os
-import stat
 from pathlib import Path
 
 import pytest
@@ -19,25 +16,6 @@ def test_a_file_takes_the_place_of_another(tmp_path: Path) -> None:
             assert tmp.suffix == ".h5", "by which some writers choose the format"
             assert path.exists() == (text == "second")
         assert contents(tmp_path) == {"new/folder/a.h5": text.encode()}
-
-
-def test_a_folder_takes_the_place_of_another(tmp_path: Path) -> None:
-    path = tmp_path / "drive"
-    for name in ("first", "second"):
-        with replacing(path) as tmp:
-            tmp.mkdir()
-            (tmp / name).write_text(name)
-        assert contents(tmp_path) == {f"drive/{name}": name.encode()}
-
-
-def test_others_may_read_as_ever(tmp_path: Path) -> None:
-    before = os.umask(0o022)
-    try:
-        with replacing(tmp_path / "a") as tmp:
-            tmp.touch()
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o644
 
 
 @pytest.mark.parametrize("folder", [False, True])
@@ -61,29 +39,6 @@ def test_two_writers_of_one_path_do_not_meet(tmp_path: Path) -> None:
         first.write_text("first")
         second.write_text("second")
     assert contents(tmp_path) == {"a": b"first"}, "the last to end"
-
-
-def test_unfinished_files_do_not_match_a_glob(tmp_path: Path) -> None:
-    with replacing(tmp_path / "a.h5") as tmp:
-        tmp.touch()
-        assert not list(tmp_path.glob("*.h5"))
-
-
-def test_errors_name_the_path_that_the_user_knows(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-
-    def message(error: OSError) -> str | None:
-        with pytest.raises(OSError, match=r".") as raised, replacing(path):
-            raise error
-        name: str | None = raised.value.filename
-        return name
-
-    assert message(OSError(errno.ENOSPC, "No space left on device")) == str(path)
-    assert message(OSError(errno.EIO, "Input/output error")) is None, "it may have been reading another"
-    assert message(OSError(errno.EACCES, "Permission denied", "b")) == "b"
-    with pytest.raises(FileNotFoundError) as raised, replacing(path) as tmp:
-        (tmp / "below").touch()
-    assert raised.value.filename == str(path / "below")
 
 
 def test_sweeping_removes_what_was_left_and_nothing_else(tmp_path: Path) -> None:

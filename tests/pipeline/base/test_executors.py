@@ -1,9 +1,6 @@
 """Where jobs run: threads of local processes, and the workers of a Dask cluster of this machine."""
 
-import json
 import os
-import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -13,12 +10,11 @@ from typing import Any
 import pytest
 
 from pipeline.base import executors
-from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.errors import InputError
 from pipeline.base.executors import SCHEDULER
-from pipeline.base.resume import ROOT
 from pipeline.base.runner import run_jobs
 from tests.pipeline.base import toy_stage
-from tests.pipeline.base.toy_stage import DRIVES, calls, end_trouble, outputs, start, trouble, wait_for, waiting
+from tests.pipeline.base.toy_stage import calls, end_trouble, outputs, trouble
 
 LOCAL = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
 
@@ -34,28 +30,6 @@ def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pyt
     ((_, (process, used)),) = run_jobs(threads, [0], workers=1, threads=1)
     assert (process != os.getpid(), used) == (True, "1")
     assert os.environ["OMP_NUM_THREADS"] == "7"
-
-
-@pytest.mark.slow
-def test_fewer_jobs_than_cores_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STEER_WORKERS", "5")
-    assert {used for _, (_, used) in run_jobs(threads, [0, 1])} == {"2"}
-
-
-@pytest.mark.parametrize("text", ["0", "-1", "two", "1.5"])
-def test_workers_are_a_positive_number(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    monkeypatch.setenv("STEER_WORKERS", text)
-    with pytest.raises(InputError) as raised:
-        executors.default_workers()
-    assert raised.value.where == "STEER_WORKERS"
-    assert repr(text) in raised.value.problem
-
-
-@pytest.mark.parametrize("workers", [0, -2])
-def test_a_stage_needs_a_worker(folder: Path, workers: int) -> None:
-    with pytest.raises(InputError) as raised:
-        toy_stage.main(folder, workers=workers)
-    assert raised.value.where == "--workers"
 
 
 @pytest.fixture(scope="module")
@@ -86,20 +60,6 @@ def test_a_cluster_writes_the_bytes_of_one_process(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("dask")
-def test_an_error_of_a_cluster_names_drive_and_frame(folder: Path, expected: dict[str, bytes]) -> None:
-    trouble(folder, c="fail")
-    with pytest.raises(DamagedFile) as raised:
-        toy_stage.main(folder)
-    assert raised.value.where == "c frame 2: 0.png"
-    end_trouble(folder)
-    calls(folder)
-    toy_stage.main(folder)
-    assert "b" not in calls(folder), "the drive in progress was finished and kept"
-    assert outputs(folder) == expected
-
-
-@pytest.mark.slow
 def test_a_job_whose_worker_dies_goes_to_another(folder: Path, expected: dict[str, bytes], dask: Any) -> None:
     trouble(folder, b="die once")
     toy_stage.main(folder)
@@ -110,8 +70,8 @@ def test_a_job_whose_worker_dies_goes_to_another(folder: Path, expected: dict[st
     with pytest.raises(InputError) as raised:
         toy_stage.main(folder)
     dask.scheduler.allowed_failures = before
-    assert "b" in raised.value.where.removeprefix("at or near ").split(", ")
-    assert "died" in raised.value.problem
+    assert raised.value.where == "at or near b"
+    assert "1 workers died" in raised.value.problem
     end_trouble(folder)
     toy_stage.main(folder)
     assert outputs(folder) == expected
@@ -138,71 +98,5 @@ def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
         client.run(restore)
     assert raised.value.where.startswith("worker tcp://")
     assert "0123456789" in raised.value.problem
-    assert "--nthreads 1" in raised.value.fix
+    assert "dask worker" in raised.value.fix
     assert calls(folder) == []
-
-
-@pytest.mark.slow
-def test_a_worker_with_two_threads_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, protocol="tcp", **LOCAL) as two:
-        monkeypatch.setenv(SCHEDULER, two.scheduler_address)
-        with pytest.raises(InputError) as raised:
-            toy_stage.main(folder)
-    assert raised.value.problem.startswith("threads: got 2")
-    assert "--nthreads 1" in raised.value.fix
-    assert calls(folder) == []
-
-
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://127.0.0.1", "here:8786", "tcp://x:y"])
-def test_a_scheduler_that_does_not_answer_is_one_error(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, address: str
-) -> None:
-    monkeypatch.setenv(SCHEDULER, address)
-    with pytest.raises(InputError) as raised:
-        toy_stage.main(folder)
-    assert raised.value.where == f"{SCHEDULER}={address}"
-    assert "dask scheduler" in raised.value.fix
-    toy_stage.main(folder, workers=1)
-    assert calls(folder) == DRIVES, "one worker is this process"
-
-
-def test_without_dask_the_error_names_the_extra(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(SCHEDULER, "tcp://127.0.0.1:8786")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError) as raised:
-        toy_stage.main(folder)
-    assert ".[cluster]" in raised.value.fix
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("ends", ["ctrl-c", "scheduler"])
-def test_ctrl_c_and_a_lost_scheduler_are_one_line(folder: Path, expected: dict[str, bytes], ends: str) -> None:
-    pytest.importorskip("distributed")
-    common = ["--no-dashboard", "--host", "127.0.0.1", f"--scheduler-file={folder / 'scheduler.json'}"]
-    commands = [["dask_scheduler", "--port=0"], ["dask_worker", "--nthreads=1", f"--local-directory={folder}"]]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with (folder / "log").open("w") as log:
-        scheduler, worker = (
-            subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.{name}", *options, *common],
-                env=environment, cwd=folder, stdout=log, stderr=log,
-            )
-            for name, *options in commands
-        )  # fmt: skip
-    try:
-        wait_for((folder / "scheduler.json").exists)
-        address = json.loads((folder / "scheduler.json").read_text())["address"]
-        trouble(folder, b="wait")
-        with start(folder, **{SCHEDULER: address}) as process:
-            waiting(folder, "b")
-            scheduler.kill() if ends == "scheduler" else os.killpg(process.pid, signal.SIGINT)
-            _, errors = process.communicate(timeout=60)
-        assert process.returncode == (1 if ends == "scheduler" else 130), errors
-        assert errors.count("\n") == 1, errors
-        assert errors.startswith("error: STEER_SCHEDULER=" if ends == "scheduler" else "error: interrupted")
-    finally:
-        end_trouble(folder)
-        for process in (worker, scheduler):
-            process.terminate()
-            process.wait()

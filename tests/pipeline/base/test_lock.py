@@ -1,20 +1,15 @@
 """One writer per stage folder."""
 
-import errno
-import fcntl
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.lock import exclusive
 from pipeline.base.resume import ROOT
-from tests.kitti_drive import contents
 
 HOLDER = """
 import sys
@@ -59,14 +54,6 @@ def test_a_second_process_is_refused_until_the_first_ends_or_is_killed(tmp_path:
     take(tmp_path)
 
 
-def test_what_killed_runs_left_is_removed(tmp_path: Path) -> None:
-    left = [replacing(tmp_path / name) for name in ("stage/index.json", ".resume/stage/key.h5", ".resume/other/key.h5")]
-    for one in left:
-        one.__enter__().write_text("half")  # killed here
-    take(tmp_path)
-    assert [name.split("/")[:2] for name in contents(tmp_path) if "lock" not in name] == [[".resume", "other"]]
-
-
 def test_a_lock_file_that_is_a_link_is_refused_and_the_file_elsewhere_stays(tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("content")
     (tmp_path / ".resume").mkdir()
@@ -75,25 +62,3 @@ def test_a_lock_file_that_is_a_link_is_refused_and_the_file_elsewhere_stays(tmp_
         take(tmp_path)
     assert raised.value.where.endswith("stage.lock")
     assert (tmp_path / "precious").read_text() == "content"
-
-
-@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
-def test_a_file_system_without_locks_is_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: int
-) -> None:
-    monkeypatch.setattr(fcntl, "flock", refuse(number))
-    take(tmp_path)
-    assert "does not support locks" in capsys.readouterr().out
-
-
-def test_other_errors_of_a_lock_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fcntl, "flock", refuse(errno.EIO))
-    with pytest.raises(OSError, match="Input/output error"):
-        take(tmp_path)
-
-
-def refuse(number: int) -> Any:
-    def flock(file: Any, how: int) -> None:
-        raise OSError(number, os.strerror(number))
-
-    return flock

@@ -13,7 +13,6 @@ from pipeline.sections.clouds import Clouds
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
-from pipeline.sections.models import Model
 from pipeline.sections.train import Train
 
 
@@ -41,16 +40,6 @@ def test_a_stage_reads_only_its_own_sections(tmp_path: Path) -> None:
         params.load(Clouds, path)
 
 
-def test_splits_keep_their_order(tmp_path: Path) -> None:
-    drives = {"train": ["2011_09_26_drive_0009", "2011_09_26_drive_0001"], "val": [], "test": ["2011_09_26_drive_0002"]}
-    splits = params.load(Ingest, edited(tmp_path, "ingest.drives", drives)).drives.splits()
-    assert list(splits.items()) == [
-        ("2011_09_26_drive_0009", "train"),
-        ("2011_09_26_drive_0001", "train"),
-        ("2011_09_26_drive_0002", "test"),
-    ]
-
-
 def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
     drives = {
         "train": ["2026_01_04_drive_0008..0010", "2011_09_26_drive_0001"],
@@ -64,22 +53,13 @@ def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("section", "key", "value", "problem"),
     [
-        (Labels, "labels.min_speed_mps", -1, "greater than or equal to 0 .got -1."),
         (Labels, "labels.min_speed_mps", "fast", "valid number.*got 'fast'."),
         (Labels, "labels.min_speed_mps", float("nan"), "finite number"),
-        (Labels, "labels.wheelbase_m", 0, "greater than 0 .got 0."),
-        (Labels, "labels.standstill", "drop", "'invalid', 'raw' or 'zero' .got 'drop'."),
         (Labels, "labels.minspeed_mps", 1, r"unknown key: did you mean min_speed_mps\?"),
         (Labels, "labels.min_speed_mps", None, "key is missing"),
-        (Ingest, "ingest.source", "nuscenes", "'town', 'kitti' or 'both'"),
-        (Ingest, "ingest.image_size", [96, 8], "greater than or equal to 32 .got 8."),
         (Ingest, "ingest.cameras", [], "at least 1 item"),
-        (Ingest, "ingest.cameras", [4], "less than or equal to 3 .got 4."),
-        (Ingest, "ingest.drives.train", [], "at least 1 item"),
         (Ingest, "ingest.drives.test", ["0001"], "should match"),
         (Ingest, "ingest.drives.val", ["2026_13_09_drive_0001..0002"], "should match"),
-        (Ingest, "ingest.drives.val", "2026_01_09_drive_0001", "valid list"),
-        (Train, "train.epochs", 0, "greater than or equal to 1"),
         (Train, "train.epochs", 1.5, "valid integer"),
     ],
 )
@@ -95,14 +75,10 @@ def test_faults_name_file_key_and_value(
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (b"a: [1, 2", "invalid YAML"),
         (b"train: 1\ntrain: 2\n", "invalid YAML.*duplicate key"),
-        (b"train: !!python/object:os.system x", "invalid YAML"),
-        (b"train: \xff", "invalid UTF-8"),
         (b"label: {}", r"unknown section 'label': did you mean labels\?"),
         (b"labels: {}", "no section 'train'"),
         (b"", "expected sections"),
-        (b"- 1\n- 2\n", "expected sections"),
         (None, "file is missing"),
     ],
 )
@@ -115,42 +91,12 @@ def test_faulty_files(tmp_path: Path, content: bytes | None, problem: str) -> No
     assert raised.value.where.startswith(str(path))
 
 
-def test_numbers_are_those_of_yaml_1_2(tmp_path: Path) -> None:
-    path = tmp_path / "params.yaml"
-    path.write_text("labels: {wheelbase_m: 27e-1, min_speed_mps: 1, standstill: raw}\n")
-    assert params.load(Labels, path).wheelbase_m == 2.7
-
-
-def test_entries_of_mappings() -> None:
-    path = ROOT / "params.yaml"
-    assert "semantic" in params.names("graphs", path)
-    assert params.load_entry(Variant, "graphs", "semantic", path).source == "clouds/pseudo"
-    assert params.load_entry(Model, "models", "sa-gnn-ncp", path).input == "semantic"
-    with pytest.raises(InputError, match=r"no entry 'sa-gnn-ncq': did you mean .*sa-gnn-ncp"):
-        params.load_entry(Model, "models", "sa-gnn-ncq", path)
-
-
-@pytest.mark.parametrize("name", ["a", "A-9_b", "50k", "0", "x" * 99])
-def test_valid_names(tmp_path: Path, name: str) -> None:
-    path = edited(tmp_path, "graphs", {name: {"source": "clouds/pseudo", "points": 9, "k": 2}})
-    assert params.names("graphs", path) == [name]
-    assert params.load_entry(Variant, "graphs", name, path).k == 2
-
-
 @pytest.mark.parametrize(
     "name",
-    ["", ".", "..", "a.b", "a@b", "a b", "a/b", "-a", "_a", "x;touch pwned", "$(x)", "ä", "a\n", "x" * 300, 7, True],
+    ["", "..", "a b", "a/b", "-a", "x;touch pwned", "$(x)", "ä", "a\n", "x" * 300, 7],
 )
-@pytest.mark.parametrize("mapping", ["graphs", "models"])
-def test_invalid_names(tmp_path: Path, mapping: str, name: Any) -> None:
-    path = edited(tmp_path, mapping, {name: {}})
-    for read in (lambda: params.names(mapping, path), lambda: params.load_entry(Variant, mapping, name, path)):
-        with pytest.raises(InputError, match="invalid name") as raised:
+def test_invalid_names(tmp_path: Path, name: Any) -> None:
+    path = edited(tmp_path, "graphs", {name: {}})
+    for read in (lambda: params.names("graphs", path), lambda: params.load_entry(Variant, "graphs", name, path)):
+        with pytest.raises(InputError, match="invalid name"):
             read()
-        assert raised.value.where == str(path)
-        assert mapping in raised.value.problem
-
-
-def test_an_empty_mapping(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'graphs' is missing or empty"):
-        params.names("graphs", edited(tmp_path, "graphs", {}))

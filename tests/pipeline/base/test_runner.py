@@ -4,7 +4,6 @@ import errno
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 
 from pipeline.base import runner
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.lock import exclusive
 from pipeline.base.store import write_index
 from tests.kitti_drive import contents
 from tests.pipeline.base import toy_stage
@@ -59,6 +57,7 @@ def test_an_error_names_drive_and_frame_and_keeps_finished_drives(
     assert " 0/14" not in printed.err
 
 
+@pytest.mark.slow
 def test_a_dead_worker_is_one_error_and_keeps_finished_drives(folder: Path, expected: dict[str, bytes]) -> None:
     trouble(folder, a="die")
     with pytest.raises(InputError) as raised:
@@ -83,28 +82,6 @@ def test_a_full_disk_names_the_file_and_leaves_no_temporary_one(folder: Path, ex
     end_trouble(folder)
     toy_stage.main(folder, workers=1)
     assert outputs(folder) == expected
-
-
-def test_settings_and_inputs_are_in_the_key(folder: Path) -> None:
-    for settings, content in (({"k": 2}, "1"), ({"k": 3}, "1"), ({"k": 3}, "2")):
-        (folder / "input").write_text(content)
-        trouble(folder, a="fail")
-        with pytest.raises(DamagedFile):
-            toy_stage.main(folder, workers=1, **settings)
-        assert calls(folder) == ["a", "b", "c"], "nothing is kept from other settings or inputs"
-    end_trouble(folder)
-    toy_stage.main(folder, workers=1, k=3)
-    assert calls(folder) == ["a", "empty"]
-
-
-def test_a_folder_that_is_being_written_is_refused(folder: Path) -> None:
-    with (
-        exclusive(folder / "data/toy", folder / "data/.resume/toy"),
-        pytest.raises(InputError) as raised,
-    ):
-        toy_stage.main(folder, workers=1)
-    assert raised.value.where == str(folder / "data/toy")
-    assert calls(folder) == []
 
 
 def write(drive: str, path: Path) -> dict[str, Any]:
@@ -178,14 +155,3 @@ def test_a_killed_run_resumes_and_leaves_no_process(
     toy_stage.main(folder, workers=1)
     assert "b" not in calls(folder)
     assert outputs(folder) == expected
-
-
-@pytest.mark.slow
-def test_ctrl_c_while_workers_start_is_one_line(folder: Path) -> None:
-    with start(folder, "--workers", "3") as process:
-        wait_for((folder / "data/.resume/toy.lock").exists)
-        time.sleep(0.3)  # somewhere in the workers' imports
-        os.killpg(process.pid, signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
-    assert errors.startswith("error: interrupted") or process.returncode == 0
-    assert errors.count("\n") <= 1

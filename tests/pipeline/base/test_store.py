@@ -1,11 +1,7 @@
 """HDF5 files: round trip, equal bytes, damage, full disks."""
 
 import errno
-import os
 import resource
-import subprocess
-import sys
-import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,69 +63,11 @@ def test_two_writes_are_byte_identical(tmp_path: Path) -> None:
     assert first != other
 
 
-def test_drive_without_frames(tmp_path: Path) -> None:
-    with DriveWriter(tmp_path / "a.h5", stage="ingest", drive=DRIVE, params={}) as file:
-        file.put("image", np.zeros((0, 8, 9, 3), np.uint8))
-        file.blank("cls", (0, 8, 9), np.uint8)
-        file.append("xyz", np.zeros((0, 3), np.float32))
-        file.put("ptr", store.pointers([]))
-    with DriveReader(tmp_path / "a.h5", stage="ingest") as file:
-        assert [file.shape(name) for name in ("image", "cls", "xyz", "ptr")] == [(0, 8, 9, 3), (0, 8, 9), (0, 3), (1,)]
-
-
-def test_frames_never_filled_take_no_space(tmp_path: Path) -> None:
-    with DriveWriter(tmp_path / "a.h5", stage="ingest", drive=DRIVE, params={}) as file:
-        file.blank("image", (5000, 96, 320, 3), np.uint8)
-    assert (tmp_path / "a.h5").stat().st_size < 10_000
-
-
 def test_an_error_leaves_nothing_new_and_nothing_broken(tmp_path: Path) -> None:
     before = write(tmp_path / "a.h5").read_bytes()
     with pytest.raises(ZeroDivisionError), DriveWriter(tmp_path / "a.h5", stage="x", drive=DRIVE, params={}) as file:  # noqa: PT012
         file.put("frame", np.arange(1000))
         raise ZeroDivisionError
-    assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
-    assert (tmp_path / "a.h5").read_bytes() == before
-
-
-@pytest.mark.parametrize("how", ["append", "put", "many small", "blank"])
-def test_a_full_disk_leaves_nothing_new_and_nothing_broken(tmp_path: Path, how: str) -> None:
-    """A limit on file size fails writes as a full disk does: partly, late, and on closing as well."""
-    before = write(tmp_path / "a.h5").read_bytes()
-    program = """
-        import sys
-        from pathlib import Path
-        import numpy as np
-        from pipeline.base import console
-        from pipeline.base.store import DriveWriter
-
-        def main(path: Path, how: str) -> None:
-            noise = np.random.default_rng(0).integers(0, 256, (9, 300, 400), np.uint8)
-            with DriveWriter(path, stage="clouds", drive="d", params={}) as file:
-                if how == "put":
-                    file.put("a", noise)
-                if how == "blank":
-                    file.blank("a", noise.shape, np.uint8)
-                for i, frame in enumerate(noise):
-                    if how == "append":
-                        file.append("a", frame[None])
-                    if how == "blank":
-                        file.fill("a", i, frame)
-                    if how == "many small":
-                        file.put(f"a{i}", frame.ravel())
-
-        console.run(main)
-    """
-    run = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program), str(tmp_path / "a.h5"), how],
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000)),
-    )
-    assert run.returncode == 1, run.stderr
-    assert run.stderr.count("\n") == 1
-    assert f"{tmp_path / 'a.h5'}: {os.strerror(errno.EFBIG)}" in run.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
     assert (tmp_path / "a.h5").read_bytes() == before
 
@@ -158,35 +96,6 @@ def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path: Path) -> 
                 file.append("lidar", rng.random((100, 4), np.float32))
         assert error.value.errno == errno.EFBIG
     assert not list(tmp_path.iterdir())
-
-
-def test_a_full_disk_is_reported_on_closing(tmp_path: Path) -> None:
-    with (  # noqa: PT012
-        pytest.raises(OSError, match=str(tmp_path / "a.h5")) as error,
-        files_up_to(100_000),
-        DriveWriter(tmp_path / "a.h5", stage="ingest", drive=DRIVE, params={}) as file,
-    ):
-        file.blank("image", (9, 8, 9), np.uint8)
-        file.attrs |= {f"a{i}": "x" * 60_000 for i in range(20)}  # written as the block ends
-    assert error.value.errno == errno.EFBIG
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "a").touch()
-    with pytest.raises(OSError, match=str(tmp_path / "a")):
-        write(tmp_path / "a/b.h5")
-
-
-def test_no_permission_is_not_reported_as_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write(tmp_path / "a.h5")
-
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(errno.EACCES, "Unable to synchronously open file (…)")  # root may read everything
-
-    monkeypatch.setattr(h5py, "File", refuse)
-    with pytest.raises(PermissionError, match=f"Permission denied: '{path}'"):
-        DriveReader(path, stage="clouds")
 
 
 @pytest.mark.parametrize("damage", [lambda chunk: bytes(len(chunk)), lambda chunk: chunk[:-9] + b"\x99" + chunk[-8:]])
@@ -235,14 +144,10 @@ def test_files_of_other_stages_and_schemas_are_refused(tmp_path: Path) -> None:
     ("name", "values", "problem"),
     [
         ("frame", np.array([0, 2, 2], np.int32), "increasing"),
-        ("frame", np.array([-1, 2, 3], np.int32), "increasing"),
         ("time_s", np.array([0.0, 0.2, 0.1]), "increasing"),
-        ("time_s", np.array([0.0, 0.2, np.nan]), "finite"),
         ("time_s", np.array([0.0, 0.2]), "expected 3 rows, got 2"),
-        ("ptr", np.array([0, 5000, 14000]), "expected 4 rows"),
         ("xyz", np.zeros((13999, 3), np.float32), "do not fit ptr"),
         ("K", np.eye(4), r"expected shape \(3, 3\)"),
-        ("image", "text", "expected an array of numbers"),
     ],
 )
 def test_unexpected_contents_are_refused(tmp_path: Path, name: str, values: object, problem: str) -> None:
@@ -254,15 +159,6 @@ def test_unexpected_contents_are_refused(tmp_path: Path, name: str, values: obje
     with DriveReader(path, stage="clouds") as file, pytest.raises(InputError, match=problem) as raised:
         file[name]
     assert raised.value.where == str(path)
-
-
-@pytest.mark.parametrize("ptr", [[0, 5000, 4000, 14000], [1, 5000, 5000, 14000]])
-def test_pointers_that_do_not_cover_their_rows_are_refused(tmp_path: Path, ptr: list[int]) -> None:
-    path = write(tmp_path / "a.h5")
-    with h5py.File(path, "r+") as file:
-        file["ptr"][:] = ptr
-    with DriveReader(path, stage="clouds") as file, pytest.raises(InputError, match=r"xyz.*do not fit ptr"):
-        file.rows("xyz", 0, 10)
 
 
 def test_index_round_trip(tmp_path: Path) -> None:
@@ -281,10 +177,8 @@ def test_index_round_trip(tmp_path: Path) -> None:
     [
         ('{"schema": 2, "drives": {"c": "train"}}', "no file for c"),
         ('{"schema": 0, "drives": {}}', "expected schema 2, got 0"),
-        ('{"schema": 2, "drives": {"a": "other"}}', "expected drives with a split"),
         ('{"schema": 2, "drives": {"../a": "train"}}', "expected drives with a split"),
         ('{"schema": 2, ', "invalid JSON"),
-        ("[]", "expected an object"),
         (None, "missing"),
     ],
 )
@@ -295,13 +189,3 @@ def test_faults_of_an_index(tmp_path: Path, content: str | None, problem: str) -
         store.read_index(tmp_path, stage="clouds")
     assert str(tmp_path) in raised.value.where
     assert "clouds" in raised.value.fix
-
-
-def test_json_is_never_half_written(tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    store.write_json(path, {"b": 1, "a": [1.5]})
-    before = path.read_bytes()
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        store.write_json(path, {"a": float("nan")})
-    assert path.read_bytes() == before
-    assert store.read_json(path, stage="x") == {"a": [1.5], "b": 1}

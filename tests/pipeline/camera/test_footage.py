@@ -41,15 +41,6 @@ def test_order_follows_the_numbers_in_names(tmp_path: Path, names: list[str], or
     assert [file.stem for file in folder.files] == ordered
 
 
-def test_jpeg_and_grey_images(tmp_path: Path) -> None:
-    image = pictures(1)[0]
-    write_png(tmp_path / "0.jpeg", image)
-    write_png(tmp_path / "1.png", image[..., 0])
-    coloured, grey = (frame.image for frame in open_footage(tmp_path).frames())
-    assert np.abs(coloured.astype(int) - image).mean() < 4  # channels in RGB order
-    assert (grey == image[..., :1]).all()
-
-
 def test_names_that_are_not_utf8(tmp_path: Path) -> None:
     name = os.fsdecode(b"\xff")
     write_png(tmp_path / "a.png", pictures(1)[0])
@@ -74,8 +65,3 @@ def test_unusable_images(tmp_path: Path, images: list[np.ndarray], kind: type, p
     with pytest.raises(kind, match=problem) as raised:
         list(open_footage(tmp_path).frames())
     assert raised.value.where.startswith(str(tmp_path))
-
-
-def test_missing_path(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="missing"):
-        open_footage(tmp_path / "nothing.mp4")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.camera.geometry import back_project, depth_image, project, rays, scale_K, transform
+from pipeline.camera.geometry import back_project, depth_image, project, rays, scale_K
 
 K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
 SIZE = (40, 64)
@@ -60,14 +60,3 @@ def test_depth_image_keeps_the_nearest_point() -> None:
     depth = depth_image(np.array([30 * ray, 4 * ray, 9 * ray, -2 * ray, 5 * outside]), K, SIZE)
     assert depth[7, 9] == 4
     assert np.count_nonzero(depth) == 1
-
-
-def test_transform_is_rigid_and_composes() -> None:
-    c, s = np.cos(0.3), np.sin(0.3)
-    T = np.array([[c, -s, 0, 1.0], [s, c, 0, -2], [0, 0, 1, 0.5], [0, 0, 0, 1]])
-    xyz = np.random.default_rng(0).normal(size=(20, 3))
-    np.testing.assert_allclose(transform(np.linalg.inv(T), transform(T, xyz)), xyz, atol=1e-12)
-    np.testing.assert_allclose(transform(T @ T, xyz), transform(T, transform(T, xyz)))
-    np.testing.assert_allclose(
-        np.linalg.norm(np.diff(transform(T, xyz), axis=0), axis=1), np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    )

@@ -1,4 +1,4 @@
-"""Intrinsics from a file, an angle or four numbers."""
+"""Intrinsics from a file or an angle."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.camera.calib_file import matrix, read_entries, write_entries
 from pipeline.camera.geometry import rays, scale_K
 from pipeline.camera.intrinsics import intrinsics
 from pipeline.kitti.calibration import read_camera
@@ -20,10 +19,6 @@ def test_field_of_view_spans_the_edges() -> None:
     assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
     middle = rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
     np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-12)
-
-
-def test_four_numbers() -> None:
-    np.testing.assert_array_equal(intrinsics((48, 64), K="50,51, 31.5,22"), [[50, 0, 31.5], [0, 51, 22], [0, 0, 1]])
 
 
 def test_calibration_file_as_ingest_reads_it(tmp_path: Path) -> None:
@@ -41,13 +36,6 @@ def test_calibration_file_as_ingest_reads_it(tmp_path: Path) -> None:
         assert (raised.value.where, "--calib" in raised.value.fix) == (str(tmp_path / name), True)
     write_calibration(tmp_path, [0])
     assert intrinsics(SIZE, calib=calib)[0, 0] == 50
-
-
-@pytest.mark.real
-def test_real_calibration(real_kitti: Path) -> None:
-    calib = real_kitti / "2011_09_26/calib_cam_to_cam.txt"
-    assert intrinsics((375, 1242), calib=calib)[0, 0] == pytest.approx(721.5377)
-    assert intrinsics((188, 621), calib=calib)[0, 0] == pytest.approx(360.77, abs=0.01)
 
 
 @pytest.mark.parametrize("fov_deg", [0, 180, float("nan"), -90])
@@ -72,15 +60,3 @@ def test_exactly_one_source(given: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"got {len(given)}") as raised:
         intrinsics((48, 64), **given)
     assert all(option in raised.value.fix for option in ("--calib", "--fov", "--K"))
-
-
-def test_entries_round_trip(tmp_path: Path) -> None:
-    path = tmp_path / "calib.txt"
-    P = np.random.default_rng(0).normal(0, 500, (3, 4))
-    write_entries(path, {"calib_time": "01-Jan-2026 12:00:00", "P": P})
-    assert path.read_text().startswith("calib_time: 01-Jan-2026 12:00:00\nP: ")
-    entries = read_entries(path)
-    np.testing.assert_allclose(matrix(entries, "P", (3, 4), path), P, rtol=1e-12)
-    for name, problem in (("P", "9 finite numbers"), ("Q", "no entry Q")):
-        with pytest.raises(InputError, match=problem):
-            matrix(entries, name, (3, 3), path)

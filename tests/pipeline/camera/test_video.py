@@ -1,8 +1,5 @@
-"""Videos: frames, times, rotation, and the faults of files."""
+"""Videos: frames, times, and faults of files."""
 
-import struct
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -10,9 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.resume import ROOT
 from pipeline.camera.footage import open_footage
-from pipeline.camera.video import Clock, Video
+from pipeline.camera.video import Video
 from tests.footage import SIZE, pictures, write_video
 
 
@@ -27,48 +23,6 @@ def test_frames_and_times_of_the_container(tmp_path: Path, kind: str) -> None:
     assert video.untimed_from is None
     assert np.abs(np.array([frame.image for frame in frames], float) - images).mean() < 4
     assert len(list(video.frames())) == 12  # a second pass
-
-
-def test_given_frame_rate_replaces_timestamps(tmp_path: Path) -> None:
-    video = open_footage(write_video(tmp_path / "a.mp4", pictures(3), fps=25), fps=10)
-    assert [frame.time_s for frame in video.frames()] == pytest.approx([0, 0.1, 0.2])
-
-
-def test_rotation_as_opencv_applies_it(tmp_path: Path) -> None:
-    path = write_video(tmp_path / "a.mp4", pictures(3))
-    content = bytearray(path.read_bytes())
-    matrix = content.index(b"tkhd") + 44  # 3 x 3, of the track header
-    content[matrix : matrix + 36] = struct.pack(">9i", 0, 65536, 0, -65536, 0, 0, SIZE[0] << 16, 0, 1 << 30)
-    path.write_bytes(content)
-    expected = cv2.VideoCapture(str(path)).read()[1][..., ::-1]
-    video = open_footage(path)
-    assert video.size == expected.shape[:2] == SIZE[::-1]
-    assert np.abs(next(iter(video.frames())).image.astype(int) - expected).max() <= 1
-
-
-@pytest.mark.parametrize(
-    ("stamps", "times", "start"),
-    [
-        ([0, 0, 0, 0], [0, 0.1, 0.2, 0.3], 0),
-        ([None, None, None, None], [0, 0.1, 0.2, 0.3], 0),
-        ([5, 5.2, 5.1, 9], [0, 0.2, 0.3, 0.4], 1),
-        ([5, 5.2, None, 9], [0, 0.2, 0.3, 0.4], 1),
-        ([5, 5.2, 5.3, 5.9], [0, 0.2, 0.3, 0.9], None),
-    ],
-)
-def test_clock_follows_timestamps_while_they_increase(
-    stamps: list[float | None], times: list[float], start: int | None
-) -> None:
-    clock = Clock(Path("a.mp4"), 10, fixed_fps=False)
-    assert [clock.time_s(index, stamp) for index, stamp in enumerate(stamps)] == pytest.approx(times)
-    assert clock.untimed_from == start
-
-
-def test_clock_without_timestamps_or_frame_rate() -> None:
-    clock = Clock(Path("a.mp4"), None, fixed_fps=False)
-    with pytest.raises(DamagedFile) as raised:
-        clock.time_s(0, None)
-    assert raised.value.fix == "Pass --fps"
 
 
 def test_changing_size_is_refused(tmp_path: Path) -> None:
@@ -92,26 +46,3 @@ def test_truncated_video_yields_what_it_has_and_fails(tmp_path: Path, kind: str)
         numbers.extend(frame.number for frame in frames)
     assert raised.value.where == str(path)
     assert 5 < len(numbers) < 35
-
-
-def test_files_that_are_no_video_are_refused_without_other_output(tmp_path: Path) -> None:
-    paths = [tmp_path / name for name in ("empty.mp4", "text.mp4", "cut.mp4", "picture.mp4")]
-    paths[1].write_text("hello\n")
-    write_video(paths[2], pictures(9))
-    for path, content in zip(paths[::2], (b"", paths[2].read_bytes()[:-900]), strict=False):
-        path.write_bytes(content)  # the index of an MP4 is at its end
-    script = """
-import sys
-from pathlib import Path
-from pipeline.base.errors import DamagedFile
-from pipeline.camera.footage import open_footage
-for path in sys.argv[1:]:
-    try:
-        open_footage(Path(path))
-    except DamagedFile as error:
-        assert error.where == path
-        print("refused")
-"""
-    command = [sys.executable, "-c", script, *map(str, paths[:3])]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
-    assert (done.stdout, done.stderr) == ("refused\n" * 3, "")

@@ -7,7 +7,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.geometry import rays
-from pipeline.encoder.examples import Example, Examples, mirrored, relit, spread
+from pipeline.encoder.examples import Example, Examples, mirrored, spread
 from tests import street
 
 DENSE, LIDAR, BARE, BLIND, GREY = DRIVES = [f"2026_01_01_drive_000{number}" for number in range(1, 6)]
@@ -58,15 +58,6 @@ def test_spread_is_even_and_without_repeats(count: int, wanted: int) -> None:
     assert steps.max() - steps.min() <= 1
 
 
-def test_frames_are_spread_over_drives_by_their_length(ingest: Path) -> None:
-    with Examples(ingest, [DENSE, LIDAR], 6) as examples:
-        assert len(examples) == 6
-        assert examples.frames_per_drive == {DENSE: 2, LIDAR: 4}
-        assert examples.size == street.SIZE
-        unlabelled = [bool((examples[i].cls == classes.VOID).all()) for i in range(6)]
-        assert unlabelled == [False] * 2 + [True] * 4
-
-
 def test_a_teacher_classifies_each_colour_frame_without_labels_once(ingest: Path) -> None:
     inputs = []
 
@@ -100,16 +91,3 @@ def test_mirroring_negates_the_rays_and_is_its_own_inverse(example: Example) -> 
     np.testing.assert_array_equal(mirror.depth_m, example.depth_m[:, ::-1])
     for a, b in zip(vars(mirrored(mirror)).values(), vars(example).values(), strict=True):
         np.testing.assert_allclose(a, b)
-
-
-def test_relighting_is_a_function_of_the_colour_and_changes_nothing_else(example: Example) -> None:
-    other = relit(example, np.random.default_rng(1))
-    assert other.image.dtype == np.uint8
-    assert not np.array_equal(other.image, example.image)
-    for name in ("K", "depth_m", "cls"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(example, name))
-    _, first = np.unique(example.image.reshape(-1, 3), axis=0, return_inverse=True)
-    for group in np.unique(first)[:20]:
-        assert len(np.unique(other.image.reshape(-1, 3)[first == group], axis=0)) == 1
-    grey = [relit(example, np.random.default_rng(seed)).image.std(axis=-1).max() == 0 for seed in range(60)]
-    assert 0 < sum(grey) < 30

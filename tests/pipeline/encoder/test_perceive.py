@@ -1,20 +1,14 @@
-import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.encoder.perceive import load, passes, perceive, read, save
 from tests import street
-
-NET = {"conv.weight": torch.zeros(3)}
 
 
 @pytest.fixture(scope="module")
@@ -32,38 +26,6 @@ def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(model: Un
         assert torch.equal(tensor, loaded.state_dict()[name].cpu()), name
     save(tmp_path / "other", "small", loaded.state_dict())  # it runs with channels last
     assert (tmp_path / "other/encoder.pt").read_bytes() == (tmp_path / "encoder.pt").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (None, "missing"),
-        (b"PK\3\4 cut", "damaged"),
-        (NET, "checkpoint"),
-        ({"kind": "unified encoder", "net": NET}, "backbone's name"),
-        ({"kind": "unified encoder", "backbone": "small", "net": {0: NET}}, "tensors"),
-        ({"kind": "unified encoder", "backbone": "smal", "net": {}}, "did you mean small"),
-        ({"kind": "unified encoder", "backbone": "small", "net": NET}, "does not match"),
-    ],
-)
-def test_other_files_are_refused_with_the_command_that_makes_a_new_one(
-    tmp_path: Path, content: Any, problem: str
-) -> None:
-    if isinstance(content, bytes):
-        (tmp_path / "encoder.pt").write_bytes(content)
-    elif content:
-        torch.save(content, tmp_path / "encoder.pt")
-    with pytest.raises(InputError, match=problem) as raised:
-        load(tmp_path)
-    assert raised.value.where == str(tmp_path / "encoder.pt")
-    assert raised.value.fix.endswith("dvc repro --force --single-item encoder")
-
-
-def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "transformers", None)
-    save(tmp_path, "swin-t", {})
-    with pytest.raises(InputError, match=r"pip install '\.\[pretrained\]'$"):
-        load(tmp_path)
 
 
 def test_batched_equals_single(model: UnifiedEncoder) -> None:
@@ -104,23 +66,3 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(
         assert torch.get_num_threads() == threads
     np.testing.assert_array_equal(results[0], results[1])
     np.testing.assert_array_equal(results[0], results[2])
-
-
-def test_steer_workers_limits_the_passes_side_by_side(
-    set_threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("STEER_WORKERS", "1")
-    set_threads(5)
-    assert len(set(passes(lambda _: threading.current_thread().name, (number for number in range(9))))) == 1
-
-
-def test_an_error_in_a_pass_restores_the_threads(set_threads: Callable[[int], None]) -> None:
-    set_threads(3)
-
-    def fails(batch: int) -> int:
-        raise RuntimeError("out of memory")
-
-    with pytest.raises(RuntimeError, match="out of memory"):
-        list(passes(fails, (number for number in range(9))))
-    assert torch.get_num_threads() == 3
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("prefetch")]

@@ -1,15 +1,9 @@
-from pathlib import Path
-
-import numpy as np
 import pytest
-import torch
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
-from pipeline.camera import classes
-from pipeline.encoder import perceive
-from pipeline.encoder.supervision import Supervision, choose, load_teacher, supervision
-from pipeline.sections.encoder import Teacher, Weights
+from pipeline.encoder.supervision import Supervision, choose, supervision
+from pipeline.sections.encoder import Weights
 
 SMALL, ESPNET = (UnifiedEncoder(name) for name in ("small", "espnetv2-s1"))
 ALL = {"depth", "lidar", "cls"}
@@ -27,19 +21,12 @@ def files(*parts: str) -> Weights:
         ("depth_head", SMALL, None, {"lidar", "cls"}, False, Supervision.LIDAR),
         ("depth_head", SMALL, CHECKPOINT, ALL, False, Supervision.DENSE_DEPTH),  # the fit starts from a checkpoint
         ("depth_head", SMALL, files("depth_head"), ALL, False, Supervision.FILE),  # a published head is not changed
-        ("depth_head", SMALL, CHECKPOINT, {"cls"}, False, Supervision.FILE),
-        ("depth_head", SMALL, files("backbone", "depth_head"), {"cls"}, False, Supervision.FILE),
         ("depth_head", ESPNET, None, {"cls"}, False, Supervision.FLAT_GROUND),
-        ("depth_head", ESPNET, files("backbone"), {"cls"}, True, Supervision.FLAT_GROUND),
         ("class_head", SMALL, None, ALL, True, Supervision.CLASS_LABELS),
         ("class_head", SMALL, None, {"lidar"}, True, Supervision.TEACHER),
-        ("class_head", SMALL, files("class_head"), {"lidar"}, True, Supervision.FILE),
         ("class_head", ESPNET, files("backbone"), {"lidar"}, False, Supervision.FILE),  # its classes are the backbone's
         ("depth_head", SMALL, None, {"cls"}, False, "no depth_head"),
-        ("depth_head", SMALL, files("depth_head"), {"cls"}, False, "no backbone"),
         ("class_head", SMALL, None, {"depth"}, False, "no class_head"),
-        ("class_head", SMALL, files("class_head"), {"depth"}, False, "no backbone"),
-        ("class_head", ESPNET, None, {"depth"}, False, "no backbone"),
     ],
 )
 def test_each_head_has_one_target_or_is_refused(
@@ -71,21 +58,3 @@ def test_only_parts_with_a_target_have_gradients(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out == ""
     with pytest.raises(InputError, match="nothing is left to fit"):
         choose(model, files("backbone", "depth_head", "class_head"), {"depth"}, teacher=False, frozen=True)
-
-
-def test_a_teacher_is_an_encoder_with_classes(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    perceive.save(tmp_path, "small", UnifiedEncoder("small").state_dict())
-    weights = Weights.model_validate(str(tmp_path / "encoder.pt"))
-    classify, (source,) = load_teacher(Teacher(backbone="small", weights=weights))
-    assert source.part == "all"
-    image = np.random.default_rng(0).integers(0, 256, (32, 64, 3), np.uint8)
-    cls = classify(image, np.array([[40.0, 0, 31], [0, 40, 12], [0, 0, 1]]))
-    assert (cls.dtype, cls.shape) == (np.uint8, (32, 64))
-    assert cls.max() < classes.COUNT
-    with pytest.raises(InputError, match="class_head") as raised:
-        load_teacher(Teacher(backbone="small", weights=files("backbone")))
-    assert raised.value.where == "encoder.teacher.weights"
-    with pytest.raises(InputError, match="'smal'") as raised:
-        load_teacher(Teacher(backbone="smal", weights=weights))
-    assert raised.value.where == "encoder.teacher.backbone"

@@ -1,13 +1,10 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pipeline.base import store
 from pipeline.camera import classes
-from pipeline.camera.pixels import read_pixels
-from pipeline.encoder.truth import read_truth, training_rows, visible
-from pipeline.kitti.raw import RawDrive
+from pipeline.encoder.truth import read_truth, visible
 from tests import street
 
 DRIVE = "2026_01_01_drive_0001"
@@ -37,15 +34,6 @@ def test_lidar_truth_is_sparse_and_has_no_classes(tmp_path: Path) -> None:
     assert (truth.cls == classes.VOID).all()
 
 
-def test_training_rows_have_an_image_and_a_target(tmp_path: Path) -> None:
-    street.write_drive(tmp_path, DRIVE, 3, dense=False, lidar=False)
-    street.write_drive(tmp_path, "2026_01_01_drive_0002", 3, images=False)
-    for name in (DRIVE, "2026_01_01_drive_0002"):
-        with store.DriveReader(tmp_path / f"{name}.h5", stage="ingest") as file:
-            assert len(training_rows(file, has_teacher=False)) == 0
-            assert len(training_rows(file, has_teacher=True)) == file["has_image"].sum()
-
-
 def test_hidden_points_are_dropped_and_ground_stays() -> None:
     K = np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]])
     rows = np.arange(100)[:, None]
@@ -61,18 +49,3 @@ def test_hidden_points_are_dropped_and_ground_stays() -> None:
     assert hidden.any()
     assert not kept[hidden].any()
     np.testing.assert_array_equal(kept[:, :98], ground[:, :98])
-
-
-@pytest.mark.real
-def test_visible_points_of_a_real_scan_agree_better_with_the_benchmark(real_kitti: Path) -> None:
-    """KITTI's depth benchmark drops hidden points by a comparison with the stereo pair."""
-    name = "2011_09_26_drive_0001_sync_0000000005_{}_image_02.png"
-    folder = real_kitti / "depth_benchmark"
-    raw, truth = (read_pixels(folder / name.format(kind)) / 256 for kind in ("velodyne_raw", "groundtruth"))
-    camera = RawDrive(real_kitti / "2011_09_26" / "2011_09_26_drive_0001_sync").camera([2])
-    assert camera is not None
-    kept = visible(raw, camera.K)
-    both = (raw > 0) & (truth > 0)
-    wrong = both & (raw > 1.1 * truth)
-    assert (wrong & (kept > 0)).sum() < 0.7 * wrong.sum()
-    assert (both & ~wrong & (kept > 0)).sum() > 0.99 * (both & ~wrong).sum()

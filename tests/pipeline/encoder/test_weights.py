@@ -1,25 +1,18 @@
-import gc
 import hashlib
-import socket
-import threading
-import zipfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
-from pipeline.encoder import perceive, weights
-from pipeline.encoder.weights import Source, check_available, fetch, fill, read_published, unfilled
+from pipeline.encoder import perceive
+from pipeline.encoder.weights import Source, fetch, fill, read_published
 from pipeline.sections.encoder import WeightFile, Weights
 
 CONTENT = b"some weights"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
-OK = b"HTTP/1.1 200 OK\r\n"
 
 
 @pytest.fixture(autouse=True)
@@ -44,11 +37,6 @@ def test_a_file_is_downloaded_once_verified_and_nothing_is_written_to_a_log(caps
     assert capsys.readouterr().err == ""
 
 
-def test_key_is_the_name_of_the_downloaded_file() -> None:
-    assert fetch(published(key="net-s/encoder.pth")) == SHA256
-    assert Path("weights/net-s/encoder.pth").read_bytes() == CONTENT
-
-
 def test_a_path_is_verified_if_it_has_a_hash() -> None:
     published()
     assert fetch(WeightFile(url="published/net.pth")) == SHA256
@@ -57,85 +45,11 @@ def test_a_path_is_verified_if_it_has_a_hash() -> None:
     assert "Delete" in raised.value.fix
 
 
-@pytest.mark.parametrize(
-    ("url", "sha256", "problem"),
-    [
-        ("nowhere.pt", None, "file is missing"),
-        (".", None, "got a folder"),
-        ("http://127.0.0.1:9/", SHA256, "got a folder"),
-        ("http://127.0.0.1:9/net.pth", None, "without sha256 is not downloaded"),
-        ("n" * 300, None, "File name too long"),
-    ],
-)
-def test_what_is_neither_there_nor_downloadable_is_refused_without_a_download(
-    monkeypatch: pytest.MonkeyPatch, url: str, sha256: str | None, problem: str
-) -> None:
-    monkeypatch.setattr(weights, "_download", None)
-    Path("weights").mkdir()
-    with pytest.raises(InputError, match=problem) as raised:
-        check_available(Weights(backbone=WeightFile(url=url, sha256=sha256)))
-    assert raised.value.where.startswith("backbone: ")
-    check_available(Weights(backbone=WeightFile(url="http://127.0.0.1:9/net.pth", sha256=SHA256)))
-    check_available(None)
-
-
-@pytest.fixture
-def serve() -> Iterator[Callable[[bytes | None], str]]:
-    """Answer one request with given bytes, or with silence; return the URL."""
-    threads, end = [], threading.Event()
-
-    def start(answer: bytes | None) -> str:
-        server = socket.create_server(("127.0.0.1", 0))
-
-        def respond() -> None:
-            with server, server.accept()[0] as client:
-                client.recv(4096)
-                if answer is None:
-                    end.wait(10)
-                else:
-                    client.sendall(answer)
-
-        threads.append(threading.Thread(target=respond))
-        threads[-1].start()
-        return f"http://127.0.0.1:{server.getsockname()[1]}/net.pth"
-
-    yield start
-    end.set()
-    for thread in threads:
-        thread.join(timeout=10)
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        OK + b"Content-Length: 12\r\n\r\n" + CONTENT[::-1],
-        OK + b"Content-Length: 99\r\n\r\n" + CONTENT[:-1],
-        OK + b"Transfer-Encoding: chunked\r\n\r\n9\r\nsome",
-        b"no HTTP\r\n\r\n",
-        b"HTTP/1.1 404 Not Found\r\n\r\n",
-        None,
-    ],
-)
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # urllib leaves a socket at a timeout
-def test_a_failed_download_is_one_line_and_leaves_nothing(
-    serve: Callable[[bytes | None], str], monkeypatch: pytest.MonkeyPatch, answer: bytes | None
-) -> None:
-    monkeypatch.setattr(weights, "TIMEOUT_S", 0.2 if answer is None else 10)
-    with pytest.raises(InputError, match="cannot download http://127") as raised:
-        fetch(WeightFile(url=serve(answer), sha256=SHA256))
-    assert raised.value.where == "weights/net.pth"
-    assert "curl --create-dirs -L -o weights/net.pth http" in raised.value.fix
-    assert "\n" not in str(raised.value)
+def test_a_download_with_another_hash_leaves_nothing() -> None:
+    with pytest.raises(InputError, match="cannot download file:") as raised:
+        fetch(published("0" * 64))
+    assert "curl --create-dirs -L -o weights/net.pth" in raised.value.fix
     assert list(Path("weights").iterdir()) == []
-    assert socket.getdefaulttimeout() is None
-    del raised
-    gc.collect()  # of the socket, in this test
-
-
-@pytest.mark.parametrize("url", ["http://127.0.0.1:port/net.pth", "http://127.0.0.1:9/a b.pth"])
-def test_an_invalid_url_is_one_line(url: str) -> None:
-    with pytest.raises(InputError, match="cannot download"):
-        fetch(WeightFile(url=url, sha256=SHA256))
 
 
 STATE = {"conv.weight": torch.arange(3.0)}
@@ -146,7 +60,6 @@ STATE = {"conv.weight": torch.arange(3.0)}
     [
         STATE,
         {"state_dict": STATE, "meta": {"epoch": 3}},
-        {"model": STATE, "epoch": 3},
         STATE | {"height": 192, "use_stereo": True},  # as Monodepth2's
     ],
 )
@@ -155,18 +68,6 @@ def test_published_tensors_are_found_alone_or_beside_other_data(content: object)
     assert {name: tensor.tolist() for name, tensor in read_published(Path("file.pth")).items()} == {
         "conv.weight": [0, 1, 2]
     }
-
-
-def test_numbers_of_numpy_1_are_read() -> None:
-    """DINOv2's depth heads have them beside the tensors."""
-    meta = {"abs_rel": np.float64(0.08), "step": np.int64(38400)}
-    torch.save({"state_dict": STATE, "meta": meta}, "new.pth")
-    with zipfile.ZipFile("new.pth") as new, zipfile.ZipFile("old.pth", "w") as old:
-        for item in new.infolist():
-            old.writestr(item, new.read(item).replace(b"numpy._core.multiarray", b"numpy.core.multiarray"))
-    assert b"numpy.core.multiarray" in Path("old.pth").read_bytes()
-    for name in ("new.pth", "old.pth"):
-        assert read_published(Path(name))["conv.weight"].tolist() == [0, 1, 2]
 
 
 class Code:
@@ -214,12 +115,3 @@ def test_a_checkpoint_fills_all_parts_of_the_same_backbone() -> None:
     with pytest.raises(InputError, match="backbone is 'small', expected 'swin-t'"):
         fill(model, "swin-t", files)
     assert fill(model, "small", None) == []
-
-
-def test_a_part_is_unfilled_if_it_has_parameters_and_no_file() -> None:
-    model = UnifiedEncoder("espnetv2-s1")  # its class head has no parameters
-    parts, backbone = ("backbone", "depth_head", "class_head"), Weights.model_validate({"backbone": "a.pth"})
-    assert unfilled(model, None, parts) == "backbone"
-    assert unfilled(model, backbone, parts) == "depth_head"
-    assert unfilled(model, backbone, ("backbone", "class_head")) is None
-    assert unfilled(model, Weights.model_validate("encoder.pt"), parts) is None

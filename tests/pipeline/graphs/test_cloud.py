@@ -1,9 +1,6 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes, geometry
 from pipeline.graphs import cloud
 
@@ -27,13 +24,6 @@ def test_pseudo_cloud_has_a_point_per_valid_pixel() -> None:
     pixels = set(map(tuple, np.rint(uv).astype(int).tolist()))
     assert pixels == {(u, v) for u in range(40) for v in range(20)} - {(0, 0), (1, 1), (2, 2), (3, 3)}
     assert len(xyz) == len(labels) == len(pixels)
-
-
-def test_a_ground_plane_stays_flat() -> None:
-    depth = np.zeros((20, 40))
-    depth[11:] = (100.0 * 1.65 / (np.arange(11, 20) - 9.5))[:, None]
-    xyz, _ = cloud.pseudo_cloud(depth, np.zeros((20, 40), np.uint8), K, max_depth_m=200.0)
-    assert xyz[:, 1] == pytest.approx(1.65, abs=1e-5)
 
 
 def test_lidar_points_take_the_class_of_their_pixel() -> None:
@@ -69,21 +59,6 @@ def test_morton_order_equals_bitwise_interleaving() -> None:
     assert [code(point) for point in xyz[order]] == sorted(code(point) for point in xyz)
 
 
-def test_quantised_coordinates_are_near_and_stay() -> None:
-    xyz = np.random.default_rng(0).uniform(-200, 200, (1000, 3)).astype(np.float32)
-    coarse = cloud.quantise(xyz)
-    assert np.abs(coarse - xyz).max() <= 0.5 / 1024 + 2e-5
-    assert (cloud.quantise(coarse) == coarse).all()
-
-
-def test_a_downsampled_cloud_is_a_subset_in_morton_order() -> None:
-    xyz, cls = random_cloud(300)
-    points, labels = cloud.downsample((xyz, cls), 100, cloud.frame_rng(0, "drive", 0))
-    assert (cloud.morton_order(points) == np.arange(100)).all()
-    class_of = {tuple(point): number for point, number in zip(cloud.quantise(xyz).tolist(), cls.tolist(), strict=True)}
-    assert [class_of[tuple(point)] for point in points.tolist()] == labels.tolist()
-
-
 def test_sampled_points_lie_in_the_crop_and_keep_order_and_class() -> None:
     xyz, cls = random_cloud(300)
     points, labels = cloud.sample_points((xyz, cls), (-5, 0, 5, 20), 20, cloud.frame_rng(0, "drive", 0))
@@ -93,15 +68,3 @@ def test_sampled_points_lie_in_the_crop_and_keep_order_and_class() -> None:
     rows = [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in points]
     assert rows == sorted(rows)
     assert labels.tolist() == cls[rows].tolist()
-
-
-def test_a_file_contains_the_clouds_frame_by_frame(tmp_path: Path) -> None:
-    clouds = [random_cloud(5), random_cloud(0), random_cloud(3, seed=1)]
-    with DriveWriter(tmp_path / "a.h5", stage="clouds", drive="drive", params={}) as writer:
-        counts = cloud.write(writer, np.array([2, 3, 7]), np.array([0, 0.1, 0.5]), clouds)
-    assert counts == {"frames": 3, "points": 8}
-    with DriveReader(tmp_path / "a.h5", stage="clouds") as file:
-        assert file["ptr"].tolist() == [0, 5, 5, 8]
-        np.testing.assert_array_equal(file["xyz"], np.concatenate([xyz for xyz, _ in clouds]))
-        np.testing.assert_array_equal(file["cls"], np.concatenate([cls for _, cls in clouds]))
-        assert (file.frame.tolist(), file.frame.dtype) == ([2, 3, 7], np.int32)

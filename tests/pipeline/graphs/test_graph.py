@@ -24,13 +24,6 @@ def test_nearest_equals_brute_force() -> None:
     assert (graph.nearest(xyz, 6) == np.argsort(distance, axis=1)[:, :6]).all()
 
 
-def test_nearest_never_names_the_point_itself_even_where_points_coincide() -> None:
-    found = graph.nearest(np.zeros((30, 3), np.float32), 6)
-    assert found.shape == (30, 6)
-    assert (found != np.arange(30)[:, None]).all()
-    assert all(len(set(row)) == 6 for row in found.tolist())
-
-
 @pytest.mark.parametrize("points", [0, 1, 2, 5])
 def test_fewer_points_than_neighbours(points: int) -> None:
     xyz, cls = _street(points)
@@ -80,19 +73,6 @@ def test_permuted_points_give_the_permuted_graph() -> None:
     whole = _pairs(graph.build(xyz, cls, 6, 1.0, np.random.default_rng(0)))
     permuted = _pairs(graph.build(xyz[order], cls[order], 6, 1.0, np.random.default_rng(0)))
     assert {(int(order[i]), int(order[j])) for i, j in permuted} == whole
-
-
-def test_undirected_counts_who_names_whom_and_is_in_order() -> None:
-    named = graph.undirected(np.array([[2, 1], [0, 2], [3, 1], [1, 0]], np.int32))
-    assert named.toarray().tolist() == [[0, 2, 1, 1], [2, 0, 2, 1], [1, 2, 0, 1], [1, 1, 1, 0]]
-    assert named.indices.tolist() == [1, 2, 3, 0, 2, 3, 0, 1, 3, 0, 1, 2]
-
-
-def test_an_edge_goes_with_both_its_ends_whatever_its_direction() -> None:
-    named = graph.undirected(np.array([[3], [3], [0], [0]], np.int32))  # edges 0-3 (both), 1-3, 0-2
-    made = graph.prune(named, np.array([0, 1, 0, 0], np.uint8), 0.0, np.random.default_rng(0))
-    assert _pairs(made) == {(0, 3), (3, 0), (0, 2), (2, 0)}
-    assert (made.degree.tolist(), made.edges_knn, made.edges_kept) == ([2, 0, 1, 1], 4, 3)
 
 
 def test_a_hub_of_more_than_255_neighbours_is_refused() -> None:

@@ -47,23 +47,6 @@ def test_indices_are_as_wide_as_the_largest_frame_needs(tmp_path: Path, points: 
         assert file["indices"].dtype == dtype
 
 
-@pytest.mark.parametrize("neighbours", [KnnGraph(9, 2, 1.0), PointSets(9, [(4, 1.0, 2)])])
-def test_a_drive_without_frames_has_empty_datasets(tmp_path: Path, neighbours: Neighbours) -> None:
-    assert not any(write(tmp_path / "a.h5", neighbours, []).values())
-    with DriveReader(tmp_path / "a.h5", stage="graphs") as file:
-        assert (file.shape("xyz"), file["ptr"].tolist()) == ((0, 3), [0])
-        assert set(neighbours.pointers) <= set(file.names)
-
-
-def test_images_are_copied(tmp_path: Path) -> None:
-    images = np.random.default_rng(0).integers(0, 256, (3, 6, 8, 3), np.uint8)
-    with DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as writer:
-        assert graph_file.write_images(writer, FRAME, TIME_S, images, (6, 8)) == {"frames": 3}
-    with DriveReader(tmp_path / "a.h5", stage="graphs") as file:
-        np.testing.assert_array_equal(file["image"], images)
-        np.testing.assert_array_equal(file.frame, FRAME)
-
-
 def test_motion_is_matched_by_frame_number(tmp_path: Path) -> None:
     with DriveWriter(tmp_path / "motion.h5", stage="motion", drive="drive", params={}) as writer:
         writer.put("frame", np.array([3, 5, 9, 11], np.int32))

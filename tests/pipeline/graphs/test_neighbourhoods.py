@@ -49,38 +49,9 @@ def test_balls_are_those_of_brute_force(xyz: np.ndarray, radius_m: float) -> Non
         assert found.tolist() == [reference_ball(xyz, int(centre), radius_m, 12, expected) for centre in centres]
 
 
-def test_a_point_on_the_sphere_is_inside() -> None:
-    xyz = np.array([[0, 0, 0], [3, 0, 4], [3, 0, 4.001]])
-    assert neighbourhoods.ball_query(xyz, np.array([0]), 5.0, 2).tolist() == [[0, 1]]
-
-
-def test_lonely_centres_have_themselves_alone() -> None:
-    xyz = np.arange(12.0).reshape(4, 3) * 100
-    assert neighbourhoods.ball_query(xyz, np.array([2, 0]), 8.0, 3).tolist() == [[2, 2, 2], [0, 0, 0]]
-
-
-def test_a_crowded_ball_is_sampled_all_over_not_from_one_corner() -> None:
-    rng = np.random.default_rng(0)
-    xyz = cloud.quantise(rng.uniform(-5, 5, (4000, 3)))
-    xyz = xyz[cloud.morton_order(xyz)]
-    (level,) = neighbourhoods.levels(xyz, [(500, 3.0, 32)], rng)
-    drift = (xyz[level.neighbours].mean(1) - xyz[level.centres])[np.abs(xyz[level.centres]).max(1) < 2]
-    assert len(drift) > 10
-    assert (
-        np.abs(drift).mean() < 0.25
-    )  # of 32 points in a ball: a deviation of 3 m × sqrt(1/5) / sqrt(32) = 0.24 m per axis
-
-
 def test_levels_build_on_each_other(xyz: np.ndarray) -> None:
     first, second = neighbourhoods.levels(xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0))
     centres = xyz[first.centres]
     assert second.centres.tolist() == reference_fps(centres, 10)
     order = np.arange(40)
     assert second.neighbours.tolist() == [reference_ball(centres, int(c), 12.0, 6, order) for c in second.centres]
-
-
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_clouds_smaller_than_asked(xyz: np.ndarray, count: int) -> None:
-    first, second = neighbourhoods.levels(xyz[:count], [(8, 4.0, 3), (6, 9.0, 2)], np.random.default_rng(0))
-    assert first.centres.shape == second.centres.shape == (count,)
-    assert (first.neighbours.shape, second.neighbours.shape) == ((count, 3), (count, 2))

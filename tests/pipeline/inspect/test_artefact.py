@@ -27,17 +27,6 @@ def write_model(root: Path) -> Path:
     return folder
 
 
-def test_folder_of_drives_lists_split_and_frames(tmp_path: Path) -> None:
-    write_dataset(tmp_path, SPLITS, frames=5, points=20)
-    content = artefact.describe(tmp_path / "graphs/semantic")
-    assert (content["kind"], content["stage"], content["frames"]) == ("folder of drives", "graphs", 10)
-    assert {row["drive"]: row["split"] for row in content["drives"]} == SPLITS
-    (tmp_path / "graphs/semantic/2011_09_26_drive_0002.h5").unlink()
-    content = artefact.describe(tmp_path / "graphs/semantic")
-    assert content["drives"][1]["missing"] == "file is missing"
-    assert content["frames"] == 5
-
-
 def test_model_by_its_folder_or_a_file_in_it(tmp_path: Path) -> None:
     folder = write_model(tmp_path)
     content = artefact.describe(folder)
@@ -46,21 +35,6 @@ def test_model_by_its_folder_or_a_file_in_it(tmp_path: Path) -> None:
     assert content["drives"] == {"train": 1, "test": 1}
     assert content["checkpoints"] == ["best.pt", "seed-1/best.pt"]
     assert artefact.describe(folder / "best.pt") == content
-
-
-def test_encoder(tmp_path: Path) -> None:
-    folder = write(tmp_path / "encoder/config.json", {"backbone": "small", "frames_per_drive": {"a": 3, "b": 4}})
-    write(folder / "encoder.pt", "")
-    content = artefact.describe(folder)
-    assert (content["kind"], content["drives"], content["backbone"]) == ("encoder", 2, "small")
-
-
-def test_metrics_are_listed_by_key(tmp_path: Path) -> None:
-    metrics = {"model": "gnn", "drives": {"test": ["b"]}, "test": {"nmse": 0.5, "baselines": {"zero": {"nmse": 1.0}}}}
-    content = artefact.describe(write(tmp_path / "evaluate/gnn/metrics.json", metrics))
-    assert (content["kind"], content["model"]) == ("metrics", "gnn")
-    assert (content["test.nmse"], content["test.baselines.zero.nmse"]) == (0.5, 1.0)
-    assert not any("drives" in key for key in content)
 
 
 def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> None:
@@ -76,16 +50,6 @@ def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> N
     }  # fmt: skip
     assert "config.json" in rows["train/other"]["problem"]
     assert (rows["labels"]["drives"], rows["labels"]["frames"]) == (2, 10)
-
-
-@pytest.mark.parametrize(
-    "content", ["", "[]", "null", "{}", "{", "[" * 100_000, '{"drives": []}', '{"drives": {"../up": "train"}}']
-)
-def test_damaged_index_is_named(tmp_path: Path, content: str) -> None:
-    write(tmp_path / "labels/index.json", content)
-    with pytest.raises(InputError, match=r"index\.json") as raised:
-        artefact.describe(tmp_path / "labels")
-    assert len(str(raised.value)) < 500
 
 
 def test_other_files_and_folders_are_refused(tmp_path: Path) -> None:

@@ -1,19 +1,14 @@
-"""Differences of drives' files, JSON, checkpoints and other files."""
+"""Differences of drives' files, JSON and other files."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import h5py
-import numpy as np
 import pytest
-import torch
 
-from pipeline.base.errors import InputError
-from pipeline.fitting import checkpoint
 from pipeline.inspect import diff
 from pipeline.inspect.diff import Difference
-from tests.artefacts import write_dataset, write_labels
+from tests.artefacts import write_dataset
 
 DRIVE = "2026_01_01_drive_0001"
 
@@ -44,17 +39,6 @@ def compare_texts(folder: Path, name: str, a: str, b: str, tolerance: float = 0.
     return {difference.key: difference for difference in found}
 
 
-def test_equal_content_in_other_bytes_is_equal(folder: Path) -> None:
-    def reorder(file: h5py.File) -> None:
-        file["more"] = 1
-        del file["more"]
-
-    change(folder, "graphs/semantic", reorder)
-    first, second = (folder / name / f"graphs/semantic/{DRIVE}.h5" for name in "ab")
-    assert first.read_bytes() != second.read_bytes()
-    assert compare_drives(folder, "graphs/semantic") == []
-
-
 def test_values_of_frames(folder: Path) -> None:
     def edit(file: h5py.File) -> None:
         file["steering_rad"][3] += 0.25
@@ -67,59 +51,6 @@ def test_values_of_frames(folder: Path) -> None:
     assert (steering.key, steering.frames, steering.first_frame) == ("steering_rad", 2, 3)
     assert steering.largest == pytest.approx(0.5)
     assert compare_drives(folder, "labels", tolerance=0.5) == [speed]
-
-
-def test_ragged_rows_belong_to_frames(folder: Path) -> None:
-    def edit(file: h5py.File) -> None:
-        file["xyz"][30 * 4 + 2, 1] += 2.0
-        file["degree"][30 * 11] += 1
-        pointer = file["indices_ptr"][:]
-        pointer[6] -= 1  # an edge of frame 5 becomes one of frame 6
-        file["indices_ptr"][:] = pointer
-
-    change(folder, "graphs/semantic", edit)
-    degree, indices, pointer, xyz = compare_drives(folder, "graphs/semantic")
-    assert (degree.key, degree.first_frame, degree.largest) == ("degree", 11, 1)
-    assert (indices.key, indices.frames, indices.first_frame) == ("indices", 2, 5)
-    rows = [int(shape.split("(")[1].rstrip(",)")) for shape in indices.problem.split(" and ")]
-    assert rows[0] - rows[1] == 1
-    assert (pointer.key, pointer.frames, pointer.largest) == ("indices_ptr", 2, 1)
-    assert (xyz.key, xyz.frames, xyz.first_frame) == ("xyz", 1, 4)
-    assert xyz.largest == pytest.approx(2.0, rel=1e-5)
-
-
-def test_frames_are_matched_by_number(tmp_path: Path) -> None:
-    frames = np.arange(10, 22)
-    for name, rows in (("a", slice(0, 9)), ("b", slice(2, 12))):
-        write_labels(tmp_path / name / f"labels/{DRIVE}.h5", DRIVE, 0.1 * np.sin(frames[rows]), frames[rows])
-    problems = {difference.problem for difference in compare_drives(tmp_path, "labels")}
-    assert problems == {"2 frames only in A, first 10, 3 frames only in B, first 19"}
-
-
-def test_params_datasets_dtypes_units_and_shapes(folder: Path) -> None:
-    def edit(file: h5py.File) -> None:
-        params = json.loads(file.attrs["params"])
-        params["labels"]["wheelbase_m"] = 2.5
-        file.attrs["params"] = json.dumps(params)
-        del file["valid"]
-        speed = file["speed_mps"][:]
-        del file["speed_mps"]
-        file["speed_mps"] = speed.astype(np.float32)
-        file["speed_mps"].attrs["unit"] = "km/h"
-        del file["yaw_rate_radps"]
-        file["yaw_rate_radps"] = np.zeros((12, 2))
-        file["yaw_rate_radps"].attrs["unit"] = "rad/s, left positive"
-
-    change(folder, "labels", edit)
-    problems = {difference.key: difference.problem for difference in compare_drives(folder, "labels")}
-    assert problems == {
-        "params.labels.wheelbase_m": "2.7 and 2.5",
-        "valid": "only in A",
-        "unit of valid": "only in A",
-        "speed_mps": "float64 () and float32 ()",
-        "unit of speed_mps": "m/s and km/h",
-        "yaw_rate_radps": "float64 () and float64 (2,)",
-    }
 
 
 def test_json_by_key(tmp_path: Path) -> None:
@@ -135,24 +66,6 @@ def test_json_by_key(tmp_path: Path) -> None:
     assert compare_texts(tmp_path, "metrics.json", '{"a": [1, 2]}', '{"a":[1.0,2]}') == {}
 
 
-@pytest.mark.parametrize(("name", "content"), [("a.json", "{"), ("a.pt", "no checkpoint")])
-def test_damaged_file_is_named(tmp_path: Path, name: str, content: str) -> None:
-    with pytest.raises(InputError, match=name):
-        compare_texts(tmp_path, name, content, f"{content} ")
-
-
-def test_checkpoints_by_tensor(tmp_path: Path) -> None:
-    net = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(2)}
-    other = {"w": torch.ones(2, 3), "half": torch.ones(2, dtype=torch.bfloat16), "gone": torch.ones(3)}
-    other["w"][1, 2] = 1.5
-    paths = [tmp_path / name / "best.pt" for name in "ab"]
-    for path, state in zip(paths, (net, other), strict=True):
-        checkpoint.write(path, {"kind": "net", "epoch": 3, "net": state})
-    w, gone = diff.compare("best.pt", *paths, 0.0)
-    assert (w.key, w.problem, w.largest) == ("net.w", "values differ", 0.5)
-    assert (gone.key, gone.problem) == ("net.gone", "float32 (2,) and float32 (3,)")
-
-
 def test_folders_are_compared_file_by_file(tmp_path: Path) -> None:
     for name in ("a/x/one.json", "a/table.md", "b/table.md", "b/x/two.json", "a/.resume/block.h5"):
         path = tmp_path / name
@@ -162,25 +75,3 @@ def test_folders_are_compared_file_by_file(tmp_path: Path) -> None:
     assert [str(each) for each in found] == [
         "table.md: 10 and 10 bytes, not the same", "x/one.json: only in A", "x/two.json: only in B",
     ]  # fmt: skip
-
-
-def test_two_kinds_are_refused(tmp_path: Path) -> None:
-    folder, one, text = tmp_path / "a", tmp_path / "a/one.json", tmp_path / "a/table.md"
-    folder.mkdir()
-    for path in (one, text):
-        path.write_text("{}")
-    for a, b in ((folder, one), (one, folder), (one, tmp_path / "none.json"), (one, text)):
-        with pytest.raises(InputError) as raised:
-            diff.pairs(a, b)
-        assert "two files of one kind" in raised.value.fix
-
-
-def test_numbers_that_differ() -> None:
-    nan, inf = np.nan, np.inf
-    a, b = np.array([1.0, nan, nan, inf, inf, 2.0]), np.array([1.5, nan, 1.0, inf, -inf, 2.0])
-    assert (diff._distances(a, b) > 0).tolist() == [True, False, True, False, True, False]
-    assert (diff._distances(a, b) > 0.5).tolist() == [False, False, True, False, True, False]
-    assert diff._distances(np.array([250], np.uint8), np.array([5], np.uint8)).tolist() == [245]
-    big = np.array([2**60], np.int64)
-    assert diff._distances(big, big + 1) > 0  # equal as float64
-    assert diff._distances("a", "b") == inf

@@ -1,20 +1,16 @@
-"""One frame of each kind of artefact, and its picture."""
+"""One frame of a graph and of an ingest file."""
 
 from pathlib import Path
 
-import cv2
-import h5py
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.images import to_units
-from pipeline.inspect import frame_picture, frame_view
-from pipeline.inspect.frame_view import FrameView
+from pipeline.inspect import frame_view
 from pipeline.kitti import ingest_file
 from pipeline.kitti.oxts import make_rows
-from tests.artefacts import write_graphs, write_images, write_labels
+from tests.artefacts import write_graphs
 
 DRIVE = "2011_09_26_drive_0001"
 FRAMES = np.array([3, 4, 6])
@@ -43,29 +39,6 @@ def test_graph_has_each_edge_once(graphs: Path) -> None:
     assert view.values["edges_knn"] == 240
 
 
-def test_frame_is_chosen_by_number(graphs: Path) -> None:
-    assert frame_view.read(graphs, None).frame == 3
-    with pytest.raises(InputError, match="no frame 9") as raised:
-        frame_view.read(graphs, 9)
-    assert "nearest 6" in raised.value.fix
-
-
-def test_variant_of_images(tmp_path: Path) -> None:
-    write_images(tmp_path / "graphs/a.h5", DRIVE, np.zeros(3), FRAMES, 40, np.random.default_rng(0))
-    image = frame_view.read(tmp_path / "graphs/a.h5", 6)
-    assert image.rgb is not None
-    assert image.rgb.shape == (32, 48, 3)
-    assert image.cloud is None
-
-
-def test_labels_are_numbers_only(tmp_path: Path) -> None:
-    write_labels(tmp_path / "labels/a.h5", DRIVE, np.array([0.1, 0.2, 0.3]), FRAMES)
-    view = frame_view.read(tmp_path / "labels/a.h5", 4)
-    assert view.values["steering_rad"] == pytest.approx(0.2)
-    with pytest.raises(InputError, match="nothing to draw"):
-        frame_picture.draw(tmp_path / "a.png", "a", view)
-
-
 def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
     rng, path = np.random.default_rng(0), tmp_path / "ingest/a.h5"
     image, cls = rng.integers(0, 256, (20, 30, 3), np.uint8), rng.integers(0, 19, (20, 30), np.uint8)
@@ -83,27 +56,3 @@ def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
     assert view.cloud is not None
     np.testing.assert_allclose(view.cloud[0], [[-2, 1.7, 10]], atol=1e-6)
     assert not frame_view.read(path, 3).drawable
-
-
-@pytest.mark.parametrize(("dataset", "value"), [("degree", 9), ("indices", 200)])
-def test_edges_that_do_not_fit_are_damage(graphs: Path, dataset: str, value: int) -> None:
-    with h5py.File(graphs, "a") as file:
-        file[dataset][:] = np.full(file[dataset].shape, value)
-    with pytest.raises(InputError, match="damaged"):
-        frame_view.read(graphs, 3)
-
-
-def test_picture_is_deterministic(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    xyz, cls = rng.uniform(1, 20, (50, 3)), rng.integers(0, 19, 50).astype(np.uint8)
-    image = rng.integers(0, 256, (20, 60, 3), np.uint8)
-    view = FrameView(3, {}, image, rng.uniform(0, 60, (20, 60)), image[..., 0] % 19, (xyz, cls), xyz[[[0, 1], [2, 3]]])
-    for name in ("a.png", "b.png"):
-        frame_picture.draw(tmp_path / name, "title", view)
-    drawn = cv2.imread(str(tmp_path / "a.png"))
-    assert drawn is not None
-    assert drawn.std() > 10
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    with pytest.raises(InputError) as raised:
-        frame_picture.draw(tmp_path / "a.jpg", "title", view)
-    assert raised.value.where == "--out"

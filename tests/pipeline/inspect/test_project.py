@@ -80,19 +80,3 @@ def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
     (copy / "dvc.yaml").write_text("stages: [")
     with pytest.raises(InputError, match="dvc status failed"):
         project.due_stages(copy)
-
-
-def test_without_dvc_lock_the_origin_is_unknown(tmp_path: Path) -> None:
-    (tmp_path / "data").mkdir()
-    assert project.trace(tmp_path / "data")["written by"].startswith("unknown")
-
-
-@pytest.mark.parametrize(
-    "content",
-    ["", "[]", "stages: 3", "stages: {a: 3}", "[" * 100_000, "a: [", "\x00", "stages: {a: {outs: 3}}"],
-)
-def test_damaged_lock_is_named(tmp_path: Path, content: str) -> None:
-    (tmp_path / "dvc.lock").write_text(content)
-    with pytest.raises(InputError, match=r"dvc\.lock") as raised:
-        project.trace(tmp_path)
-    assert len(str(raised.value)) < 1000

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import project, transform
-from pipeline.kitti.calibration import cameras_in, read_camera
+from pipeline.kitti.calibration import read_camera
 from tests.kitti_drive import write_calibration
 
 
@@ -29,29 +29,12 @@ def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
     assert camera.size == (48, 64)
 
 
-def test_missing_files_and_cameras(tmp_path: Path) -> None:
-    assert cameras_in(tmp_path) == []
-    with pytest.raises(InputError, match=r"calib_cam_to_cam.txt: file is missing"):
-        read_camera(tmp_path, 2)
-    write_calibration(tmp_path, [0])
-    assert cameras_in(tmp_path) == [0]
-    (tmp_path / "calib_velo_to_cam.txt").unlink()
-    camera = read_camera(tmp_path, 0)
-    assert (camera.K[0, 0], camera.T_cam_velo) == (50, None)
-    with pytest.raises(InputError, match="no entry P_rect_02"):
-        read_camera(tmp_path, 2)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [
-        ("P_rect_02: 5.0", "P_rect_02: nan 5.0", "P_rect_02: expected 12 finite"),
         ("P_rect_02: 5.000000000e+01", "P_rect_02: inf", "P_rect_02: expected 12 finite"),
-        ("P_rect_02: 5.000000000e+01", "P_rect_02: 5.000000000e+09", "implausible intrinsics"),
-        ("S_rect_02: 64", "S_rect_02:", "S_rect_02: expected 2 finite"),
         ("S_rect_02: 64", "S_rect_02: 64000", "implausible image size"),
         ("R_rect_00: 9", "R_rect_00: -9", "expected a rotation"),
-        ("R_rect_00", "R_rect_99", "no entry R_rect_00"),
         ("calib_time:", "<html>\ncalib_time:", "not a calibration file"),
     ],
 )

@@ -36,12 +36,9 @@ def test_times_round_trip(tmp_path: Path) -> None:
     [
         ("", "got 0"),
         ("1.0 " * 29, "got 29"),
-        ("1.0 " * 31, "got 31"),
         ("1.0 " * 29 + "1.0.0", "expected numbers"),
         ("1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
-        ("1.0 " * 8 + "inf " + "1.0 " * 21, "vf = inf"),
         ("1.0 " * 8 + "-1e300 " + "1.0 " * 21, "vf = -1e"),
-        ("\0" * 300, "got 1"),
     ],
 )
 def test_damaged_packet(tmp_path: Path, text: str, problem: str) -> None:
@@ -73,11 +70,8 @@ def test_lines_and_frames(tmp_path: Path, lines: list[str], frames: list[int], e
     ("lines", "problem"),
     [
         (["25.0", "25.1"], "got 2"),
-        (["25.0", "", "25.2"], "line 2: expected a time, got ''"),
         (["25.0", "25.2", "25.1"], "line 3: time goes from .*25.2 to .*25.1"),
-        (["25.0", "25.1", "25.1"], "line 3: time goes"),
         (["25.0", "what", "25.1"], "line 2: expected a time"),
-        (["25.0", "61.0", "62.0"], "invalid time"),
     ],
 )
 def test_bad_times(tmp_path: Path, lines: list[str], problem: str) -> None:
@@ -85,11 +79,3 @@ def test_bad_times(tmp_path: Path, lines: list[str], problem: str) -> None:
         oxts.read_times(stamps(tmp_path / "timestamps.txt", lines), [0, 1, 2])
     assert not isinstance(raised.value, DamagedFile)  # leaving out a frame would not help
     assert raised.value.fix
-
-
-def test_gap_of_more_than_an_hour_and_missing_file(tmp_path: Path) -> None:
-    (tmp_path / "a.txt").write_bytes(oxts.format_times(np.array([0.0, 3601.0]), "2027_03_31", 0))
-    with pytest.raises(InputError, match="at most 3600 s"):
-        oxts.read_times(tmp_path / "a.txt", [0, 1])
-    with pytest.raises(InputError, match="missing"):
-        oxts.read_times(tmp_path / "timestamps.txt", [0])

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from models.steering.core.batch import GraphBatch
 from models.steering.core.knobs import Sizes
 from models.steering.core.steering_net import SteeringNet
 from models.steering.spatial import blind, edgeconv, gatv2, gnn
 from models.steering.temporal.lstm import LSTM
-from pipeline.base.errors import InputError
 from pipeline.live.export import _pad, export, read_examples
 from pipeline.live.export_modules import Spatial
 from tests.pipeline.live import untrained
@@ -78,27 +77,3 @@ def test_each_kind_of_network_is_exported(tmp_path: Path, settings: dict[str, An
     window = [torch.from_numpy(example.window[name]) for name in manifest["inputs"]["recurrent"]]
     window[0] = torch.from_numpy(np.frombuffer(features.pop(), np.float32).reshape(window[0].shape).copy())
     assert float(recurrent(*window)[0]) == pytest.approx(example.output, abs=1e-5)
-
-
-class Untraceable(nn.Module):
-    def forward(self, batch: Any) -> Tensor:
-        return torch.full((batch.frames, 8), float(batch.xyz.sum()))
-
-
-def test_faults_leave_no_export_and_other_files_stay(tmp_path: Path) -> None:
-    model, out, graphs = untrained.model(tmp_path), tmp_path / "out", tmp_path / "graphs/semantic"
-    with pytest.raises(InputError, match=r"tolerance 0\)"):
-        export(model, graphs, out, 0.0)
-    model.net.spatial = Untraceable()
-    with pytest.raises(InputError, match="cannot be exported") as raised:
-        export(model, graphs, out, 1e-5)
-    assert "spatial part of model net" in raised.value.where
-    assert not out.exists()
-    out.mkdir()
-    (out / "notes.txt").write_text("mine")
-    for path in (out, out / "notes.txt"):
-        with pytest.raises(InputError, match="not an earlier export"):
-            export(model, graphs, path, 1e-5)
-    long = untrained.model(tmp_path, window=13)
-    with pytest.raises(InputError, match="no window of 13 consecutive frames"):
-        export(long, graphs, tmp_path / "new", 1e-5)

@@ -51,33 +51,9 @@ def test_known_motion_is_measured(yaw_rate: float, speed: float) -> None:
         assert 0 < one.residual < 0.5
 
 
-def test_an_open_plain_does_not_constrain_the_motion() -> None:
-    assert measured(street.arc(3, 0.0, 6.0), world(houses=False)) == [None] * 3
-
-
 def test_standing_and_too_few_points_are_not_measured() -> None:
     assert measured([np.eye(4)] * 3, world()) == [None] * 3
     assert measured(street.arc(3, 0.0, 6.0), world()[::100]) == [None] * 3
-
-
-def test_a_gap_is_not_measured() -> None:
-    scans = [scan(number, pose, world()) for number, pose in zip((1, 2, 4), street.arc(3, 0.0, 6.0), strict=True)]
-    assert [one is not None for one in steps_of(scans)] == [False, True, False]
-
-
-def test_an_implausible_step_does_not_initialise_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    sideways, forward = np.eye(4), np.eye(4)
-    sideways[1, 3], forward[0, 3] = 3.0, 0.6
-    found, guesses = iter([sideways, forward, forward]), []
-
-    def register(now: object, before: object, guess: np.ndarray | None) -> tuple[np.ndarray, int, float]:
-        guesses.append(guess)
-        return next(found), 500, 0.1
-
-    monkeypatch.setattr(lidar, "_register", register)
-    assert [one is not None for one in measured(street.arc(4, 0.0, 6.0), world())] == [False, False, True, True]
-    assert guesses[:2] == [None, None]
-    assert guesses[2] is forward
 
 
 def test_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,12 +25,6 @@ def test_outliers_do_not_change_the_pose() -> None:
     np.testing.assert_allclose(found.T_now_before, np.eye(4), atol=1e-3)
 
 
-def test_no_pose_if_too_many_points_move() -> None:
-    uv, xyz = street(np.random.default_rng(0))
-    uv[: POINTS * 45 // 100, 0] += 30.0  # together, as a queue of cars does
-    assert estimate_pose(xyz, uv, K, np.full(POINTS, 0.1)) is None
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_no_pose_from_degenerate_points(seed: int) -> None:
     rng = np.random.default_rng(seed)

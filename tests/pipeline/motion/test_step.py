@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from pipeline.motion import step
+from pipeline.camera.frame import Camera, Frame
+from pipeline.motion import lidar, step
+from pipeline.motion.estimator import MotionEstimator
 from tests import rendered_street as street
 
 
@@ -31,17 +33,6 @@ def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     return np.array([clock.duration(*pair) for pair in zip(frame.tolist(), time_s.tolist(), strict=True)])
 
 
-def test_durations_average_the_jitter_of_time_stamps() -> None:
-    """Times on a grid of 10 ms, as in KITTI, of a camera with a period of 103.7 ms."""
-    frame = np.delete(np.arange(60), [20, 21])
-    time_s = np.round(frame * 0.1037, 2)
-    assert np.abs(np.diff(time_s)[:10] / 0.1037 - 1).max() > 0.03
-    measured = durations(frame, time_s)
-    assert np.isnan(measured[0])
-    assert np.abs(measured[1:] / 0.1037 - 1).max() < 0.04
-    assert measured[10:] == pytest.approx(0.1037, rel=0.011)
-
-
 def test_durations_equal_the_mean_of_recent_similar_steps() -> None:
     time_s = np.cumsum(np.random.default_rng(0).uniform(0.05, 0.2, 60))
     steps = np.diff(time_s)
@@ -52,6 +43,21 @@ def test_durations_equal_the_mean_of_recent_similar_steps() -> None:
     np.testing.assert_allclose(durations(np.arange(60), time_s)[1:], expected, rtol=1e-12)
 
 
-def test_a_pause_has_its_own_duration() -> None:
-    measured = durations(np.arange(5), np.array([0, 0.1, 0.2, 5.2, 5.3]))
-    assert measured[1:] == pytest.approx([0.1, 0.1, 5.0, 0.1])
+SCAN = np.zeros((1, 4), np.float32)
+
+
+def test_frames_without_a_scan_do_not_count_for_the_duration_of_lidar_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    one_metre = np.eye(4)
+    one_metre[2, 3] = 1.0
+    monkeypatch.setattr(lidar.Odometry, "step", lambda *_: step.Step(one_metre, 500, 0.01))
+    estimator = MotionEstimator("lidar", Camera((4, 4), np.eye(3), None, 1.65), road_scale=True)
+    times, with_scan = [0.0, 0.1, 0.2, 0.29, 0.41, 0.5], [0, 1, 4, 5]
+    estimates = [
+        estimator.estimate(Frame(number, time_s, scan=SCAN if number in with_scan else None))
+        for number, time_s in enumerate(times)
+    ]
+    assert [estimate is not None for estimate in estimates] == [number in with_scan for number in range(6)]
+    clock = step.StepClock()
+    expected = [1 / clock.duration(number, times[number]) for number in with_scan]
+    speeds = [estimate.speed_mps for estimate in estimates if estimate]
+    assert speeds[1:] == pytest.approx(expected[1:])

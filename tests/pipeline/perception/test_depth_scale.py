@@ -7,7 +7,7 @@ from pipeline.camera import classes
 from pipeline.camera.geometry import rays
 from pipeline.camera.images import to_metres
 from pipeline.perception import depth_scale
-from pipeline.perception.depth_scale import DepthPostprocessor, from_camera_height, median_ratio
+from pipeline.perception.depth_scale import DepthPostprocessor, from_camera_height
 from pipeline.sections.perception import Perception
 
 SIZE = (48, 96)
@@ -30,13 +30,6 @@ def test_the_road_determines_the_scale_for_any_pitch(pitch_rad: float, unit: flo
     depth = unit * np.where(stones, 0.97, 1) * depth_m
     assert from_camera_height(depth, cls, K, 1.65) == pytest.approx(1 / unit, rel=0.02)
     assert from_camera_height(depth, CAR, K, 1.65) is None
-
-
-def test_median_ratio_uses_pixels_with_both_depths() -> None:
-    truth = np.random.default_rng(0).uniform(1, 80, SIZE)
-    truth[::2] = 0
-    assert median_ratio(truth / 3, truth) == pytest.approx(3)
-    assert median_ratio(truth, np.zeros(SIZE)) is None
 
 
 def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky() -> None:

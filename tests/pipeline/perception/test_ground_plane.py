@@ -19,17 +19,6 @@ def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot() -> None:
             np.testing.assert_allclose(depth[: foot[0], column], depth[foot[0], column])
 
 
-def test_without_ground_the_last_row_counts() -> None:
-    depth = ground_plane_depth(np.full(street.SIZE, classes.CAR, np.uint8), street.K, 1.65)
-    np.testing.assert_allclose(depth, 1.65 * 40 / (31 - 12))
-
-
-def test_twice_as_high_is_twice_as_far() -> None:
-    cls = street.scene(3)[2]
-    near = ground_plane_depth(cls, street.K, 1.0)
-    np.testing.assert_allclose(ground_plane_depth(cls, street.K, 2.0)[near < 60], 2 * near[near < 60])
-
-
 def test_only_traffic_is_limited() -> None:
     _, truth, cls = street.scene(0)
     cls = cls.copy()

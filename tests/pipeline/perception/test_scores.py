@@ -12,7 +12,6 @@ from pipeline.perception.scores import (
     class_ious,
     confusion,
     depth_errors,
-    eigen_crop,
     mean_iou,
     pixel_accuracy,
     summary_line,
@@ -32,19 +31,6 @@ def test_depth_errors_equal_hand_values(truth: list[float], predicted: list[floa
     np.testing.assert_allclose(depth_errors(np.array(predicted), np.array(truth, float)), expected)
 
 
-def test_depth_errors_without_truth_or_prediction_are_none() -> None:
-    assert depth_errors(np.ones((2, 2)), np.zeros((2, 2))) is None
-    assert depth_errors(np.array([0.0, 9.0]), np.array([9.0, 0.0])) is None
-
-
-def test_coverage_is_the_share_of_true_depths_with_a_prediction() -> None:
-    truth = np.array([[10.0, 20.0, 0.5, 0.0, 90.0, 30.0, 40.0]])
-    scores = Scores()
-    scores.add_depth("depth_dense", np.array([[10.0, 0.0, 1.0, 9.0, 9.0, 30.0, 0.0]]), truth)
-    scores.add_depth("depth_dense", truth, truth)
-    assert scores.report()["depth_dense"]["coverage"] == pytest.approx((2 + 4) / 8)
-
-
 def test_flat_ground_is_scored_at_the_pixels_of_the_encoder() -> None:
     _, depth_m, cls = street.scene(0)
     stored = np.where(np.random.default_rng(0).random(street.SIZE) < 0.3, 0, depth_m)
@@ -59,14 +45,6 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder() -> None:
     assert report["classes"]["pixel_accuracy"] == 1
     assert "abs rel 0.000" in summary_line(report)
     assert "mean IoU 1.000" in summary_line(report)
-
-
-def test_depth_of_unknown_unit_is_scaled_to_the_truth() -> None:
-    _, depth_m, cls = street.scene(0)
-    scores = Scores()
-    scores.add_frame(0.2 * depth_m, cls, street.K, Truth(depth_m, "lidar", cls, has_cls=False), "none", 1.65)
-    assert scores.report()["depth_lidar"]["abs_rel"] == pytest.approx(0, abs=1e-9)
-    assert scores.report()["classes"] is None
 
 
 def test_class_scores_equal_hand_values() -> None:
@@ -99,16 +77,3 @@ def test_scores_add_up_over_drives_through_json() -> None:
     empty = json.loads(json.dumps(Scores().report(), allow_nan=False))
     assert set(empty) == {*DEPTH_SCORES, *(f"{key}_eigen" for key in DEPTH_SCORES), "classes"}
     assert set(empty.values()) == {None}
-
-
-def test_the_eigen_crop_is_monodepths() -> None:
-    rows, columns = np.mgrid[:375, :1242]
-    assert (eigen_crop(rows).min(), eigen_crop(rows).max() + 1) == (124, 342)
-    assert (eigen_crop(columns).min(), eigen_crop(columns).max() + 1) == (44, 1197)
-    truth = np.full((100, 100), 10.0)
-    predicted = truth.copy()
-    predicted[:33] = 20.0  # above the crop
-    scores = Scores()
-    scores.add_depth("depth_lidar", predicted, truth)
-    assert scores.report()["depth_lidar"]["abs_rel"] == pytest.approx(0.33)
-    assert scores.report()["depth_lidar_eigen"]["abs_rel"] == 0

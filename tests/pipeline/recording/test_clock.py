@@ -1,4 +1,4 @@
-"""Which images have motion, and when images were taken."""
+"""Which images have motion, and times of images from a file."""
 
 from pathlib import Path
 
@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.camera.footage import open_footage
-from pipeline.recording.clock import check_overlap, coverage, read_times, timed
+from pipeline.recording.clock import coverage, read_times
 from pipeline.recording.track import Rates
-from tests.footage import pictures, write_folder, write_video
 
 
 def sampled(*time_s: float) -> Rates:
@@ -29,21 +27,6 @@ def test_images_between_close_samples_are_usable() -> None:
     assert (none.usable.any(), none.in_gaps, none.interpolated, none.largest_gap_s) == (False, 2, 0, 0)
 
 
-def test_overlap() -> None:
-    check_overlap(sampled(5, 9), 0, 5)
-    check_overlap(sampled(5, 9), 9, float("inf"))
-    for span, offset in (((0, 4.9), "-5.000"), ((9.1, 12), "+4.100")):
-        with pytest.raises(InputError) as raised:
-            check_overlap(sampled(5, 9), *span)
-        assert f"--offset by {offset}" in raised.value.fix
-
-
-def test_times_from_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "times.txt"
-    path.write_text("1774951200.125\n1774951200.250 \n1774951200.5\n\n")
-    np.testing.assert_array_equal(read_times(path) - 1774951200, [0.125, 0.25, 0.5])
-
-
 @pytest.mark.parametrize("text", ["", "1\n12:30\n", "inf\n", "1\n2\n2\n", "0\n1e12\n", "-62e9\n1\n"])
 def test_unusable_times(tmp_path: Path, text: str) -> None:
     path = tmp_path / "times.txt"
@@ -53,18 +36,3 @@ def test_unusable_times(tmp_path: Path, text: str) -> None:
     assert raised.value.where == str(path)
     with pytest.raises(InputError, match="missing"):
         read_times(tmp_path / "nothing.txt")
-
-
-def test_times_of_images(tmp_path: Path) -> None:
-    video = open_footage(write_video(tmp_path / "a.mp4", pictures(3), fps=8))
-    folder = open_footage(write_folder(tmp_path / "a", pictures(3)))
-    assert [time_s for time_s, _ in timed(video, None)] == pytest.approx([0, 0.125, 0.25])
-    given = [(time_s, image.number) for time_s, image in timed(video, np.array([7.0, 7.1, 7.3]))]
-    assert given == [(7.0, 0), (7.1, 1), (7.3, 2)]
-    for footage in (folder, video):
-        for count in (2, 4):
-            with pytest.raises(InputError, match=rf"3 images, .* {count} lines"):
-                list(timed(footage, np.arange(float(count))))
-    with pytest.raises(InputError) as raised:
-        list(timed(folder, None))
-    assert "--fps" in raised.value.fix

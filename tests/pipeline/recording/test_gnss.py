@@ -1,15 +1,12 @@
 """GPX and NMEA tracks: intact fixes only."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.recording.gnss import read_gpx, read_nmea
-from pipeline.recording.track import Fixes
 from tests.gnss import START, bend, gpx, nmea, sentence
 
 
@@ -32,20 +29,6 @@ def test_gpx_points(track: Callable[[str], Path]) -> None:
     assert fixes.velocity_mps is None
 
 
-def test_gpx_with_speeds_and_missing_times(track: Callable[[str], Path]) -> None:
-    point = '<trkpt lat="49" lon="8"><time>2027-03-31T10:00:0{}</time><course>{}</course><speed>2</speed></trkpt>'
-    text = (
-        '<gpx version="1.0" creator="test" xmlns="http://www.topografix.com/GPX/1/0"><trk><trkseg>'
-        + point.format("1", 90)  # without a zone: UTC
-        + '<trkpt lat="49" lon="8"/>'
-        + point.format("2Z", 0) * 2  # repeated
-        + "</trkseg></trk></gpx>"
-    )
-    fixes = read_gpx(track(text))
-    np.testing.assert_array_equal(fixes.time_s - START.timestamp(), [1, 2])
-    np.testing.assert_allclose(fixes.velocity_mps, [[2, 0], [0, 2]], atol=1e-12)
-
-
 def test_nmea_sentences(track: Callable[[str], Path]) -> None:
     time_s, places, heading = bend(6, 0.25)
     text = nmea(time_s, places, 9.0, heading)
@@ -56,34 +39,3 @@ def test_nmea_sentences(track: Callable[[str], Path]) -> None:
     np.testing.assert_allclose(np.stack([fixes.latitude_deg, fixes.longitude_deg], -1), places, atol=1e-8)
     velocity = 9 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     np.testing.assert_allclose(fixes.velocity_mps, velocity, atol=1e-3)
-
-
-def test_standing_car_has_no_course(track: Callable[[str], Path]) -> None:
-    time_s, places, heading = bend(3, 1.0)
-    text = nmea(time_s, places, 0.0, heading)
-    np.testing.assert_array_equal(read_nmea(track(text)).velocity_mps, np.zeros((3, 2)))
-    moving = text.replace(",0.0000,,", ",9.0000,,")
-    lines = "".join(sentence(line[1:].partition("*")[0]) for line in moving.splitlines())
-    assert read_nmea(track(lines)).velocity_mps is None
-
-
-@pytest.mark.parametrize(
-    ("read", "text", "problem"),
-    [
-        (read_gpx, "<html></html>", "no points with a time"),
-        (read_gpx, "<gpx", "not a GPX file"),
-        (read_nmea, sentence("GNRMC,,V,,,,,,,,,,N"), "no RMC sentences"),
-    ],
-)
-def test_no_track(track: Callable[[str], Path], read: Callable[[Path], Fixes], text: str, problem: str) -> None:
-    with pytest.raises(InputError, match=problem) as raised:
-        read(track(text))
-    assert raised.value.where.endswith("track")
-
-
-@pytest.mark.parametrize(("library", "read"), [("gpxpy", read_gpx), ("pynmea2", read_nmea)])
-def test_missing_library(monkeypatch: pytest.MonkeyPatch, library: str, read: Callable[[Path], Fixes]) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=library) as raised:
-        read(Path("track"))
-    assert "pip install" in raised.value.fix

@@ -39,12 +39,7 @@ def test_columns_are_found_by_name(tmp_path: Path, text: str) -> None:
     [
         ("", "no column time_s, speed_mps, yaw_rate_radps"),
         ("time_s,v\n1,2\n", r"no column speed_mps, yaw_rate_radps \(got time_s, v\)"),
-        (HEAD + "1,5,0\n", "got 1"),
-        (HEAD + "1,5,0\n2,5\n", "yaw_rate_radps = nan at sample 2"),
-        (HEAD + "1,fast,0\n2,5,0\n", "fast"),
-        (HEAD + "1,nan,0\n2,5,0\n", "speed_mps = nan at sample 1"),
         (HEAD + "1,1e300,0\n2,5,0\n", "speed_mps = 1e.300 at sample 1"),
-        (HEAD + "1,5,0\n2,5,-9\n", "yaw_rate_radps = -9 at sample 2"),
         (HEAD + "1,5,0\n1e18,5,0\n", "time_s = 1e.18 at sample 2"),
         (HEAD + "1,5,0\n3,5,0\n3,5,0\n", "from 3 to 3 at sample 3"),
         (HEAD + '1,5,0\n2,"5,0\n3,5,0\n', "not a table of numbers"),

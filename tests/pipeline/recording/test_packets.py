@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.kitti.oxts import AF, COLUMNS, EARTH_RADIUS_M, VF, WU, YAW
+from pipeline.kitti.oxts import COLUMNS, EARTH_RADIUS_M, VF, WU, YAW
 from pipeline.recording.packets import packets
 from pipeline.recording.track import Rates
 
@@ -41,22 +41,3 @@ def test_position_is_the_integral_of_velocity(rows: np.ndarray) -> None:
     north = np.deg2rad(rows[:, LAT] - 49.0) * EARTH_RADIUS_M
     east = np.deg2rad(rows[:, LON] - 8.4) * EARTH_RADIUS_M * np.cos(np.deg2rad(49))
     np.testing.assert_allclose(np.column_stack([east, north]), expected, atol=0.01)
-
-
-def test_accelerations(rows: np.ndarray) -> None:
-    np.testing.assert_allclose(rows[2:-2, AF], np.cos(IMAGES_S / 3)[2:-2], atol=0.1)
-    np.testing.assert_allclose(rows[:, AL], rows[:, VF] * rows[:, WU])
-
-
-def test_samples_at_image_times_are_copied_exactly() -> None:
-    rng = np.random.default_rng(1)
-    rates = Rates(np.cumsum(rng.uniform(0.05, 0.15, 50)), rng.normal(5, 3, 50), rng.normal(0, 0.3, 50))
-    rows = packets(rates, rates.time_s)
-    np.testing.assert_array_equal(rows[:, VF], rates.speed_mps)
-    np.testing.assert_array_equal(rows[:, WU], rates.yaw_rate_radps)
-
-
-def test_a_single_image_a_little_before_the_first_sample() -> None:
-    rates = Rates(np.array([1.0, 2.0]), np.array([4.0, 6.0]), np.array([0.1, 0.1]))
-    (row,) = packets(rates, np.array([0.9995]))
-    assert (row[VF], row[WU], row[AF], row[LAT]) == (4, 0.1, 0, 0)

@@ -5,12 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
-from pipeline.kitti.oxts import COLUMNS, VF, WU, read_row, read_times
-from pipeline.kitti.raw import RawDrive
-from pipeline.label import steering_labels
-from pipeline.recording.packets import packets
-from pipeline.recording.track import Fixes, Rates, rates_of
+from pipeline.recording.track import Fixes, rates_of
 from tests.gnss import bend
 
 FILE = Path("track.gpx")
@@ -37,73 +32,9 @@ def test_a_circle(step_s: float, yaw_rate_radps: float, measured: bool) -> None:
     assert (rates.latitude_deg, rates.longitude_deg) == (49.0, 8.4)
 
 
-def test_noise_is_smoothed() -> None:
-    fixes = fixes_of(200, 0.1, 9.0, 0.1, measured=False, noise_m=0.02)
-    rates, rule = rates_of(fixes, FILE)
-    north_m, east_m = np.deg2rad([fixes.latitude_deg, fixes.longitude_deg * np.cos(np.deg2rad(49))]) * 6378137
-    between_fixes_mps = np.hypot(np.diff(north_m), np.diff(east_m)) / 0.1
-    assert np.std(rates.speed_mps) < np.std(between_fixes_mps) / 5
-    assert "over 11 fixes (1 s)" in rule
-
-
 @pytest.mark.parametrize("measured", [True, False])
 def test_yaw_rate_is_zero_at_standstill(measured: bool) -> None:
     fixes = fixes_of(30, 1.0, 0.3, 0.5, measured, noise_m=0.1)
     rates, _ = rates_of(fixes, FILE)
     np.testing.assert_array_equal(rates.yaw_rate_radps, 0)
     assert rates.speed_mps.max() < 1.0
-
-
-def test_missing_fixes() -> None:
-    whole = fixes_of(60, 1.0, 9.0, 0.02, measured=False)
-    there = np.delete(np.arange(60), [20, 21, 40])
-    some = Fixes(whole.time_s[there], whole.latitude_deg[there], whole.longitude_deg[there], None)
-    rates, _ = rates_of(some, FILE)
-    np.testing.assert_array_equal(rates.time_s, there)
-    np.testing.assert_allclose(rates.speed_mps, 9.0, rtol=0.01)
-
-
-def test_across_the_date_line() -> None:
-    fixes = Fixes(np.arange(6.0), np.zeros(6), (179.9998 + np.arange(6) * 1e-4 + 180) % 360 - 180, None)
-    rates, _ = rates_of(fixes, FILE)
-    np.testing.assert_allclose(rates.speed_mps, 11.13, atol=0.01)
-    np.testing.assert_allclose(rates.yaw_rate_radps, 0, atol=1e-6)
-
-
-@pytest.mark.parametrize(("measured", "least"), [(True, 3), (False, 5)])
-def test_number_of_fixes(measured: bool, least: int) -> None:
-    rates_of(fixes_of(least, 1.0, 9.0, 0.1, measured), FILE)
-    with pytest.raises(InputError, match=f"at least {least} fixes with a time, got {least - 1}"):
-        rates_of(fixes_of(least - 1, 1.0, 9.0, 0.1, measured), FILE)
-
-
-def test_too_short_to_smooth() -> None:
-    with pytest.raises(InputError, match=r"lasts 0\.5 s"):
-        rates_of(fixes_of(6, 0.1, 9.0, 0.1, measured=True), FILE)
-
-
-def test_later() -> None:
-    rates = Rates(np.arange(2.0), np.ones(2), np.zeros(2)).later(-0.5)
-    np.testing.assert_array_equal(rates.time_s, [-0.5, 0.5])
-
-
-@pytest.mark.real
-@pytest.mark.parametrize(("step", "measured", "worst"), [(1, True, 0.01), (1, False, 0.13), (10, True, 0.13)])
-def test_real_track_yields_the_angle(real_half: Path, step: int, measured: bool, worst: float) -> None:
-    """KITTI's own track as a receiver's, at 10 Hz and at 1 Hz: the label's squared error, as a share of its own."""
-    for drive in ("0005", "0039"):
-        raw = RawDrive(real_half / f"2011_09_26/2011_09_26_drive_{drive}_sync")
-        time_s = read_times(raw.oxts_times, list(raw.oxts))
-        rows = np.array([read_row(path) for path in raw.oxts.values()])
-        fixes = rows[::step]
-        lat, lon, ve, vn = (fixes[:, COLUMNS.index(name)] for name in ("lat", "lon", "ve", "vn"))
-        rates, _ = rates_of(Fixes(time_s[::step], lat, lon, np.stack([ve, vn], axis=-1) if measured else None), FILE)
-        covered = time_s <= rates.time_s[-1]
-        made = packets(rates, time_s[covered])
-        labels, truth = (
-            steering_labels(packet[:, WU], packet[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid")
-            for packet in (made, rows[covered])
-        )
-        valid = labels[1] & truth[1]
-        error = np.mean((labels[0] - truth[0])[valid] ** 2) / np.mean(truth[0][valid] ** 2)
-        assert error < worst

@@ -2,14 +2,9 @@
 
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 
-from pipeline.base.errors import InputError
-from pipeline.perception.scores import Scores
 from pipeline.report import dvc_files
-from pipeline.report.results import load_results
 from tests.pipeline.report import examples
 
 
@@ -27,24 +22,6 @@ def test_metrics_have_flat_names_and_no_missing_values(tmp_path: Path) -> None:
     assert {"straight.nmse", "ahead.val_nmse", "odometry-0.nmse"}.isdisjoint(found)
 
 
-def test_metrics_of_encoder_and_motion(tmp_path: Path) -> None:
-    scores = {split: Scores() for split in ("train", "val", "test")}
-    truth = np.full((40, 50), 10.0)
-    scores["train"].add_depth("depth_lidar", 1.2 * truth, truth)
-    scores["test"].add_depth("depth_dense", 1.1 * truth, truth)
-    scores["test"].add_classes(np.array([[0, 0, 1, 1]]), np.array([[0, 0, 1, 1]]))
-    card = {"frames": 9, "valid": 0.9, "yaw_rmse_degps": 0.3, "yaw_median_degps": 0.1, "speed_ratio": 1.1, "nmse": None}
-    motion = {"visual": {"train": card, "val": None, "test": {**card, "nmse": 0.02}}}
-    report = {split: score.report() for split, score in scores.items()} | {"motion": motion}
-    numbers = {"valid": 0.9, "yaw_rmse_degps": 0.3, "speed_ratio": 1.1}
-    assert dvc_files.metrics(load_results(tmp_path, []), report) == pytest.approx(
-        {"encoder.train_abs_rel_lidar": 0.2, "encoder.abs_rel_dense": 0.1, "encoder.miou": 1.0}
-        | {f"motion.visual.{name}": value for name, value in numbers.items()}
-        | {f"motion.visual.train_{name}": value for name, value in numbers.items()}
-        | {"motion.visual.nmse": 0.02}
-    )
-
-
 def test_each_network_has_a_learning_curve(tmp_path: Path) -> None:
     for folder in ("", "seed-1/", "seed-1/fold-a/"):
         path = tmp_path / f"net/{folder}curve.csv"
@@ -55,27 +32,3 @@ def test_each_network_has_a_learning_curve(tmp_path: Path) -> None:
     assert names == ["net.csv", "net.seed-1.csv", "net.seed-1.fold-a.csv"]
     # DVC would draw an empty field as 0.
     assert (tmp_path / "out/net.csv").read_text() == "epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
-
-
-def test_a_damaged_curve_is_one_error(tmp_path: Path) -> None:
-    (tmp_path / "net").mkdir()
-    (tmp_path / "net/curve.csv").write_text("epoch,loss\n1,2\n")
-    with pytest.raises(InputError, match="train_loss") as raised:
-        dvc_files.write_learning(tmp_path / "net", tmp_path / "out")
-    assert raised.value.where == str(tmp_path / "net/curve.csv")
-    assert raised.value.fix.endswith("train@net")
-
-
-def test_steering_counts_rows_over_all_drives(tmp_path: Path) -> None:
-    found = examples.results(tmp_path, examples.metrics("net") | {"seeds": [0, 4]})
-    dvc_files.write_steering(found.predictions, tmp_path / "out")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["net.csv", "net.seed-4.csv"]
-    lines = (tmp_path / "out/net.csv").read_text().splitlines()
-    assert lines[:2] == [
-        "row,drive,frame,time_s,driven_deg,predicted_deg",
-        f"0,{examples.DRIVES[0]},0,100.000000,0.0000,nan",
-    ]
-    table = pd.read_csv(tmp_path / "out/net.csv")
-    assert table["row"].tolist() == list(range(60))
-    assert np.isnan(table["driven_deg"][20])
-    assert table["predicted_deg"][20] == pytest.approx(np.rad2deg(0.21), abs=1e-4)

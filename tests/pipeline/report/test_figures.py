@@ -1,58 +1,14 @@
-"""Figures of the paper: which frames, what they show, the same bytes each time."""
+"""Figures of the paper: which frames, and their numbers."""
 
-import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import pytest
 
 from pipeline.base import store
 from pipeline.graphs import cloud
-from pipeline.report.figures import chain, draw, paths
-from pipeline.report.judge.paths import Track
-from pipeline.report.street_view import View
+from pipeline.report.figures import draw
 from tests import street
 from tests.pipeline.report import examples
-
-
-def draw_paths(path: Path) -> None:
-    track = Track(np.arange(40) / 10, np.full(40, 8.0), np.zeros(40), np.array([20]), 2.7)
-    paths.draw(path, {"a": track}, {"net": {"a": np.full(40, 0.05)}, "other": {}})
-
-
-def draw_pruning(path: Path) -> None:
-    rng = np.random.default_rng(1)
-    xyz, cls = rng.uniform(-20, 20, (500, 3)).astype(np.float32), rng.integers(0, 3, 500).astype(np.uint8)
-    chain.draw_pruning(path, "a drive", xyz, cls, 6, 0.2)
-
-
-def draw_chain(path: Path) -> None:
-    rgb, depth_m, cls = street.scene(3)
-    view = View(3, rgb, depth_m, cls, *cloud.pseudo_cloud(depth_m, cls, street.K, 80.0))
-    angle = np.linspace(0, 5, 6)
-    columns = ("driven_deg", "odometry_deg", "predicted_deg")
-    steering = pd.DataFrame({"frame": range(6), "elapsed_s": angle / 10, **dict.fromkeys(columns, angle)})
-    chain.draw_chain(path, view, steering, 6, 0.2)
-
-
-@pytest.mark.parametrize(
-    ("drawn", "pattern", "texts"),
-    [
-        (draw_paths, r">(net|driven|other)<", ["driven", "net"]),  # no path of "other" in this drive
-        (draw_pruning, r"(before pruning: 600 edges|after pruning)", ["before pruning: 600 edges", "after pruning"]),
-        (draw_chain, r">(image|driven|odometry|predicted)<", ["image", "driven", "odometry", "predicted"]),
-    ],
-)  # fmt: skip
-def test_a_figure_shows_its_numbers_and_repeats(
-    tmp_path: Path, drawn: Callable[[Path], None], pattern: str, texts: list[str]
-) -> None:
-    for name in ("a", "b"):
-        drawn(tmp_path / name)
-    assert re.findall(pattern, (tmp_path / "a.svg").read_text()) == texts
-    for suffix in ("svg", "png"):
-        assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
 def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path) -> None:
@@ -73,10 +29,3 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     assert [*captions] == ["chain", "street", "pruning", "paths"]
     assert [caption[:8] for caption in captions.values()] == [f"Figure {number}" for number in range(1, 5)]
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
-
-
-def test_without_images_and_with_a_horizon(tmp_path: Path) -> None:
-    results = examples.results(tmp_path, examples.metrics("net"))
-    assert [*draw.draw(tmp_path / "figures", results, tmp_path)] == ["paths"]
-    ahead = examples.results(tmp_path, examples.metrics("ahead", horizon=10))
-    assert draw.draw(tmp_path / "figures", ahead, tmp_path) == {}

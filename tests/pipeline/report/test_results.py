@@ -1,13 +1,15 @@
-"""Metrics and predictions of all models: order of the rows, baselines, runs, damaged files."""
+"""Metrics and predictions of all models: order of the rows, baselines, networks of the paper, the story."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.report import paper
 from pipeline.report.results import load_results
+from pipeline.report.story import sentences
 from tests.pipeline.report import examples
 
 PAPERS = {"input": "depth", "semantics": 0.0}  # do-gnn-ncp of the paper
@@ -34,12 +36,6 @@ def test_rows_are_sorted_by_horizon_then_as_in_the_paper_with_baselines_last(tmp
     assert rows.loc["ours", "paper.test_mse"] is None
 
 
-def test_a_network_on_accumulated_clouds_is_not_one_of_the_paper(tmp_path: Path) -> None:
-    content = examples.metrics("do", **PAPERS)
-    content["variant"]["accumulate"] = {"motion": "visual", "frames": 8}
-    assert examples.results(tmp_path, content).metrics["paper.test_mse"][0] is None
-
-
 def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:
     found = examples.results(tmp_path, examples.metrics("net") | {"seeds": [3, 7]}, examples.metrics("other"))
     table = found.predictions
@@ -57,22 +53,12 @@ def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None
     np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([0.061, 0.101, 0.201]))
 
 
-def test_without_models_both_tables_are_empty(tmp_path: Path) -> None:
-    found = load_results(tmp_path, [])
-    assert found.models.empty
-    assert found.predictions.empty
-
-
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
         ("metrics.json", "{", "JSON"),
         ("metrics.json", '{"train": null, "val": null, "test": {"nmse": 1}}', "nmse_ci95"),
-        ("predictions.csv", "drive,frame\na,1\n", "odometry_rad"),
-        ("predictions.csv", "", "No columns"),
         ("predictions.csv", '{head}\na,0,0.0,8.0,0.1,"0.2', "EOF"),
-        ("predictions.csv", "{head}\na,x,0.0,8.0,0.1,0.2,1,0,0.1\n", "x"),
-        ("predictions.csv", b"\xff\xfe\x00", "decode"),
     ],
 )
 def test_a_damaged_file_is_one_error(tmp_path: Path, name: str, text: str | bytes, problem: str) -> None:
@@ -86,9 +72,51 @@ def test_a_damaged_file_is_one_error(tmp_path: Path, name: str, text: str | byte
     assert "dvc repro --force --single-item evaluate@net" in str(raised.value)
 
 
-def test_metrics_without_a_number_that_the_report_needs_are_one_error(tmp_path: Path) -> None:
+SEMANTIC = {
+    "equivariant": False, "alpha": 0.0, "learning_rate": None, "features": 32, "input": "semantic", "spatial": "gnn",
+    "temporal": "ncp", "window": 8, "cell": "ltc", "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "network"),
+    [
+        ({}, "sa-gnn-ncp"),
+        ({"cell": "eq4", "features": 64}, "sa-gnn-ncp"),
+        ({"cell": "cfc"}, None),
+        ({"window": 4}, None),
+        ({"accumulate": True}, None),
+        ({"semantics": 0.0}, None),
+        ({"input": "depth", "semantics": 0.0}, "do-gnn-ncp"),
+    ],
+)
+def test_a_change_of_a_compared_setting_makes_another_network(change: dict[str, Any], network: str | None) -> None:
+    assert paper.name({**SEMANTIC, **change}) == network
+
+
+def test_every_network_of_the_paper_is_found() -> None:
+    for name, published in paper.PAPER.items():
+        assert paper.name({key: values[0] for key, values in published.settings.items()}) == name
+        assert published.train_mse < published.test_mse
+
+
+def test_a_model_behind_odometry(tmp_path: Path) -> None:
+    weak, best = (examples.metrics(name, nmse, {"odometry": 0.02}) for name, nmse in (("weak", 0.9), ("best", 0.2)))
+    accuracy, weakness, step = sentences(examples.results(tmp_path, weak, best))
+    assert accuracy.startswith("best, the best of 2 models, ")
+    assert "20 % of the error of always predicting zero" in accuracy
+    assert "10 times the error of odometry, which needs no learning" in accuracy
+    assert weakness.startswith("It fails in sharp bends (|curvature| 0.03 to 0.1 1/m): RMSE 5.1°")
+    assert "17.2°" in weakness
+    assert "is steady: RMSE 2.6°" in weakness
+    assert "motion: visual" in step
+
+
+@pytest.mark.parametrize("nmse", [None, 0.2])
+def test_missing_numbers_are_left_out(tmp_path: Path, nmse: float | None) -> None:
     content = examples.metrics("net")
-    del content["parameters"]
-    store.write_json(tmp_path / "evaluate/net/metrics.json", content)
-    with pytest.raises(InputError, match="parameters"):
-        load_results(tmp_path / "evaluate", ["net"])
+    content["test"]["nmse"] = nmse
+    text = sentences(examples.results(tmp_path, content))
+    assert len(text) == (0 if nmse is None else 3)
+    assert nmse is None or "no odometry" in text[0]
+    assert sentences(load_results(tmp_path, [])) == []

@@ -1,4 +1,4 @@
-"""Studies of one setting: points, table, figure, and the paper's claims."""
+"""Studies of one setting: table, figure, and the paper's claims."""
 
 import re
 from pathlib import Path
@@ -38,21 +38,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     for name, nmse in MODELS.items():
         write_model(data, name, nmse, **({"val": None} if name == "points-125" else {}))
     return load_results(data / "evaluate", [*MODELS])
-
-
-def test_points_are_sorted_and_include_the_default(results: Results) -> None:
-    points = studies.points(results.models)
-    assert [*points] == ["points", "keep", "lambda"]
-    rows = points["points"]
-    assert [*zip(rows["value"], rows["model"], strict=True)] == [
-        (125, "points-125"),
-        (1000, "sa-gnn-ncp"),
-        (8000, "points-8000"),
-    ]
-    assert studies.points(results.models[results.models["model"] != studies.DEFAULT]) == {}
-    cells = studies.table("points", rows).cells
-    assert [*cells.iloc[2]][:4] == ["8000", "0.150", "0.075 to 0.225", "0.150"]
-    assert cells["validation nmse"][0] == "–"
 
 
 def test_the_preset_has_models_of_every_study() -> None:

@@ -1,13 +1,11 @@
-"""Tables of the report: cells, widths, and the columns of table.csv."""
+"""Tables of the report: cells and widths."""
 
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pipeline.perception.scores import Scores
 from pipeline.report import tables
-from pipeline.report.results import load_results
 from tests.pipeline.report import examples
 
 CARD = {
@@ -35,52 +33,6 @@ def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
     assert (row["no onsets"], row["parameters"], row["edges"]) == ("0.100", "1,408,259", "5,160")
     assert cells(first, "*odometry*")["parameters"] == tables.NONE
     assert "Means over 3 seeds" in first.note
-
-
-def test_tables_of_settings_errors_drives_and_curvature(tmp_path: Path) -> None:
-    images = examples.metrics("cnn", spatial="cnn", input="image", roads=6, fit_to="both")
-    images |= {"points_per_frame": None, "edges_per_frame": None, "edges_per_frame_unpruned": None}
-    del images["line"]["semantics"]
-    papers = examples.metrics("ours", input="depth", semantics=0.0)
-    by_title = {table.title: table for table in tables.steering_tables(examples.results(tmp_path, papers, images))}
-    _, models, mse, by_drive, by_curvature = by_title.values()
-    row = cells(models, "ours")
-    assert (row["temporal"], row["edges"], row["pruned"], row["fit"]) == ("ncp (ltc)", "6,000", "14%", "train")
-    row = cells(models, "cnn")
-    assert (row["points"], row["edges"], row["semantics"], row["fit"]) == (*3 * [tables.NONE], "both (6 roads)")
-    row = cells(mse, "ours")
-    assert [row[key] for key in ("train", "val", "test", "paper test")] == ["0.00100", tables.NONE, "0.00200", "0.081"]
-    assert cells(mse, "cnn")["paper test"] == tables.NONE
-    assert [*cells(by_drive, "ours").values()][2:] == ["0.190", "0.180"]
-    assert [*cells(by_curvature, "*zero*").values()][2:] == ["5.73", "17.19", tables.NONE]
-    assert "40, 40, 0 frames" in by_curvature.note
-
-
-@pytest.mark.parametrize("count", [1, 7])
-def test_one_drive_or_many_have_no_columns_of_their_own(tmp_path: Path, count: int) -> None:
-    content = examples.metrics("net")
-    content["test"]["by_drive"] = {f"drive-{number}": examples.part(0.2, {}) for number in range(count)}
-    results = examples.results(tmp_path, content)
-    assert not any("drive" in table.title for table in tables.steering_tables(results))
-    assert not any("drive" in column for column in tables.csv_rows(results.metrics))
-
-
-def test_csv_rows_keep_all_columns_and_types(tmp_path: Path) -> None:
-    results = examples.results(tmp_path, examples.metrics("net", odometry={"odometry": 0.04}))
-    rows = tables.csv_rows(results.metrics)
-    text = rows.to_csv(index=False).splitlines()
-    assert text[1].startswith("net,semantic,gnn,ncp,ltc,False,1.0,8,none,0,train,,1000.0,9259,5160.0,6000.0,1,")
-    odometry = rows.set_index("model").loc["odometry"]
-    columns = ("horizon", "test_nmse", f"test_nmse {examples.DRIVES[1]}", "test_without_decisions_nmse")
-    assert [odometry[column] for column in columns] == [0, 0.04, 0.04, 0.04]
-    assert {"test_nmse_low", "test_rmse_deg 0 to 0.03 1/m", "paper_train_mse"} <= set(rows.columns)
-
-
-def test_without_models_there_are_no_tables(tmp_path: Path) -> None:
-    results = load_results(tmp_path, [])
-    assert tables.steering_tables(results) == []
-    assert tables.csv_rows(results.metrics).empty
-    assert "dvc repro --pull --downstream train@other" in tables.missing(["other"])
 
 
 def test_perception_has_a_row_per_split_with_ground_truth() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.town.manoeuvres import DECK, draw_route
-from pipeline.town.route import AHEAD_M, STEP_M, Route, bend, trace, unit
+from pipeline.town.route import AHEAD_M, STEP_M, Route, bend, trace
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +38,8 @@ def test_curvature_is_continuous_and_matches_the_line(routes: list[Route]) -> No
         np.testing.assert_allclose(np.linalg.norm(steps, axis=1), STEP_M)
 
 
-def test_lanes_lie_on_the_right(routes: list[Route]) -> None:
-    route = routes[0]
-    assert route.right_m < 0 < route.centre_m < route.left_m
-    left, heading = route.at(10.0, 2.0)
-    on, _ = route.at(10.0)
-    np.testing.assert_allclose(left - on, 2 * np.array([-np.sin(heading), np.cos(heading)]))
-
-
-def test_unit_vectors_of_one_heading_and_of_many() -> None:
-    np.testing.assert_allclose(unit(np.pi / 2), [0, 1], atol=1e-12)
-    np.testing.assert_allclose(unit(np.array([0.0, np.pi])), [[1, 0], [-1, 0]], atol=1e-12)
+def test_no_road_crosses_itself(routes: list[Route]) -> None:
+    for route in routes:
+        s, xy = route.s_m[::20], route.xy[::20]
+        apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
+        assert apart[np.abs(s[:, None] - s[None]) > 60].min() > 20

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.camera import classes
 from pipeline.town import shapes
-from pipeline.town.light import draw_ground_colours, draw_light, shade
+from pipeline.town.light import draw_ground_colours
 from pipeline.town.plan import ASPHALT, GRASS, KERB_M, Plan
 from pipeline.town.world import World
 
@@ -42,12 +42,6 @@ def test_hits_of_rays(world: World) -> None:
     np.testing.assert_allclose(hits.normal.T, [[0, 0, 1], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], atol=1e-6)
 
 
-def test_shadows_fall_away_from_the_sun(world: World) -> None:
-    points = np.array([[9.0, 0, 0.2], [12.0, 0, 0.2], [12.0, 9, 0.2]], np.float32).T
-    west = np.array([-1, 0, 0.5]) / np.sqrt(1.25)
-    np.testing.assert_array_equal(world.lit(points, west), [True, False, True])
-
-
 def test_traffic_hides_what_is_behind_it_and_leaves_again(world: World) -> None:
     ray = rays(([-8.0, 0, 0.7], [1, 0, 0]), ([-8.0, 3, 0.7], [0, 1, 0.01]))
     car = shapes.car(np.random.default_rng(0))
@@ -60,12 +54,3 @@ def test_traffic_hides_what_is_behind_it_and_leaves_again(world: World) -> None:
     world.set_traffic([])
     assert world.cast(ray).cls[0] == classes.BUILDING
     assert world.lit(under_the_car, np.array([0.0, 0, 1]))[0]
-
-
-def test_sunlit_is_brighter_than_shaded(world: World) -> None:
-    light = draw_light(np.random.default_rng(3))
-    down = rays(*[([-5.0 + 0.1 * i, 0, 3], DOWN) for i in range(40)])
-    hits = world.cast(down)
-    bright, dark = (shade(light, hits, down, np.full(40, lit), (2, 20)) for lit in (True, False))
-    assert bright.shape == (2, 20, 3)
-    assert bright.mean() > dark.mean() + 5

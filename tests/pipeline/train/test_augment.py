@@ -3,8 +3,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.params import load
-from pipeline.sections.train import Train
 from pipeline.train import augment, windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES, read_batch
@@ -36,11 +34,3 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(batch: windows.Bat
     assert (speed == batch["motion"][:, 2] * TWICE).all()
     assert (valid == batch["motion"][:, 3]).all()
     assert (scaled["base_rad"] == scaled["motion"][batch["windows"][:, -1], 0]).all()
-
-
-def test_factors_are_between_the_setting_and_its_inverse() -> None:
-    settings = load(Train, PARAMS)
-    drawn = augment.random_factors(50, settings, np.random.default_rng(0))
-    assert 1 / settings.rescale <= drawn.min() < 1 < drawn.max() <= settings.rescale
-    off = settings.model_copy(update={"rescale": 1.0})
-    assert (augment.random_factors(9, off, np.random.default_rng(0)) == 1).all()

@@ -37,19 +37,6 @@ def read(path: Path, runs: list[tuple[int, int]]) -> frames.Arrays:
         return frames.concatenate([graphs.read(*run) for run in runs])
 
 
-@pytest.mark.parametrize(
-    ("contents", "words"),
-    [
-        ({"kind": "graph"}, ["kNN graphs"]),
-        ({"kind": "pointnet2", "levels": 2}, ["PointNet++", "2 levels"]),
-        ({"kind": "image", "image_size": (32, 48)}, ["images", "32 x 48"]),
-    ],
-)
-def test_contents(paths: dict[str, Path], contents: dict[str, object], words: list[str]) -> None:
-    assert frames.contents(paths[str(contents["kind"])]) == contents
-    assert all(word in frames.describe(contents) for word in words)
-
-
 def test_row_numbers_refer_to_the_same_points_in_file_and_batch(paths: dict[str, Path]) -> None:
     batch = read(paths["pointnet2"], RUNS)
     names = {"xyz", "cls", "ptr", "centres_1", "neighbours_1", "centres_1_ptr"}
@@ -85,11 +72,6 @@ def test_edges_connect_the_same_points_in_file_and_batch(paths: dict[str, Path])
     np.testing.assert_array_equal(batch["xyz"][batch["indices"]], ends)
 
 
-def test_images(paths: dict[str, Path]) -> None:
-    with store.DriveReader(paths["image"], stage="graphs") as file:
-        assert (read(paths["image"], RUNS)["image"] == file["image"][ROWS]).all()
-
-
 @pytest.mark.parametrize("kind", ["graph", "pointnet2"])
 def test_one_run_equals_its_pieces(paths: dict[str, Path], kind: str) -> None:
     pieces, complete = read(paths[kind], [(0, 4), (4, 5), (5, 9)]), read(paths[kind], [(0, 9)])
@@ -111,20 +93,6 @@ def test_inconsistent_graphs_are_refused(tmp_path: Path, kind: str, name: str, v
     with pytest.raises(InputError, match=words) as raised:
         read(path, [(0, 2)])
     assert raised.value.where == str(path)
-
-
-def test_motion(tmp_path: Path) -> None:
-    path = write_file(tmp_path, artefacts.write_graphs)
-    with frames.open_graphs(path) as graphs, pytest.raises(InputError, match=r"found: none"):
-        graphs.motion("visual")
-    artefacts.add_motion(path, "visual", np.linspace(0, 0.2, FRAMES), np.arange(FRAMES) != 3)
-    with frames.open_graphs(path) as graphs, store.DriveReader(path, stage="graphs") as file:
-        assert graphs.motions == ("visual",)
-        for name, values in graphs.motion("visual")._asdict().items():
-            np.testing.assert_array_equal(values, file[f"visual_{name}"])
-        with pytest.raises(InputError, match=r"found: visual") as raised:
-            graphs.motion("lidar")
-        assert "motion.kinds" in raised.value.fix
 
 
 def test_to_pyg_is_the_graph_that_gcn_sees(paths: dict[str, Path]) -> None:

@@ -32,19 +32,6 @@ def differing(a: windows.Batch, b: windows.Batch) -> set[str]:
     return {key for key in a if a[key].shape != b[key].shape or (a[key] != b[key]).any()}
 
 
-def test_zero_noise_is_the_identity(batch: windows.Batch) -> None:
-    assert noisy(batch, Noise()) is batch
-
-
-def test_neither_labels_nor_the_original_batch_change(batch: windows.Batch) -> None:
-    before = {key: value.copy() for key, value in batch.items()}
-    for seed in range(5):
-        after = noisy(batch, ALL, seed)
-        assert not differing(before, batch)
-        assert not {"steering_rad", "valid", "windows", "dt_s"} & differing(before, after)
-        assert {key: value.dtype for key, value in after.items()} == {key: each.dtype for key, each in batch.items()}
-
-
 def test_depth_scale_is_constant_over_a_run(batch: windows.Batch) -> None:
     after = noisy(batch, Noise(depth_scale=0.3))
     factors = []
@@ -55,17 +42,6 @@ def test_depth_scale_is_constant_over_a_run(batch: windows.Batch) -> None:
         factors.append(float(factor))
     assert 1 / 1.3 <= min(factors) < max(factors) <= 1.3
     assert after["motion"] == pytest.approx(batch["motion"], rel=1e-6)
-
-
-def test_speed_error_is_constant_over_a_run_and_changes_the_measured_angle(batch: windows.Batch) -> None:
-    after = noisy(batch, Noise(speed=0.3))
-    factor = after["motion"][:, 2] / batch["motion"][:, 2]
-    assert 1 / 1.3 <= factor.min() < factor.max() <= 1.3
-    assert factor == pytest.approx(np.repeat(factor[[0, 12]], FRAMES))
-    assert np.tan(after["motion"][:, 0]) == pytest.approx(np.tan(batch["motion"][:, 0]) / factor, rel=1e-4)
-    assert (after["motion"][:, [1, 3]] == batch["motion"][:, [1, 3]]).all()
-    assert (after["base_rad"] == after["motion"][after["windows"][:, -1], 0]).all()
-    assert (after["xyz"] == batch["xyz"]).all()
 
 
 def test_waves_move_points_along_their_rays(batch: windows.Batch) -> None:
@@ -116,26 +92,3 @@ def test_removed_points_take_their_edges_with_them(batch: windows.Batch) -> None
     ]
     assert list(zip(np.repeat(np.arange(nodes), after["degree"]), after["indices"], strict=True)) == wanted
     assert isinstance(from_arrays(after), GraphBatch)
-
-
-def test_runs_are_independent(batch: windows.Batch) -> None:
-    whole = noisy(batch, ALL)
-    alone = noise.add_noise(
-        {
-            "xyz": batch["xyz"][: batch["ptr"][12]], "cls": batch["cls"][: batch["ptr"][12]], "ptr": batch["ptr"][:13],
-            "degree": batch["degree"][: batch["ptr"][12]],
-            "indices": batch["indices"][: batch["degree"][: batch["ptr"][12]].sum(dtype=int)],
-            "motion": batch["motion"][:12], "windows": batch["windows"][:5], "steering_rad": batch["steering_rad"][:5],
-            "base_rad": batch["base_rad"][:5],
-        },
-        FRAMES[:1], [np.random.default_rng([0, 1])], ALL,
-    )  # fmt: skip
-    assert all((whole[key][: len(alone[key])] == alone[key]).all() for key in alone)
-
-
-def test_sets_lose_no_points_and_images_do_not_change(tmp_path: Path) -> None:
-    sets = make(tmp_path / "sets", artefacts.write_sets)
-    after = noisy(sets, ALL)
-    assert differing(sets, after) == {"xyz", "cls", "motion", "base_rad"}
-    images = make(tmp_path / "images", artefacts.write_images)
-    assert noisy(images, ALL) is images

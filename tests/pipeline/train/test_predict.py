@@ -69,36 +69,6 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(model: predict.Train
                 model.predict(graphs, wrong)  # type: ignore[arg-type]
 
 
-def test_each_frame_is_encoded_once(model: predict.Trained, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(predict, "WINDOWS", 20)
-    path = tmp_path / "long.h5"
-    artefacts.write_graphs(path, "long", np.zeros(50), np.arange(50), 12, np.random.default_rng(0))
-    encoded: list[int] = []
-    hook = model.net.register_forward_pre_hook(lambda _, arguments: encoded.append(arguments[0].frames))
-    with frames.open_graphs(path) as graphs:
-        for numbers, expected in (([30, 31, 45], [WINDOW + 1, WINDOW]), ([2], []), (None, [23, 23, 10])):
-            encoded.clear()
-            model.predict(graphs, numbers)
-            assert encoded == expected
-    hook.remove()
-
-
-@pytest.mark.parametrize(
-    ("contents", "spatial", "words"),
-    [
-        ({"kind": "image", "image_size": (32, 96)}, "cnn", "expects images of 32 x 96.*got kNN graphs"),
-        ({"kind": "pointnet2", "levels": 2}, "pointnet2", r"expects points.* 2 levels.*got kNN graphs"),
-    ],
-)
-def test_another_kind_of_frames_is_refused(
-    tmp_path: Path, drive: Path, contents: dict[str, Any], spatial: str, words: str
-) -> None:
-    model = predict.load(write_model(tmp_path / "net", contents, spatial=spatial))
-    with frames.open_graphs(drive) as graphs, pytest.raises(InputError, match=words) as raised:
-        model.predict(graphs)
-    assert "input: semantic" in raised.value.fix
-
-
 def test_output_zero_is_the_measured_angle(tmp_path: Path) -> None:
     drive = tmp_path / "drive.h5"
     artefacts.write_graphs(drive, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
@@ -131,31 +101,6 @@ def test_folder_of_a_model(tmp_path: Path) -> None:
     store.write_json(folder / "config.json", {"model": model.line, "seeds": [0], "parameters": 1, "best_sha256": "0"})
     with pytest.raises(InputError, match="different runs"):
         predict.load(folder)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"kind": "unified encoder"}, "expected a checkpoint of"),
-        ({"contents": None}, "contents: Field required"),
-        ({"target": {"std_rad": 0.0}}, r"target\.std_rad.*greater than 0"),
-        ({"target": {"mean_rad": float("nan")}}, r"target\.mean_rad.*finite"),
-        ({"model": {"spatial": "wavelet"}}, r"spatial.*wavelet"),
-        ({"model": {"window": 0}}, r"model\.window"),
-        ({"model": {"features": 7}}, "does not match"),
-    ],
-)
-def test_a_checkpoint_that_does_not_rebuild_a_network_is_refused(
-    tmp_path: Path, change: dict[str, Any], words: str
-) -> None:
-    path = write_model(tmp_path / "net/seed-7") / "best.pt"
-    content = checkpoint.read(path, predict.KIND)
-    for key, value in change.items():
-        content[key] = content[key] | value if isinstance(value, dict) else value
-    checkpoint.write(path, {key: value for key, value in content.items() if change.get(key, True) is not None})
-    with pytest.raises(InputError, match=rf"best\.pt.*{words}") as raised:
-        predict.load(path.parent)
-    assert raised.value.fix.endswith("dvc repro --force --single-item train@net")
 
 
 def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:

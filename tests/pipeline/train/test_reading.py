@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base.errors import InputError
 from pipeline.sections.train import Noise
 from pipeline.train import noise, windows
 from pipeline.train.augment import rescale
@@ -56,16 +55,3 @@ def test_batches_equal_the_reference(drives: list[windows.Drive], workers: int) 
             for step, batch in zip(steps, reader.batches(steps), strict=True):
                 same(batch, expected_batch(drives, step))
             assert reader.waited_s > 0
-
-
-def test_an_epoch_may_end_early_and_a_missing_file_is_named(drives: list[windows.Drive]) -> None:
-    with Reader(Steps(drives, 4, NOISE), torch.device("cpu")) as reader:
-        read = reader.batches(planned(0))
-        next(read)
-        read.close()
-    drives[1].graphs.unlink()
-    with (
-        Reader(Steps(drives, 4, NOISE), torch.device("cpu")) as reader,
-        pytest.raises(InputError, match="2026_01_01_drive_0002"),
-    ):
-        list(reader.batches(planned(0)))

@@ -1,10 +1,15 @@
 from pathlib import Path
-from typing import Any
+from typing import get_args
 
+import numpy as np
 import pytest
+import torch
 
-from pipeline.base.errors import InputError
-from pipeline.train import runs
+from pipeline.sections.train import Train
+from pipeline.train import fit, runs, score, windows
+from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
+from tests import artefacts
+from tests.pipeline.train.shared import DRIVES
 
 PLAIN = {"fit_to": "train", "roads": None}
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
@@ -37,19 +42,58 @@ def test_roads_are_the_first_training_drives() -> None:
     assert runs.folds(SPLITS, PLAIN | {"roads": 2, "fit_to": "both"})[0].train == ("a", "b", "y", "z")
 
 
-@pytest.mark.parametrize(
-    ("line", "splits", "message"),
-    [
-        ({"roads": 3}, SPLITS, "roads = 3, but there are 2 training drives"),
-        ({"fit_to": "others"}, {"a": "train", "x": "test"}, r"fit_to = 'others' needs two test drives \(got x\)"),
-    ],
-)
-def test_impossible_folds(line: dict[str, Any], splits: dict[str, str], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        runs.folds(splits, PLAIN | line)
+def epochs(*val_nmse):
+    return [Epoch(number, 0.1, 0.1, 0.1, nmse) for number, nmse in enumerate(val_nmse, start=1)]
 
 
-def test_model_name_of_a_relative_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "gnn").mkdir()
-    monkeypatch.chdir(tmp_path / "gnn")
-    assert runs.model_name(Path()) == "gnn"
+def test_each_rule_selects_its_epoch():
+    lucky_second = epochs(0.9, 0.3, 0.8, 0.5, 0.4, 0.41, 0.7)
+    assert selected_epoch(lucky_second, "best") == 2
+    assert selected_epoch(lucky_second, "smoothed") == 6
+    assert selected_epoch(lucky_second, "last") == 7
+
+
+def test_patience_counts_epochs_since_the_selected_one():
+    rows = epochs(0.9, 0.5, 0.6, 0.7)
+    assert out_of_patience(rows, "best", patience=2)
+    assert not out_of_patience(rows, "best", patience=3)
+    assert not out_of_patience(rows, "last", patience=1)
+
+
+@pytest.mark.parametrize("keep", get_args(Train.model_fields["keep"].annotation))
+def test_epochs_without_validation_error_are_not_selected(keep):
+    nothing = float("nan")
+    assert selected_epoch(epochs(0.9, 0.8, nothing), keep) == (3 if keep == "last" else 2)
+    assert selected_epoch(epochs(nothing, nothing), keep) == 2
+    assert selected_epoch([], keep) == 0
+
+
+def test_scores_by_hand() -> None:
+    steering, predicted = np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1])
+    assert score.mse(steering, predicted) == pytest.approx((0 + 0.04 + 0.01) / 3)
+    assert score.nmse(steering, predicted) == pytest.approx(0.05 / 0.06)
+    assert score.nmse(steering, np.zeros(3)) == 1
+
+
+def test_labels_that_are_all_zero_have_no_nmse() -> None:
+    assert np.isnan(score.nmse(np.zeros(3), np.ones(3)))
+
+
+def test_effective_frames(tmp_path: Path) -> None:
+    artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=20)
+    drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(DRIVES), 8)
+    weight = np.exp(20 * np.abs(np.concatenate([drive.steering_rad for drive in drives])))
+    counts = [fit.effective_frames(drives, alpha) for alpha in (0.0, 5.0, 20.0, 100_000.0)]
+    assert counts[2] == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
+    assert counts == sorted(counts, reverse=True)
+    assert counts[3] == pytest.approx(1, abs=0.1)  # the sharpest bend alone, without overflow
+    drives[0].valid[:5] = False
+    assert fit.effective_frames(drives, 0.0) == pytest.approx(2 * 23 - 5)
+
+
+def test_loss_with_uncertainty_is_the_likelihood_of_a_normal_distribution() -> None:
+    predicted = torch.tensor([[0.5, -1.0], [0.1, 0.3], [9.0, 0.0]], requires_grad=True)
+    target, weight = torch.tensor([0.2, 0.4, 0.0]), torch.tensor([2.0, 1.0, 0.0])
+    each = torch.distributions.Normal(predicted[:, 0], predicted[:, 1].exp()).log_prob(target)
+    constant = 3 * np.log(2 * np.pi) / 2
+    assert fit.weighted_loss(predicted, target, weight).item() == pytest.approx(-(weight @ each).item() - constant)

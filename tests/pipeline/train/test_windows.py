@@ -1,5 +1,3 @@
-import functools
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,66 +56,6 @@ def test_spans_for_some_frames_have_only_frames_of_their_windows(original: Path)
     assert [span.stop - span.start for span in windows.spans(drives[:1], 1, 10)] == [10, 10, 3]
 
 
-def test_random_spans_without_a_target_are_left_out(original: Path) -> None:
-    drive = _read(original)[0]
-    drive.valid[:15] = False
-    for seed in range(5):
-        spans = windows.random_spans([drive], 8, 5, np.random.default_rng(seed))
-        assert spans
-        assert all(drive.valid[span.start + 7 : span.stop].any() for span in spans)
-
-
-def test_rows_by_frame_number(original: Path) -> None:
-    drive = _read(original)[0]
-    frame, three = np.array([3, 4, 9]), slice(3)
-    later = replace(drive, frame=frame, time_s=drive.time_s[three], dt_s=drive.dt_s[three], runs=((0, 2), (2, 3)))
-    assert later.rows([9, 3, 9]).tolist() == [2, 0, 2]
-    assert later.rows([]).tolist() == []
-    with pytest.raises(InputError, match=r"drive_0001\.h5: no frame 5 .*3 to 9"):
-        later.rows([4, 5, 6])
-
-
-@pytest.mark.parametrize(
-    ("window", "horizon", "motion", "words"),
-    [
-        (24, 0, "none", r"no window of 24 consecutive frames .*at its end.*longest run: 23"),
-        (8, 16, "none", r"no window of 8 .* with a valid label 16 frames after its end"),
-        (8, 0, "lidar", r"drive_0001\.h5: no motion of kind lidar"),
-    ],
-)
-def test_impossible_windows_are_refused(original: Path, window: int, horizon: int, motion: str, words: str) -> None:
-    names = list(DRIVES)
-    with pytest.raises(InputError, match=words):
-        windows.read_drives(original / "graphs/semantic", original / "labels", names, window, horizon, motion)
-    assert len(windows.read_drives(original / "graphs/semantic", original / "labels", names, 23)) == 2
-    assert len(windows.read_drives(original / "graphs/semantic", original / "labels", names, 8, 15)) == 2
-
-
-def test_drives_without_targets_are_refused(folder: Path) -> None:
-    rng, (first, second) = np.random.default_rng(0), DRIVES
-    labels, number = folder / "labels", np.arange(23)
-    for steering, valid, words in ((np.zeros(23), number < 7, "valid label at its end"), (np.zeros(23), None, "is 0")):
-        for drive in DRIVES:
-            artefacts.write_labels(labels / f"{drive}.h5", drive, steering, number, valid)
-        with pytest.raises(InputError, match=words):
-            _read(folder)
-    for drive in DRIVES:
-        artefacts.write_labels(labels / f"{drive}.h5", drive, np.full(23, 0.1), number)
-    write_empty = functools.partial(artefacts.write_graphs, points=0, rng=rng)
-    write_empty(folder / f"graphs/semantic/{first}.h5", first, np.full(23, 0.1), number)
-    assert [drive.empty for drive in _read(folder)] == [True, False]
-    write_empty(folder / f"graphs/semantic/{second}.h5", second, np.full(23, 0.1), number)
-    with pytest.raises(InputError, match="no point in any frame") as raised:
-        _read(folder)
-    assert "crop_m" in raised.value.fix
-
-
-def test_runs_shorter_than_a_window_give_no_span(original: Path) -> None:
-    gaps = replace(_read(original)[0], runs=((0, 5), (5, 13), (13, 23)))
-    spans = windows.spans([gaps], 8, 100)
-    assert [(span.start, span.stop) for span in spans] == [(5, 13), (13, 23)]
-
-
 def test_batch_of_two_spans_equals_single_frames(original: Path) -> None:
     drives = _read(original)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
@@ -170,14 +108,6 @@ def test_target_is_the_label_horizon_frames_ahead(folder: Path) -> None:
     assert batch["valid"].tolist() == [True, True, False, True, True, True, True]
 
 
-def test_persistence_is_the_label(folder: Path) -> None:
-    name = next(iter(DRIVES))
-    artefacts.write_labels(folder / f"labels/{name}.h5", name, np.arange(30) / 10, np.arange(30), np.arange(30) != 1)
-    for horizon, expected in ((0, [0.0, 0.0, 0.0, 0.2, 0.3]), (2, [0.0, 0.0, 0.2, 0.3, 0.4])):
-        (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [name], 4, horizon)
-        assert drive.persistence_rad[:5] == pytest.approx(expected)
-
-
 def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     for name in DRIVES:
         with store.DriveReader(folder / f"labels/{name}.h5", stage="labels") as truth:
@@ -199,14 +129,3 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     assert batch["motion"][11 + 6, 2:].tolist() == [8, 1]
     assert "motion" not in plain
     assert not plain["base_rad"].any()
-
-
-def test_motion_without_a_measured_frame(folder: Path) -> None:
-    first, second = DRIVES
-    artefacts.add_motion(folder / f"graphs/semantic/{first}.h5", "lidar", np.full(23, 0.1))
-    artefacts.add_motion(folder / f"graphs/semantic/{second}.h5", "lidar", np.full(23, 0.1), np.zeros(23))
-    measured = [drive.measured_rad["lidar"] for drive in _read(folder)]
-    assert measured[0] == pytest.approx(np.full(23, 0.1), abs=1e-6)
-    assert np.isnan(measured[1]).all()
-    with pytest.raises(InputError, match=rf"{second}\.h5: motion: lidar is not measured in any frame"):
-        windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "lidar")

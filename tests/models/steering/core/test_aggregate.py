@@ -42,22 +42,3 @@ def test_same_bits_each_time(make_batch, layer):
 
     first = run()
     assert all(torch.equal(a, b) for _ in range(3) for a, b in zip(first, run(), strict=True))
-
-
-@pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])
-def test_no_row_per_edge_is_stored_for_backward(make_batch, layer):
-    batch = make_batch([150])
-    nodes, edges = len(batch.degree), len(batch.indices)
-    net, saved = layer(4, 8), []
-    operator = layer.operator(batch, torch.float32)
-    with torch.autograd.graph.saved_tensors_hooks(lambda tensor: saved.append(tensor.numel()) or tensor, lambda t: t):
-        net(torch.randn(nodes, 4, requires_grad=True), operator)
-    assert edges > 10 * nodes
-    assert max(saved) <= 8 * nodes
-
-
-@pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])
-def test_graph_without_nodes(make_batch, layer):
-    out = layer(3, 4)(torch.zeros(0, 3, requires_grad=True), layer.operator(make_batch([0, 0]), torch.float32))
-    assert out.shape == (0, 4)
-    out.sum().backward()

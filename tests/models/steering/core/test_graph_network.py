@@ -1,5 +1,3 @@
-import dataclasses
-
 import pytest
 import torch
 
@@ -27,14 +25,6 @@ def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
     return GraphBatch(batch.xyz[rows], batch.cls[rows], torch.tensor([0, end - start]), batch.degree[rows], indices)
 
 
-def test_dtypes_of_files(make_batch, network):
-    batch = make_batch([40, 7])
-    narrow = dataclasses.replace(batch, indices=batch.indices.int())
-    torch.testing.assert_close(network(narrow), network(batch), rtol=0, atol=0)
-    single = dataclasses.replace(batch, xyz=batch.xyz.float())
-    torch.testing.assert_close(network(single), network(batch), rtol=0, atol=1e-5)
-
-
 def test_order_of_points_changes_nothing(make_batch, network):
     batch = make_batch([40])
     order = torch.randperm(40)
@@ -55,11 +45,3 @@ def test_batch_equals_single_frames(make_batch, network, counts):
     batch = make_batch(counts)
     singles = torch.cat([network(one_frame(batch, frame)) for frame in range(batch.frames)])
     torch.testing.assert_close(network(batch), singles, **TOLERANCE)
-
-
-def test_without_semantics_classes_change_nothing(make_batch, network):
-    batch = make_batch([20, 20])
-    other = dataclasses.replace(batch, cls=torch.full_like(batch.cls, 3))
-    assert not torch.allclose(network(batch), network(other))
-    network.semantics = 0.0
-    assert torch.equal(network(batch), network(other))

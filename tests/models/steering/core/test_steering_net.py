@@ -1,16 +1,15 @@
-"""Networks of each combination: shared frames, mirroring, motion, mixed precision, entries of params.yaml."""
+"""Networks of each combination: shared frames, mirroring, motion, mixed precision."""
 
-import dataclasses
 import json
 
 import pytest
 import torch
 
 from models.steering.core.batch import GraphBatch, ImageBatch
+from models.steering.core.motion import COLUMNS, odd_and_even
 from models.steering.core.network_file import load, names
-from models.steering.core.steering_net import KINDS, SteeringNet, build, parameter_count
+from models.steering.core.steering_net import SteeringNet, build
 from models.steering.temporal.ncp import CELLS
-from pipeline.base.errors import InputError
 from pipeline.sections.models import Model, resolve
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
@@ -123,39 +122,12 @@ def test_a_mirrored_scene_has_the_same_uncertainty(make_line, frames, dt_s, temp
     torch.testing.assert_close(plain(batch, WINDOWS, dt_s, pairs=True), sides, **TOLERANCE)
 
 
-@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
-def test_all_parameters_of_a_network_with_motion_have_gradients(make_line, frames, dt_s, temporal, knobs):
-    net = build_any(make_line("gnn", temporal, motion="lidar", **knobs)).double()
-    residual = net(frames("gnn"), WINDOWS, dt_s, MOTION)
-    gradients = torch.autograd.grad(residual.square().sum(), list(net.parameters()))
-    assert all(gradient.abs().sum() > 0 for gradient in gradients)
-    with pytest.raises(ValueError, match="motion"):
-        net(frames("gnn"), WINDOWS, dt_s)
-
-
 @pytest.mark.parametrize(("temporal", "expected"), [("ncp", 0.61231783739338), ("lstm", 0.26132779169831866)])
 def test_a_seed_gives_the_same_numbers_in_all_versions(make_batch, make_line, temporal, expected):
     batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
     torch.manual_seed(3)
     net = build(make_line("gnn", temporal)).double()
     assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("spatial", KIND)
-def test_input_of_another_kind_is_refused(make_line, spatial):
-    for kind in KINDS.keys() - {KIND[spatial]}:
-        with pytest.raises(ValueError, match=f"^spatial = '{spatial}' expects {KINDS[KIND[spatial]]}.*{KINDS[kind]}"):
-            build(make_line(spatial), kind, levels=2, image_size=(32, 40))
-
-
-def test_only_the_last_frames_prediction_is_returned(make_batch, make_line):
-    net = build(make_line()).double()
-    batch = make_batch([10, 10])
-    dt_s = torch.full((1, 1), 0.1, dtype=torch.float64)
-    moved = dataclasses.replace(batch, xyz=torch.cat([batch.xyz[:10], batch.xyz[10:] + 5]))
-    for frame, equal in ((0, True), (1, False)):
-        window = torch.tensor([[frame]])
-        assert torch.equal(net(batch, window, dt_s), net(moved, window, dt_s)) == equal
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -171,33 +143,6 @@ def test_mixed_precision_keeps_the_recursion_in_float32(make_line, frames, spati
     torch.testing.assert_close(mixed, net(*arguments), rtol=0, atol=0.1)
 
 
-@pytest.mark.parametrize(
-    ("networks", "wrong", "words"),
-    [
-        ({}, {"spatial": "gru"}, ["spatial = 'gru'", "cnn, edgeconv, gatv2, gnn, pointnet2"]),
-        ({}, {"temporal": "gru"}, ["temporal = 'gru'", "lstm, ncp"]),
-        ({}, {"cell": "gru"}, ["cell", "'ltc', 'eq4' or 'cfc'"]),
-        ({}, {"width": 0.5}, ["width", "spatial = gnn, temporal = ncp", "layers, semantics, cell, wiring"]),
-        ({"temporal": "lstm"}, {"cell": "ltc"}, ["cell", "temporal = lstm"]),
-        ({}, {"semantic": 1.0}, ["semantic", "did you mean semantics"]),
-        ({}, {"equivarient": True}, ["equivarient", "did you mean equivariant"]),
-        ({}, {"semantics": 1.5}, ["semantics", "less than or equal to 1"]),
-        ({}, {"semantics": float("nan")}, ["semantics", "nan"]),
-        ({}, {"layers": []}, ["layers", "at least 1"]),
-        ({}, {"layers": [8, 0]}, ["layers.1"]),
-        ({"spatial": "pointnet2"}, {"width": 5}, ["width", "less than or equal to 4"]),
-        ({"temporal": "lstm"}, {"units": "many"}, ["units", "many"]),
-        ({}, {"wiring": {"comand": 5}}, ["wiring.comand"]),
-        ({}, {"wiring": {"inter": 0}}, ["wiring.inter"]),
-    ],
-)
-def test_wrong_entries_are_refused_by_key(make_line, networks, wrong, words):
-    with pytest.raises(InputError) as refusal:
-        resolve(Model.model_validate(make_line(**networks) | wrong))
-    assert all(word in str(refusal.value) for word in words)
-    assert "\n" not in str(refusal.value)
-
-
 @pytest.mark.parametrize("temporal", names("temporal"))
 @pytest.mark.parametrize("spatial", KIND)
 def test_resolved_entry_is_complete_and_builds_the_same_network(make_line, spatial, temporal):
@@ -208,19 +153,20 @@ def test_resolved_entry_is_complete_and_builds_the_same_network(make_line, spati
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
-def test_resolved_entry_has_defaults():
-    entry = Model(input="semantic", spatial="gnn", temporal="ncp", window=8, wiring={"inter": 10})
-    resolved = resolve(entry)
-    assert (resolved["layers"], resolved["semantics"], resolved["cell"]) == ([32, 32, 64], 0.0, "ltc")
-    assert (resolved["wiring"]["inter"], resolved["wiring"]["command"]) == (10, 6)
+def test_columns_are_of_order_one_and_the_odd_ones_are_odd():
+    corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
+    motion = torch.tensor([corner, motorway, [0.0] * COLUMNS, [-1.5, 0.0, 0.1, 0.0]])
+    odd, even = odd_and_even(motion)
+    assert odd.abs().max() <= 1 < even.max() < 3
+    assert odd[0].min() > 0.8
+    assert not torch.cat([odd[2], even[2]]).any()
+    there, same = odd_and_even(motion * torch.tensor([-1.0, -1.0, 1.0, 1.0]))
+    assert torch.equal(there, -odd)
+    assert torch.equal(same, even)
 
 
-def test_parameter_count_of_the_default_line():
-    line = {"spatial": "gnn", "temporal": "ncp", "window": 8, "features": 32, "equivariant": False}
-    spatial = (25 + 1) * 32 + (32 + 1) * 32 + (32 + 1) * 64 + (128 + 1) * 32
-    assert parameter_count(build(line)) == spatial + 4 * (32 * 6 + 60) + 3 * 19 + 2 * 32 + 2
-    assert parameter_count(build({**line, "cell": "eq4"})) == spatial + (32 * 6 + 60) + 19 + 32 * 19 + 2
-    layers = [(32, 12, 32 * 6), (12, 6, 12 * 4), (6, 1, 6)]  # inputs, neurons, synapses between
-    cfc = sum(2 * (synapses + own**2) + 2 * (inputs + own) * own + 4 * own for inputs, own, synapses in layers)
-    assert parameter_count(build({**line, "cell": "cfc"})) == spatial + cfc + 2
-    assert parameter_count(build({**line, "temporal": "lstm"})) == spatial + 4 * 32 * (32 + 32 + 2) + 33
+@pytest.mark.parametrize("name", ["../temporal/lstm", "..core.wiring", "__init__", "gnn.py", "", "os"])
+def test_only_files_of_the_folder_are_imported(name: str) -> None:
+    with pytest.raises(ValueError, match=r"^spatial = .*known: blind, cnn, edgeconv, gatv2, gnn, pointnet2\)"):
+        load("spatial", name)
+    assert name not in names("spatial")

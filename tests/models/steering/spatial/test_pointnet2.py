@@ -49,16 +49,6 @@ def test_network_equals_plain_loops(make_sets, network):
     torch.testing.assert_close(network(batch), torch.stack(expected), **TOLERANCE)
 
 
-def test_sizes_of_width_one_are_the_references():
-    network = PointNet2(32, levels=2)
-    widths = [[linear.out_features for linear in layer.mlp[::3]] for layer in network.levels]
-    assert widths == [[64, 64, 128], [128, 128, 256]]
-    assert [linear.out_features for linear in network.whole[::3]] == [256, 512, 1024]
-    assert [linear.out_features for linear in network.head[::3]] == [512, 256]
-    inputs = [network.levels[0].mlp[0], network.levels[1].mlp[0], network.whole[0]]
-    assert [linear.in_features for linear in inputs] == [3 + 25, 3 + 128, 3 + 256]
-
-
 def test_order_of_points_and_of_neighbours_changes_nothing(make_sets, network):
     batch = make_sets([40])
     order = torch.randperm(40)
@@ -85,11 +75,3 @@ def test_batch_equals_single_frames(make_sets, network, counts):
     together = network(make_sets(counts))
     singles = [network(make_sets(counts, only=frame)) for frame in range(len(counts))]
     torch.testing.assert_close(together, torch.cat(singles), **TOLERANCE)
-
-
-def test_without_semantics_classes_change_nothing(make_sets, network):
-    batch = make_sets([20, 20])
-    other = dataclasses.replace(batch, cls=torch.full_like(batch.cls, 3))
-    assert not torch.allclose(network(batch), network(other))
-    network.semantics = 0.0
-    assert torch.equal(network(batch), network(other))

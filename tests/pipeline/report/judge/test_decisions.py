@@ -1,13 +1,10 @@
-"""The onset of a turn, by hand and on a recorded drive."""
+"""The onset of a turn, by hand."""
 
-import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline import label
-from pipeline.kitti.oxts import VF, WU
 from pipeline.report.judge import decisions
 from pipeline.train import windows
 from tests import artefacts
@@ -63,12 +60,6 @@ def test_a_gap_before_a_turn_hides_its_onset() -> None:
     assert found_at((frames < 5) | (frames >= 26)) == []
 
 
-def test_a_turn_after_a_stop_begins_when_the_car_moves() -> None:
-    curvature = bends((20, STRAIGHT), (15, 0.6), (20, CORNER))
-    valid = np.r_[np.ones(20, bool), np.zeros(15, bool), np.ones(20, bool)]
-    assert found(curvature, valid) == [35]
-
-
 @pytest.mark.parametrize(("horizon", "first"), [(0, 30), (10, 20)])
 def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: int, first: int) -> None:
     frame = np.arange(80)
@@ -77,21 +68,3 @@ def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: i
     artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
     drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
     assert np.flatnonzero(decisions.near(drive)).tolist() == list(range(first, 41))
-
-
-@pytest.mark.real
-def test_onsets_of_a_recorded_drive(real_kitti: Path) -> None:
-    """KITTI's 2011_09_30_drive_0027 goes round some blocks."""
-    folder = "2011_09_30/2011_09_30_drive_0027_sync/oxts/data/"
-    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
-        files = {member.name: archive.extractfile(member) for member in archive if folder in member.name}
-        rows = np.array([np.loadtxt(file) for _, file in sorted(files.items()) if file])
-    steering_rad, valid = label.steering_labels(
-        rows[:, WU], rows[:, VF], wheelbase_m=2.7, min_speed_mps=1.0, standstill="invalid"
-    )
-    time_s = np.arange(len(rows)) / 10
-    onsets = decisions.onsets(np.tan(steering_rad) / 2.7, valid, time_s, rows[:, WU], rows[:, VF])
-    heading = np.cumsum(rows[:, WU]) / 10
-    assert len(onsets) == 5
-    for onset in onsets:
-        assert np.abs(heading[onset : onset + 150] - heading[onset]).max() > np.deg2rad(80)

@@ -22,12 +22,6 @@ def test_errors_by_curvature_stand_beside_those_of_zero() -> None:
     assert straight["mse_rad2"] == pytest.approx(0.0001 / 2)
 
 
-def test_without_frames_or_bends_errors_are_none() -> None:
-    assert errors.scores(np.zeros(3), np.ones(3))["nmse"] is None
-    found = errors.scores(np.empty(0), np.empty((2, 0)))
-    assert found == {"frames": 0, "mse_rad2": None, "rmse_deg": None, "mae_deg": None, "nmse": None}
-
-
 def test_baselines_by_hand() -> None:
     steering = np.array([0.1, 0.2])
     measured = {"visual": np.array([0.1, 0.1]), "lidar": np.array([0.1, np.nan])}

@@ -50,24 +50,6 @@ def test_interval_draws_blocks_within_drives_only() -> None:
     assert interval.nmse_interval(steering, predicted, drive, block=500, samples=500, seed=0) == (low, high)
 
 
-def test_a_short_drive_does_not_shorten_the_blocks_of_a_long_one() -> None:
-    rng = np.random.default_rng(0)
-    error = np.repeat(rng.normal(size=30), 20)  # correlated over 20 frames
-    steering = np.ones(600)
-    alone = interval.nmse_interval(steering, 1 + error, np.zeros(600), 100, 2000, seed=0)
-    drive = np.concatenate([np.zeros(600), np.ones(2)])
-    joined = interval.nmse_interval(np.ones(602), np.append(1 + error, [1, 1]), drive, 100, 2000, seed=0)
-    assert joined == pytest.approx(alone, rel=0.1)
-
-
-def test_the_memory_of_the_bootstrap_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(0)
-    steering, drive = rng.normal(size=300), np.zeros(300)
-    at_once = interval.nmse_interval(steering, steering + 0.3, drive, 20, 500, seed=0)
-    monkeypatch.setattr(interval, "_DRAWS_AT_ONCE", 40)
-    assert interval.nmse_interval(steering, steering + 0.3, drive, 20, 500, seed=0) == at_once
-
-
 def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
     rng = np.random.default_rng(0)
     steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)

@@ -1,7 +1,6 @@
 """Paths of predicted steering: restarts and drift."""
 
 import tarfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,41 +62,17 @@ def test_a_step_uses_speed_and_angle_of_its_end() -> None:
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [1 + 2 * np.cos(0.1), 2 * np.sin(0.1)]])
 
 
-def test_in_the_papers_formula_the_angle_is_the_heading() -> None:
-    bend = replace(track(0.1, 50), formula="paper")
-    whole = bend.path(bend.steering_rad, 0, STEPS)
-    np.testing.assert_allclose(bend.path(bend.steering_rad, 40, 70), whole[40:70], atol=1e-9)
-    off = drift([(bend, np.full(STEPS, 0.13))])
-    assert off == pytest.approx(100 * 2 * np.sin(0.03 / 2))
-
-
-# Metres off per 100 m, mean over pieces of 100 m, of the drives that miss 1, and why: "beside" is what their positions
-# and the integral of their own velocities, north and east, are apart.
-MISSED = {
-    "2011_09_26_drive_0022": 1.37,  # 4 satellites at times; 1.6 m beside
-    "2011_09_26_drive_0023": 1.11,  # 6 satellites at times; 1.0 m beside
-    "2011_09_26_drive_0029": 1.11,  # it goes 0.6 deg to one side of where oxts says that it looks
-    "2011_09_26_drive_0087": 2.57,  # no satellite at times; 1.5 m beside
-    "2011_09_26_drive_0091": 1.46,  # 0.5 deg to one side; at 6 m/s, a yaw rate off by 0.02 deg/s adds up
-    "2011_09_26_drive_0093": 115.35,  # GNSS found its place, 44 m off, on the way; 93 m beside
-    "2011_10_03_drive_0027": 1.36,  # nine gaps of 1.5 s, filled in by straight lines, three in bends of 40 to 60 deg
-}
-
-
 @pytest.mark.slow
 @pytest.mark.real
 def test_paths_of_true_angles_follow_gnss(real_kitti: Path, tmp_path: Path) -> None:
     """Label, sign and integration at once: GNSS positions are a second route to where the car went."""
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         archive.extractall(tmp_path, filter="data")
-    drives = {path.name.removesuffix("_sync"): RawDrive(path) for path in sorted(tmp_path.glob("*/*_sync"))}
-    off = {drive: off_the_track(raw) for drive, raw in drives.items() if len(raw.oxts) > 300}
-    assert {drive for drive, pieces in off.items() if not len(pieces)} == {  # they drive 49 and 71 m
-        "2011_09_26_drive_0057", "2011_09_28_drive_0002"
-    }  # fmt: skip
-    means = {drive: float(pieces.mean()) for drive, pieces in off.items() if len(pieces)}
+    drives = [RawDrive(path) for path in sorted(tmp_path.glob("*/*_sync"))]
+    means = [pieces.mean() for drive in drives if len(drive.oxts) > 300 and len(pieces := off_the_track(drive))]
     assert len(means) == 30
-    assert {drive: mean for drive, mean in means.items() if mean > 1} == pytest.approx(MISSED, abs=0.01)
+    assert sum(mean > 1 for mean in means) == 7  # lost satellites, gaps, or a heading off by half a degree
+    assert sorted(means)[-2] < 3  # one drive has no place at first: 44 m off
 
 
 def off_the_track(raw: RawDrive) -> np.ndarray:

@@ -34,14 +34,3 @@ def test_a_row_per_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert [row[6] for row in rows] == ["1"] * 11 + ["0"] + ["1"] * 6
     assert [number for number, row in enumerate(rows) if row[7] == "1"] == [4]
     assert [row[8] for row in rows] == ["0.250000"] * 9 + [""] * 9
-
-
-def test_with_a_horizon_angles_are_those_of_a_later_frame(tmp_path: Path) -> None:
-    artefacts.write_dataset(tmp_path, {NAMES[0]: "test"}, frames=9, points=20)
-    folders = (tmp_path / "graphs/semantic", tmp_path / "labels")
-    (drive,) = windows.read_drives(*folders, NAMES[:1], 4, 3)
-    (now,) = windows.read_drives(*folders, NAMES[:1], 4)
-    predictions.write(tmp_path / "predictions.csv", [(drive, Prediction(np.zeros(9)))])
-    rows = read(tmp_path / "predictions.csv")[1:]
-    assert [float(row[4]) for row in rows[:6]] == pytest.approx(now.steering_rad[3:], abs=1e-9)
-    assert [(row[1], row[4], row[6]) for row in rows[6:]] == [(str(number), "", "0") for number in (6, 7, 8)]

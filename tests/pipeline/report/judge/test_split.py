@@ -1,4 +1,4 @@
-"""Metrics of a split: counted frames, parts of the split, sizes of its graphs."""
+"""Metrics of a split: counted frames, drives, odometry."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.params import load
-from pipeline.report.judge import decisions, split
+from pipeline.report.judge import split
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import windows
 from pipeline.train.predict import Prediction
@@ -87,35 +87,3 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
     found = baselines()
     assert [found["by_drive"][name]["baselines"]["odometry_lidar"]["nmse"] is None for name in NAMES] == [False, True]
     assert found["baselines"]["odometry_lidar"]["nmse"] is None
-
-
-def test_frames_near_decisions_are_left_out_of_one_score(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (first, _) = drives(tmp_path)
-    near = np.arange(30) < 10
-    monkeypatch.setattr(decisions, "near", lambda drive: near)
-    found = metrics([case(first, np.where(near, 0.0, first.steering_rad))])
-    assert found["nmse"] > 0
-    assert (found["without_decisions"]["frames"], found["without_decisions"]["nmse"]) == (20, 0)
-    assert found["without_decisions"]["baselines"]["zero"]["frames"] == 20
-    monkeypatch.setattr(decisions, "near", lambda drive: np.ones(30, bool))
-    assert metrics([case(first, np.zeros(30))])["without_decisions"]["nmse"] is None
-
-
-def test_sizes_are_means_or_none(tmp_path: Path) -> None:
-    sizes = split.sizes(drives(tmp_path / "graphs"))
-    assert sizes["points_per_frame"] == 40
-    assert 0 < sizes["edges_per_frame"] < sizes["edges_per_frame_unpruned"]
-    images = split.sizes(drives(tmp_path / "images", artefacts.write_images))
-    assert set(images.values()) == {None}
-
-
-def test_drift_uses_the_formula_of_the_params(tmp_path: Path) -> None:
-    cases = [case(drive, drive.steering_rad + 0.03) for drive in drives(tmp_path)]
-    settings = load(Evaluate, PARAMS)
-    assert settings.path == "bicycle"
-    bicycle, paper = (
-        split.metrics(cases, settings.model_copy(update={"path": path}))["drift_m_per_100m"]
-        for path in ("bicycle", "paper")
-    )
-    assert paper == pytest.approx(100 * 2 * np.sin(0.03 / 2), rel=0.01)  # on almost straight road
-    assert bicycle > 2 * paper

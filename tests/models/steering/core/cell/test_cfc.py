@@ -73,15 +73,3 @@ def test_equals_ncps_forward_and_gradients(motor):
         torch.testing.assert_close(of_w, of_matrix.flatten()[layer.weight.place], **TOLERANCE)
         torch.testing.assert_close(of_bias, torch.cat(heads[1::2]), **TOLERANCE)
         assert of_w.abs().min() > 0
-
-
-def test_wiring_limits_the_inputs_of_f_and_g():
-    """The gates a and b get all inputs, as in ncps."""
-    wiring = ncp(5)
-    cell = CfC(wiring)
-    synapses = torch.from_numpy(wiring.sensory[:, 7:] != 0)  # [D, inter]
-    f, g, a, b = cell.inter.weight.dense()[:5].ne(0).chunk(4, dim=1)
-    assert torch.equal(f, synapses)
-    assert torch.equal(g, synapses)
-    assert a.all()
-    assert b.all()

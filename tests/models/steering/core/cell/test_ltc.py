@@ -85,26 +85,3 @@ def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
 def test_explicit_gradients():
     torch.manual_seed(0)
     assert torch.autograd.gradcheck(lambda *of: Unfolded.apply(*of, 3), inputs_of_steps(windows=2, frames=2))
-
-
-def test_state_decays_over_a_long_pause():
-    cell = LTC(ncp(4)).double()
-    sensed = cell.sense(torch.randn(1, 1, 4, dtype=torch.float64))
-    one, two = (torch.rand(1, 19, dtype=torch.float64) for _ in range(2))
-
-    def after(dt_s, state):
-        return cell(sensed, torch.tensor([[dt_s]], dtype=torch.float64), (state,))[1][0]
-
-    torch.testing.assert_close(after(1e-9, one), one, rtol=0, atol=1e-6)
-    assert (after(60.0, one) - after(60.0, two)).abs().max() < 0.1 * (one - two).abs().max()
-
-
-def test_initial_values_are_those_of_ncps():
-    cell = LTC(ncp(32))
-    for parameter, low, high in [
-        (cell.sensory.w, 0.001, 1), (cell.internal.w, 0.001, 1), (cell.capacity, 0.4, 0.6), (cell.leak, 0.001, 1),
-    ]:  # fmt: skip
-        positive = torch.nn.functional.softplus(parameter)
-        assert positive.min() >= low - 1e-6
-        assert positive.max() <= high + 1e-6
-    assert cell.internal.erev.abs().eq(1).all()

@@ -1,6 +1,7 @@
 import json
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import yaml
@@ -129,7 +130,13 @@ def test_a_missing_input_is_one_error_with_a_command(folder: Path, stage: str) -
 
 
 def test_measured_motion_is_scored_against_oxts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Ground truth is 8 m/s straight on; measured are 8.8 m/s, and nothing in the first frame."""
+    """Ground truth is 8 m/s straight on; measured are 8.8 m/s, and nothing in the first frame.
+
+    A drive also has recorded angles, of which the measured ones differ by a tenth.
+    """
+    angle = float(np.arctan(2.7 * 0.01 / 8.8)) / 1.1
+    with h5py.File(folder / f"ingest/{LIDAR}.h5", "a") as file:
+        file["steering_rad"], file["has_steering"] = np.full(5, angle), np.ones(5, np.uint8)
     for drive in SPLITS:
         with (
             store.DriveReader(folder / "perception" / f"{drive}.h5", stage="perception") as perceived,
@@ -144,7 +151,12 @@ def test_measured_motion_is_scored_against_oxts(folder: Path, capsys: pytest.Cap
             motion.put("valid", valid.astype(np.uint8))
     store.write_index(folder / "motion/visual", SPLITS)
     kinds.write(folder / "motion", ["visual"])
-    scores, out = run(folder)["motion"]["visual"], folder / "scores"
+    motion, out = run(folder)["motion"], folder / "scores"
+    scores = motion["visual"]
+    assert set(motion) == {"visual", "wheel", "visual-wheel"}
+    assert motion["wheel"]["test"]["valid"] == 1
+    assert motion["visual-wheel"]["train"] is None
+    assert motion["visual-wheel"]["test"]["nmse"] == pytest.approx(0.01, rel=1e-3)
     assert scores["test"] == {
         "drives": 1,  # the blind one has no frames
         "frames": 5,

@@ -8,12 +8,12 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.camera.footage import open_footage
 from pipeline.recording.clock import check_overlap, coverage, read_times, timed
-from pipeline.recording.track import Rates
 from tests.footage import pictures, write_folder, write_video
+from tests.kitti_drive import write_png
 
 
-def sampled(*time_s: float) -> Rates:
-    return Rates(np.array(time_s, float), np.zeros(len(time_s)), np.zeros(len(time_s)))
+def sampled(*time_s: float) -> np.ndarray:
+    return np.array(time_s, float)
 
 
 def test_images_between_close_samples_are_usable() -> None:
@@ -30,11 +30,11 @@ def test_images_between_close_samples_are_usable() -> None:
 
 
 def test_overlap() -> None:
-    check_overlap(sampled(5, 9), 0, 5)
-    check_overlap(sampled(5, 9), 9, float("inf"))
+    check_overlap("motion", sampled(5, 9), 0, 5)
+    check_overlap("motion", sampled(5, 9), 9, float("inf"))
     for span, offset in (((0, 4.9), "-5.000"), ((9.1, 12), "+4.100")):
         with pytest.raises(InputError) as raised:
-            check_overlap(sampled(5, 9), *span)
+            check_overlap("motion", sampled(5, 9), *span)
         assert f"--offset by {offset}" in raised.value.fix
 
 
@@ -68,3 +68,12 @@ def test_times_of_images(tmp_path: Path) -> None:
     with pytest.raises(InputError) as raised:
         list(timed(folder, None))
     assert "--fps" in raised.value.fix
+
+
+def test_names_in_nanoseconds_are_times(tmp_path: Path) -> None:
+    stamps = [1479424215880976321, 1479424215930976321, 1479424216040976321]
+    for stamp, image in zip(stamps, pictures(3), strict=True):
+        write_png(tmp_path / f"{stamp}.png", image)
+    seconds = [time_s for time_s, _ in timed(open_footage(tmp_path), None)]
+    assert seconds == pytest.approx([0, 0.05, 0.16], abs=1e-12)
+    assert [time_s for time_s, _ in timed(open_footage(tmp_path, fps=4), None)] == [0, 0.25, 0.5]

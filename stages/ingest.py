@@ -114,8 +114,8 @@ def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", raw.oxts_times.parent, fix)
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
-    kept = list(packets or range(len(numbers)))
-    frames, time_s = [numbers[row] for row in kept], oxts.read_times(times, numbers)[kept]
+    rows = list(packets or range(len(numbers)))
+    frames, time_s = [numbers[row] for row in rows], oxts.read_times(times, numbers)[rows]
     counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
     file.attrs["camera"] = camera.number if camera else -1
     put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
@@ -125,11 +125,11 @@ def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
         crop = crop_to(camera.size, settings.image_size, camera.K)
         put_camera(file, scale_K(crop.K(camera.K), crop.size, settings.image_size), camera.T_cam_velo)
     for name, pixels in PIXELS.items():
-        rows = None
+        arrays = None
         if camera and name in images:
             read = partial(pixels.read, size=camera.size, new_size=settings.image_size, crop=crop)
-            rows = reader.each(name, read, images[name], frames)
-        counts[name] = put_pixels(file, name, len(frames), settings.image_size, rows)
+            arrays = reader.each(name, read, images[name], frames)
+        counts[name] = put_pixels(file, name, len(frames), settings.image_size, arrays)
     counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
     others = (set(images.get("image", {})) | set(scans)) - set(numbers)
     return counts | {

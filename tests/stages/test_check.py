@@ -79,6 +79,8 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
         (f"{MODEL}.semantics", 1.5, "semantics"),
         (f"{MODEL}.width", 0.25, "width"),
         (f"{MODEL}.motion", "lidar", r"motion\.kinds has only visual"),
+        ("labels.source", "lidar", r"labels\.source: motion\.kinds has only visual"),
+        ("labels.source", "gps", r"labels\.source"),
         ("graphs.lidar.accumulate", {"motion": "lidar", "frames": 2}, r"lidar\.accumulate\.motion"),
         (f"{MODEL}.motion", "gps", "motion"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),

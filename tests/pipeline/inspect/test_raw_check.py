@@ -162,6 +162,12 @@ def test_missing_packets_or_timestamps(folder: Path) -> None:
     (folder / "oxts/data").rmdir()
     (folder / "oxts").rmdir()
     assert check(folder).problems == ["oxts: folder is missing"]
+    (problem,) = raw_check.check(folder, (2, 0), True, False, oxts=False).problems
+    assert "image_02/timestamps.txt" in problem
+    (folder / "image_02/timestamps.txt").write_text(
+        "".join(f"2011-09-26 13:02:{second}\n" for second in range(10, 10 + FRAMES))
+    )
+    assert raw_check.check(folder, (2, 0), True, False, oxts=False).problems == []
 
 
 @pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])

@@ -11,7 +11,7 @@ from pipeline.base.store import DriveReader
 from pipeline.kitti.oxts import VF, WU
 from pipeline.label import steering_labels
 
-_OTHERS = "Set labels.source in params.yaml to visual (or lidar, or wheel), or remove the drive from ingest.drives"
+_OTHERS = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
 
 
 class Labels(NamedTuple):
@@ -48,7 +48,7 @@ def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mappi
     """
     if source in ("oxts", "wheel") and source not in recorded(raw):
         lacking = {"oxts": "no oxts", "wheel": "no recorded steering angles (steering.csv)"}[source]
-        raise InputError(f"drive {raw.drive} has {lacking}, which labels.source: {source} needs", fix=_OTHERS)
+        raise InputError(f"drive has {lacking}, which labels.source: {source} needs", raw.path, _OTHERS)
     rates = source
     if source == "wheel":
         rates = next((kind for kind in ("oxts", "visual", "lidar") if kind in (*motions, *recorded(raw))), "")

@@ -11,8 +11,9 @@ from pipeline.base.params import load
 from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.geometry import scale_K
-from pipeline.kitti import oxts
-from pipeline.kitti.ingest_file import PIXELS, put_camera, put_motion, put_pixels, put_scans
+from pipeline.camera.images import crop_to
+from pipeline.kitti import oxts, steering_file
+from pipeline.kitti.ingest_file import PIXELS, put_camera, put_motion, put_pixels, put_scans, put_steering
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from pipeline.kitti.tolerant import TolerantReader
 from pipeline.sections.ingest import Ingest
@@ -30,7 +31,7 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Read oxts, images, LiDAR scans, calibration and dense ground truth of raw drives by frame number.
+    """Read oxts, steering angles, images, LiDAR scans, calibration and dense ground truth of raw drives.
 
     Returns the stage's folder.
     """
@@ -63,12 +64,12 @@ def main(
         list(splits),
         out=out,
         key=key,
-        frames=lambda drive: len(drives[drive].oxts),
+        frames=lambda drive: len(drives[drive].oxts) or max(len(drives[drive].images(n)) for n in settings.cameras),
         workers=workers,
         describe=describe,
     )
     store.write_index(out, splits)
-    for name, plural in (("image", "images"), ("lidar", "scans")):
+    for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
         lacking = [drive for drive, summary in summaries.items() if not summary[name]]
         if lacking:
             print(f"no {plural}: {'all drives' if len(lacking) == len(splits) else ', '.join(lacking)}")
@@ -97,7 +98,7 @@ def _ingest(
 
 
 def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
-    """Write the frames of a drive that have an oxts packet; others would have no label."""
+    """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image."""
     scans = raw.scans if settings.lidar else {}
     camera = raw.camera(settings.cameras)
     if scans and (camera is None or camera.T_cam_velo is None):
@@ -107,29 +108,33 @@ def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
     images = {name: files for name, files in images.items() if files}
     reader = TolerantReader(tolerant=settings.on_damaged == "skip", passes=2 + len(images))
 
-    numbers = list(raw.oxts)
+    numbers, times = raw.timeline(camera.number if camera else None)
     packets = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers))
-    if not packets:
-        raise InputError("drive has no oxts packets, which labels need", raw.folder / "oxts" / "data", "Extract it")
-    frames = [numbers[row] for row in packets]
-    # Lines of timestamps.txt correspond to existing packets, including damaged ones.
-    time_s = oxts.read_times(raw.oxts_times, numbers)[list(packets)]
+    if not packets and (raw.oxts or not numbers or raw.oxts_times.parent.is_dir()):
+        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
+        raise InputError("drive has no oxts packets", raw.oxts_times.parent, fix)
+    # Lines of timestamps.txt correspond to existing files, including damaged ones.
+    rows = list(packets or range(len(numbers)))
+    frames, time_s = [numbers[row] for row in rows], oxts.read_times(times, numbers)[rows]
+    counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
     file.attrs["camera"] = camera.number if camera else -1
-    put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())))
+    put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
+    if raw.steering.is_file():
+        counts["steering"] = put_steering(file, frames, steering_file.read(raw.steering))
     if camera:
-        put_camera(file, scale_K(camera.K, camera.size, settings.image_size), camera.T_cam_velo)
-    counts = {"frames": len(frames)}
+        crop = crop_to(camera.size, settings.image_size, camera.K)
+        put_camera(file, scale_K(crop.K(camera.K), crop.size, settings.image_size), camera.T_cam_velo)
     for name, pixels in PIXELS.items():
-        rows = None
+        arrays = None
         if camera and name in images:
-            read = partial(pixels.read, size=camera.size, new_size=settings.image_size)
-            rows = reader.each(name, read, images[name], frames)
-        counts[name] = put_pixels(file, name, len(frames), settings.image_size, rows)
+            read = partial(pixels.read, size=camera.size, new_size=settings.image_size, crop=crop)
+            arrays = reader.each(name, read, images[name], frames)
+        counts[name] = put_pixels(file, name, len(frames), settings.image_size, arrays)
     counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
-    unlabelled = (set(images.get("image", {})) | set(scans)) - set(raw.oxts)
+    others = (set(images.get("image", {})) | set(scans)) - set(numbers)
     return counts | {
         "camera": camera.number if camera else None,
-        "without_oxts": len(unlabelled),
+        "left_out": len(others),
         "damaged": dict(reader.damaged),
     }
 
@@ -141,8 +146,10 @@ def describe(summary: Summary) -> str:
         text += f", camera {summary['camera']}"
     if summary["depth"] or summary["cls"]:
         text += ", ground truth: {depth} depth, {cls} classes".format_map(summary)
-    if summary["without_oxts"]:
-        text += f", {summary['without_oxts']} without an oxts packet left out"
+    if summary["steering"]:
+        text += f", {summary['steering']} steering angles"
+    if summary["left_out"]:
+        text += f", {summary['left_out']} without an {'oxts packet' if summary['oxts'] else 'image'} left out"
     for kind, number in summary["damaged"].items():
         text += f", {number} damaged {kind} left out"
     return text

@@ -1,19 +1,24 @@
-"""Compute steering labels from oxts, and statistics of their plausibility."""
+"""Compute steering labels from the source that params.yaml names, and statistics of their plausibility."""
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from pipeline import label
+import numpy as np
+
+from pipeline import label, label_sources
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
-from pipeline.kitti.oxts import VF, VL, WU
+from pipeline.kitti.oxts import VL
+from pipeline.motion import kinds
 from pipeline.sections.labels import Labels
 
 
 def main(
     ingest: Path = Path("data/ingest"),
+    motion: Path = Path("data/motion"),
     out: Path = Path("data/labels"),
     params: Path = Path("params.yaml"),
 ) -> Path:
@@ -23,12 +28,14 @@ def main(
     """
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
+    motions = {} if settings.source == "oxts" else kinds.read(motion)
 
     def key(drive: str) -> str:
-        return stage_key("labels", {"drive": drive, **settings.model_dump(mode="json")}, [ingest / f"{drive}.h5"])
+        inputs = [folder / f"{drive}.h5" for folder in (ingest, *motions.values())]
+        return stage_key("labels", {"drive": drive, **settings.model_dump(mode="json")}, inputs)
 
     summaries = run_over_drives(
-        partial(label_drive, ingest=ingest, settings=settings),
+        partial(label_drive, ingest=ingest, motions=motions, settings=settings),
         list(splits),
         out=out,
         key=key,
@@ -43,18 +50,14 @@ def main(
     return out
 
 
-def label_drive(drive: str, path: Path, ingest: Path, settings: Labels) -> Summary:
+def label_drive(drive: str, path: Path, ingest: Path, motions: Mapping[str, Path], settings: Labels) -> Summary:
     """Write one drive's labels and return their plausibility statistics."""
+    rule = settings.model_dump(exclude={"source"})
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
-        frame, time_s, oxts = raw.frame, raw.time_s, raw["oxts"]
-    speed_mps, yaw_rate_radps = oxts[:, VF], oxts[:, WU]
-    steering_rad, valid = label.steering_labels(
-        yaw_rate_radps,
-        speed_mps,
-        wheelbase_m=settings.wheelbase_m,
-        min_speed_mps=settings.min_speed_mps,
-        standstill=settings.standstill,
-    )
+        frame, time_s = raw.frame, raw.time_s
+        steering_rad, valid, *rates = label_sources.read(settings.source, raw, motions, rule)
+        sideways_mps = raw["oxts"][:, VL] if settings.source == "oxts" else np.zeros(len(frame))
+    speed_mps, yaw_rate_radps = (np.nan_to_num(rate) for rate in rates)
     with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
         label.write(
             file,
@@ -66,7 +69,7 @@ def label_drive(drive: str, path: Path, ingest: Path, settings: Labels) -> Summa
             yaw_rate_radps=yaw_rate_radps,
             wheelbase_m=settings.wheelbase_m,
         )
-    return label.plausibility(steering_rad, valid, speed_mps, oxts[:, VL], time_s)
+    return label.plausibility(steering_rad, valid, speed_mps, sideways_mps, time_s)
 
 
 def describe(summary: Summary) -> str:

@@ -1,13 +1,15 @@
-"""Stage scores: errors of depth, classes and measured motion against the ground truth of the drives."""
+"""Stage scores: errors of depth, classes and measured motion against what the drives recorded."""
 
 from collections.abc import Generator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline import label_sources
 from pipeline.base import console, store
 from pipeline.base.params import SPLITS, load
 from pipeline.base.progress import track
@@ -15,7 +17,6 @@ from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.encoder.truth import Truth, read_truth, visible
-from pipeline.kitti.oxts import VF, WU
 from pipeline.motion import kinds
 from pipeline.perception import motion_scores
 from pipeline.perception.scores import Scores, summary_line
@@ -32,19 +33,19 @@ def main(
 ) -> Path:
     """Write metrics.json with the scores of each split, and <drive>/metrics.json with those of each drive.
 
-    The key ``motion`` holds the scores of each kind of measured motion; angles and valid frames are defined as in the
-    labels. Returns the output folder.
+    The key ``motion`` holds the scores of each kind of measured motion, and of recorded steering angles; angles and
+    valid frames are defined as in the labels. Returns the output folder.
     """
     labels = load(Labels, params)
-    car = {"wheelbase_m": labels.wheelbase_m, "min_speed_mps": labels.min_speed_mps}
+    rule = {"wheelbase_m": labels.wheelbase_m, "min_speed_mps": labels.min_speed_mps, "standstill": "invalid"}
     splits = store.read_index(perception, stage="perception")
     motions = kinds.read(motion)
 
     def key(drive: str) -> str:
         inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, *motions.values())]
-        return stage_key("scores", {"drive": drive, "motion": list(motions), **car}, inputs)
+        return stage_key("scores", {"drive": drive, "motion": list(motions), **rule}, inputs)
 
-    score_motion = partial(_score_motion, ingest=ingest, motions=motions, car=car)
+    score_motion = partial(_score_motion, ingest=ingest, motions=motions, rule=rule)
     summaries = run_over_drives(
         partial(_score_drive, ingest=ingest, perception=perception, score_motion=score_motion),
         list(splits),
@@ -55,7 +56,11 @@ def main(
         frames=lambda drive: _count(perception / f"{drive}.h5"),
         describe="{frames} frames, {line}".format_map,
     )
-    content: dict[str, Any] = {"motion": {kind: {} for kind in motions}}
+    motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
+    kinds_scored = dict.fromkeys(kind for figures in motion_scored.values() for kind in figures)
+    content: dict[str, Any] = {
+        "motion": {kind: {split: motion_scored[split].get(kind) for split in SPLITS} for kind in kinds_scored}
+    }
     for split in SPLITS:
         drives = store.drives_in(splits, split)
         scores = Scores()
@@ -63,8 +68,7 @@ def main(
             scores.add_sums(summaries[drive]["sums"])
         content[split] = scores.report()
         print(f"scores, {split}: {summary_line(content[split])}", flush=True)
-        for kind, figures in score_motion(drives).items():
-            content["motion"][kind][split] = figures
+        for kind, figures in motion_scored[split].items():
             print(f"{kind} motion, {split}: {motion_scores.summary_line(figures)}", flush=True)
     store.write_json(out / "metrics.json", content)
     return out
@@ -104,21 +108,27 @@ def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[
 
 
 def _score_motion(
-    drives: list[str], *, ingest: Path, motions: Mapping[str, Path], car: Mapping[str, float]
+    drives: list[str], *, ingest: Path, motions: Mapping[str, Path], rule: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return kind → scores of the measured motion of `drives` against oxts, matched by frame number."""
+    """Return kind → scores of labels from measured motion, and from steering angles, against oxts.
+
+    ``<kind>-wheel``: against steering angles. Only what the `drives` recorded is compared.
+    """
     errors: dict[str, list[motion_scores.Errors]] = {kind: [] for kind in motions}
-    for kind, folder in motions.items():
-        for drive in drives:
-            with (
-                store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
-                store.DriveReader(folder / f"{drive}.h5", stage="motion") as measured,
-            ):
-                oxts = source["oxts"][np.searchsorted(source.frame, measured.frame)]
-                yaw_rate_radps, speed_mps, valid = (measured[name] for name in ("yaw_rate_radps", "speed_mps", "valid"))
-                drive_errors = motion_scores.errors(yaw_rate_radps, speed_mps, valid, oxts[:, WU], oxts[:, VF], **car)
-                errors[kind].append(drive_errors)
-    return {kind: motion_scores.score(errors[kind]) for kind in motions}
+    for drive in drives:
+        with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
+            references = label_sources.recorded(raw)
+            labels = {kind: label_sources.read(kind, raw, motions, rule) for kind in (*motions, *references)}
+            rows = {"wheel": np.flatnonzero(raw["has_steering"])} if "wheel" in references else {}
+            for kind, folder in motions.items():
+                with store.DriveReader(folder / f"{drive}.h5", stage="motion") as measured:
+                    rows[kind] = np.searchsorted(raw.frame, measured.frame)
+        for reference, kind in product(references, rows):
+            if kind != reference:
+                name = kind if reference == "oxts" else f"{kind}-{reference}"
+                pair = labels[kind].at(rows[kind]), labels[reference].at(rows[kind])
+                errors.setdefault(name, []).append(motion_scores.errors(*pair))
+    return {kind: motion_scores.score(found) for kind, found in errors.items()}
 
 
 if __name__ == "__main__":

@@ -70,7 +70,8 @@ def _check_drives(root: Path, project: "Project | None", deep: bool) -> "list[Dr
     from pipeline.inspect import raw_check
 
     ingest = project.ingest if project else None
-    return raw_check.check_root(root, ingest.cameras if ingest else _ALL_CAMERAS, not ingest or ingest.lidar, deep)
+    cameras, lidar = (ingest.cameras, ingest.lidar) if ingest else (_ALL_CAMERAS, True)
+    return raw_check.check_root(root, cameras, lidar, deep, oxts=not project or project.needs_oxts)
 
 
 def _missing_drives(

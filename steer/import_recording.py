@@ -17,14 +17,21 @@ if TYPE_CHECKING:  # heavy imports wait until the command runs, so that --help i
 
     from pipeline.camera.footage import Footage
     from pipeline.recording.clock import Coverage
-    from pipeline.recording.motion_log import MotionLog
-    from pipeline.recording.track import Rates
+    from pipeline.recording.motion_log import MotionLog, WheelLog
 
 
 def import_recording(
     source: Annotated[Path, typer.Argument(help="video, or folder of PNG or JPEG images; undistorted")],
-    motion: Annotated[Path, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA")],
     drive: Annotated[str, typer.Option(help="name of the drive, for instance 2027_03_31_drive_0001")],
+    motion: Annotated[
+        Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA")
+    ] = None,
+    wheel: Annotated[
+        Path | None, typer.Option(help="CSV with wheel_rad (steering wheel, left +), and time_s or frame")
+    ] = None,
+    steering_ratio: Annotated[
+        float | None, typer.Option(help="angle of the steering wheel / angle of the front wheels, 1 to 50")
+    ] = None,
     out: Annotated[Path, typer.Option(help="root in KITTI raw's layout; stage ingest reads data/raw")] = Path(
         "data/raw"
     ),
@@ -33,77 +40,109 @@ def import_recording(
     K: Annotated[str | None, typer.Option("--K", help="intrinsics: fx,fy,cx,cy in pixels")] = None,
     times: Annotated[Path | None, typer.Option(help="times of the images: seconds, one per line")] = None,
     fps: Annotated[float | None, typer.Option(help="times of the images: images per second, 0.01 to 1000")] = None,
-    offset: Annotated[float, typer.Option(help="seconds to add to the motion's times")] = 0.0,
+    offset: Annotated[float, typer.Option(help="seconds to add to the times of motion and wheel")] = 0.0,
     max_gap: Annotated[float, typer.Option(help="longest interval between samples to interpolate over, s")] = 2.0,
     force: Annotated[bool, typer.Option("--force", help="replace an existing drive")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Convert a video, or a folder of images, and the car's speed and yaw rate to a drive in KITTI raw's layout.
+    """Convert a video, or a folder of images, to a drive in KITTI raw's layout.
 
-    Speed and yaw rate are interpolated linearly at the images' times, which count from the first image. Images without
-    motion are left out. A GPX or NMEA track has times in seconds since 1970 (UTC); its speeds and courses are smoothed
-    over a second or more. One fix per second flattens bends: prefer the car's own log, or a receiver with 5 Hz that
-    reports velocities. Then set ingest.source: kitti in params.yaml, add the drive to ingest.drives, and run dvc repro.
+    Times count from the first image; images of a folder may be named by timestamps in ns. With --motion, speed and yaw
+    rate are interpolated linearly at the images' times, and images without motion are left out. Without it, labels come
+    from the images (labels.source: visual in params.yaml) or, with --wheel, from these angles (labels.source: wheel).
 
-    Example: steer import drive.mp4 --motion can.csv --fov 78 --offset 0.35 --drive 2027_03_31_drive_0001
+    A GPX or NMEA track has times in seconds since 1970 (UTC); its speeds and courses are smoothed over a second or
+    more. One fix per second flattens bends: prefer the car's own log, or a receiver with 5 Hz that reports velocities.
+
+    \b
+    steer import drive.mp4 --fov 78 --drive 2027_03_31_drive_0001
+    steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
+    steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
     """
     from pipeline.base.atomic import replacing
     from pipeline.base.lock import exclusive
     from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import intrinsics
     from pipeline.recording import clock, layout
-    from pipeline.recording.motion_log import read_motion
+    from pipeline.recording.motion_log import read_motion, read_wheel
 
     output = Output(quiet, as_json)
-    _check_paths(source, motion, out, calib, times)
+    _check_paths(source, motion, wheel, out, calib, times)
     _check_range("--fps", fps, 0.01, 1000)
     _check_range("--offset", offset, -1e10, 1e10)
     _check_range("--max-gap", max_gap, 0, 3600)
+    _check_range("--steering-ratio", steering_ratio, 1, 50)
+    if (wheel is None) != (steering_ratio is None):
+        fix = "Pass both: a ratio of 1 takes angles of the front wheels"
+        raise InputError("expected --wheel together with --steering-ratio", fix=fix)
     if times and fps:
         raise InputError("expected one source of the images' times, got two", fix="Pass --times or --fps")
     folder = layout.drive_folder(out, drive)
     _check_absent(folder, force)
-    log = read_motion(motion, offset)
+    log = read_motion(motion, offset) if motion else None
+    angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
     footage = open_footage(source, fps)
     matrix = intrinsics(footage.size, calib=calib, fov_deg=fov, K=K)
     times_s = clock.read_times(times) if times else None
-    clock.check_overlap(log.rates, *_span(footage, times_s))
+    if log:
+        clock.check_overlap("motion", log.rates.time_s, *_span(footage, times_s))
+    if angles and angles.time_s is not None:
+        clock.check_overlap("wheel angles", angles.time_s, *_span(footage, times_s))
 
     # One lock per date, as its drives share a calibration.
     with exclusive(folder.parent, out / ".import" / drive[:10]), replacing(folder) as unfinished:
         _check_absent(folder, force)
         calibrated = layout.check_calibration(folder, footage.size, matrix, force)
-        time_s, covered = _write(unfinished, footage, times_s, log, max_gap, output)
+        time_s, usable, recorded = _write(unfinished, footage, times_s, log, angles, max_gap, output)
         if not calibrated:
             layout.write_calibration(folder, footage.size, matrix)
 
-    summary = {"drive": drive} | _summary(folder, footage, time_s, covered)
-    for line in _lines(log.source, summary):
+    covered = clock.coverage(log.rates.time_s, time_s, max_gap) if log else None
+    summary = {"drive": drive} | _summary(folder, footage, time_s[usable], len(time_s), covered)
+    summary |= {"motion": log.source if log else None, "steering_angles": recorded}
+    for line in _lines(summary):
         output.line(line)
-    output.result(summary | {"motion": log.source, "K": matrix.tolist()})
+    output.result(summary | {"K": matrix.tolist()})
 
 
 def _write(
-    folder: Path, footage: "Footage", times_s: "np.ndarray | None", log: "MotionLog", max_gap: float, output: Output
-) -> tuple["np.ndarray", "Coverage"]:
-    """Write the images that have motion, and their packets; return the times of all images and which are usable."""
+    folder: Path,
+    footage: "Footage",
+    times_s: "np.ndarray | None",
+    log: "MotionLog | None",
+    angles: "WheelLog | None",
+    max_gap: float,
+    output: Output,
+) -> tuple["np.ndarray", "np.ndarray", int]:
+    """Write the images, those that have motion if there is a log, with their packets and steering angles.
+
+    Returns the times of all images, which of them were written, and the number of angles.
+    """
     import numpy as np
 
     from pipeline.base.executors import default_workers
+    from pipeline.kitti import steering_file
     from pipeline.recording import clock, layout
     from pipeline.recording.packets import packets
 
     all_s: list[float] = []
-    images = _with_motion(footage, times_s, log.rates, max_gap, all_s, output)
+    images = _with_motion(footage, times_s, log, max_gap, all_s, output)
     layout.write_images(folder, images, threads=default_workers())
-    time_s = np.array(all_s)
-    covered = clock.coverage(log.rates, time_s, max_gap)
-    if not covered.usable.any():
+    time_s, recorded = np.array(all_s), {}
+    usable = clock.coverage(log.rates.time_s, time_s, max_gap).usable if log else np.ones(len(time_s), bool)
+    if not usable.any():
         raise InputError(f"no image lies between samples at most {max_gap:g} s apart", "--motion", "Raise --max-gap")
-    layout.write_packets(folder, packets(log.rates, time_s[covered.usable]), covered.usable, time_s)
-    return time_s, covered
+    if log:
+        layout.write_packets(folder, packets(log.rates, time_s[usable]), usable)
+    layout.write_times(folder, usable, time_s, (layout.IMAGES, "oxts") if log else (layout.IMAGES,))
+    if angles:
+        recorded = angles.at(time_s, usable, max_gap)
+        if not recorded:
+            raise InputError("no image has an angle", "--wheel", "Check its times or frames, or raise --max-gap")
+        steering_file.write(folder / steering_file.NAME, recorded)
+    return time_s, usable, len(recorded)
 
 
 def _check_paths(*paths: Path | None) -> None:
@@ -133,9 +172,17 @@ def _span(footage: "Footage", times_s: "np.ndarray | None") -> tuple[float, floa
 
 
 def _with_motion(
-    footage: "Footage", times_s: "np.ndarray | None", rates: "Rates", max_gap: float, all_s: list[float], output: Output
+    footage: "Footage",
+    times_s: "np.ndarray | None",
+    log: "MotionLog | None",
+    max_gap: float,
+    all_s: list[float],
+    output: Output,
 ) -> Iterator[tuple[int, "np.ndarray"]]:
-    """Yield number and pixels of the images that have motion, and append the times of all images to `all_s`."""
+    """Yield number and pixels of the images, of those that have motion if there is a `log`.
+
+    Appends the times of all images to `all_s`.
+    """
     import numpy as np
     from tqdm import tqdm
 
@@ -144,37 +191,48 @@ def _with_motion(
     with tqdm(total=footage.count, unit=" images", disable=not (output.visible and sys.stderr.isatty())) as bar:
         for time_s, image in clock.timed(footage, times_s):
             all_s.append(time_s)
-            if clock.coverage(rates, np.array([time_s]), max_gap).usable[0]:
+            if log is None or clock.coverage(log.rates.time_s, np.array([time_s]), max_gap).usable[0]:
                 yield image.number, image.image
             bar.update()
 
 
-def _summary(folder: Path, footage: "Footage", time_s: "np.ndarray", covered: "Coverage") -> dict[str, Any]:
-    usable_s = time_s[covered.usable]
-    return {
+def _summary(
+    folder: Path, footage: "Footage", usable_s: "np.ndarray", images: int, covered: "Coverage | None"
+) -> dict[str, Any]:
+    summary: dict[str, Any] = {
         "folder": str(folder),
-        "images": len(time_s),
+        "images": images,
         "frames": len(usable_s),
         "size": list(footage.size),
         "first_s": float(usable_s[0]),
         "last_s": float(usable_s[-1]),
-        "interpolated": covered.interpolated,
-        "largest_gap_s": covered.largest_gap_s,
-        "left_out": {"before": covered.before, "after": covered.after, "in_gaps": covered.in_gaps},
         "untimed_from": getattr(footage, "untimed_from", None),
     }
+    if covered:
+        left_out = {"before": covered.before, "after": covered.after, "in_gaps": covered.in_gaps}
+        gaps = {"interpolated": covered.interpolated, "largest_gap_s": covered.largest_gap_s}
+        summary |= gaps | {"left_out": left_out}
+    return summary
 
 
-def _lines(source: str, summary: dict[str, Any]) -> Iterator[str]:
+def _lines(summary: dict[str, Any]) -> Iterator[str]:
     """Yield the lines of the log."""
     height, width = summary["size"]
     images = "{drive}: {frames} of {images} images, {first_s:.3f} to {last_s:.3f} s".format_map(summary)
     yield f"{images}, {width} x {height} pixels, written to {summary['folder']}"
-    interpolated = "{interpolated} frames interpolated, samples up to {largest_gap_s:.3g} s apart".format_map(summary)
-    yield f"motion: {source}; {interpolated if summary['interpolated'] else 'a sample at each frame'}"
-    if summary["frames"] < summary["images"]:
-        left_out = "{before} before the first sample, {after} after the last, {in_gaps} in gaps"
-        yield f"left out, no motion: {left_out.format_map(summary['left_out'])}"
+    labels = "wheel" if summary["steering_angles"] else "visual"
+    if summary["steering_angles"]:
+        yield "{steering_angles} recorded steering angles".format_map(summary)
+    if summary["motion"]:
+        labels = "oxts"
+        gaps = "{interpolated} frames interpolated, samples up to {largest_gap_s:.3g} s apart".format_map(summary)
+        yield f"motion: {summary['motion']}; {gaps if summary['interpolated'] else 'a sample at each frame'}"
+        if summary["frames"] < summary["images"]:
+            left_out = "{before} before the first sample, {after} after the last, {in_gaps} in gaps"
+            yield f"left out, no motion: {left_out.format_map(summary['left_out'])}"
+    elif labels == "visual":
+        yield "no recorded motion: labels will come from the motion that stage motion measures in the images"
     if summary["untimed_from"] is not None:
         yield f"the video's timestamps end at image {summary['untimed_from']}; later times follow from its frame rate"
-    yield f"next: set ingest.source: kitti in params.yaml, add {summary['drive']} to ingest.drives, run dvc repro"
+    settings = f"ingest.source: kitti and labels.source: {labels}"
+    yield f"next: set {settings} in params.yaml, add {summary['drive']} to ingest.drives, run dvc repro"

@@ -91,7 +91,7 @@ def write_params(
     sections = {
         "ingest": {
             "source": "kitti",
-            "image_size": [32, 40],
+            "image_size": [36, 48],
             "cameras": [2, 0],
             "lidar": True,
             "on_damaged": "fail",

@@ -14,7 +14,7 @@ from dvc.utils.serialize import modify_yaml
 from pipeline.base import resume
 
 STAGES = (
-    "town", "ingest", "labels", "encoder", "perception", "motion", "scores", "clouds", "pictures", "graphs", "train",
+    "town", "ingest", "encoder", "perception", "motion", "labels", "scores", "clouds", "pictures", "graphs", "train",
     "evaluate", "report",
 )  # fmt: skip
 MODEL = "sa-gnn-ncp"

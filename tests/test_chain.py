@@ -3,9 +3,12 @@
 import json
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 import yaml
 
+from pipeline.base import store
 from tests import scratch
 from tests.scratch import MODEL, STAGES
 
@@ -43,6 +46,27 @@ def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) 
     check_refused(output, "drive_0001_sync/velodyne_points", scan.name)
     scan.write_bytes(content)
     assert scratch.outputs(folder, *STAGES) == scratch.outputs(chain, *STAGES)
+
+
+def test_one_word_changes_the_source_of_labels_and_no_stage_needs_oxts(chain: Path, tmp_path: Path) -> None:
+    folder = scratch.duplicate(chain, tmp_path / "copy")
+    params = yaml.safe_load((folder / "params.yaml").read_text())
+    scratch.edit_params(folder, labels=params["labels"] | {"source": "visual"})
+    assert scratch.changed(folder) == {"check", "labels"}
+    drives = store.read_index(folder / "data/ingest", stage="ingest")
+    for drive in drives:
+        with h5py.File(folder / f"data/ingest/{drive}.h5", "a") as file:
+            del file["oxts"]
+    for stage in ("labels", "scores", f"train {MODEL}", f"evaluate {MODEL}", "report"):
+        scratch.run(folder, "python", "-m", f"stages.{stage.split()[0]}", *stage.split()[1:])
+    for drive in drives:
+        labels = [store.DriveReader(root / f"data/labels/{drive}.h5", stage="labels") for root in (chain, folder)]
+        (oxts, _), (visual, valid) = ((file["steering_rad"], file["valid"].astype(bool)) for file in labels)
+        assert valid.mean() > 0.6
+        assert np.mean((visual - oxts)[valid] ** 2) < 0.1 * np.mean(oxts**2)
+    assert json.loads((folder / "data/scores/metrics.json").read_text())["motion"] == {
+        "visual": dict.fromkeys(("train", "val", "test"))
+    }
 
 
 def check_refused(output: str, *parts: str) -> None:

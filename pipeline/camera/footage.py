@@ -24,6 +24,8 @@ class ImageFolder:
     files: list[Path]
     size: Size
     fps: float | None
+    times_s: list[float] | None = None
+    """Seconds since the first image, if the names are timestamps and `fps` is None."""
 
     @property
     def count(self) -> int:
@@ -36,7 +38,8 @@ class ImageFolder:
             if image.shape[:2] != self.size:
                 sizes = f"{format_size(image.shape)} pixels (expected {format_size(self.size)}, as the first image)"
                 raise InputError(f"image has {sizes}", path, "Move images of other sizes to another folder")
-            yield Image(index, None if self.fps is None else index / self.fps, image)
+            time_s = self.times_s[index] if self.times_s else None
+            yield Image(index, time_s if self.fps is None else index / self.fps, image)
 
 
 Footage = ImageFolder | Video
@@ -46,7 +49,8 @@ def open_footage(path: Path, fps: float | None = None) -> Footage:
     """Open a video file or a folder of images.
 
     Args:
-        fps: frames per second; replaces a video's timestamps. Without it, times of a folder's images are unknown.
+        fps: frames per second; replaces timestamps of a video, and timestamps in ns as names of images. Times of images
+            with other names are unknown without it.
 
     Raises InputError if there are no images or they are too small, DamagedFile if the first cannot be decoded.
     """
@@ -64,7 +68,14 @@ def _open_folder(path: Path, fps: float | None) -> ImageFolder:
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", path)
     height, width = _read(files[0]).shape[:2]
-    return ImageFolder(path, files, (height, width), fps)
+    return ImageFolder(path, files, (height, width), fps, None if fps else _times(files))
+
+
+def _times(files: list[Path]) -> list[float] | None:
+    """Return the seconds since the first of the images if all names are timestamps in ns since 1970, as 19 digits."""
+    if not all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
+        return None
+    return [(int(file.stem) - int(files[0].stem)) / 1e9 for file in files]
 
 
 def _read(path: Path) -> np.ndarray:

@@ -13,6 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load, load_entry, names
 from pipeline.inspect.reading import read_errors
 from pipeline.sections.ingest import Ingest
+from pipeline.sections.labels import Labels
 from pipeline.sections.models import Model
 
 Stages = Mapping[str, Mapping[str, Any]]
@@ -25,6 +26,7 @@ class Project:
     folder: Path
     free_bytes: int
     ingest: Ingest | None = None
+    needs_oxts: bool = True
     due: dict[str, str] = field(default_factory=dict)
     """Stage → why it has to run, in the order of the run."""
     due_bytes: int = 0
@@ -46,6 +48,7 @@ def check(folder: Path) -> Project:
     params = folder / "params.yaml"
     try:
         project.ingest = load(Ingest, params)
+        project.needs_oxts = load(Labels, params).source == "oxts"
         used = {f"graphs@{load_entry(Model, 'models', name, params).input}" for name in names("models", params)}
         command = running_command(folder)
         if command:

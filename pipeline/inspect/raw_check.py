@@ -16,9 +16,9 @@ from pipeline.camera.pixels import read_pixels
 from pipeline.inspect import raw_drive
 from pipeline.inspect.raw_drive import image_folder
 from pipeline.inspect.reading import gaps, spans
-from pipeline.kitti import oxts
 from pipeline.kitti.calibration import cameras_in, read_camera
-from pipeline.kitti.raw import read_scan
+from pipeline.kitti.oxts import read_row, read_times
+from pipeline.kitti.raw import RawDrive, read_scan
 
 _PARTLY = 0.1  # share of missing frames above which an archive was partly extracted; KITTI itself lacks single frames
 _MAX_PROBLEMS = 3  # of damaged files of one modality, in words
@@ -40,7 +40,7 @@ class DriveCheck:
     """Command that extracts again what is missing or damaged; empty if nothing is."""
 
 
-def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> list[DriveCheck]:
+def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: bool = True) -> list[DriveCheck]:
     """Check one drive, or all drives below a root, as :func:`check` does. Raises InputError if there is none."""
     folders = raw_drive.drives_below(root)
     if not folders:
@@ -48,16 +48,17 @@ def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> l
         near = [path for path in root.iterdir() if raw_drive.drives_below(path)] if root.is_dir() else []
         raise InputError("holds no drives", root, f"Pass {near[0]}" if near else fix)
     with ThreadPoolExecutor(default_workers()) as pool:  # disks and decoders work in parallel
-        return list(pool.map(partial(check, cameras=cameras, lidar=lidar, deep=deep), folders))
+        return list(pool.map(partial(check, cameras=cameras, lidar=lidar, deep=deep, oxts=oxts), folders))
 
 
-def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> DriveCheck:
+def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: bool = True) -> DriveCheck:
     """Check one drive's folder.
 
     Args:
         cameras: ``ingest.cameras``: the first of them that has images must be complete.
         lidar: whether scans are used.
         deep: decode every image and scan.
+        oxts: whether labels need oxts; without, a drive may lack the folder.
     """
     result = DriveCheck(raw_drive.name_of(folder), calibration=raw_drive.calibration(folder))
     try:
@@ -66,18 +67,20 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool) -> Driv
         result.problems.append(str(error))
         return result
     with_images = [camera for camera in cameras if files[image_folder(camera)]]
-    required = {"oxts", *(image_folder(camera) for camera in with_images[:1] or cameras)}
+    numbers, times = RawDrive(folder).timeline(with_images[0] if with_images else None)
+    timed = "oxts" if oxts or (folder / "oxts").is_dir() else times.parent.name
+    required = {timed, *(image_folder(camera) for camera in with_images[:1] or cameras)}
     required |= {"velodyne_points"} if lidar else set()
-    first, last = _expected_range(folder, files)
+    first, last = _expected_range(times, len(numbers), files)
     damaged = set()
     for name, paths in files.items():
-        if not (paths or name == "oxts" or (folder / name).is_dir()):
+        if not (paths or name == timed or (folder / name).is_dir()):
             continue
         result.files[name] = len(paths)
         problems, notes = _check_frames(list(paths), first, last, (folder / name).is_dir())
         problems += _damaged_files(paths, _reader(name, deep))
-        if name == "oxts" and paths:
-            problems += _input_error(oxts.read_times, folder / "oxts" / "timestamps.txt", list(paths))
+        if name == timed and paths:
+            problems += _input_error(read_times, times, numbers)
         if name in required and problems:
             damaged.add(name)
         (result.problems if name in required else result.notes).extend(f"{name}: {text}" for text in problems)
@@ -111,14 +114,13 @@ def _unzip(folder: Path, damaged: set[str], calibration: bool) -> str:
     return " && ".join(commands)
 
 
-def _expected_range(folder: Path, files: dict[str, dict[int, Path]]) -> tuple[int, int]:
-    """Return the first and last frame of the complete drive, by its files and by oxts/timestamps.txt."""
+def _expected_range(stamps: Path, count: int, files: dict[str, dict[int, Path]]) -> tuple[int, int]:
+    """Return the first and last frame of the complete drive, by its files and the times of `count` of them."""
     frames = {frame for paths in files.values() for frame in paths}
     if not frames:
         return 0, -1
-    stamps = folder / "oxts" / "timestamps.txt"
     lines = stamps.read_bytes().rstrip(b"\n").count(b"\n") + 1 if stamps.is_file() else 0
-    if lines == len(files["oxts"]) or lines <= max(frames):  # may be an excerpt of a longer drive
+    if lines == count or lines <= max(frames):  # may be an excerpt of a longer drive
         return (min(frames) if lines and lines <= max(frames) else 0), max(frames)
     return 0, lines - 1
 
@@ -154,7 +156,7 @@ def _list(frames: Iterable[int]) -> str:
 
 
 def _reader(name: str, deep: bool) -> Callable[[Path], object]:
-    readers = {"oxts": oxts.read_row, "velodyne_points": read_scan if deep else _check_size}
+    readers = {"oxts": read_row, "velodyne_points": read_scan if deep else _check_size}
     return readers.get(name, read_pixels if deep else _check_size)
 
 

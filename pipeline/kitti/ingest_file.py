@@ -3,7 +3,7 @@
 Rows go by KITTI's frame numbers. What a frame lacks stays empty, and ``has_<name>`` is 0.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ Rows = Iterable[tuple[int, np.ndarray]]
 class Pixels(NamedTuple):
     """A dataset [F,H,W,…] of pixels: reader of a raw file, channels, dtype, unit, fill value of absent frames."""
 
-    read: Callable[..., np.ndarray]  # of path, size and new_size
+    read: Callable[..., np.ndarray]  # of path, size, new_size and crop
     channels: tuple[int, ...]
     dtype: type
     unit: str
@@ -33,11 +33,20 @@ PIXELS = {
 }
 
 
-def put_motion(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, oxts: np.ndarray) -> None:
-    """Write frame numbers [F], seconds since the drive's first packet [F] and packets [F,30]. Comes first."""
+def put_motion(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, oxts: np.ndarray | None) -> None:
+    """Write frame numbers [F], seconds since the drive's first frame [F] and packets [F,30], if any. Comes first."""
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, "s")
-    file.put("oxts", oxts, "as KITTI's oxts/dataformat.txt")
+    if oxts is not None:
+        file.put("oxts", oxts, "as KITTI's oxts/dataformat.txt")
+
+
+def put_steering(file: DriveWriter, frames: Iterable[int], steering_rad: Mapping[int, float]) -> int:
+    """Write recorded steering angles by frame number and ``has_steering`` [F]; return how many `frames` have one."""
+    recorded = [steering_rad.get(frame) for frame in frames]
+    file.put("steering_rad", np.array([angle or 0.0 for angle in recorded]), "rad, left positive")
+    file.put("has_steering", np.array([angle is not None for angle in recorded], np.uint8))
+    return sum(angle is not None for angle in recorded)
 
 
 def put_camera(file: DriveWriter, K: np.ndarray, T_cam_velo: np.ndarray | None) -> None:

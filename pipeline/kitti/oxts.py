@@ -29,7 +29,6 @@ LONGEST_STEP_S = 3600.0  # between two packets
 GRAVITY_MPS2 = 9.81
 EARTH_RADIUS_M = 6378137.0
 _TIME = re.compile(r"(19|20)[0-9]{2}-[0-9]{2}-[0-9]{2} [0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]{1,9})?")
-_EXTRACT = "Extract the drive's oxts folder again"
 
 
 def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
@@ -109,13 +108,14 @@ def read_row(path: Path) -> np.ndarray:
 def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     """Return the time of each of `frames` (KITTI frame numbers, ascending) in seconds since the first, float64 [F].
 
-    Line i of ``timestamps.txt`` belongs to frame i. A file with exactly one line per existing packet belongs to a drive
+    Line i of ``timestamps.txt`` belongs to frame i. A file with exactly one line per existing file belongs to a drive
     cut out of a longer one: then lines belong to `frames` by position.
 
     Raises InputError if the file or a line is missing, or time does not increase.
     """
+    extract = f"Extract the drive's {path.parent.name} folder again"
     if not path.is_file():
-        raise InputError("file is missing", path, _EXTRACT)
+        raise InputError("file is missing", path, extract)
     lines = path.read_bytes().decode("ascii", errors="replace").rstrip().split("\n")
     if len(lines) > frames[-1]:
         numbers = list(frames)
@@ -123,15 +123,15 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         numbers = list(range(len(frames)))
     else:
         problem = f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}"
-        raise InputError(problem, path, _EXTRACT)
+        raise InputError(problem, path, extract)
     texts = [lines[number].strip() for number in numbers]
     for number, text in zip(numbers, texts, strict=True):
         if not _TIME.fullmatch(text):  # numpy accepts "today" and years
-            raise InputError(f"expected a time, got {text[:40]!r}", f"{path} line {number + 1}", _EXTRACT)
+            raise InputError(f"expected a time, got {text[:40]!r}", f"{path} line {number + 1}", extract)
     try:
         stamps = np.array(texts, dtype="datetime64[ns]")
     except ValueError as error:
-        raise InputError(f"invalid time ({error})", path, _EXTRACT) from error
+        raise InputError(f"invalid time ({error})", path, extract) from error
     # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
     time_s = (stamps - stamps[0]).astype(np.int64) / 1e9
     steps_s = np.diff(time_s)
@@ -141,6 +141,6 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         raise InputError(
             f"time goes from {texts[at - 1]} to {texts[at]} (expected an increase of at most {LONGEST_STEP_S:g} s)",
             f"{path} line {numbers[at] + 1}",
-            f"{_EXTRACT}, or take the drive out of ingest.drives",
+            f"{extract}, or take the drive out of ingest.drives",
         )
     return time_s

@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.base.files import MiB, check_file
+from pipeline.kitti import steering_file
 from pipeline.kitti.calibration import Camera, cameras_in, read_camera
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
@@ -52,15 +53,35 @@ class RawDrive:
     def oxts_times(self) -> Path:
         return self.folder / "oxts" / "timestamps.txt"
 
+    @property
+    def steering(self) -> Path:
+        """Recorded steering angles, which KITTI itself lacks."""
+        return self.folder / steering_file.NAME
+
+    def timeline(self, camera: int | None) -> tuple[list[int], Path]:
+        """Return the frames of the drive and the file with their times: frames with an oxts packet.
+
+        A drive without packets has the frames with an image of `camera`, at the camera's times.
+        """
+        if camera is None or self.oxts:
+            return list(self.oxts), self.oxts_times
+        return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
+
     def fingerprint(self, cameras: Sequence[int]) -> str:
-        """Return a hash of the drive's file names and sizes, and of the contents of its oxts and calibration.
+        """Return a hash of the drive's file names and sizes, and of the contents of the small files.
 
         Contents of images and scans are left out: hashing 175 GB would take longer than ingesting it.
         """
         digest = hashlib.sha256()
         for path in self._large_files(cameras):
             digest.update(f"{path.relative_to(self.folder)} {path.stat().st_size}\n".encode())
-        small = [*self.oxts.values(), self.oxts_times, *sorted(self.calibration.glob("calib_*.txt"))]
+        times = [self.timeline(camera)[1] for camera in cameras]
+        small = [
+            *self.oxts.values(),
+            *dict.fromkeys(times),
+            *sorted(self.calibration.glob("calib_*.txt")),
+            self.steering,
+        ]
         for path in (path for path in small if path.is_file()):
             content = path.read_bytes()
             digest.update(f"{path.relative_to(self.calibration)} {len(content)}\n".encode() + content)

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline import label
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.footage import open_footage
-from pipeline.camera.images import Size, read_image
+from pipeline.camera.images import Size, crop_to, read_image
 from pipeline.camera.intrinsics import intrinsics
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
@@ -52,8 +52,7 @@ def open_source(path: Path, cameras: Sequence[int], lens: Lens, aspect: Size, sc
         path: file or folder.
         cameras: of a KITTI drive; the first one with images is used.
         lens: intrinsics, if it is not a KITTI drive.
-        aspect: (H, W) of the training images in any unit. Footage with another aspect ratio is cropped to it around
-            the optical axis; KITTI drives are not cropped.
+        aspect: (H, W) of the training images in any unit; images are cropped as by stage ingest.
         scans: whether to read the LiDAR scans of a KITTI drive.
         car: for the ground truth of a KITTI drive.
     Raises:
@@ -63,7 +62,7 @@ def open_source(path: Path, cameras: Sequence[int], lens: Lens, aspect: Size, sc
     if any(drive.images(camera) for camera in cameras):
         if lens != Lens():
             raise InputError("a KITTI drive has its own calibration", path, "Remove --calib, --fov and --K")
-        source = _open_drive(drive, cameras, scans, car)
+        source = _open_drive(drive, cameras, aspect, scans, car)
     elif drive.oxts or drive.scans:
         wanted = " or ".join(map(str, cameras))
         raise InputError(f"no images of camera {wanted}", path, "Extract image_02 of the drive")
@@ -75,16 +74,15 @@ def open_source(path: Path, cameras: Sequence[int], lens: Lens, aspect: Size, sc
     return source
 
 
-def _open_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) -> Source:
+def _open_drive(drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car) -> Source:
     camera = drive.camera(cameras)
     assert camera is not None  # since it has images
+    crop = crop_to(camera.size, aspect, camera.K)
     images = drive.images(camera.number)
-    # Stage ingest takes the frames with an oxts packet, at its time.
-    numbers = [number for number in images if number in drive.oxts] if drive.oxts else list(images)
+    stamped, stamps = drive.timeline(camera.number)
+    numbers = [number for number in images if number in stamped]
     if not numbers:
         raise InputError("no image has an oxts packet of the same number", drive.folder, "Extract the drive again")
-    stamps = drive.oxts_times if drive.oxts else drive.folder / f"image_{camera.number:02d}" / "timestamps.txt"
-    stamped = list(drive.oxts) if drive.oxts else numbers
     notes = [] if stamps.is_file() else [f"{stamps} is missing: assuming {DEFAULT_FPS:g} frames per second"]
     seconds = (np.array(stamped) - stamped[0]) / DEFAULT_FPS if notes else oxts.read_times(stamps, stamped)
     time_s = dict(zip(stamped, seconds.tolist(), strict=True))
@@ -93,7 +91,7 @@ def _open_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) 
         for number in numbers:
             frame = FrameState(number, time_s[number], started_s=time.perf_counter())
             try:
-                frame.source_image = read_image(images[number], camera.size, camera.size)
+                frame.source_image = read_image(images[number], camera.size, crop.size, crop)
                 frame.scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
                 frame.driven_rad = _driven_angle(drive.oxts, number, car)
             except DamagedFile as error:
@@ -104,8 +102,8 @@ def _open_drive(drive: RawDrive, cameras: Sequence[int], scans: bool, car: Car) 
     fps = (len(time_s) - 1) / seconds[-1] if len(time_s) > 1 else DEFAULT_FPS
     return Source(
         name=drive.folder.name.removesuffix("_sync"),
-        size=camera.size,
-        K=camera.K,
+        size=crop.size,
+        K=crop.K(camera.K),
         frames=frames(),
         count=len(numbers),
         fps=float(fps),
@@ -127,31 +125,13 @@ def _driven_angle(packets: Mapping[int, Path], number: int, car: Car) -> float |
 def _open_footage(path: Path, lens: Lens, aspect: Size) -> Source:
     footage = open_footage(path)
     K = intrinsics(footage.size, **lens._asdict())
-    rows, columns = _crop(footage.size, K, aspect)
-    K = K.copy()
-    K[0, 2] -= columns.start
-    K[1, 2] -= rows.start
+    crop = crop_to(footage.size, aspect, K)
 
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()
         for number, time_s, image in footage.frames():
-            cropped = np.ascontiguousarray(image[rows, columns])
             seconds = number / DEFAULT_FPS if time_s is None else time_s
-            yield FrameState(number, seconds, source_image=cropped, started_s=started_s)
+            yield FrameState(number, seconds, source_image=crop.pixels(image), started_s=started_s)
             started_s = time.perf_counter()
 
-    size = rows.stop - rows.start, columns.stop - columns.start
-    return Source(path.stem, size, K, frames(), footage.count, footage.fps or DEFAULT_FPS)
-
-
-def _crop(size: Size, K: np.ndarray, aspect: Size) -> tuple[slice, slice]:
-    """Return rows and columns of the largest part of an image with this aspect ratio, around the optical axis."""
-    height, width = size
-    if height * aspect[1] > width * aspect[0]:
-        return _around(K[1, 2], round(width * aspect[0] / aspect[1]), height), slice(0, width)
-    return slice(0, height), _around(K[0, 2], round(height * aspect[1] / aspect[0]), width)
-
-
-def _around(centre: float, length: int, limit: int) -> slice:
-    start = min(max(round(centre + 0.5 - length / 2), 0), limit - length)
-    return slice(start, start + length)
+    return Source(path.stem, crop.size, crop.K(K), frames(), footage.count, footage.fps or DEFAULT_FPS)

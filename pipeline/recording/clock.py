@@ -1,4 +1,4 @@
-"""Match the images' times with the motion's: which images lie between samples that are close enough."""
+"""Match the images' times with a log's: which images lie between samples that are close enough."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +10,6 @@ from pipeline.base.errors import InputError
 from pipeline.camera.footage import Footage, ImageFolder
 from pipeline.camera.video import Image
 from pipeline.recording.checks import check_size, check_times
-from pipeline.recording.track import Rates
 
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 _MOST_BYTES = 1 << 27  # of a file of times
@@ -18,7 +17,7 @@ _MOST_BYTES = 1 << 27  # of a file of times
 
 @dataclass(frozen=True)
 class Coverage:
-    """Which images [F] have motion, and how many do not."""
+    """Which images [F] a log covers, and how many it does not."""
 
     usable: np.ndarray  # bool [F]
     before: int  # images before the first sample
@@ -28,9 +27,8 @@ class Coverage:
     largest_gap_s: float  # that was interpolated over
 
 
-def coverage(rates: Rates, time_s: np.ndarray, max_gap_s: float) -> Coverage:
-    """Find the images at `time_s` [F] that lie between samples at most `max_gap_s` apart."""
-    samples = rates.time_s
+def coverage(samples: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> Coverage:
+    """Find the images at `time_s` [F] that lie between `samples` [N], times in seconds, at most `max_gap_s` apart."""
     before, after = time_s < samples[0] - ROUNDING_S, time_s > samples[-1] + ROUNDING_S
     left = np.clip(np.searchsorted(samples, time_s, side="right") - 1, 0, len(samples) - 2)
     gap_s = samples[left + 1] - samples[left]
@@ -47,12 +45,12 @@ def coverage(rates: Rates, time_s: np.ndarray, max_gap_s: float) -> Coverage:
     )
 
 
-def check_overlap(rates: Rates, first_s: float, last_s: float) -> None:
-    """Raise InputError if images from `first_s` to `last_s` and the motion do not overlap in time."""
-    begin, end = rates.time_s[0], rates.time_s[-1]
+def check_overlap(name: str, samples: np.ndarray, first_s: float, last_s: float) -> None:
+    """Raise InputError if images from `first_s` to `last_s` and the samples [N] of a log do not overlap in time."""
+    begin, end = samples[0], samples[-1]
     if first_s > end + ROUNDING_S or last_s < begin - ROUNDING_S:
         raise InputError(
-            f"images from {first_s:.3f} to {last_s:.3f} s and motion from {begin:.3f} to {end:.3f} s do not overlap",
+            f"images from {first_s:.3f} to {last_s:.3f} s and {name} from {begin:.3f} to {end:.3f} s do not overlap",
             fix=f"Change --offset by {first_s - begin:+.3f} to align their starts",
         )
 

@@ -17,6 +17,7 @@ from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.oxts import LONGEST_STEP_S, YEARS, format_packet, format_times
 
 CAMERA = 2  # left colour camera, the default of stage ingest
+IMAGES = f"image_{CAMERA:02d}"
 _FILE = "calib_cam_to_cam.txt"
 _NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
 _SAME_PX = 1e-6  # rounding of a calibration file's digits
@@ -39,7 +40,7 @@ def write_images(folder: Path, images: Iterable[tuple[int, np.ndarray]], threads
 
     At most twice as many images as threads are in memory.
     """
-    data = folder / f"image_{CAMERA:02d}" / "data"
+    data = folder / IMAGES / "data"
     data.mkdir(parents=True)
     pending: deque[Future[None]] = deque()
     with ThreadPoolExecutor(threads) as pool:
@@ -51,10 +52,10 @@ def write_images(folder: Path, images: Iterable[tuple[int, np.ndarray]], threads
             future.result()
 
 
-def write_packets(folder: Path, rows: np.ndarray, usable: np.ndarray, time_s: np.ndarray) -> None:
-    """Write packets [K,30] for the `usable` images, bool [F], and the times [F] in seconds of all images.
+def write_times(folder: Path, usable: np.ndarray, time_s: np.ndarray, sensors: Iterable[str]) -> None:
+    """Write the times [F] in seconds of all images for each sensor's folder.
 
-    Raises InputError if two of the usable images are farther apart than stage ingest accepts.
+    Raises InputError if two of the `usable` images, bool [F], are farther apart than stage ingest accepts.
     """
     numbers = np.flatnonzero(usable)
     gaps_s = np.diff(time_s[numbers])
@@ -62,13 +63,17 @@ def write_packets(folder: Path, rows: np.ndarray, usable: np.ndarray, time_s: np
         at = int(np.argmax(gaps_s))
         problem = f"images {numbers[at]} and {numbers[at + 1]} are {gaps_s[at]:.0f} s apart, without motion in between"
         raise InputError(f"{problem} (limit {LONGEST_STEP_S:g} s)", fix="Import the two parts as two drives")
-    data = folder / "oxts" / "data"
-    data.mkdir(parents=True)
-    for number, row in zip(numbers, rows, strict=True):
-        (data / f"{number:010d}.txt").write_bytes(format_packet(row))
-    for sensor in ("oxts", f"image_{CAMERA:02d}"):
+    for sensor in sensors:
         times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
         (folder / sensor / "timestamps.txt").write_bytes(times)
+
+
+def write_packets(folder: Path, rows: np.ndarray, usable: np.ndarray) -> None:
+    """Write packets [K,30] for the `usable` images, bool [F]."""
+    data = folder / "oxts" / "data"
+    data.mkdir(parents=True)
+    for number, row in zip(np.flatnonzero(usable), rows, strict=True):
+        (data / f"{number:010d}.txt").write_bytes(format_packet(row))
 
 
 def check_calibration(folder: Path, size: Size, K: np.ndarray, force: bool) -> bool:

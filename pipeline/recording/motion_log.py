@@ -1,12 +1,15 @@
-"""Read a car's motion on its own clock: a CSV file, or a GNSS receiver's track."""
+"""Read a car's motion on its own clock, a CSV file or a GNSS receiver's track, and angles of its steering wheel."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.csv_file import read_columns
 from pipeline.base.errors import InputError
-from pipeline.recording.checks import check_size
+from pipeline.kitti.steering_file import check_angles, check_frames
+from pipeline.recording.checks import check_size, check_times
+from pipeline.recording.clock import coverage
 from pipeline.recording.gnss import read_gpx, read_nmea
 from pipeline.recording.track import Rates, rates_of
 
@@ -43,38 +46,60 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
     kind = "track" if first in (b"<", b"$", b"!") else "CSV"
     check_size(path, _MOST_BYTES[kind])
     if kind == "CSV":
-        rates = _read_csv(path)
+        rates = Rates(**read_columns(path, COLUMNS, (), _EXPECTED))  # type: ignore[arg-type]
+        rates.check(path)
         return MotionLog(rates.later(offset_s), f"{len(rates.time_s)} samples of {path}")
     fixes = read_gpx(path) if first == b"<" else read_nmea(path)
     rates, rule = rates_of(fixes, path)
     return MotionLog(rates.later(offset_s), f"{len(rates.time_s)} fixes of {path}: {rule}")
 
 
-def _read_csv(path: Path) -> Rates:
-    import pandas as pd
+@dataclass(frozen=True)
+class WheelLog:
+    """Angles of the front wheels in rad, left positive, with times or with numbers of images; all [N], ascending."""
 
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        header = file.readline(1 << 16)
-    separator = max(",;\t", key=header.count)
-    names = [name.strip(' "\r\n') for name in header.split(separator)]
-    missing = [name for name in COLUMNS if name not in names]
-    if missing:
-        raise InputError(f"has no column {', '.join(missing)} (got {', '.join(names)})", path, _EXPECTED)
-    try:
-        table = pd.read_csv(
-            path,
-            sep=separator,
-            header=0,
-            names=names,
-            index_col=False,
-            usecols=list(COLUMNS),
-            dtype=np.float64,
-            skipinitialspace=True,
-            encoding="utf-8-sig",
-            encoding_errors="replace",
-        )
-    except ValueError as error:  # pandas' parser errors too
-        raise InputError(f"is not a table of numbers ({error})", path, "Correct or remove the line") from error
-    rates = Rates(*(table[name].to_numpy() for name in COLUMNS))
-    rates.check(path)
-    return rates
+    steering_rad: np.ndarray
+    time_s: np.ndarray | None
+    frame: np.ndarray | None
+
+    def at(self, time_s: np.ndarray, usable: np.ndarray, max_gap_s: float) -> dict[int, float]:
+        """Return image number → angle for the `usable` images, bool [F], taken at `time_s` [F].
+
+        Angles are interpolated linearly between samples at most `max_gap_s` apart.
+        """
+        if self.frame is not None:
+            angles = dict(zip(self.frame.tolist(), self.steering_rad.tolist(), strict=True))
+        else:
+            assert self.time_s is not None
+            numbers = np.flatnonzero(coverage(self.time_s, time_s, max_gap_s).usable)
+            interpolated = np.interp(time_s[numbers], self.time_s, self.steering_rad)
+            angles = dict(zip(numbers.tolist(), interpolated.tolist(), strict=True))
+        return {number: angles[number] for number in np.flatnonzero(usable).tolist() if number in angles}
+
+
+def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> WheelLog:
+    """Read angles of the steering wheel from a CSV file and divide them by the steering ratio.
+
+    Args:
+        path: a CSV file with wheel_rad, left positive, and frame (number of the image, from 0) or time_s.
+        offset_s: added to the file's times.
+
+    Raises InputError if the file is too large, lacks a column, has implausible values, or its rows do not ascend.
+    """
+    expected = "Expected a CSV file with wheel_rad [rad, left +] and frame (number of the image) or time_s [s]"
+    if not path.is_file():
+        raise InputError("not a regular file", path, expected)
+    check_size(path, _MOST_BYTES["CSV"])
+    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), expected)
+    steering_rad, frame, time_s = columns["wheel_rad"] / steering_ratio, columns.get("frame"), columns.get("time_s")
+    if frame is None and time_s is None:
+        raise InputError("has neither frame nor time_s", path, expected)
+    if len(steering_rad) < 2:
+        raise InputError(f"expected at least 2 samples, got {len(steering_rad)}", path)
+    check_angles(steering_rad, path)
+    if frame is not None:
+        check_frames(frame, path)
+        return WheelLog(steering_rad, None, frame.astype(np.int64))
+    assert time_s is not None
+    check_times(time_s, path)
+    return WheelLog(steering_rad, time_s + offset_s, None)

@@ -38,7 +38,8 @@ _DEPTH = (
     "same pixels; an encoder that does not beat it has learned no depth. Eigen: the usual crop of KITTI."
 )
 _MOTION = (
-    "Motion since the previous frame, measured without oxts and compared with it at or above labels.min_speed_mps. "
+    "Motion since the previous frame, measured without oxts and compared with it at or above labels.min_speed_mps; "
+    "wheel: recorded steering angles, with which …-wheel is compared. "
     "nmse: of the steering angle from the last measurement, from a drive's first measured frame on. Drives without "
     "scans count for visual only."
 )

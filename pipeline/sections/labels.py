@@ -1,4 +1,4 @@
-"""Section ``labels``: steering angles from oxts."""
+"""Section ``labels``: steering angles and their source."""
 
 from typing import Annotated, Literal
 
@@ -9,6 +9,7 @@ from pipeline.base.params import Positive, Section
 
 class Labels(Section):
     key = "labels"
+    source: Literal["oxts", "visual", "lidar", "wheel"] = "oxts"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
     standstill: Literal["invalid", "raw", "zero"]

@@ -74,6 +74,8 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
         (f"{MODEL}.temporal", "gru", "temporal.*gru.*lstm, ncp"),
         (f"{MODEL}.motion", "lidar", r"motion\.kinds has only visual"),
+        ("labels.source", "lidar", r"labels\.source: motion\.kinds has only visual"),
+        ("labels.source", "gps", r"labels\.source"),
         ("graphs.lidar.accumulate", {"motion": "lidar", "frames": 2}, r"lidar\.accumulate\.motion"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
         (f"{MODEL}.equivarient", True, "equivarient"),

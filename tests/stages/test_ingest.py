@@ -16,7 +16,7 @@ from stages import ingest
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params
 
 OTHER = "2011_09_26_drive_0002"
-NEW = (32, 40)
+NEW = (36, 48)
 
 
 def run(tmp_path: Path, drives: tuple[str, str] = (DRIVE, OTHER), workers: int = 1, **settings: Any) -> DriveReader:
@@ -74,6 +74,43 @@ def test_rows_go_by_frame_number(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert not {"depth", "cls"} & set(file.names)
     text = capsys.readouterr().out
     assert f"{DRIVE}: 4 frames, 3 images, 3 scans, camera 2, 1 without an oxts packet left out" in text
+
+
+def test_images_of_another_shape_are_cropped_around_the_optical_axis(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path / "raw", truth=True)
+    with run(tmp_path, image_size=[32, 96]) as file:
+        rows = slice(12, 33)  # 21 of 48 rows around row 22.2
+        image = cv2.imread(str(folder / "image_02/data/0000000001.png"))[rows, :, ::-1]
+        np.testing.assert_array_equal(file["image"][1], cv2.resize(image, (96, 32), interpolation=cv2.INTER_LINEAR))
+        cls = cv2.imread(str(folder / "truth/cls/0000000001.png"), cv2.IMREAD_UNCHANGED)[rows]
+        assert file["cls"][1][0, 0] == cls[0, 0]
+        K = np.array([[50, 0, 31.3], [0, 50, 22.2 - 12], [0, 0, 1]])
+        np.testing.assert_allclose(file["K"], scale_K(K, (21, 64), (32, 96)))
+
+
+def test_drive_without_oxts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Frames and times are those of the images; steering.csv has angles of some of them."""
+    folder = write_drive(tmp_path / "raw", frames=[2, 3, 5], truth=True)
+    (folder / "oxts/timestamps.txt").rename(folder / "image_02/timestamps.txt")
+    shutil.rmtree(folder / "oxts")
+    (folder / "velodyne_points/data/0000000003.bin").rename(folder / "velodyne_points/data/0000000004.bin")
+    write(folder / "steering.csv", "frame,steering_rad\n3,0.1\n4,0.2\n5,-0.3\n")
+    with run(tmp_path) as file:
+        np.testing.assert_array_equal(file.frame, [2, 3, 5])
+        np.testing.assert_allclose(file.time_s, [0, 0.1, 0.3], atol=1e-9)
+        np.testing.assert_array_equal(file["has_image"], [1, 1, 1])
+        np.testing.assert_array_equal(file["has_lidar"], [1, 0, 1])
+        np.testing.assert_array_equal(file["steering_rad"], [0, 0.1, -0.3])
+        np.testing.assert_array_equal(file["has_steering"], [0, 1, 1])
+        assert "oxts" not in file
+    text = capsys.readouterr().out
+    assert "2 steering angles, 1 without an image left out" in text
+    assert f"no oxts: {DRIVE}" in text
+    for rows, problem in (("3,2.5", "implausible steering_rad"), ("3,nan", "nan"), ("3,0\n3,0", "frame = 3")):
+        write(folder / "steering.csv", f"frame,steering_rad\n{rows}\n")
+        with pytest.raises(InputError, match=problem) as raised:
+            run(tmp_path)
+        assert raised.value.where.endswith("steering.csv")
 
 
 def cut(path: Path) -> None:

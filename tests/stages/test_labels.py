@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
-from pipeline.kitti.ingest_file import put_motion
+from pipeline.kitti.ingest_file import put_motion, put_steering
 from pipeline.kitti.oxts import make_rows
+from pipeline.motion import kinds
 from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
 
@@ -31,7 +32,7 @@ def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> Non
 
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
     params = write_params(tmp_path / "params.yaml", train=[FIRST], test=[SECOND], labels=settings)
-    assert labels.main(tmp_path / "ingest", tmp_path / "labels", params) == tmp_path / "labels"
+    assert labels.main(tmp_path / "ingest", tmp_path / "motion", tmp_path / "labels", params) == tmp_path / "labels"
     return [DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") for drive in DRIVES]
 
 
@@ -64,6 +65,61 @@ def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert contents(tmp_path / "labels") == first
 
 
+def write_motion(folder: Path, kind: str, drive: str, rows: dict[int, tuple[float, float]]) -> None:
+    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured."""
+    speed, yaw_rate = np.array(list(rows.values())).T
+    with DriveWriter(folder / kind / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
+        file.put("frame", np.array(list(rows), np.int32))
+        file.put("speed_mps", speed.astype(np.float32))
+        file.put("yaw_rate_radps", yaw_rate.astype(np.float32))
+        file.put("valid", (speed != 0).astype(np.uint8))
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """One drive with recorded angles and without oxts, one with both; motion is measured in both."""
+    for drive in DRIVES:
+        rows = None if drive == FIRST else make_rows(4, vf=np.array([10.0, 10, 0.5, 10]), wu=0.1)
+        with DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+            put_motion(file, np.arange(5, 9), np.arange(4) / 10, rows)
+            put_steering(file, np.arange(5, 9), {5: 0.1, 7: 0.2, 8: 0.3})
+        write_motion(tmp_path / "motion", "visual", drive, {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5)})
+    write_index(tmp_path / "ingest", DRIVES)
+    write_index(tmp_path / "motion/visual", DRIVES)
+    kinds.write(tmp_path / "motion", ["visual"])
+    return tmp_path
+
+
+def test_visual_labels_are_valid_where_motion_is_measured_and_the_car_moves(recorded: Path) -> None:
+    for file in run(recorded, source="visual"):
+        np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7]), atol=1e-6)
+        np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0])
+        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5])
+        assert file.params["labels"]["source"] == "visual"
+    for file in run(recorded, source="visual", standstill="zero"):
+        np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 0]), atol=1e-6)
+        np.testing.assert_array_equal(file["valid"], [0, 1, 0, 1])  # what is not measured need not be a standstill
+
+
+def test_recorded_angles_are_valid_unless_the_car_is_known_to_be_slow(recorded: Path) -> None:
+    without, with_oxts = run(recorded, source="wheel")
+    np.testing.assert_array_equal(without["steering_rad"], [0.1, 0, 0.2, 0.3])
+    np.testing.assert_array_equal(without["valid"], [1, 0, 1, 0])  # frame 8 is measured, and slow
+    np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5])
+    np.testing.assert_array_equal(with_oxts["valid"], [1, 0, 0, 1])
+    np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10])
+
+
+def test_a_source_that_a_drive_lacks(recorded: Path) -> None:
+    for source, problem in (("oxts", "no oxts"), ("lidar", "visual")):
+        with pytest.raises(InputError, match=problem) as raised:
+            run(recorded, source=source)
+        assert f"labels.source: {source}" in str(raised.value)
+    write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])
+    with pytest.raises(InputError, match=r"steering\.csv"):
+        run(recorded, source="wheel")
+
+
 def test_standstill(tmp_path: Path) -> None:
     write_ingest(tmp_path / "ingest", speed=[0.0, 0.0, 0.1], yaw_rate=[0.0, 0.001, -0.001])
     left, _ = run(tmp_path)
@@ -85,7 +141,7 @@ def test_real_drives_follow_the_formula(real_kitti: Path, tmp_path: Path) -> Non
     *train, test = folders
     params = write_params(tmp_path / "params.yaml", train=train, test=[test])
     ingest.main(raw=tmp_path / "raw", out=tmp_path / "ingest", params=params, workers=1)
-    labels.main(tmp_path / "ingest", tmp_path / "labels", params)
+    labels.main(tmp_path / "ingest", tmp_path / "motion", tmp_path / "labels", params)
 
     frames = 0
     for drive, folder in folders.items():

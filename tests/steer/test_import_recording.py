@@ -10,6 +10,8 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.lock import exclusive
 from pipeline.base.store import DriveReader
+from pipeline.kitti import steering_file
+from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive
 from pipeline.label import steering_labels
 from pipeline.recording import layout
@@ -42,7 +44,7 @@ def video(tmp_path: Path) -> Path:
 def take(source: Path, log: Path, drive: str = DRIVES[0], **options: Any) -> RawDrive:
     """Import with a field of view of 80 degrees into raw/ beside the log."""
     out = log.parent / "raw"
-    import_recording(source, log, drive, **{"out": out, "fov": 80.0, **options})
+    import_recording(source, drive, **{"motion": log, "out": out, "fov": 80.0, **options})
     return RawDrive(out / drive[:10] / f"{drive}_sync")
 
 
@@ -76,6 +78,26 @@ def test_labels_follow_the_log(tmp_path: Path, log: Path, video: Path) -> None:
             assert error.mean() < (1e-9 if lossless else 4)
             assert file["K"][0, 2] == 31.5
             assert "T_cam_velo" not in file
+
+
+def test_without_motion_labels_come_from_images_or_the_wheel(
+    tmp_path: Path, video: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "wheel.csv"
+    log.write_text("time_s,wheel_rad\n0.05,1.0\n0.65,-2.0\n")
+    drive = take(video, log, motion=None)
+    assert "labels.source: visual" in capsys.readouterr().out
+    assert (list(drive.images(2)), drive.oxts, drive.steering.exists()) == ([*range(FRAMES)], {}, False)
+    numbers, times = drive.timeline(2)
+    np.testing.assert_allclose(read_times(times, numbers), np.arange(FRAMES) / 10, atol=1e-6)
+
+    drive = take(video, log, motion=None, wheel=log, steering_ratio=10.0, force=True)
+    assert "labels.source: wheel" in capsys.readouterr().out
+    expected = {number: 0.1 - 0.3 * (number / 10 - 0.05) / 0.6 for number in range(1, 7)}
+    assert steering_file.read(drive.steering) == pytest.approx(expected)
+    log.write_text("frame;wheel_rad\n4;1.5\n900;0\n")
+    drive = take(video, log, motion=None, wheel=log, steering_ratio=10.0, force=True)
+    assert steering_file.read(drive.steering) == {4: 0.15}
 
 
 @pytest.mark.parametrize("kind", ["gpx", "nmea"])
@@ -121,6 +143,9 @@ def test_two_imports_at_once(log: Path, video: Path) -> None:
         ({"max_gap": -1.0}, "--max-gap"),
         ({"fov": None, "K": "1e308,1e308,20,20"}, "--K"),
         ({"drive": "0001_03_31_drive_0001"}, "--drive"),
+        ({"steering_ratio": 14.8}, "--wheel"),
+        ({"steering_ratio": 0.5}, "--steering-ratio"),
+        ({"wheel": Path("no.csv"), "steering_ratio": 14.8}, "regular file"),
         ({"source": Path(os.fsdecode(b"\xff.mp4"))}, "UTF-8"),
     ],
 )

@@ -1,19 +1,24 @@
 import numpy as np
 import pytest
 
+from pipeline.label import steering_angle
+from pipeline.label_sources import Labels
 from pipeline.perception import motion_scores
 
 TRUE_YAW, TRUE_SPEED = np.array([0.2, 0.2, 0.2, 0.2, 0.2]), np.array([6.0, 6.0, 6.0, 6.0, 0.2])
-VALID = np.array([0, 1, 0, 1, 1], np.uint8)
+VALID = np.array([0, 1, 0, 1, 1], bool)
 
 
-CAR = {"wheelbase_m": 2.7, "min_speed_mps": 1.0}
+def labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, measured: np.ndarray = np.ones(5, bool)) -> Labels:
+    valid = measured & (speed_mps >= 1.0)
+    return Labels(steering_angle(yaw_rate_radps, speed_mps, 2.7), valid, speed_mps, yaw_rate_radps)
 
 
-def errors(yaw_error: float, ratio: float, **car: float) -> motion_scores.Errors:
-    return motion_scores.errors(
-        (TRUE_YAW + yaw_error) * VALID, TRUE_SPEED * ratio * VALID, VALID, TRUE_YAW, TRUE_SPEED, **(CAR | car)
-    )
+TRUE = labels(TRUE_YAW, TRUE_SPEED)
+
+
+def errors(yaw_error: float, ratio: float) -> motion_scores.Errors:
+    return motion_scores.errors(labels((TRUE_YAW + yaw_error) * VALID, TRUE_SPEED * ratio * VALID, VALID), TRUE)
 
 
 def test_scores_use_measured_frames_above_the_minimum_speed() -> None:
@@ -24,7 +29,7 @@ def test_scores_use_measured_frames_above_the_minimum_speed() -> None:
         {
             "drives": 1,
             "frames": 5,
-            "valid": 3 / 5,
+            "valid": 2 / 5,
             "judged": 3,
             "yaw_rmse_degps": np.degrees(0.01),
             "yaw_median_degps": np.degrees(0.01),
@@ -33,6 +38,16 @@ def test_scores_use_measured_frames_above_the_minimum_speed() -> None:
         }
     )
     assert (
-        "60% of 5 frames measured, yaw rate to 0.57 deg/s, speed x 1.100, steering nmse"
+        "40% of 5 frames measured, yaw rate to 0.57 deg/s, speed x 1.100, steering nmse"
         in motion_scores.summary_line(scores)
     )
+
+
+def test_recorded_angles_have_neither_speed_nor_yaw_rate() -> None:
+    unknown = np.full(5, np.nan)
+    wheel = Labels(1.1 * TRUE.steering_rad, TRUE.valid, unknown, unknown)
+    scores = motion_scores.score([motion_scores.errors(wheel, TRUE)])
+    assert scores
+    assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["judged"]) == (None, None, 4)
+    assert scores["nmse"] == pytest.approx(0.01)
+    assert motion_scores.summary_line(scores) == "80% of 5 frames measured, steering nmse 0.0100"

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.recording.clock import coverage, read_times
-from pipeline.recording.track import Rates
+from pipeline.camera.footage import open_footage
+from pipeline.recording.clock import coverage, read_times, timed
+from tests.footage import pictures
+from tests.kitti_drive import write_png
 
 
-def sampled(*time_s: float) -> Rates:
-    return Rates(np.array(time_s, float), np.zeros(len(time_s)), np.zeros(len(time_s)))
+def sampled(*time_s: float) -> np.ndarray:
+    return np.array(time_s, float)
 
 
 def test_images_between_close_samples_are_usable() -> None:
@@ -36,3 +38,12 @@ def test_unusable_times(tmp_path: Path, text: str) -> None:
     assert raised.value.where == str(path)
     with pytest.raises(InputError, match="missing"):
         read_times(tmp_path / "nothing.txt")
+
+
+def test_names_in_nanoseconds_are_times(tmp_path: Path) -> None:
+    stamps = [1479424215880976321, 1479424215930976321, 1479424216040976321]
+    for stamp, image in zip(stamps, pictures(3), strict=True):
+        write_png(tmp_path / f"{stamp}.png", image)
+    seconds = [time_s for time_s, _ in timed(open_footage(tmp_path), None)]
+    assert seconds == pytest.approx([0, 0.05, 0.16], abs=1e-12)
+    assert [time_s for time_s, _ in timed(open_footage(tmp_path, fps=4), None)] == [0, 0.25, 0.5]

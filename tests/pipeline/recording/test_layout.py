@@ -9,7 +9,14 @@ from pipeline.camera.pixels import read_pixels
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.oxts import make_rows, read_row, read_times
 from pipeline.kitti.raw import RawDrive
-from pipeline.recording.layout import check_calibration, drive_folder, write_calibration, write_images, write_packets
+from pipeline.recording.layout import (
+    check_calibration,
+    drive_folder,
+    write_calibration,
+    write_images,
+    write_packets,
+    write_times,
+)
 from tests.footage import SIZE, pictures
 from tests.kitti_drive import write_calibration as write_full_calibration
 
@@ -25,7 +32,8 @@ def test_files_are_numbered(tmp_path: Path, threads: int) -> None:
     rows = make_rows(9, vf=np.arange(9.0) / 7)[usable]
     time_s = 1e9 + np.arange(9) * 0.125
     write_images(folder, ((int(number), images[number]) for number in np.flatnonzero(usable)), threads)
-    write_packets(folder, rows, usable, time_s)
+    write_packets(folder, rows, usable)
+    write_times(folder, usable, time_s, ("oxts", "image_02"))
 
     drive = RawDrive(folder)
     numbers = [1, 2, 3, 5, 6, 7]

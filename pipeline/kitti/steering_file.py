@@ -1,0 +1,49 @@
+"""Recorded steering angles of a drive, ``steering.csv`` beside its images: frame, steering_rad of the front wheels."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.csv_file import read_columns
+from pipeline.base.errors import InputError
+
+NAME = "steering.csv"
+COLUMNS = ("frame", "steering_rad")
+LIMIT_RAD = 1.2  # of front wheels; angles of a steering wheel, 15 times as large, exceed it in a tight bend
+_EXPECTED = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
+
+
+def read(path: Path) -> dict[int, float]:
+    """Return frame number → angle of the front wheels in rad, left positive.
+
+    Raises InputError for a missing column, frame numbers that do not increase, or an implausible angle.
+    """
+    columns = read_columns(path, COLUMNS, (), _EXPECTED)
+    frame, steering_rad = (columns[name] for name in COLUMNS)
+    check_frames(frame, path)
+    check_angles(steering_rad, path)
+    return dict(zip(frame.astype(np.int64).tolist(), steering_rad.tolist(), strict=True))
+
+
+def check_frames(frame: np.ndarray, path: Path) -> None:
+    """Raise InputError if frame numbers [N] are not integers, or do not increase."""
+    wrong = ~(np.isfinite(frame) & (frame == np.rint(frame)) & (np.diff(frame, prepend=-1) > 0))
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"frame = {frame[at]:g} at sample {at + 1} (expected increasing integers)", path)
+
+
+def check_angles(steering_rad: np.ndarray, path: Path) -> None:
+    """Raise InputError if one of the angles [N] is not finite or exceeds LIMIT_RAD."""
+    wrong = ~(np.abs(steering_rad) <= LIMIT_RAD)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        problem = f"implausible steering_rad = {steering_rad[at]:g} at sample {at + 1} (limit ±{LIMIT_RAD:g})"
+        raise InputError(problem, path, "Divide angles of the steering wheel by the steering ratio")
+
+
+def write(path: Path, steering_rad: Mapping[int, float]) -> None:
+    """Write frame number → angle in rad."""
+    rows = (f"{frame},{angle:.9g}\n" for frame, angle in steering_rad.items())
+    path.write_text(",".join(COLUMNS) + "\n" + "".join(rows), encoding="ascii")

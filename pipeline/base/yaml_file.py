@@ -3,9 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-
 from pipeline.base.errors import InputError
 
 
@@ -19,6 +16,9 @@ def read(path: Path) -> Any:
 
 def parse(text: str, path: Path) -> Any:
     """Return the content of a YAML text; errors name `path`."""
+    from ruamel.yaml import YAML  # here, as workers read no YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
     try:
         return YAML(typ="safe", pure=True).load(text)
     except (YAMLError, ValueError, RecursionError) as error:

@@ -12,7 +12,7 @@ ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
 FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # of stored depth
 RANGE_NOISE_M = 0.015
-_RESOLUTION_M = 1 / 1024  # of points: finer than the noise, and files of ingest are a third smaller
+_RESOLUTION_M = 1 / 1024  # of points: finer than the noise, and stored scans are smaller
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 

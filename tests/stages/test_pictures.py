@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from matplotlib.image import imread
 
 from pipeline.base import store
@@ -27,16 +28,18 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for stage in ("ingest", "perception"):
         store.write_index(folder / stage, SPLITS)
     clouds.main(folder / "ingest", folder / "perception", folder / "clouds", PARAMS, workers=1)
+    settings = yaml.safe_load(PARAMS.read_text(encoding="utf-8")) | {"pictures": {"frames": 3}}
+    (folder / "params.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     return folder
 
 
-def draw(data: Path, out: Path) -> dict[str, bytes]:
-    assert pictures.main(data / "ingest", data / "perception", data / "clouds/pseudo", out, PARAMS, workers=1) == out
+def draw(data: Path, out: Path, params: Path) -> dict[str, bytes]:
+    assert pictures.main(data / "ingest", data / "perception", data / "clouds/pseudo", out, params, workers=1) == out
     return {path.name: path.read_bytes() for path in out.iterdir()}
 
 
 def test_each_drive_with_images_has_a_picture(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drawn = draw(data, tmp_path / "a")
+    drawn = draw(data, tmp_path / "a", data / "params.yaml")
     assert set(drawn) == {f"{LONG}.png", f"{SHORT}.png"}
     log = capsys.readouterr().out
     assert f"{LONG}: frames 1, 4, 7," in log
@@ -45,7 +48,7 @@ def test_each_drive_with_images_has_a_picture(data: Path, tmp_path: Path, capsys
     pixels = np.rint(255 * imread(tmp_path / f"a/{LONG}.png")[..., :3])
     shown = {number for number, colour in enumerate(classes.COLOURS) if (pixels == colour).all(axis=-1).sum() > 500}
     assert shown == {classes.ROAD, classes.BUILDING, classes.SKY}
-    assert draw(data, tmp_path / "b") == drawn
+    assert draw(data, tmp_path / "b", data / "params.yaml") == drawn
 
 
 def test_clouds_of_other_frames_are_one_error(data: Path, tmp_path: Path) -> None:
@@ -60,4 +63,4 @@ def test_clouds_of_other_frames_are_one_error(data: Path, tmp_path: Path) -> Non
                 cloud.write(new, old.frame + 1000, old.time_s, points)
     store.write_index(tmp_path / "clouds/pseudo", SPLITS)
     with pytest.raises(InputError, match=r"clouds/pseudo/.*\.h5: no frame \d"):
-        draw(tmp_path, tmp_path / "pictures")
+        draw(tmp_path, tmp_path / "pictures", PARAMS)

@@ -34,7 +34,8 @@ _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, Arith
 _CHUNK_ROWS = 32768  # of ragged data
 _CHECKED_ROWS = 1024  # of uncompressed data, under one checksum
 # A checksum, as Blosc2 does not detect a changed bit. Sizes and speeds of the alternatives: docs/files.md.
-_ENCODED = {**hdf5plugin.Blosc2(cname="lz4", filters=hdf5plugin.Blosc2.BITSHUFFLE), "fletcher32": True}
+_POINTS = {**hdf5plugin.Blosc2(cname="lz4", filters=hdf5plugin.Blosc2.BITSHUFFLE), "fletcher32": True}
+_PIXELS = {**hdf5plugin.Blosc2(cname="zstd", clevel=1, filters=hdf5plugin.Blosc2.SHUFFLE), "fletcher32": True}
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
 _PER_DRIVE = {"K": (3, 3), "T_cam_velo": (4, 4)}  # datasets without a row for each frame
 
@@ -63,7 +64,7 @@ class DriveWriter:
         array = np.asarray(array)
         options: dict[str, Any] = {}
         if array.ndim >= 3 and array.size:
-            options = {"chunks": (1, *array.shape[1:]), **_ENCODED}
+            options = {"chunks": (1, *array.shape[1:]), **_PIXELS}
         elif array.ndim and array.size:
             options = {"chunks": (min(len(array), _CHECKED_ROWS), *array.shape[1:]), "fletcher32": True}
         self._create(name, unit, data=array, **options)
@@ -78,10 +79,10 @@ class DriveWriter:
         rows = np.asarray(rows)
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
-            chunk = (1 if rows.ndim >= 3 else _CHUNK_ROWS, *rows.shape[1:])
+            length, encoding = (1, _PIXELS) if rows.ndim >= 3 else (_CHUNK_ROWS, _POINTS)
             self._create(
                 name, unit, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
-                chunks=chunk, **_ENCODED,
+                chunks=(length, *rows.shape[1:]), **encoding,
             )  # fmt: skip
         dataset = self._datasets[name]
         start = len(dataset)
@@ -93,7 +94,7 @@ class DriveWriter:
         """Create a dataset [F, ...] of `value`, for :meth:`fill`. Frames that are never filled take no space."""
         self._create(
             name, unit, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
-            chunks=(1, *shape[1:]), **_ENCODED,
+            chunks=(1, *shape[1:]), **_PIXELS,
         )  # fmt: skip
 
     def fill(self, name: str, index: int, array: np.ndarray) -> None:

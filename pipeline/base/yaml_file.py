@@ -3,14 +3,14 @@
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-
 from pipeline.base.errors import InputError
 
 
 def read(path: Path) -> Any:
     """Return the content of a YAML file. Raises InputError if it is invalid or has a key twice."""
+    from ruamel.yaml import YAML  # here, as workers read no YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
     try:
         return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from pipeline.base.atomic import replacing
 from pipeline.report import drawing
 from pipeline.report.judge.interval import difference_interval
 from pipeline.report.results import Results
@@ -68,7 +69,8 @@ def write(results: Results, out: Path, settings: Evaluate) -> str:
     for name, rows in studies.items():
         drawing.save(figure(STUDIES[name], rows), out / f"{name}.png")
     text = "\n\n".join([*(table(name, rows).markdown() for name, rows in studies.items()), *claims(results, settings)])
-    (out / "studies.md").write_text(f"{text}\n", encoding="utf-8")
+    with replacing(out / "studies.md") as unfinished:
+        unfinished.write_text(f"{text}\n", encoding="utf-8")
     return text
 
 

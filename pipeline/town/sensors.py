@@ -12,6 +12,7 @@ ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
 FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # of stored depth
 RANGE_NOISE_M = 0.015
+_RESOLUTION_M = 1 / 1024  # of points: finer than the noise, and stored scans are smaller
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 
@@ -61,7 +62,7 @@ class Scanner:
         distance = hits.distance_m + rng.normal(0, RANGE_NOISE_M, rays.shape[1])
         reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=0) * rng.uniform(0.6, 1.0, rays.shape[1])
         in_range = np.flatnonzero(hits.distance_m < SCAN_RANGE_M)
-        xyz = self._directions[:, in_range] * distance[in_range]
+        xyz = np.rint(self._directions[:, in_range] * distance[in_range] / _RESOLUTION_M) * _RESOLUTION_M
         return np.stack([*xyz, np.round(np.clip(reflectance[in_range], 0, 0.99), 2)], axis=-1).astype(np.float32)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
 from pipeline.kitti.ingest_file import put_motion, put_steering
 from pipeline.kitti.oxts import make_rows

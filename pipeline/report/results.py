@@ -22,7 +22,7 @@ _REQUIRED = {
 }  # fmt: skip
 _TYPES = {
     "drive": str, "frame": int, "time_s": float, "speed_mps": float, "steering_rad": float, "predicted_rad": float,
-    "valid": int, "onset": int, "odometry_rad": float,
+    "valid": int, "onset": int, "odometry_rad": float, "sigma_rad": float,
 }  # fmt: skip
 
 
@@ -35,7 +35,8 @@ class Results(NamedTuple):
     Rows by horizon: the paper's networks in its order, other models in the order given, baselines."""
     predictions: pd.DataFrame
     """One row per model, run (empty for the first seed), drive and frame: the columns of predictions.csv, elapsed_s
-    since the drive's first frame, and in degrees driven_deg (NaN where invalid), predicted_deg, odometry_deg."""
+    since the drive's first frame, and in degrees driven_deg (NaN where invalid), predicted_deg, odometry_deg,
+    sigma_deg."""
 
     @property
     def models(self) -> pd.DataFrame:
@@ -137,13 +138,16 @@ def _prediction_files(evaluate: Path, model: str) -> list[Path]:
 def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
     """Load a predictions.csv in the model's `folder` as rows of :attr:`Results.predictions`."""
     with error_context(path, fix=_fix(folder.name)):
-        table = pd.read_csv(path, usecols=[*_TYPES], dtype=_TYPES, keep_default_na=False, na_values=[""])
+        table = pd.read_csv(path, dtype=_TYPES, keep_default_na=False, na_values=[""])
+        table["sigma_rad"] = table.get("sigma_rad", np.nan)  # of models with uncertainty
+        table = table[[*_TYPES]]
     table.insert(0, "model", folder.name)
     table.insert(1, "run", ".".join(path.parent.relative_to(folder).parts))
     table["elapsed_s"] = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
     table["driven_deg"] = np.rad2deg(table["steering_rad"].where(table["valid"] == 1))
     table["predicted_deg"] = np.rad2deg(table["predicted_rad"])
     table["odometry_deg"] = np.rad2deg(table["odometry_rad"])
+    table["sigma_deg"] = np.rad2deg(table["sigma_rad"])
     return table
 
 

@@ -32,6 +32,11 @@ _PAPER = (
     "always predicting zero has 0.0137 rad² on KITTI's longest drive, below all of its test errors, so its unit cannot "
     "be rad² of this label: compare order and ratio only."
 )
+_UNCERTAINTY = (
+    "NLL: mean negative log-likelihood in nats of the angle in rad under a normal distribution with the predicted σ, "
+    "which is scaled on the validation drives; constant σ: the same with the best single σ for these frames. within: "
+    "share of the true angles within ±σ and ±1.96 σ of the prediction. certain half: the frames with the smaller σ."
+)
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
     "count; coverage is their share. flat ground: a level road below the camera, with the encoder's classes, on the "
@@ -121,7 +126,21 @@ def steering_tables(results: Results) -> list[Table]:
     counts = ", ".join(str(rows.iloc[0][f"test.by_curvature.{name}.frames"]) for name in bins)
     note = f"RMSE in degrees by |curvature| of the road; {counts} frames for {rows.iloc[0]['model']}."
     by_bin = {f"{name} 1/m": (column, ".2f") for name, column in bins.items()}
-    return [*tables, Table("RMSE by curvature", cells(rows, start | by_bin), note)]
+    tables.append(Table("RMSE by curvature", cells(rows, start | by_bin), note))
+    return [*tables, *_uncertainty(results.models)]
+
+
+def _uncertainty(models: pd.DataFrame) -> list[Table]:
+    if "test.uncertainty.nll" not in models:
+        return []
+    scores = {
+        "NLL": ("nll", ".3f"), "constant σ": ("nll_constant", ".3f"), "within σ": ("coverage_68", ".1%"),
+        "within 1.96 σ": ("coverage_95", ".1%"), "MAE deg, certain half": ("mae_deg_certain", ".2f"),
+    }  # fmt: skip
+    columns = {head: (f"test.uncertainty.{name}", form) for head, (name, form) in scores.items()}
+    columns = {"model": ("model", ""), **columns, "all": ("test.mae_deg", ".2f")}
+    rows = models[models["test.uncertainty.nll"].notna()]
+    return [Table("Uncertainty", cells(rows, columns), _UNCERTAINTY)]
 
 
 def _settings(models: pd.DataFrame) -> pd.DataFrame:

@@ -32,6 +32,10 @@ def over_time(predictions: pd.DataFrame) -> Figure:
     figure.update_traces(selector={"name": "driven"}, line_width=3).update_traces(
         selector={"name": "odometry"}, line_dash="dash"
     )
+    for model, own in predictions.dropna(subset=["sigma_deg"]).groupby("model"):
+        edges = [own["predicted_deg"] + side * own["sigma_deg"] for side in (1, -1)]
+        x, y = (pd.concat([first, last[::-1]]) for first, last in ([own["elapsed_s"]] * 2, edges))
+        figure.add_scatter(x=x, y=y, fill="toself", mode="none", opacity=0.3, name=f"{model} ± σ", hoverinfo="skip")
     figure.update_xaxes(rangeslider_visible=bool(truth["elapsed_s"].max() > SLIDER_S))
     return _finish(figure, 400)
 

@@ -88,9 +88,9 @@ def test_uncertainty_has_a_table_and_a_band(data: Path) -> None:
     scores = {"nll": -1.5, "nll_constant": -1.2, "coverage_68": 0.66, "coverage_95": 0.93, "mae_deg_certain": 1.25}
     content = examples.metrics("net")
     content["test"]["uncertainty"] = scores
-    assert "\\u00b1" not in write(data)
+    assert "net ± σ" not in write(data)
     examples.write_model(data, content, examples.predictions(0.01).assign(sigma_rad=0.02))
     results = load_results(data / "evaluate", ["net", "ahead"])
     (table,) = (table for table in tables.steering_tables(results) if table.title == "Uncertainty")
     assert table.cells.to_numpy().tolist() == [["net", "-1.500", "-1.200", "66.0%", "93.0%", "1.25", "1.79"]]
-    assert "net \u00b1 \u03c3" in write(data)
+    assert "net ± σ" in write(data)

@@ -1,4 +1,4 @@
-# Targets: demo, PRESET, params, test, soak, bench, lint, format. Each sets up its environment first.
+# Targets: demo, PRESET, street, params, test, soak, bench, lint, format. Each sets up its environment first.
 # Needs Debian or Ubuntu and Python 3.11 or 3.12. A PRESET is a file of presets/: kitti, real, table2, replay, studies.
 
 PYTHON ?= python3
@@ -8,12 +8,12 @@ BIN := $(VENV)/bin
 export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
 
-PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
+PRESETS := $(patsubst presets/%.yaml,%,$(filter-out presets/street.yaml,$(wildcard presets/*.yaml)))
 RUNS := $(PRESETS:%=run-of-%)
 # Benchmarks and soak tests also use recorded scans, if there are any.
 KITTI := $(or $(STEER_KITTI),$(wildcard ../shared/kitti))
 
-.PHONY: demo $(PRESETS) $(RUNS) params test soak bench lint format setup system
+.PHONY: demo street $(PRESETS) $(RUNS) params test soak bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro
@@ -35,6 +35,10 @@ $(RUNS): run-of-%:
 	@rm -rf "data/report/$*"; [ ! -e "runs/$*/data/report/settings/studies.md" ] || cp -RL "runs/$*/data/report/settings" "data/report/$*"
 	@for kind in md csv; do cp "runs/$*/data/report/table.$$kind" "data/report/$*.$$kind"; done
 	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md"
+
+street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
+	@mkdir -p runs/street && python -m pipeline.sections.preset street --out runs/street/params.yaml
+	@python -m stages.encoder --params runs/street/params.yaml --out weights/street
 
 PRESET ?=
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file

@@ -1,7 +1,8 @@
-"""Images, depth and class maps of a drive, resized to the working size."""
+"""Images, depth and class maps of a drive, cropped and resized to the working size."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,50 @@ Size = tuple[int, int]
 """(H, W) pixels."""
 DEPTH_UNITS_PER_M = 256  # of stored depth, as in KITTI's depth benchmark; 0: no depth
 MAX_UNITS = np.iinfo(np.uint16).max
+SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
+
+
+class Crop(NamedTuple):
+    """The rows and columns of an image that are used."""
+
+    rows: slice
+    columns: slice
+
+    @property
+    def size(self) -> Size:
+        """(H, W) of the part."""
+        return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
+
+    def pixels(self, image: np.ndarray) -> np.ndarray:
+        """Return the part of an image [H,W,…]."""
+        return np.ascontiguousarray(image[self.rows, self.columns])
+
+    def K(self, K: np.ndarray) -> np.ndarray:
+        """Return the intrinsics [3,3] of the part."""
+        shift = np.zeros((3, 3))
+        shift[:2, 2] = self.columns.start, self.rows.start
+        return K - shift
+
+
+def crop_to(size: Size, aspect: Size, K: np.ndarray, horizon: float | None = None) -> Crop:
+    """Return the largest part of images of `size` (H, W) with the aspect ratio of `aspect` (H, W).
+
+    Its centre is the principal point of `K` [3,3], or the row `horizon` if given, as far as the image reaches. An image
+    whose aspect ratio differs by at most SAME_SHAPE is used completely.
+    """
+    height, width = size
+    ratio = height * aspect[1] / (width * aspect[0])
+    if max(ratio, 1 / ratio) <= 1 + SAME_SHAPE:
+        return Crop(slice(0, height), slice(0, width))
+    if ratio > 1:
+        centre = K[1, 2] if horizon is None else horizon
+        return Crop(_around(centre, round(height / ratio), height), slice(0, width))
+    return Crop(slice(0, height), _around(K[0, 2], round(width * ratio), width))
+
+
+def _around(centre: float, length: int, limit: int) -> slice:
+    start = min(max(round(centre + 0.5 - length / 2), 0), limit - length)
+    return slice(start, start + length)
 
 
 def to_metres(units: np.ndarray) -> np.ndarray:
@@ -31,12 +76,12 @@ def format_size(shape: Sequence[int]) -> str:
     return f"{shape[1]} x {shape[0]}"
 
 
-def read_image(path: Path, size: Size, new_size: Size) -> np.ndarray:
-    """Read an image of `size` as RGB uint8 [H,W,3] of `new_size`, grey repeated.
+def read_image(path: Path, size: Size, new_size: Size, crop: Crop | None = None) -> np.ndarray:
+    """Read an image of `size`, crop it, and return it as RGB uint8 [H,W,3] of `new_size`, grey repeated.
 
     Raises DamagedFile; InputError if the file has another size.
     """
-    pixels = _read(path, size, np.uint8)
+    pixels = _read(path, size, np.uint8, crop=crop)
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, axis=-1)
     return resized(pixels, new_size)
@@ -54,14 +99,14 @@ def resized(image: np.ndarray, size: Size) -> np.ndarray:
     return cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
 
 
-def read_depth(path: Path, size: Size | None, new_size: Size) -> np.ndarray:
+def read_depth(path: Path, size: Size | None, new_size: Size, crop: Crop | None = None) -> np.ndarray:
     """Read dense depth, uint16 [H,W] in 1/256 m, 0: none. `size` None accepts any; errors as :func:`read_image`."""
-    return _nearest(_read(path, size, np.uint16, axes=2), new_size)
+    return _nearest(_read(path, size, np.uint16, axes=2, crop=crop), new_size)
 
 
-def read_classes(path: Path, size: Size | None, new_size: Size) -> np.ndarray:
+def read_classes(path: Path, size: Size | None, new_size: Size, crop: Crop | None = None) -> np.ndarray:
     """Read class numbers, uint8 [H,W]. `size` None accepts any; errors as :func:`read_image`."""
-    return _nearest(_read(path, size, np.uint8, axes=2), new_size)
+    return _nearest(_read(path, size, np.uint8, axes=2, crop=crop), new_size)
 
 
 def _nearest(pixels: np.ndarray, new_size: Size) -> np.ndarray:
@@ -72,7 +117,7 @@ def _nearest(pixels: np.ndarray, new_size: Size) -> np.ndarray:
     return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
 
-def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None) -> np.ndarray:
+def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None, crop: Crop | None = None) -> np.ndarray:
     pixels = read_pixels(path)
     if size and pixels.shape[:2] != size:
         raise InputError(
@@ -83,4 +128,4 @@ def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None) -
     if pixels.dtype != dtype or (axes and pixels.ndim != axes):
         problem = f"expected {np.dtype(dtype)} pixels, got {pixels.dtype} with shape {pixels.shape}"
         raise InputError(problem, path)
-    return pixels
+    return crop.pixels(pixels) if crop else pixels

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.geometry import project, transform
-from pipeline.motion.pose import estimate_pose
+from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step, is_standstill, plausible
 from pipeline.motion.tracks import Corners, track
@@ -18,6 +18,7 @@ EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth
 AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
+STANDSTILL = ("the image does not move", "the camera stands")
 STANDSTILL_PX = 0.1  # the car stands if half of the corners move less
 
 
@@ -43,20 +44,25 @@ class Odometry:
         """
         self._K = K
         self._enlarged = -(-MIN_WIDTH // size[1])
-        self._road = Road(K, (size[0], size[1]), camera_height_m)
+        self.road = Road(K, (size[0], size[1]), camera_height_m)
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
         self._T_before: np.ndarray | None = None  # the previous step
+        self.problem = ""
+        """Why the last step could not be measured; empty if it was."""
+        self.focal = np.zeros(2)
+        """Sums of :class:`Pose`'s gradient and information of the focal length."""
 
     def step(self, view: View) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Views come in order."""
         grey, step = self._grey_image(view.image), None
+        self.problem = "no previous frame"
         if self._number is not None and view.number == self._number + 1:
             step = self._measure(grey)
         self._T_before = step.T_before if step else None
         if step:
-            self._road.add_step(step.T_before)
+            self.road.add_step(step.T_before)
         self._number, self._grey, self._points = view.number, grey, self._lift(view, grey)
         return step
 
@@ -69,20 +75,29 @@ class Odometry:
             uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv, uv_before)
         uv, tracked = track(self._grey, grey, self._larger(uv_before), self._larger(uv_guess))
         xyz, uv_before, uv = xyz[tracked], uv_before[tracked], self._smaller(uv[tracked])
-        if not len(uv) or np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
-            return None
+        if len(uv) < MIN_POINTS:
+            return self._fail("too few points can be tracked")
+        if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
+            return self._fail(STANDSTILL[0])
         pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked])
         if pose is None:
-            return None
+            return self._fail("no common motion of the scene")
         T_before = np.linalg.inv(pose.T_now_before)
-        if is_standstill(T_before) or not plausible(T_before):
-            return None
+        if is_standstill(T_before):
+            return self._fail(STANDSTILL[1])
+        if not plausible(T_before):
+            return self._fail("a motion that is not a car's")
+        self.problem = ""
+        self.focal += pose.focal_gradient, pose.focal_information
         return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
+
+    def _fail(self, problem: str) -> None:
+        self.problem = problem
 
     def _lift(self, view: View, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
         usable = _usable_pixels(view)
-        road, scale = self._road.find(view.depth_m, usable)
+        road, scale = self.road.find(view.depth_m, usable)
         corners = Corners(grey)
         on_road = corners.best(self._enlarge(road), *ON_ROAD)
         elsewhere = corners.best(self._enlarge(usable & ~road), *ELSEWHERE)

@@ -2,7 +2,7 @@
 
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -62,7 +62,7 @@ def predict(
         chain = Chain(frames, size, network, kinds, sections.perception, sections.motion.road_scale)
         predictor = Predictor(trained, sections, frames, chain.camera)
         measured = add_courses(predictor.run(chain.run(frames.frames)), car, smooth=False)
-        run = {"wheelbase_m": car.wheelbase_m, "warm_up": trained.window, "video": video}
+        run: dict[str, Any] = {"wheelbase_m": car.wheelbase_m, "warm_up": trained.window, "video": video}
         results = write_results(measured, frames, source, out, (STEERING,), output, **run)
     print_notes(frames, results, output)
     ahead = f", each {trained.horizon} frames ahead" if trained.horizon else ""

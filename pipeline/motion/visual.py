@@ -13,7 +13,8 @@ from pipeline.motion.tracks import Corners, track
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
 MIN_WIDTH = 640  # px; smaller images are enlarged, as tracking is accurate to a fixed fraction of a pixel
-MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 80.0
+MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 80.0  # the latter for focal lengths up to WIDE image widths, KITTI's and others
+WIDE = 0.65
 EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous
 AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
@@ -43,6 +44,7 @@ class Odometry:
             camera_height_m: over the road, to correct the scale of depth; None: no correction.
         """
         self._K = K
+        self._max_depth_m = MAX_DEPTH_M * max(1.0, K[0, 0] / (WIDE * size[1]))
         self._enlarged = -(-MIN_WIDTH // size[1])
         self.road = Road(K, (size[0], size[1]), camera_height_m)
         self._number: int | None = None
@@ -76,27 +78,29 @@ class Odometry:
         uv, tracked = track(self._grey, grey, self._larger(uv_before), self._larger(uv_guess))
         xyz, uv_before, uv = xyz[tracked], uv_before[tracked], self._smaller(uv[tracked])
         if len(uv) < MIN_POINTS:
-            return self._fail("too few points can be tracked")
+            self.problem = "too few points can be tracked"
+            return None
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
-            return self._fail(STANDSTILL[0])
+            self.problem = STANDSTILL[0]
+            return None
         pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked])
         if pose is None:
-            return self._fail("no common motion of the scene")
+            self.problem = "no common motion of the scene"
+            return None
         T_before = np.linalg.inv(pose.T_now_before)
         if is_standstill(T_before):
-            return self._fail(STANDSTILL[1])
+            self.problem = STANDSTILL[1]
+            return None
         if not plausible(T_before):
-            return self._fail("a motion that is not a car's")
+            self.problem = "a motion that is not a car's"
+            return None
         self.problem = ""
         self.focal += pose.focal_gradient, pose.focal_information
         return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
 
-    def _fail(self, problem: str) -> None:
-        self.problem = problem
-
     def _lift(self, view: View, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
-        usable = _usable_pixels(view)
+        usable = _usable_pixels(view, self._max_depth_m)
         road, scale = self.road.find(view.depth_m, usable)
         corners = Corners(grey)
         on_road = corners.best(self._enlarge(road), *ON_ROAD)
@@ -127,10 +131,10 @@ class Odometry:
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
 
-def _usable_pixels(view: View) -> np.ndarray:
+def _usable_pixels(view: View, max_depth_m: float) -> np.ndarray:
     """Return the pixels with a well-defined depth that are not traffic, bool [H,W]."""
     import cv2
 
     nearest, farthest = cv2.erode(view.depth_m, AROUND), cv2.dilate(view.depth_m, AROUND)
     moving = cv2.dilate(MOVING[view.cls].astype(np.uint8), AROUND)
-    return (nearest > MIN_DEPTH_M) & (farthest < MAX_DEPTH_M) & (farthest < EDGE * nearest) & (moving == 0)
+    return (nearest > MIN_DEPTH_M) & (farthest < max_depth_m) & (farthest < EDGE * nearest) & (moving == 0)

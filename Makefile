@@ -8,12 +8,13 @@ BIN := $(VENV)/bin
 export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
 
-PRESETS := $(patsubst presets/%.yaml,%,$(filter-out presets/street.yaml,$(wildcard presets/*.yaml)))
-RUNS := $(PRESETS:%=run-of-%)
+PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
+CHAINS := $(filter-out street,$(PRESETS))
+RUNS := $(CHAINS:%=run-of-%)
 # Benchmarks and soak tests also use recorded scans, if there are any.
 KITTI := $(or $(STEER_KITTI),$(wildcard ../shared/kitti))
 
-.PHONY: demo street $(PRESETS) $(RUNS) params test soak bench lint format setup system
+.PHONY: demo street $(CHAINS) $(RUNS) params test soak bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro
@@ -21,7 +22,7 @@ demo: setup            ## run the complete chain on the embedded sample and prin
 
 # Each preset runs in a copy of the code, runs/NAME, with its settings merged into params.yaml. The cache is shared.
 # The lock refuses a second run, which would replace the code of the first.
-$(PRESETS): setup
+$(CHAINS): setup
 	@mkdir -p runs && flock --nonblock --conflict-exit-code 99 "runs/$@.lock" $(MAKE) --no-print-directory "run-of-$@" || \
 	{ [ $$? -ne 99 ] || echo "error: runs/$@: another make $@ is running. Wait until it ends" >&2; exit 1; }
 

@@ -64,7 +64,7 @@ def measure(
 
     output, car = Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
     if not (encoder / FILE).is_file():
-        raise InputError("no encoder", encoder, "Make that of real streets: make street. Or pass --encoder")
+        raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     clock, lens = Clock(fps, times), Lens(calib, fov, k)
     frames = open_source(source, CAMERAS, lens, SIZE, False, car, clock, camera_height, level=False)
     names, courses = (MOTION, TRACK, QUALITY), []

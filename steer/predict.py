@@ -43,7 +43,7 @@ def predict(
     from pipeline.live import settings
     from pipeline.live.chain import Chain
     from pipeline.live.course import add_courses
-    from pipeline.live.predictor import Predictor, motion_kinds, needs_scans
+    from pipeline.live.predictor import Predictor, differences, motion_kinds, needs_scans
     from pipeline.live.results import STEERING, VIDEO
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.train.predict import load
@@ -55,6 +55,7 @@ def predict(
     height_m = camera_height or sections.perception.camera_height_m
     clock, cameras = Clock(fps, times), sections.ingest.cameras
     frames = open_source(source, cameras, Lens(calib, fov, k), size, scans, car, clock, height_m)
+    frames.notes += differences(trained, frames, settings.focal_by_width(data))
     folder, kinds = encoder or data / "encoder", motion_kinds(trained, sections)
     network = folder if (folder / FILE).is_file() or sections.variant.source != "ingest" or "visual" in kinds else None
     with closing(frames.frames):

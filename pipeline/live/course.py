@@ -9,7 +9,7 @@ from pipeline.motion.visual import STANDSTILL
 from pipeline.train.windows import Car
 
 # Standard deviations of Gaussian means. A driver turns the wheel in a second, and a car changes its speed more slowly;
-# the noise of a speed from one pair of images is ten times that of a yaw rate.
+# a speed from one pair of images has much more noise than a yaw rate.
 YAW_SIGMA_S, SPEED_SIGMA_S = 0.2, 0.5
 REACH = 2.0  # sigmas on both sides
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion

@@ -51,5 +51,5 @@ class FrameState(Frame):
 
     @property
     def estimate(self) -> Estimate | None:
-        """Visual motion, or that of scans where only these are used."""
+        """Visual motion, or from scans where only these are used."""
         return self.estimates.get("visual", self.estimates.get("lidar"))

@@ -25,7 +25,10 @@ from pipeline.live.frame_state import FrameState, Motion
 from pipeline.live.settings import Settings
 from pipeline.live.source import Source
 from pipeline.perception.depth_scale import needs_scan
+from pipeline.sections.ingest import SAMPLE
 from pipeline.train.predict import Trained
+
+TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
 
 
 def needs_scans(model: Trained, settings: Settings) -> bool:
@@ -38,6 +41,20 @@ def motion_kinds(model: Trained, settings: Settings) -> set[str]:
     """Return the kinds of motion that the model's input is made from."""
     accumulate = settings.variant.accumulate
     return ({model.line["motion"]} | ({accumulate.motion} if accumulate else set())) - {"none"}
+
+
+def differences(model: Trained, source: Source, fitted_focal: float | None) -> list[str]:
+    """Return where a source differs from what the model was fitted to; `fitted_focal` by width, None: unknown."""
+    texts, card = [], model.card
+    rendered = card and all(drive.startswith(SAMPLE) for drive in card.drives)
+    if rendered and not source.name.startswith(SAMPLE):
+        texts.append("it was fitted to the rendered sample alone, so expect wrong angles on real streets")
+    if card and abs(source.fps / card.fps - 1) > TOLERANCE:
+        texts.append(f"it was fitted to {card.fps:.1f} frames/s, got {source.fps:.1f}")
+    focal = source.K[0, 0] / source.size[1]
+    if fitted_focal and abs(focal / fitted_focal - 1) > TOLERANCE:
+        texts.append(f"it was fitted to a focal length of {fitted_focal:.2f} image widths, got {focal:.2f}")
+    return [f"warning: model {model.name}: {text}" for text in texts]
 
 
 class Predictor:

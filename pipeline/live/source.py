@@ -17,7 +17,7 @@ from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.live.frame_state import FrameState
-from pipeline.motion.horizon import find_horizon
+from pipeline.live.horizon import find_horizon
 from pipeline.recording.clock import read_times, timed
 from pipeline.train.windows import Car
 
@@ -185,11 +185,13 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
     source = Source(path.stem, crop.size, crop.K(K), frames(), footage.count, footage.fps or DEFAULT_FPS, notes=notes)
     if times_s is not None and len(times_s) > 1:
         source.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
+    if crop.size != footage.size:
+        rows, columns = crop
+        part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"
+        notes.append(f"images are cropped to {part}, the shape of the training images")
     if horizon is not None:
         source.slope = (horizon - K[1, 2]) / K[1, 1]
-        notes.append(
-            f"horizon: row {horizon:.0f} of {footage.size[0]}, rows {crop.rows.start} to {crop.rows.stop} used"
-        )
+        notes.append(f"horizon: row {horizon:.0f} of {footage.size[0]}")
     return source
 
 

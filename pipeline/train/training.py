@@ -77,6 +77,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     fitting = fit.Fit(net, line["window"], line["alpha"], settings, run.seed, world)
     target = predict.Target.from_drives(train)
     metadata = {"name": job.name, "contents": contents, "target": vars(target), "revision": revision(), **inputs}
+    metadata["card"] = predict.Card.from_drives(train).model_dump()
     fitting.run(train, val, state, metadata, f"{job.name} {run}")
     if world.is_main:
         figures = {

@@ -1,4 +1,4 @@
-# Targets: demo, PRESET, street, params, test, soak, bench, lint, format. Each sets up its environment first.
+# Targets: demo, PRESET, street, udacity, params, test, soak, bench, lint, format. Each sets up its environment first.
 # Needs Debian or Ubuntu and Python 3.11 or 3.12. A PRESET is a file of presets/: kitti, real, table2, replay, studies.
 
 PYTHON ?= python3
@@ -14,7 +14,7 @@ RUNS := $(CHAINS:%=run-of-%)
 # Benchmarks and soak tests also use recorded scans, if there are any.
 KITTI := $(or $(STEER_KITTI),$(wildcard ../shared/kitti))
 
-.PHONY: demo street $(CHAINS) $(RUNS) params test soak bench lint format setup system
+.PHONY: demo street udacity $(CHAINS) $(RUNS) params test soak bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro
@@ -40,6 +40,11 @@ $(RUNS): run-of-%:
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
 	@mkdir -p runs/street && python -m pipeline.sections.preset street --out runs/street/params.yaml
 	@python -m stages.encoder --params runs/street/params.yaml --out weights/street
+
+UDACITY ?= data/raw/udacity
+udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
+	@python -m benchmarks.udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
+	$(UDACITY)/udacity_leaderboard.csv
 
 PRESET ?=
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file

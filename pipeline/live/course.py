@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
 
 from pipeline.live.frame_state import Course, FrameState
 from pipeline.motion.visual import STANDSTILL
@@ -15,8 +16,8 @@ REACH = 2.0  # sigmas on both sides
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
 
 
-def add_courses(frames: Iterable[FrameState], car: Car, smooth: bool) -> Generator[FrameState]:
-    """Add the course to each frame whose motion is measured.
+def add_courses(frames: Generator[FrameState], car: Car, smooth: bool) -> Generator[FrameState]:
+    """Add the course to each frame whose motion is measured; closes `frames`.
 
     Args:
         frames: in order.
@@ -27,15 +28,16 @@ def add_courses(frames: Iterable[FrameState], car: Car, smooth: bool) -> Generat
     recent: deque[FrameState] = deque()
     waiting = 0  # index in `recent` of the first frame without a course
     reach_s = REACH * max(YAW_SIGMA_S, SPEED_SIGMA_S) if smooth else 0.0
-    for frame in frames:
-        frame.depth = frame.cls = frame.scan = None  # not needed any more
-        recent.append(frame)
-        while waiting < len(recent) and recent[waiting].time_s <= frame.time_s - reach_s:
-            yield track.add(recent[waiting], recent)
-            waiting += 1
-        while recent[0].time_s < recent[min(waiting, len(recent) - 1)].time_s - reach_s:
-            recent.popleft()
-            waiting -= 1
+    with closing(frames):
+        for frame in frames:
+            frame.depth = frame.cls = frame.scan = None  # not needed any more
+            recent.append(frame)
+            while waiting < len(recent) and recent[waiting].time_s <= frame.time_s - reach_s:
+                yield track.add(recent[waiting], recent)
+                waiting += 1
+            while recent[0].time_s < recent[min(waiting, len(recent) - 1)].time_s - reach_s:
+                recent.popleft()
+                waiting -= 1
     for late in list(recent)[waiting:]:
         yield track.add(late, recent)
 

@@ -74,7 +74,8 @@ class Predictor:
 
     def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
         """Yield each frame with its prediction, in order; closes `frames`."""
-        return self._predict(prefetch(self._build_inputs(frames), 1))
+        with closing(prefetch(self._build_inputs(frames), 1)) as inputs:
+            yield from self._predict(inputs)
 
     def _build_inputs(self, frames: Generator[FrameState]) -> Generator[FrameState]:
         """Add the spatial network's input; drop frames without the scan that it is made from."""

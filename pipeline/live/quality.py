@@ -11,7 +11,7 @@ from pipeline.live.frame_state import FrameState
 from pipeline.live.source import Source
 from pipeline.motion.visual import Odometry
 
-FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.15, 5.0  # deviations of the focal length that are reported: relative, and in sigmas
+FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 MAX_SPREAD = 0.15  # of the road's heights
 
@@ -61,11 +61,11 @@ def _remarks(summary: dict[str, Any]) -> list[str]:
         scale += ", uncertain" if spread > MAX_SPREAD else ""
     remarks = [f"scale: {scale}"]
     ratio, sigma = summary["focal_ratio"], summary["focal_sigma"]
-    if ratio is None or sigma > FOCAL_TOLERANCE:
+    if ratio is None or sigma > FOCAL_TOLERANCE / 2:
         remarks.append("focal length: too few turns to check it")
     elif abs(math.log(ratio)) > max(FOCAL_TOLERANCE, FOCAL_SIGMAS * sigma):
-        longer = "longer (a smaller --fov)" if ratio > 1 else "shorter (a larger --fov)"
-        remarks.append(f"focal length: turns of the camera suggest a {longer} one, by a factor of about {ratio:.2f}")
+        direction = "short (pass a smaller --fov)" if ratio > 1 else "long (pass a larger --fov)"
+        remarks.append(f"focal length: turns of the camera show that it is too {direction}")
     else:
-        remarks.append(f"focal length: agrees with the turns of the camera (ratio {ratio:.2f})")
+        remarks.append("focal length: agrees with the turns of the camera")
     return remarks

@@ -169,7 +169,7 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
     K = intrinsics(footage.size, **lens._asdict())
     times_s = read_times(clock.times) if clock.times else None
     notes, horizon = [], None
-    if times_s is None and footage.fps is None:
+    if times_s is None and next(iter(footage.frames())).time_s is None:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
         footage = open_footage(path, DEFAULT_FPS)
     if not level and (horizon := find_horizon(_some_pairs(footage), K)) is None:

@@ -1,4 +1,4 @@
-# Targets: demo, PRESET, params, test, soak, bench, lint, format. Each sets up its environment first.
+# Targets: demo, PRESET, street, udacity, params, test, soak, bench, lint, format. Each sets up its environment first.
 # Needs Debian or Ubuntu and Python 3.11 or 3.12. A PRESET is a file of presets/: kitti, real, table2, replay, studies.
 
 PYTHON ?= python3
@@ -9,11 +9,12 @@ export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
 
 PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
-RUNS := $(PRESETS:%=run-of-%)
+CHAINS := $(filter-out street,$(PRESETS))
+RUNS := $(CHAINS:%=run-of-%)
 # Benchmarks and soak tests also use recorded scans, if there are any.
 KITTI := $(or $(STEER_KITTI),$(wildcard ../shared/kitti))
 
-.PHONY: demo $(PRESETS) $(RUNS) params test soak bench lint format setup system
+.PHONY: demo street udacity $(CHAINS) $(RUNS) params test soak bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro
@@ -21,7 +22,7 @@ demo: setup            ## run the complete chain on the embedded sample and prin
 
 # Each preset runs in a copy of the code, runs/NAME, with its settings merged into params.yaml. The cache is shared.
 # The lock refuses a second run, which would replace the code of the first.
-$(PRESETS): setup
+$(CHAINS): setup
 	@mkdir -p runs && flock --nonblock --conflict-exit-code 99 "runs/$@.lock" $(MAKE) --no-print-directory "run-of-$@" || \
 	{ [ $$? -ne 99 ] || echo "error: runs/$@: another make $@ is running. Wait until it ends" >&2; exit 1; }
 
@@ -35,6 +36,15 @@ $(RUNS): run-of-%:
 	@rm -rf "data/report/$*"; [ ! -e "runs/$*/data/report/settings/studies.md" ] || cp -RL "runs/$*/data/report/settings" "data/report/$*"
 	@for kind in md csv; do cp "runs/$*/data/report/table.$$kind" "data/report/$*.$$kind"; done
 	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md"
+
+street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
+	@mkdir -p runs/street && python -m pipeline.sections.preset street --out runs/street/params.yaml
+	@python -m stages.encoder --params runs/street/params.yaml --out weights/street
+
+UDACITY ?= data/raw/udacity
+udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
+	@python -m benchmarks.udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
+	$(UDACITY)/udacity_leaderboard.csv
 
 PRESET ?=
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file

@@ -34,7 +34,7 @@ def main(
     from pipeline.encoder import perceive
     from pipeline.encoder.weights import fill, unfilled
 
-    splits = store.read_index(ingest, stage="ingest")
+    splits = store.read_index(ingest, stage="ingest") if settings.epochs else {}  # fitted weights need no drive
     drives = {drive: split for drive, split in splits.items() if split in settings.splits}
     torch.manual_seed(settings.seed)
     with error_context(params):

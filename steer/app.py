@@ -5,10 +5,10 @@ from collections.abc import Callable
 import typer
 
 from pipeline.base.console import guarded
-from steer import diff, doctor, export, import_recording, predict, show
+from steer import diff, doctor, export, import_recording, measure, predict, show
 
 app = typer.Typer(
-    help="Predict steering angles with a trained model, import recordings, and inspect data.",
+    help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -21,6 +21,7 @@ def _add(name: str, command: Callable[..., object], after_stop: str, needs_argum
 
 
 _add("predict", predict.predict, "the frames so far are in .unfinished of the output folder")
+_add("measure", measure.measure, "the frames so far are in .unfinished of the output folder")
 _add("import", import_recording.import_recording, "no drive was written, repeat the command")
 _add("show", show.show, "files that were written are complete")
 _add("diff", diff.diff, "nothing was written")

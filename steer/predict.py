@@ -1,28 +1,27 @@
 """steer predict: predict the steering angle of a drive, a folder of images or a video, frame by frame."""
 
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pipeline.base.errors import InputError
 from steer.options import Debug, Json, Output, Quiet
-
-if TYPE_CHECKING:
-    from pipeline.live.chain import Chain
-    from pipeline.live.results import Results
-    from pipeline.live.source import Source
+from steer.running import Calib, CameraHeight, Fov, Fps, K, SourcePath, Times, Video, print_notes, write_results
 
 
 def predict(
-    source: Annotated[Path, typer.Argument(help="folder of a KITTI drive, folder of images, or video")],
+    source: SourcePath,
     model: Annotated[Path, typer.Option(help="folder of a trained model")] = Path("data/train/sa-gnn-ncp"),
     out: Annotated[Path, typer.Option(help="folder for steering.csv and overlay.mp4")] = Path("out"),
-    fov: Annotated[float | None, typer.Option(help="horizontal field of view in degrees, unless a KITTI drive")] = None,
-    k: Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="or the intrinsics in pixels")] = None,
-    calib: Annotated[Path | None, typer.Option(help="or a calib_cam_to_cam.txt")] = None,
-    video: Annotated[bool, typer.Option(help="write overlay.mp4")] = True,
+    fov: Fov = None,
+    k: K = None,
+    calib: Calib = None,
+    fps: Fps = None,
+    times: Times = None,
+    camera_height: CameraHeight = None,
+    video: Video = True,
     encoder: Annotated[Path | None, typer.Option(help="default: data/encoder beside the model's data/train")] = None,
     params: Annotated[Path | None, typer.Option(help="default: the params.yaml beside that data")] = None,
     quiet: Quiet = False,
@@ -32,32 +31,57 @@ def predict(
     """Predict the steering angle of every frame, and write out/steering.csv and a video.
 
     LiDAR and oxts are needed only by models with LiDAR input. Angles are in rad, left positive; the first frames, and
-    those after a gap, have none until a window is complete. Results replace those of an earlier run when the run
-    succeeds; until then they are in out/.unfinished.
+    those after a gap, have none until a window is complete. The columns after latency_ms are measured motion, without
+    smoothing: see steer measure. Results replace those of an earlier run when the run succeeds; until then they are in
+    out/.unfinished.
 
     steer predict data/town/2026_01_03/2026_01_03_drive_0001_sync --out out/
 
     steer predict street.mp4 --fov 65 --model data/train/motion
     """
+    from pipeline.encoder.perceive import FILE
     from pipeline.live import settings
-    from pipeline.live.chain import Chain, needs_scans
-    from pipeline.live.source import Lens, open_source
+    from pipeline.live.chain import Chain
+    from pipeline.live.course import add_courses
+    from pipeline.live.predictor import Predictor, differences, motion_kinds, needs_scans
+    from pipeline.live.results import STEERING, VIDEO
+    from pipeline.live.source import Clock, Lens, open_source
     from pipeline.train.predict import load
 
-    trained = load(model)
+    output, trained = Output(quiet, as_json), load(model)
     data = _data_folder(model, encoder, params)
     sections = settings.read(params or data.parent / "params.yaml", trained.line["input"], data)
-    frames = open_source(
-        source,
-        sections.ingest.cameras,
-        Lens(calib, fov, k),
-        sections.ingest.image_size,
-        needs_scans(trained, sections),
-        trained.target.car,
-    )
+    scans, size, car = needs_scans(trained, sections), sections.ingest.image_size, trained.target.car
+    height_m = camera_height or sections.perception.camera_height_m
+    clock, cameras = Clock(fps, times), sections.ingest.cameras
+    frames = open_source(source, cameras, Lens(calib, fov, k), size, scans, car, clock, height_m)
+    frames.notes += differences(trained, frames, settings.focal_by_width(data))
+    folder, kinds = encoder or data / "encoder", motion_kinds(trained, sections)
+    network = folder if (folder / FILE).is_file() or sections.variant.source != "ingest" or "visual" in kinds else None
     with closing(frames.frames):
-        chain = Chain(trained, sections, encoder or data / "encoder", frames)
-        _run(chain, frames, source, out, Output(quiet, as_json), video=video)
+        kinds |= {"visual"} if network else set()
+        chain = Chain(frames, size, network, kinds, sections.perception, sections.motion.road_scale)
+        predictor = Predictor(trained, sections, frames, chain.camera)
+        measured = add_courses(predictor.run(chain.run(frames.frames)), car, smooth=False)
+        run: dict[str, Any] = {"wheelbase_m": car.wheelbase_m, "warm_up": trained.window, "video": video}
+        results = write_results(measured, frames, source, out, (STEERING,), output, **run)
+    print_notes(frames, results, output)
+    ahead = f", each {trained.horizon} frames ahead" if trained.horizon else ""
+    output.line(
+        f"{trained.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}"
+    )
+    output.line(f"{out / STEERING}, {out / VIDEO}" if video else str(out / STEERING))
+    output.result(
+        {
+            "model": trained.name,
+            "source": frames.name,
+            "horizon": trained.horizon,
+            **results.summary(),
+            "notes": frames.notes,
+            "csv": str(out / STEERING),
+            "video": str(out / VIDEO) if video else None,
+        }
+    )
 
 
 def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path:
@@ -69,54 +93,3 @@ def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path
         fix = "Pass --encoder (a data/encoder) and --params (the params.yaml of its training)"
         raise InputError("the model is not in a data/train, so its encoder and params are unknown", model, fix)
     return params.resolve().parent / "data"
-
-
-def _run(chain: "Chain", source: "Source", path: Path, out: Path, output: Output, *, video: bool) -> None:
-    from tqdm import tqdm
-
-    from pipeline.live.overlay import Overlay
-    from pipeline.live.results import CSV, VIDEO, Results, result_folder
-
-    model = chain.model
-    with ExitStack() as stack:
-        folder = stack.enter_context(result_folder(out))
-        file = stack.enter_context((folder / CSV).open("w", newline="", encoding="utf-8"))
-        results, overlay = Results(file, source.name, warm_up=model.window), None
-        if video:
-            overlay = Overlay(folder / VIDEO, source, chain.camera_height_m, model.target.wheelbase_m)
-            stack.enter_context(overlay)
-        bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if output.visible else True))
-        for frame in stack.enter_context(closing(chain.run(source.frames))):
-            results.add(frame)
-            if overlay:
-                overlay.add(frame)
-            bar.update()
-            if results.frames % 20 == 0:
-                bar.set_postfix_str(results.speed())
-        if not results.frames:
-            raise InputError("no frame could be read", path, "; ".join(source.notes[:1]))
-    _report(chain, source, results, out, output, video=video)
-
-
-def _report(chain: "Chain", source: "Source", results: "Results", out: Path, output: Output, *, video: bool) -> None:
-    from pipeline.live.results import CSV, VIDEO
-
-    model = chain.model
-    for before, after in results.gaps:
-        output.line(f"no frames between {before} and {after}: a new window starts")
-    for note in source.notes:
-        output.line(note)
-    ahead = f", each {model.horizon} frames ahead" if model.horizon else ""
-    output.line(f"{model.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}")
-    output.line(f"{out / CSV}, {out / VIDEO}" if video else str(out / CSV))
-    output.result(
-        {
-            "model": model.name,
-            "source": source.name,
-            "horizon": model.horizon,
-            **results.summary(),
-            "notes": source.notes,
-            "csv": str(out / CSV),
-            "video": str(out / VIDEO) if video else None,
-        }
-    )

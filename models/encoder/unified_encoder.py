@@ -11,6 +11,7 @@ from models.encoder.backbones.dinov2 import dinov2
 from models.encoder.backbones.espnetv2 import espnetv2
 from models.encoder.backbones.rtmonodepth_s import rtmonodepth_s
 from models.encoder.backbones.small import small
+from models.encoder.backbones.street import street
 from models.encoder.backbones.swin import swin
 
 BACKBONES: dict[str, Callable[[], Parts]] = {
@@ -22,6 +23,7 @@ BACKBONES: dict[str, Callable[[], Parts]] = {
     "dinov2-vitl14": partial(dinov2, "vitl14"),
     "swin-t": swin,
     "rtmonodepth-s": rtmonodepth_s,  # Monodepth2's terms: non-commercial use only
+    "street": street,  # the same terms
 }
 
 

@@ -1,158 +1,57 @@
-"""Predict steering from a stream of frames with the stages' per-frame functions, without files.
+"""Measure the motion of a stream of frames with the stages' per-frame functions, without files.
 
-Three steps run in threads of their own: reading, perception, and the network's input. Memory holds a few frames and the
-features of one window. Predictions equal those of stage evaluate: random draws depend on drive and frame number alone,
-and a CPU encodes one image at a time in both.
+Reading, perception and motion run in threads of their own. Memory holds a few frames.
 """
 
-import time
-from collections import deque
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
 import torch
 
-from models.steering.core.recurrent import NOMINAL_STEP_S
-from pipeline import label
-from pipeline.base.errors import InputError
 from pipeline.camera.frame import Camera
 from pipeline.camera.geometry import scale_K
-from pipeline.camera.images import resized
-from pipeline.camera.mount import camera_height
+from pipeline.camera.images import Size, resized
 from pipeline.fitting.prefetch import prefetch
-from pipeline.graphs.accumulate import Accumulator, scaled_step
-from pipeline.graphs.cloud import stored_cloud
-from pipeline.graphs.graph_file import neighbours_of, sample_frame
 from pipeline.live.encoder_runner import EncoderRunner
-from pipeline.live.frame_state import FrameState, Motion
-from pipeline.live.settings import Settings
+from pipeline.live.frame_state import FrameState
 from pipeline.live.source import Source
 from pipeline.motion.estimator import MotionEstimator
-from pipeline.perception.depth_scale import needs_scan
-from pipeline.train.predict import Trained
-
-
-def needs_scans(model: Trained, settings: Settings) -> bool:
-    """Return whether the model's input is made from LiDAR scans."""
-    lidar = "lidar" in _motion_kinds(model, settings) or settings.variant.source == "clouds/lidar"
-    return lidar or needs_scan(settings.perception.depth_scale)
-
-
-def _motion_kinds(model: Trained, settings: Settings) -> set[str]:
-    accumulate = settings.variant.accumulate
-    return ({model.line["motion"]} | ({accumulate.motion} if accumulate else set())) - {"none"}
+from pipeline.sections.perception import Perception
 
 
 class Chain:
-    """Runs perception, motion, clouds, graphs and a trained network on the frames of one source."""
+    """Runs perception and motion on the frames of one source, whose images get the size `size`."""
 
-    def __init__(self, model: Trained, settings: Settings, encoder: Path, source: Source) -> None:
-        """Load the encoder of the folder `encoder` if needed. Raises InputError if the source lacks an input."""
-        if needs_scans(model, settings) and not source.has_scans:
-            needs = (
-                f"model {model.name} needs LiDAR scans (input: {model.line['input']}, motion: {model.line['motion']})"
-            )
-            raise InputError(needs, source.name, "Choose a model without them")
-        self.model, self._settings, self._drive = model, settings, source.name
-        variant, size = settings.variant, settings.ingest.image_size
-        self.camera_height_m = settings.perception.camera_height_m or camera_height(source.T_cam_velo)
-        K = scale_K(source.K, source.size, size)
-        self._camera = Camera(size, K, source.T_cam_velo, self.camera_height_m)
-        kinds, self._encoder = _motion_kinds(model, settings), None
-        if variant.source != "ingest" or "visual" in kinds:
-            self._encoder = EncoderRunner(encoder, settings.perception, self._camera)
-        road_scale = settings.motion.road_scale
-        self._estimators = {kind: MotionEstimator(kind, self._camera, road_scale=road_scale) for kind in kinds}
-        self._accumulator = Accumulator(variant.accumulate.frames) if variant.accumulate else None
-        self._neighbours = None if variant.kind == "image" else neighbours_of(variant)
+    def __init__(
+        self, source: Source, size: Size, encoder: Path | None, kinds: set[str], settings: Perception, road_scale: bool
+    ) -> None:
+        """Load the encoder of a folder; None: no depth, no classes.
+
+        Args:
+            kinds: of motion; visual needs an encoder.
+            settings: of perception.
+            road_scale: correct depth by the camera's height.
+        """
+        self.camera = Camera(size, scale_K(source.K, source.size, size), source.T_cam_velo, source.camera_height_m)
+        self._encoder = EncoderRunner(encoder, settings, self.camera) if encoder else None
+        self._estimators = {kind: MotionEstimator(kind, self.camera, road_scale=road_scale) for kind in kinds}
+        visual = self._estimators.get("visual")
+        self.odometry = visual.visual if visual else None
 
     def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
-        """Yield each frame with its prediction, in order; closes `frames`."""
-        perceived = prefetch(self._perceive(prefetch(frames, 1)), 1)
-        return self._predict(prefetch(self._build_inputs(perceived), 1))
+        """Yield each frame with depth, classes and estimates of motion, in order; closes `frames`."""
+        return self._measure(prefetch(self._perceive(prefetch(frames, 1)), 1))
 
     def _perceive(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         torch.set_num_threads(1)  # of this thread, as in stage perception
         for frame in frames:
-            frame.image = resized(frame.source_image, self._camera.size)
+            frame.image = resized(frame.source_image, self.camera.size)
             if self._encoder:
                 frame.depth, frame.cls = self._encoder.run(frame.image, frame.scan)
             yield frame
 
-    def _build_inputs(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
-        """Add motion and the spatial network's input; drop frames without the scan that it is made from."""
+    def _measure(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         for frame in frames:
-            estimates = {kind: estimator.estimate(frame) for kind, estimator in self._estimators.items()}
-            frame.motion = Motion.from_estimate(estimates.get(self.model.line["motion"]))
-            if self._neighbours is None:
-                assert frame.image is not None
-                frame.arrays = {"image": frame.image[None]}
-            elif self._settings.variant.source == "clouds/lidar" and frame.scan is None:
-                continue
-            else:
-                T_before, accumulate = None, self._settings.variant.accumulate
-                if accumulate and (estimate := estimates[accumulate.motion]):
-                    stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
-                    T_before = scaled_step(*stored, self._settings.variant.source)
-                frame.arrays = self._points(frame, T_before)
+            frame.estimates = {kind: estimator.estimate(frame) for kind, estimator in self._estimators.items()}
+            frame.problem = self.odometry.problem if self.odometry else ""
             yield frame
-
-    def _points(self, frame: FrameState, T_before: np.ndarray | None) -> dict[str, np.ndarray]:
-        """Return the arrays of a variant of points, as :mod:`pipeline.train.frames` reads them."""
-        variant, number = self._settings.variant, frame.number
-        assert self._neighbours
-        kind = variant.source.removeprefix("clouds/")
-        cloud = stored_cloud(frame, kind, self._camera, self._drive, self._settings.clouds)
-        if self._accumulator:
-            cloud = self._accumulator.add(number, cloud, T_before)
-        xyz, cls, rng = sample_frame(cloud, variant, self._drive, number)
-        arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, len(xyz)])}
-        for name, array in self._neighbours.compute(xyz, cls, rng).items():
-            arrays[name] = array if name == "degree" else array.astype(np.int64)
-            if name in self._neighbours.pointers:
-                arrays[f"{name}_ptr"] = np.array([0, len(array)])
-        return arrays
-
-    def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
-        """Add the angle predicted after each frame that completes a window."""
-        net, target, length = self.model.net, self.model.target, self.model.window
-        base_rad = 0.0
-        window: deque[_WindowFrame] = deque(maxlen=length)
-        for frame in frames:
-            motion = frame.motion
-            if motion.valid and abs(motion.speed_mps) >= target.min_speed_mps:
-                yaw_rate_radps, speed_mps = np.array(motion[:2], np.float64)
-                base_rad = float(label.steering_angle(yaw_rate_radps, speed_mps, target.wheelbase_m))
-            if window and frame.number != window[-1].number + 1:
-                window.clear()
-            dt_s = frame.time_s - window[-1].time_s if window else NOMINAL_STEP_S
-            with torch.inference_mode():
-                features = net.encode(net.frames(frame.arrays))
-                window.append(_WindowFrame(frame.number, frame.time_s, dt_s, features, (base_rad, *motion)))
-                if len(window) == length:
-                    features = torch.cat([each.features for each in window])
-                    output = net.recall(features, *net.windows(_arrays(window)))
-                    frame.predicted_rad = float(np.float32(base_rad)) + target.std_rad * float(output)
-            frame.latency_s = time.perf_counter() - frame.started_s
-            yield frame
-
-
-class _WindowFrame(NamedTuple):
-    """A frame of the window, as the recurrent network takes it."""
-
-    number: int
-    time_s: float
-    dt_s: float
-    features: torch.Tensor  # [1,F]
-    motion: tuple[float, np.float32, np.float32, bool]  # columns pipeline.train.windows.MOTION
-
-
-def _arrays(window: Sequence[_WindowFrame]) -> dict[str, np.ndarray]:
-    """Return the arrays of a batch with one window, without its frames."""
-    return {
-        "windows": np.arange(len(window))[None],
-        "dt_s": np.array([[frame.dt_s for frame in window]], np.float32),
-        "motion": np.array([frame.motion for frame in window], np.float32),
-    }

@@ -23,6 +23,18 @@ class Motion(NamedTuple):
         return cls(np.float32(estimate.yaw_rate_radps), np.float32(estimate.speed_mps), True)
 
 
+class Course(NamedTuple):
+    """Measured motion of the car, left and forward positive, and its pose relative to the first frame."""
+
+    speed_mps: float
+    yaw_rate_radps: float
+    curvature_1pm: float | None  # None below the minimum speed
+    steering_rad: float | None
+    x_m: float  # ahead
+    y_m: float  # to the left
+    heading_rad: float
+
+
 @dataclass
 class FrameState(Frame):
     """A frame of a source, and the results of the steps for it."""
@@ -30,7 +42,14 @@ class FrameState(Frame):
     source_image: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # RGB uint8, at the source's size
     started_s: float = 0.0  # time.perf_counter() before the frame was read
     driven_rad: float | None = None  # ground truth from oxts, where the source has it
-    motion: Motion = field(default_factory=Motion)  # of the kind that the model takes
+    estimates: dict[str, Estimate | None] = field(default_factory=dict)  # by kind of motion
+    problem: str = ""  # why no visual motion could be measured
+    course: Course | None = None
     arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, as in pipeline.train.frames
     predicted_rad: float | None = None  # None until the first complete window
     latency_s: float = 0.0  # from `started_s` to the prediction
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Visual motion, or from scans where only these are used."""
+        return self.estimates.get("visual", self.estimates.get("lidar"))

@@ -1,4 +1,4 @@
-"""Write a video with the predicted path, drawn on the street, and the angle as text."""
+"""Write a video with the predicted or measured path, drawn on the street, and the numbers as text."""
 
 from contextlib import nullcontext, suppress
 from fractions import Fraction
@@ -26,12 +26,13 @@ CONTAINER = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_pa
 class Overlay:
     """An H.264 video in fragmented MP4; a context manager."""
 
-    def __init__(self, path: Path, source: Source, camera_height_m: float, wheelbase_m: float) -> None:
-        """Open the video for the images of `source`; the camera's height is over the road."""
+    def __init__(self, path: Path, source: Source, wheelbase_m: float, *, predicts: bool = True) -> None:
+        """Open the video for the images of `source`; without `predicts`, it shows the measured path."""
         scale = min(1.0, MAX_WIDTH / source.size[1])
         height, width = self._size = tuple(max(2, int(side * scale) // 2 * 2) for side in source.size)  # even for 4:2:0
         self._K = scale_K(source.K, source.size, (height, width))
-        self._height_m, self._wheelbase_m = camera_height_m, wheelbase_m
+        self._height_m, self._slope = source.camera_height_m, source.slope
+        self._wheelbase_m, self._predicts = wheelbase_m, predicts
         self._file = av.open(str(path), "w", format="mp4", options=CONTAINER)
         self._stream = self._file.add_stream("libx264", rate=Fraction(source.fps).limit_denominator(1001))
         self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
@@ -39,17 +40,22 @@ class Overlay:
         self._stream.options = {"preset": "veryfast", "tune": "zerolatency", "g": key_interval}
 
     def add(self, frame: FrameState) -> None:
-        """Draw the next frame: the predicted path in green, the driven one, if known, in red."""
+        """Draw the next frame: the path in green, the driven one, if known, in red."""
         import cv2
 
         resized = cv2.resize(frame.source_image, self._size[::-1], interpolation=cv2.INTER_AREA)
         image = np.asarray(resized, np.uint8)
-        text = "waiting for a complete window"
+        measured_rad = frame.course.steering_rad if frame.course else None
+        angle_rad = frame.predicted_rad if self._predicts else measured_rad
         if frame.driven_rad is not None:
             self._draw_path(image, frame.driven_rad, DRIVEN, filled=False)
-        if frame.predicted_rad is not None:
-            self._draw_path(image, frame.predicted_rad, PREDICTED, filled=True)
-            text = f"predicted {_degrees(frame.predicted_rad)}"
+        if angle_rad is not None:
+            self._draw_path(image, angle_rad, PREDICTED, filled=True)
+        if self._predicts:
+            text = "waiting for a complete window" if angle_rad is None else f"predicted {_degrees(angle_rad)}"
+        else:
+            text = f"{frame.course.speed_mps:.1f} m/s" if frame.course else f"not measured: {frame.problem}"
+            text += "" if angle_rad is None else f"   measured {_degrees(angle_rad)}"
         if frame.driven_rad is not None:
             text += f"   driven {_degrees(frame.driven_rad)}"
         image[: 2 * TEXT_PX] = image[: 2 * TEXT_PX] // 3  # darker behind the text
@@ -69,7 +75,8 @@ class Overlay:
         sides = []
         for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
             ground = centre + offset_m * left
-            xyz = np.stack([-ground[:, 1], np.full(steps, self._height_m), ground[:, 0]], axis=1)
+            down = self._height_m + self._slope * ground[:, 0]
+            xyz = np.stack([-ground[:, 1], down, ground[:, 0]], axis=1)
             uv, z = project(xyz, self._K)
             sides.append(np.rint(uv[z > 1.0]).astype(np.int32))
         if filled:

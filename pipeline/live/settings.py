@@ -43,6 +43,16 @@ def read(params: Path, variant: str, data: Path) -> Settings:
     return settings
 
 
+def focal_by_width(data: Path) -> float | None:
+    """Return focal length / image width of the first drive in `data`/ingest; None without files."""
+    folder = data / "ingest"
+    for path in (folder / f"{drive}.h5" for drive in store.indexed(folder)):
+        if path.is_file():
+            with store.DriveReader(path, stage="ingest") as file:
+                return float(file["K"][0, 0] / file.shape("image")[2]) if "K" in file else None
+    return None
+
+
 def _compare(section: Section, folder: Path, params: Path, keys: set[str]) -> None:
     """Raise InputError if the first file of a stage's folder was made with another value of one of `keys`."""
     stage = getattr(type(section), "key", "graphs")  # an entry of graphs has no key of its own

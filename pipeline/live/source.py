@@ -10,15 +10,20 @@ import numpy as np
 
 from pipeline import label
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.camera.footage import open_footage
-from pipeline.camera.images import Size, crop_to, read_image
+from pipeline.camera.footage import Footage, open_footage
+from pipeline.camera.images import Size, crop_to, format_size, read_image
 from pipeline.camera.intrinsics import intrinsics
+from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.live.frame_state import FrameState
+from pipeline.live.horizon import find_horizon
+from pipeline.recording.clock import read_times, timed
 from pipeline.train.windows import Car
 
 DEFAULT_FPS = 10.0  # KITTI's
+BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are
+PAIRS, PAIR_EVERY = 60, 10  # images that are searched for the horizon
 MIN_SIDE = 16  # px; nothing can be recognised in smaller images
 
 
@@ -35,6 +40,13 @@ class Source:
     T_cam_velo: np.ndarray | None = None  # [4,4]; None without LiDAR calibration
     has_scans: bool = False
     notes: list[str] = field(default_factory=list)  # for the user; grows while frames are read
+    slope: float = 0.0  # of the road, metres down per metre ahead of the camera
+    height_m: float | None = None  # of the camera over the road; None: unknown
+
+    @property
+    def camera_height_m(self) -> float:
+        """The camera's height over the road; KITTI's if it is unknown."""
+        return self.height_m or CAMERA_HEIGHT_M
 
 
 class Lens(NamedTuple):
@@ -45,7 +57,24 @@ class Lens(NamedTuple):
     K: str | None = None
 
 
-def open_source(path: Path, cameras: Sequence[int], lens: Lens, aspect: Size, scans: bool, car: Car) -> Source:
+class Clock(NamedTuple):
+    """One of two ways to give the images' times: images per second, or a file with a time in seconds per image."""
+
+    fps: float | None = None
+    times: Path | None = None
+
+
+def open_source(
+    path: Path,
+    cameras: Sequence[int],
+    lens: Lens,
+    aspect: Size,
+    scans: bool,
+    car: Car,
+    clock: Clock = Clock(),
+    height_m: float | None = None,
+    level: bool = True,
+) -> Source:
     """Open a KITTI drive's folder, a folder of images, or a video.
 
     Args:
@@ -55,19 +84,24 @@ def open_source(path: Path, cameras: Sequence[int], lens: Lens, aspect: Size, sc
         aspect: (H, W) of the training images in any unit; images are cropped as by stage ingest.
         scans: whether to read the LiDAR scans of a KITTI drive.
         car: for the ground truth of a KITTI drive.
+        clock: times, if it is not a KITTI drive.
+        height_m: of the camera over the road; None: from a KITTI drive's calibration, else unknown.
+        level: crop around the optical axis, as by stage ingest; False: around the horizon, which is searched for.
     Raises:
         InputError: it is none of them, lacks a calibration, or cannot be read.
     """
     drive = RawDrive(path.resolve())
     if any(drive.images(camera) for camera in cameras):
-        if lens != Lens():
-            raise InputError("a KITTI drive has its own calibration", path, "Remove --calib, --fov and --K")
+        if lens != Lens() or clock != Clock():
+            fix = "Remove --calib, --fov, --K, --fps and --times"
+            raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(drive, cameras, aspect, scans, car)
     elif drive.oxts or drive.scans:
         wanted = " or ".join(map(str, cameras))
         raise InputError(f"no images of camera {wanted}", path, "Extract image_02 of the drive")
     else:
-        source = _open_footage(path, lens, aspect)
+        source = _open_footage(path, lens, aspect, clock, level)
+    source.height_m = height_m or source.height_m
     if min(source.size) < MIN_SIDE:
         height, width = source.size
         raise InputError(f"images are too small (got {width} x {height} px after cropping, at least {MIN_SIDE})", path)
@@ -110,6 +144,7 @@ def _open_drive(drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bo
         T_cam_velo=camera.T_cam_velo,
         has_scans=bool(drive.scans) and camera.T_cam_velo is not None,
         notes=notes,
+        height_m=camera_height(camera.T_cam_velo),  # KITTI's without a LiDAR calibration
     )
 
 
@@ -122,16 +157,48 @@ def _driven_angle(packets: Mapping[int, Path], number: int, car: Car) -> float |
     return float(steering_rad[0]) if valid[0] else None
 
 
-def _open_footage(path: Path, lens: Lens, aspect: Size) -> Source:
-    footage = open_footage(path)
+def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: bool) -> Source:
+    if clock.fps and clock.times:
+        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
+    footage = open_footage(path, clock.fps)
+    if footage.size[0] > footage.size[1]:
+        sizes = f"images are taller than wide ({format_size(footage.size)} pixels): is it rotated by 90 degrees?"
+        raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
     K = intrinsics(footage.size, **lens._asdict())
-    crop = crop_to(footage.size, aspect, K)
+    times_s = read_times(clock.times) if clock.times else None
+    notes, horizon = [], None
+    if times_s is None and next(iter(footage.frames())).time_s is None:
+        notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
+        footage = open_footage(path, DEFAULT_FPS)
+    if not level and (horizon := find_horizon(_some_pairs(footage), K)) is None:
+        notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
+    crop = crop_to(footage.size, aspect, K, None if horizon is None else horizon + BELOW * footage.size[1])
 
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()
-        for number, time_s, image in footage.frames():
-            seconds = number / DEFAULT_FPS if time_s is None else time_s
-            yield FrameState(number, seconds, source_image=crop.pixels(image), started_s=started_s)
+        for time_s, image in timed(footage, times_s):
+            yield FrameState(image.number, time_s, source_image=crop.pixels(image.image), started_s=started_s)
             started_s = time.perf_counter()
 
-    return Source(path.stem, crop.size, crop.K(K), frames(), footage.count, footage.fps or DEFAULT_FPS)
+    source = Source(path.stem, crop.size, crop.K(K), frames(), footage.count, footage.fps or DEFAULT_FPS, notes=notes)
+    if times_s is not None and len(times_s) > 1:
+        source.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
+    if crop.size != footage.size:
+        rows, columns = crop
+        part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"
+        notes.append(f"images are cropped to {part}, the shape of the training images")
+    if horizon is not None:
+        source.slope = (horizon - K[1, 2]) / K[1, 1]
+        notes.append(f"horizon: row {horizon:.0f} of {footage.size[0]}")
+    return source
+
+
+def _some_pairs(footage: Footage) -> Generator[tuple[np.ndarray, np.ndarray]]:
+    """Yield pairs of consecutive images, evenly spread over the first minute of a drive."""
+    before = None
+    for index, image in enumerate(footage.frames()):
+        if index >= PAIRS * PAIR_EVERY:
+            return
+        if index % PAIR_EVERY == 1 and before is not None:
+            yield before, image.image
+        before = image.image

@@ -23,9 +23,9 @@ class MotionEstimator:
 
     def __init__(self, kind: str, camera: Camera, *, road_scale: bool) -> None:
         """`road_scale`: correct the scale of depth by the camera's height over the road; visual only."""
-        self._visual = self._lidar = None
+        self.visual = self._lidar = None
         if kind == "visual":
-            self._visual = visual.Odometry(camera.K, camera.size, camera.height_m if road_scale else None)
+            self.visual = visual.Odometry(camera.K, camera.size, camera.height_m if road_scale else None)
         else:
             self._lidar = lidar.Odometry(np.eye(4) if camera.T_cam_velo is None else camera.T_cam_velo)
         self._clock = StepClock()
@@ -35,12 +35,12 @@ class MotionEstimator:
 
         Frames come in order of their numbers. A frame without a scan does not count for lidar.
         """
-        if self._visual:
+        if self.visual:
             assert frame.image is not None
             assert frame.depth is not None
             assert frame.cls is not None
             depth_m = to_metres(frame.depth).astype(np.float32)
-            step = self._visual.step(visual.View(frame.number, frame.image, depth_m, frame.cls))
+            step = self.visual.step(visual.View(frame.number, frame.image, depth_m, frame.cls))
         elif self._lidar and frame.scan is not None:
             step = self._lidar.step(lidar.Scan(frame.number, frame.scan))
         else:

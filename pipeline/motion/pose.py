@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.camera.geometry import project
+
 MIN_POINTS = 20
 # Minimum inlier ratios after RANSAC and after refinement: in a queue of cars, the largest rigid motion can be theirs.
 MIN_RANSAC_INLIERS, MIN_INLIERS = 0.3, 0.6
@@ -22,11 +24,16 @@ MIN_DEPTH_M = 0.3  # points closer than this to the camera get no weight
 
 
 class Pose(NamedTuple):
-    """Transform of points of the previous frame to this frame's camera, its inliers and their median error."""
+    """Transform of points of the previous frame to this frame's camera, its inliers and their median error.
+
+    The best focal length, given all depths, is exp(-focal_gradient / focal_information) times the assumed one.
+    """
 
     T_now_before: np.ndarray  # [4,4]
     inliers: np.ndarray  # bool [N]
     residual_px: float
+    focal_gradient: float
+    focal_information: float
 
 
 def estimate_pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> Pose | None:
@@ -60,11 +67,38 @@ def estimate_pose(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: n
             return None
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
-    error, weight, _ = _linearise(T, xyz, uv, K, depth_sigma)
+    error, weight, jacobian = _linearise(T, xyz, uv, K, depth_sigma)
     inliers = _squared_mahalanobis(error, weight) < INLIER_SIGMAS**2
     if inliers.sum() < max(MIN_POINTS, MIN_INLIERS * len(xyz)):
         return None
-    return Pose(T, inliers, float(np.median(np.linalg.norm(error[inliers], axis=-1))))
+    focal = _focal_step(T, xyz, uv, K, error, weight * inliers[:, None, None], jacobian)
+    return Pose(T, inliers, float(np.median(np.linalg.norm(error[inliers], axis=-1))), *focal)
+
+
+def _focal_step(
+    T: np.ndarray,
+    xyz: np.ndarray,
+    uv: np.ndarray,
+    K: np.ndarray,
+    error: np.ndarray,
+    weight: np.ndarray,
+    jacobian: np.ndarray,
+) -> tuple[float, float]:
+    """Return gradient and information of the logarithm of the focal length, with the pose eliminated.
+
+    Arguments as of :func:`estimate_pose` and results of :func:`_linearise`. Only turns contain information: a rotation
+    moves pixels at the image's edge by more than those at its centre, the more so the shorter the focal length is.
+    """
+    small = 1e-4
+    wider = K.copy()
+    wider[[0, 1], [0, 1]] *= 1 + small
+    pixels = project(xyz, K)[0]
+    rays = np.linalg.solve(wider, np.column_stack([pixels, np.ones(len(pixels))]).T).T
+    by_focal = (_linearise(T, rays * xyz[:, 2:], uv, wider, np.ones(len(xyz)))[0] - error) / small  # [N,2]
+    columns = np.concatenate([jacobian, by_focal[:, :, None], error[:, :, None]], axis=2)  # [N,2,8]
+    normal = np.einsum("nia,nij,njb->ab", columns, weight, columns)
+    reduced = normal[6:, 6:] - normal[6:, :6] @ np.linalg.lstsq(normal[:6, :6], normal[:6, 6:], rcond=None)[0]
+    return float(reduced[0, 1]), float(reduced[0, 0])
 
 
 def _squared_mahalanobis(error: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -6,18 +6,20 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.geometry import project, transform
-from pipeline.motion.pose import estimate_pose
+from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step, is_standstill, plausible
 from pipeline.motion.tracks import Corners, track
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
 MIN_WIDTH = 640  # px; smaller images are enlarged, as tracking is accurate to a fixed fraction of a pixel
-MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 80.0
+MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 80.0  # the latter for focal lengths up to WIDE image widths, KITTI's and others
+WIDE = 0.65
 EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous
 AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
+STANDSTILL = ("the image does not move", "the camera stands")
 STANDSTILL_PX = 0.1  # the car stands if half of the corners move less
 
 
@@ -42,21 +44,27 @@ class Odometry:
             camera_height_m: over the road, to correct the scale of depth; None: no correction.
         """
         self._K = K
+        self._max_depth_m = MAX_DEPTH_M * max(1.0, K[0, 0] / (WIDE * size[1]))
         self._enlarged = -(-MIN_WIDTH // size[1])
-        self._road = Road(K, (size[0], size[1]), camera_height_m)
+        self.road = Road(K, (size[0], size[1]), camera_height_m)
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
         self._T_before: np.ndarray | None = None  # the previous step
+        self.problem = ""
+        """Why the last step could not be measured; empty if it was."""
+        self.focal = np.zeros(2)
+        """Sums of :class:`Pose`'s gradient and information of the focal length."""
 
     def step(self, view: View) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Views come in order."""
         grey, step = self._grey_image(view.image), None
+        self.problem = "no previous frame"
         if self._number is not None and view.number == self._number + 1:
             step = self._measure(grey)
         self._T_before = step.T_before if step else None
         if step:
-            self._road.add_step(step.T_before)
+            self.road.add_step(step.T_before)
         self._number, self._grey, self._points = view.number, grey, self._lift(view, grey)
         return step
 
@@ -69,20 +77,31 @@ class Odometry:
             uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv, uv_before)
         uv, tracked = track(self._grey, grey, self._larger(uv_before), self._larger(uv_guess))
         xyz, uv_before, uv = xyz[tracked], uv_before[tracked], self._smaller(uv[tracked])
-        if not len(uv) or np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
+        if len(uv) < MIN_POINTS:
+            self.problem = "too few points can be tracked"
+            return None
+        if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
+            self.problem = STANDSTILL[0]
             return None
         pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked])
         if pose is None:
+            self.problem = "no common motion of the scene"
             return None
         T_before = np.linalg.inv(pose.T_now_before)
-        if is_standstill(T_before) or not plausible(T_before):
+        if is_standstill(T_before):
+            self.problem = STANDSTILL[1]
             return None
+        if not plausible(T_before):
+            self.problem = "a motion that is not a car's"
+            return None
+        self.problem = ""
+        self.focal += pose.focal_gradient, pose.focal_information
         return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
 
     def _lift(self, view: View, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
-        usable = _usable_pixels(view)
-        road, scale = self._road.find(view.depth_m, usable)
+        usable = _usable_pixels(view, self._max_depth_m)
+        road, scale = self.road.find(view.depth_m, usable)
         corners = Corners(grey)
         on_road = corners.best(self._enlarge(road), *ON_ROAD)
         elsewhere = corners.best(self._enlarge(usable & ~road), *ELSEWHERE)
@@ -112,10 +131,10 @@ class Odometry:
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
 
-def _usable_pixels(view: View) -> np.ndarray:
+def _usable_pixels(view: View, max_depth_m: float) -> np.ndarray:
     """Return the pixels with a well-defined depth that are not traffic, bool [H,W]."""
     import cv2
 
     nearest, farthest = cv2.erode(view.depth_m, AROUND), cv2.dilate(view.depth_m, AROUND)
     moving = cv2.dilate(MOVING[view.cls].astype(np.uint8), AROUND)
-    return (nearest > MIN_DEPTH_M) & (farthest < MAX_DEPTH_M) & (farthest < EDGE * nearest) & (moving == 0)
+    return (nearest > MIN_DEPTH_M) & (farthest < max_depth_m) & (farthest < EDGE * nearest) & (moving == 0)

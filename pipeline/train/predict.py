@@ -66,6 +66,18 @@ class Prediction(NamedTuple):
     sigma_rad: np.ndarray | None = None
 
 
+class Card(BaseModel):
+    """What a model was fitted to: names of drives, and their frame rate."""
+
+    drives: list[str]
+    fps: float
+
+    @classmethod
+    def from_drives(cls, drives: Sequence[windows.Drive]) -> "Card":
+        steps_s = np.concatenate([np.diff(drive.time_s) for drive in drives])
+        return cls(drives=[drive.name for drive in drives], fps=float(1 / np.median(steps_s)))
+
+
 class Checkpoint(BaseModel):
     """Schema of best.pt."""
 
@@ -75,6 +87,7 @@ class Checkpoint(BaseModel):
     contents: dict[str, Any]
     model: Model
     target: Target
+    card: Card | None = None
     net: dict[str, Any]
 
 
@@ -89,6 +102,7 @@ class Trained:
     contents: dict[str, Any]  # of the graph files it was trained on, see frames.Graphs
     target: Target
     net: "SteeringNet"
+    card: Card | None = None
 
     @property
     def window(self) -> int:
@@ -163,7 +177,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         checkpoint.load_state(net, best.net, path)
     runs.check_pair(path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
-    return Trained(best.name, best.seed, best.fold, line, best.contents, best.target, net)
+    return Trained(best.name, best.seed, best.fold, line, best.contents, best.target, net, best.card)
 
 
 def _parse(content: Mapping[str, Any]) -> Checkpoint:

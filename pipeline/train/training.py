@@ -81,6 +81,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "contents": contents,
         "target": vars(target),
         "revision": revision(),
+        "card": predict.Card.from_drives(train).model_dump(),
         **inputs,
     }
     fitting.run(train, val, state, metadata, f"{job.name} {run}")

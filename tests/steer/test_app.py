@@ -11,7 +11,7 @@ from pipeline.base.resume import ROOT
 from steer.app import app
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
-VERBS = {"predict", "import", "show", "diff", "doctor", "export"}
+VERBS = {"measure", "predict", "import", "show", "diff", "doctor", "export"}
 
 
 def test_help_imports_nothing_large() -> None:

@@ -105,7 +105,7 @@ def test_sigterm_ends_a_run_like_ctrl_c_and_keeps_the_earlier_result(sample: Pat
         time.sleep(0.2)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 143
+    assert process.returncode == 143, errors
     assert "error: interrupted" in errors
     assert (out / "steering.csv").read_text() == "earlier"
     assert read(frames)[-1]["latency_ms"]

@@ -12,7 +12,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.live.frame_state import FrameState
 from pipeline.live.overlay import Overlay
-from pipeline.live.results import CSV, UNFINISHED, VIDEO, result_folder
+from pipeline.live.results import STEERING, UNFINISHED, VIDEO, result_folder
 from pipeline.live.source import Source
 
 SIZE, FPS = (96, 320), 10.0
@@ -29,7 +29,7 @@ def frames(count: int) -> list[FrameState]:
 
 def overlay(path: Path) -> Overlay:
     K = np.array([[200.0, 0, 160], [0, 200, 40], [0, 0, 1]])
-    return Overlay(path, Source("drive", SIZE, K, iter(()), None, FPS), 1.65, 2.7)  # type: ignore[arg-type]
+    return Overlay(path, Source("drive", SIZE, K, iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
 
 
 def decoded(path: Path) -> int:
@@ -38,8 +38,8 @@ def decoded(path: Path) -> int:
 
 
 def write(out: Path, text: str) -> None:
-    with result_folder(out) as folder:
-        (folder / CSV).write_text(text)
+    with result_folder(out, STEERING, VIDEO) as folder:
+        (folder / STEERING).write_text(text)
         if text == "fail":
             raise RuntimeError
 
@@ -47,13 +47,13 @@ def write(out: Path, text: str) -> None:
 def test_results_replace_earlier_ones_only_on_success(tmp_path: Path) -> None:
     (tmp_path / VIDEO).write_text("earlier")
     write(tmp_path, "first")
-    assert (tmp_path / CSV).read_text() == "first"
+    assert (tmp_path / STEERING).read_text() == "first"
     assert not (tmp_path / VIDEO).exists()  # of another run
     with pytest.raises(RuntimeError):
         write(tmp_path, "fail")
-    assert (tmp_path / CSV).read_text() == "first"
-    assert (tmp_path / UNFINISHED / CSV).read_text() == "fail"
-    with result_folder(tmp_path), pytest.raises(InputError, match="another process"):
+    assert (tmp_path / STEERING).read_text() == "first"
+    assert (tmp_path / UNFINISHED / STEERING).read_text() == "fail"
+    with result_folder(tmp_path, STEERING, VIDEO), pytest.raises(InputError, match="another process"):
         write(tmp_path, "second")
 
 

@@ -1,0 +1,153 @@
+"""Predict steering from measured frames with the stages' per-frame functions: clouds, graphs, and a network.
+
+The network's input is made in a thread of its own. Memory holds the features of one window. Predictions equal those of
+stage evaluate: random draws depend on drive and frame number alone, and a CPU encodes one image at a time in both.
+"""
+
+import time
+from collections import deque
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from models.steering.core.recurrent import NOMINAL_STEP_S
+from pipeline import label
+from pipeline.base.errors import InputError
+from pipeline.camera.frame import Camera
+from pipeline.fitting.prefetch import prefetch
+from pipeline.graphs.accumulate import Accumulator, scaled_step
+from pipeline.graphs.cloud import stored_cloud
+from pipeline.graphs.graph_file import neighbours_of, sample_frame
+from pipeline.live.frame_state import FrameState, Motion
+from pipeline.live.settings import Settings
+from pipeline.live.source import Source
+from pipeline.perception.depth_scale import needs_scan
+from pipeline.sections.ingest import SAMPLE
+from pipeline.train.predict import Trained
+
+TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
+
+
+def needs_scans(model: Trained, settings: Settings) -> bool:
+    """Return whether the model's input is made from LiDAR scans."""
+    lidar = "lidar" in motion_kinds(model, settings) or settings.variant.source == "clouds/lidar"
+    return lidar or needs_scan(settings.perception.depth_scale)
+
+
+def motion_kinds(model: Trained, settings: Settings) -> set[str]:
+    """Return the kinds of motion that the model's input is made from."""
+    accumulate = settings.variant.accumulate
+    return ({model.line["motion"]} | ({accumulate.motion} if accumulate else set())) - {"none"}
+
+
+def differences(model: Trained, source: Source, fitted_focal: float | None) -> list[str]:
+    """Return where a source differs from what the model was fitted to; `fitted_focal` by width, None: unknown."""
+    texts, card = [], model.card
+    rendered = card and all(drive.startswith(SAMPLE) for drive in card.drives)
+    if rendered and not source.name.startswith(SAMPLE):
+        texts.append("it was fitted to the rendered sample alone, so expect wrong angles on real streets")
+    if card and abs(source.fps / card.fps - 1) > TOLERANCE:
+        texts.append(f"it was fitted to {card.fps:.1f} frames/s, got {source.fps:.1f}")
+    focal = source.K[0, 0] / source.size[1]
+    if fitted_focal and abs(focal / fitted_focal - 1) > TOLERANCE:
+        texts.append(f"it was fitted to a focal length of {fitted_focal:.2f} image widths, got {focal:.2f}")
+    return [f"warning: model {model.name}: {text}" for text in texts]
+
+
+class Predictor:
+    """Runs clouds, graphs and a trained network on the frames of one source."""
+
+    def __init__(self, model: Trained, settings: Settings, source: Source, camera: Camera) -> None:
+        """Raises InputError if the source lacks an input."""
+        if needs_scans(model, settings) and not source.has_scans:
+            needs = (
+                f"model {model.name} needs LiDAR scans (input: {model.line['input']}, motion: {model.line['motion']})"
+            )
+            raise InputError(needs, source.name, "Choose a model without them")
+        self.model, self._settings, self._drive, self._camera = model, settings, source.name, camera
+        variant = settings.variant
+        self._accumulator = Accumulator(variant.accumulate.frames) if variant.accumulate else None
+        self._neighbours = None if variant.kind == "image" else neighbours_of(variant)
+
+    def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
+        """Yield each frame with its prediction, in order; closes `frames`."""
+        with closing(prefetch(self._build_inputs(frames), 1)) as inputs:
+            yield from self._predict(inputs)
+
+    def _build_inputs(self, frames: Generator[FrameState]) -> Generator[FrameState]:
+        """Add the spatial network's input; drop frames without the scan that it is made from."""
+        with closing(frames):
+            for frame in frames:
+                if self._neighbours is None:
+                    assert frame.image is not None
+                    frame.arrays = {"image": frame.image[None]}
+                elif self._settings.variant.source == "clouds/lidar" and frame.scan is None:
+                    continue
+                else:
+                    T_before, accumulate = None, self._settings.variant.accumulate
+                    if accumulate and (estimate := frame.estimates[accumulate.motion]):
+                        stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
+                        T_before = scaled_step(*stored, self._settings.variant.source)
+                    frame.arrays = self._points(frame, T_before)
+                yield frame
+
+    def _points(self, frame: FrameState, T_before: np.ndarray | None) -> dict[str, np.ndarray]:
+        """Return the arrays of a variant of points, as :mod:`pipeline.train.frames` reads them."""
+        variant, number = self._settings.variant, frame.number
+        assert self._neighbours
+        kind = variant.source.removeprefix("clouds/")
+        cloud = stored_cloud(frame, kind, self._camera, self._drive, self._settings.clouds)
+        if self._accumulator:
+            cloud = self._accumulator.add(number, cloud, T_before)
+        xyz, cls, rng = sample_frame(cloud, variant, self._drive, number)
+        arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, len(xyz)])}
+        for name, array in self._neighbours.compute(xyz, cls, rng).items():
+            arrays[name] = array if name == "degree" else array.astype(np.int64)
+            if name in self._neighbours.pointers:
+                arrays[f"{name}_ptr"] = np.array([0, len(array)])
+        return arrays
+
+    def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
+        """Add the angle predicted after each frame that completes a window."""
+        net, target, length = self.model.net, self.model.target, self.model.window
+        base_rad = 0.0
+        window: deque[_WindowFrame] = deque(maxlen=length)
+        for frame in frames:
+            motion = Motion.from_estimate(frame.estimates.get(self.model.line["motion"]))
+            if motion.valid and abs(motion.speed_mps) >= target.min_speed_mps:
+                yaw_rate_radps, speed_mps = np.array(motion[:2], np.float64)
+                base_rad = float(label.steering_angle(yaw_rate_radps, speed_mps, target.wheelbase_m))
+            if window and frame.number != window[-1].number + 1:
+                window.clear()
+            dt_s = frame.time_s - window[-1].time_s if window else NOMINAL_STEP_S
+            with torch.inference_mode():
+                features = net.encode(net.frames(frame.arrays))
+                window.append(_WindowFrame(frame.number, frame.time_s, dt_s, features, (base_rad, *motion)))
+                if len(window) == length:
+                    features = torch.cat([each.features for each in window])
+                    output = net.recall(features, *net.windows(_arrays(window)))
+                    frame.predicted_rad = float(np.float32(base_rad)) + target.std_rad * float(output)
+            frame.latency_s = time.perf_counter() - frame.started_s
+            yield frame
+
+
+class _WindowFrame(NamedTuple):
+    """A frame of the window, as the recurrent network takes it."""
+
+    number: int
+    time_s: float
+    dt_s: float
+    features: torch.Tensor  # [1,F]
+    motion: tuple[float, np.float32, np.float32, bool]  # columns pipeline.train.windows.MOTION
+
+
+def _arrays(window: Sequence[_WindowFrame]) -> dict[str, np.ndarray]:
+    """Return the arrays of a batch with one window, without its frames."""
+    return {
+        "windows": np.arange(len(window))[None],
+        "dt_s": np.array([[frame.dt_s for frame in window]], np.float32),
+        "motion": np.array([frame.motion for frame in window], np.float32),
+    }

@@ -1,0 +1,124 @@
+"""steer measure: known motion of a rendered street, and input that shows no motion of a car."""
+
+import csv
+import json
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from pipeline.base.errors import InputError
+from pipeline.camera.geometry import rays
+from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.live import chain
+from steer.measure import measure
+from tests import rendered_street as street
+from tests.footage import write_folder
+
+YAW_RATE, SPEED = 0.2, 8.0
+LENS = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": CAMERA_HEIGHT_M}
+
+
+class FlatGround:
+    """An encoder that predicts flat ground and houses 30 m away, without classes."""
+
+    def __init__(self, encoder: Path, settings: object, camera: chain.Camera) -> None:
+        down = rays(camera.K, camera.size)[..., 1]
+        depth_m = np.minimum(30, camera.height_m / np.maximum(down, 1e-3))
+        self._depth, self._cls = (256 * depth_m).astype(np.uint16), np.full(camera.size, 255, np.uint8)
+
+    def run(self, image: np.ndarray, scan: None) -> tuple[np.ndarray, np.ndarray]:
+        return self._depth, self._cls
+
+
+@pytest.fixture
+def encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(chain, "EncoderRunner", FlatGround)
+    (tmp_path / "encoder").mkdir()
+    (tmp_path / "encoder/encoder.pt").touch()
+    return tmp_path / "encoder"
+
+
+def drive(count: int, start: int = 0) -> list[np.ndarray]:
+    return [street.view(pose)[0] for pose in street.arc(start + count, YAW_RATE, SPEED)[start:]]
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    with (out / "motion.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def column(out: Path, name: str) -> np.ndarray:
+    return np.array([float(row[name] or "nan") for row in rows(out)])
+
+
+def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, images = tmp_path / "out", write_folder(tmp_path / "images", drive(30))
+    measure(images, out=out, encoder=encoder, as_json=True, **LENS)
+    result = json.loads(capsys.readouterr().out)
+    assert (result["frames"], result["valid"]) == (30, 29)
+    assert column(out, "valid").tolist() == [0] + 29 * [1]
+    assert column(out, "yaw_rate_radps")[1:] == pytest.approx(YAW_RATE, abs=0.02)
+    assert column(out, "speed_mps")[1:] == pytest.approx(SPEED, rel=0.1)
+    angle = np.arctan(2.7 * YAW_RATE / SPEED)
+    assert column(out, "measured_rad")[1:] == pytest.approx(angle, abs=0.01)
+    assert column(out, "heading_rad")[-1] == pytest.approx(2.9 * YAW_RATE, rel=0.1)
+    assert column(out, "y_m")[-1] == pytest.approx(SPEED / YAW_RATE * (1 - np.cos(2.9 * YAW_RATE)), rel=0.2)  # left
+    quality = json.loads((out / "quality.json").read_text())
+    assert quality["road_height_m"] == pytest.approx(CAMERA_HEIGHT_M, rel=0.1)
+    assert any("camera's height of 1.65 m" in remark for remark in quality["remarks"])
+    assert (out / "track.png").read_bytes().startswith(b"\x89PNG")
+    with av.open(str(out / "overlay.mp4")) as file:
+        assert sum(1 for _ in file.decode(video=0)) == 30
+
+
+def noisy(image: np.ndarray, count: int) -> list[np.ndarray]:
+    """Return a still image with the noise of a camera."""
+    rng = np.random.default_rng(0)
+    return [np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8) for _ in range(count)]
+
+
+GREY, NIGHT = np.full((*street.SIZE, 3), 90, np.uint8), np.full((*street.SIZE, 3), 3, np.uint8)
+
+
+@pytest.mark.parametrize("kind", ["standing", "without texture", "night", "snow"])
+def test_input_without_motion_gets_no_numbers(
+    tmp_path: Path, encoder: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stills = {"standing": drive(1)[0], "without texture": GREY, "night": NIGHT}
+    snow = np.random.default_rng(1).integers(0, 255, (12, *street.SIZE, 3), np.uint8)
+    images = write_folder(tmp_path / "images", noisy(stills[kind], 12) if kind in stills else snow)
+    measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    for row in rows(tmp_path / "out"):
+        assert row["valid"] == "0"
+        assert not any(row[name] for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"))
+    text = capsys.readouterr().out
+    assert "motion measured in 0 of 12 frames; not measured:" in text
+    assert "horizon: not found" in text
+
+
+def test_a_cut_is_not_a_motion(tmp_path: Path, encoder: Path) -> None:
+    before = [image[:, ::-1] for image in drive(10)]
+    images = write_folder(tmp_path / "images", [*before, *drive(10, start=25)])
+    measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    valid, yaw_rate = column(tmp_path / "out", "valid"), column(tmp_path / "out", "yaw_rate_radps")
+    assert valid.tolist() == [0, *9 * [1], 0, *9 * [1]]
+    assert yaw_rate[1:6] == pytest.approx(-YAW_RATE, abs=0.02)  # mirrored
+    assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
+
+
+def test_what_is_missing_is_named(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = write_folder(tmp_path / "images", drive(4))
+    with pytest.raises(InputError, match="no encoder") as raised:
+        measure(images, out=tmp_path / "out", encoder=tmp_path, **LENS)
+    assert "make street" in raised.value.fix
+    rotated = write_folder(tmp_path / "rotated", [np.rot90(image) for image in drive(4)])
+    with pytest.raises(InputError, match="taller than wide"):
+        measure(rotated, out=tmp_path / "out", encoder=encoder, fov=80.0)
+    assert not (tmp_path / "out").exists()
+    measure(images, out=tmp_path / "out", encoder=encoder, fov=80.0, max_frames=3, video=False)
+    assert len(rows(tmp_path / "out")) == 3
+    text = capsys.readouterr().out
+    assert "assuming 10 per second" in text
+    assert "pass --camera-height" in text or "speed and curvature are uncertain" in text

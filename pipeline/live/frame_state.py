@@ -47,6 +47,7 @@ class FrameState(Frame):
     course: Course | None = None
     arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, as in pipeline.train.frames
     predicted_rad: float | None = None  # None until the first complete window
+    sigma_rad: float | None = None  # of the prediction, by models with uncertainty
     latency_s: float = 0.0  # from `started_s` to the prediction
 
     @property

@@ -40,7 +40,7 @@ class Overlay:
         self._stream.options = {"preset": "veryfast", "tune": "zerolatency", "g": key_interval}
 
     def add(self, frame: FrameState) -> None:
-        """Draw the next frame: the path in green, the driven one, if known, in red."""
+        """Draw the next frame: its path in green, with lines at ±σ if predicted; the driven path, if known, in red."""
         import cv2
 
         resized = cv2.resize(frame.source_image, self._size[::-1], interpolation=cv2.INTER_AREA)
@@ -51,6 +51,9 @@ class Overlay:
             self._draw_path(image, frame.driven_rad, DRIVEN, filled=False)
         if angle_rad is not None:
             self._draw_path(image, angle_rad, PREDICTED, filled=True)
+        if self._predicts and angle_rad is not None and frame.sigma_rad is not None:
+            for edge_rad in (angle_rad - frame.sigma_rad, angle_rad + frame.sigma_rad):
+                self._draw_path(image, edge_rad, PREDICTED, filled=False)
         if self._predicts:
             text = "waiting for a complete window" if angle_rad is None else f"predicted {_degrees(angle_rad)}"
         else:

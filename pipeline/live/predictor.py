@@ -26,7 +26,7 @@ from pipeline.live.settings import Settings
 from pipeline.live.source import Source
 from pipeline.perception.depth_scale import needs_scan
 from pipeline.sections.ingest import SAMPLE
-from pipeline.train.predict import Trained
+from pipeline.train.predict import Trained, angles
 
 TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
 
@@ -129,7 +129,8 @@ class Predictor:
                 if len(window) == length:
                     features = torch.cat([each.features for each in window])
                     output = net.recall(features, *net.windows(_arrays(window)))
-                    frame.predicted_rad = float(np.float32(base_rad)) + target.std_rad * float(output)
+                    values = angles(output, np.array([base_rad], np.float32), target)
+                    frame.predicted_rad, frame.sigma_rad = (*values[:, 0].tolist(), None)[:2]
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame
 

@@ -26,10 +26,11 @@ x and y are the position ahead and to the left of the first frame. `points` agre
 `residual` (px; of scans m).
 """
 COLUMNS = {
-    STEERING: ("drive", "frame", "time_s", "predicted_rad", "driven_rad", "latency_ms", *MEASURED),
+    STEERING: ("drive", "frame", "time_s", "predicted_rad", "driven_rad", "latency_ms", *MEASURED, "sigma_rad"),
     MOTION: ("drive", "frame", "time_s", "driven_rad", *MEASURED),
 }
-"""Angles in rad, left positive, empty if unknown: `predicted` for `horizon` frames later, the others for the frame."""
+"""Angles in rad, left positive, empty if unknown: `predicted` for `horizon` frames later, `sigma` its
+standard deviation, the others for the frame."""
 RECENT = 2000  # frames that latency quantiles are computed from
 
 
@@ -83,7 +84,7 @@ class Results:
             self._latencies_s.append(frame.latency_s)
         row = {"drive": self._drive, "frame": frame.number, "time_s": f"{frame.time_s:.6f}"}
         row |= {"predicted_rad": _format(frame.predicted_rad, 6), "driven_rad": _format(frame.driven_rad, 9)}
-        row |= {"latency_ms": f"{frame.latency_s * 1e3:.1f}"}
+        row |= {"latency_ms": f"{frame.latency_s * 1e3:.1f}", "sigma_rad": _format(frame.sigma_rad, 6)}
         self._rows.writerow(row | dict(zip(MEASURED, _measured(frame), strict=True)))
         self._file.flush()
 

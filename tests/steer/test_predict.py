@@ -44,9 +44,10 @@ def test_predictions_equal_those_of_evaluate(sample: Path, tmp_path: Path, model
     predict(drive(sample), model=sample / f"data/train/{model}", out=tmp_path, video=False)
     evaluated, live = read(sample / f"data/evaluate/{model}/predictions.csv"), read(tmp_path / "steering.csv")
     assert [row["frame"] for row in live] == [row["frame"] for row in evaluated]
-    angles = [[float(row["predicted_rad"] or "nan") for row in rows] for rows in (live, evaluated)]
-    assert np.isfinite(angles).sum() >= 10
-    np.testing.assert_allclose(*angles, atol=2e-6)  # six digits; NaN equals NaN
+    for column in ["predicted_rad", *(["sigma_rad"] if model == "points" else [])]:
+        angles = [[float(row[column] or "nan") for row in rows] for rows in (live, evaluated)]
+        assert np.isfinite(angles).sum() >= 10
+        np.testing.assert_allclose(*angles, atol=2e-6)  # six digits; NaN equals NaN
 
 
 def test_images_need_intrinsics_and_are_cropped(

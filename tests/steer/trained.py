@@ -12,6 +12,7 @@ TEST = "2026_01_03_drive_0001"
 MODELS = {
     "points": {
         "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual",
+        "uncertainty": True,
     },
     "scans": {"input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "lidar", "horizon": 2},
     "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},

@@ -77,7 +77,7 @@ def test_a_network_is_a_dependency_by_its_name() -> None:
         assert not any(dep == folder for stage in ("train", "evaluate") for dep in STAGES[stage]["deps"])
 
 
-@pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in _files(folder)], ids=str)
+@pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in sorted(_files(folder))], ids=str)
 def test_a_network_imports_only_code_that_dvc_tracks_for_it(network: Path) -> None:
     imported = set(imports.import_closure(".".join(network.with_suffix("").parts)))
     tracked = {network, Path("pipeline/camera/classes.py"), *_files("models/steering/core")}

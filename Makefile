@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 # DVC starts the stages with the first python in PATH.
 export PATH := $(abspath $(BIN)):$(PATH)
 export DVC_NO_ANALYTICS := 1
+# uv installs no bytecode. Where this is set, as in many containers, each process would compile its libraries anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
 CHAINS := $(filter-out street,$(PRESETS))

@@ -71,7 +71,7 @@ def test_a_job_whose_worker_dies_goes_to_another(folder: Path, expected: dict[st
         toy_stage.main(folder)
     dask.scheduler.allowed_failures = before
     assert raised.value.where == "at or near b"
-    assert "1 workers died" in raised.value.problem
+    assert "died" in raised.value.problem
     end_trouble(folder)
     toy_stage.main(folder)
     assert outputs(folder) == expected
@@ -92,11 +92,12 @@ def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
     import distributed
 
     with distributed.Client(dask, set_as_default=False) as client:
+        client.wait_for_workers(2)  # an earlier test may have killed them
         client.run(pretend, executors._environment() | {"code of the project": "0123456789"})
         with pytest.raises(InputError) as raised:
             toy_stage.main(folder)
         client.run(restore)
     assert raised.value.where.startswith("worker tcp://")
     assert "0123456789" in raised.value.problem
-    assert "dask worker" in raised.value.fix
+    assert "--nthreads 1" in raised.value.fix
     assert calls(folder) == []

@@ -122,7 +122,7 @@ def test_a_mirrored_scene_has_the_same_uncertainty(make_line, frames, dt_s, temp
     torch.testing.assert_close(plain(batch, WINDOWS, dt_s, pairs=True), sides, **TOLERANCE)
 
 
-@pytest.mark.parametrize(("temporal", "expected"), [("ncp", 0.61231783739338), ("lstm", 0.26132779169831866)])
+@pytest.mark.parametrize(("temporal", "expected"), [("ncp", 0.7463194025667146), ("lstm", 0.26132779169831866)])
 def test_a_seed_gives_the_same_numbers_in_all_versions(make_batch, make_line, temporal, expected):
     batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
     torch.manual_seed(3)

@@ -1,5 +1,6 @@
 # Targets: demo, PRESET, street, udacity, params, test, soak, bench, lint, format. Each sets up its environment first.
-# Needs Debian or Ubuntu and Python 3.11 or 3.12. A PRESET is a file of presets/: kitti, real, table2, replay, studies.
+# Needs Debian or Ubuntu and Python 3.11 or 3.12. A PRESET is a file of presets/: kitti, real, table2, replay, studies,
+# udacity-networks.
 
 PYTHON ?= python3
 VENV ?= .venv

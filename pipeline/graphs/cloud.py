@@ -50,9 +50,12 @@ def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_
         K: [3,3] intrinsics for this size.
         max_depth_m: pixels beyond it give no point.
 
-    Returns: xyz float32 [P,3], cls uint8 [P]. Sky, void and invalid pixels give no point.
+    Returns: xyz float32 [P,3], cls uint8 [P]. Sky, void and invalid pixels give no point. If all pixels are void, as
+        of an encoder without classes, they are points.
     """
-    solid = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY) & (cls != classes.VOID)
+    solid = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY)
+    if (cls != classes.VOID).any():
+        solid &= cls != classes.VOID
     return geometry.back_project(depth_m, K)[solid].astype(np.float32), cls[solid].astype(np.uint8)
 
 

@@ -26,6 +26,14 @@ def test_pseudo_cloud_has_a_point_per_valid_pixel() -> None:
     assert len(xyz) == len(labels) == len(pixels)
 
 
+def test_without_classes_each_pixel_with_depth_is_a_point() -> None:
+    depth = np.full((20, 40), 10.0)
+    depth[0, 0] = 0.0
+    xyz, labels = cloud.pseudo_cloud(depth, np.full((20, 40), classes.VOID, np.uint8), K, max_depth_m=80.0)
+    assert len(xyz) == 20 * 40 - 1
+    assert (labels == classes.VOID).all()
+
+
 def test_lidar_points_take_the_class_of_their_pixel() -> None:
     T_cam_velo = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     cls = np.full((20, 40), classes.CAR, np.uint8)

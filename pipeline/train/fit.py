@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
 WARM_UP = 0.05  # share of the steps
-WITHIN_SIGMA = 0.6827  # of a normal distribution
 REPORTED_WAIT = 0.02  # share of an epoch; the log mentions longer waits for data
 
 
@@ -178,7 +177,7 @@ class Fit:
         return score.mse(steering, predicted), score.nmse(steering, predicted)
 
     def sigma_factor(self, drives: Sequence[windows.Drive], target: predict.Target) -> float:
-        """Return the factor of the predicted σ at which ±σ contains 68 % of the drives' errors, for the best weights.
+        """Return the factor of the predicted σ with the highest likelihood of the drives' errors, for the best weights.
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """
@@ -191,7 +190,7 @@ class Fit:
             assert predicted.sigma_rad is not None, "the model has uncertainty"
             counted = drive.valid & ~np.isnan(predicted.steering_rad)
             ratios.append((np.abs(predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad)[counted])
-        return float(np.quantile(np.concatenate(ratios), WITHIN_SIGMA))
+        return float(np.sqrt(np.mean(np.concatenate(ratios) ** 2)))
 
     def _resume(self, path: Path, title: str) -> None:
         """Load the state of an interrupted run, if the main process has one."""
@@ -231,9 +230,12 @@ def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     """Return Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 when divided by Σ w.
 
-    With `predicted` [W,2], Θ̂ and log σ: Σ w (log σ + (Θ̂ - Θ)² / 2σ²), the negative log-likelihood up to a constant.
+    With `predicted` [W,2], Θ̂ and log σ, Σ w (log σ + (Θ̂ - Θ)² / 2σ²) is added for σ alone: the negative log-likelihood
+    up to a constant. As the loss of Θ̂, it gives hard windows a large σ instead of learning them.
     """
     if predicted.ndim == 1:
         return (weight * (predicted - target).square()).sum()
     mean, log_sigma = predicted.unbind(1)
-    return (weight * (log_sigma + ((mean - target) * torch.exp(-log_sigma)).square() / 2)).sum()
+    error = mean - target
+    likelihood = log_sigma + (error.detach() * torch.exp(-log_sigma)).square() / 2
+    return (weight * (error.square() + likelihood)).sum()

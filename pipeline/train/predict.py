@@ -38,7 +38,7 @@ class Target:
 
     base is the measured angle of the window's last frame, 0 without motion; std is the standard deviation of the
     residual Θ - base. So output 0 means the base angle. The mean of Θ is for the baseline train_mean. With uncertainty,
-    σ = std · sigma_factor · exp(second output); the factor makes ±σ contain 68 % of the validation drives' errors.
+    σ = std · sigma_factor · exp(second output); the factor maximises the likelihood of the validation drives' errors.
     """
 
     mean_rad: FiniteFloat
@@ -210,7 +210,7 @@ def predict_drives(
     with torch.inference_mode():
         read = prefetch(windows.batches(timelines, [[span] for span in own], window, opened))
         predicted = [angles(net(*net.inputs(batch)), batch["base_rad"], target) for batch in read]
-    columns = 1 + net.uncertainty
+    columns = 2 if net.uncertainty else 1
     result = [np.full((columns, len(timeline.frame)), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(own, predicted, strict=True))):
         for span, values in part:

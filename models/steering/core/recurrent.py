@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import torch
 from torch import Tensor, nn
 
 NOMINAL_STEP_S = 0.1  # KITTI's frame interval is one unit of a cell's time, as ncps has 1 per frame
@@ -12,7 +13,7 @@ State = tuple[Tensor, ...]
 
 
 class RecurrentCell(nn.Module):
-    """Recurrent network from a window of frame features to O numbers per frame: steering, and log σ with uncertainty.
+    """Recurrent network from a window of frame features to one number per frame.
 
     It has two parts, so that windows share frames: `sense` depends on a frame alone and runs once per frame; `forward`
     is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per frame, S
@@ -31,8 +32,13 @@ class RecurrentCell(nn.Module):
             dt_s: [W,T] seconds since the previous frame.
             state: from an earlier call, to continue a window; None: zero state.
         Returns:
-            The output per window and frame [W,T,O], and the state after the last frame.
+            One number per window and frame [W,T,1], and the state after the last frame.
         """
         raise NotImplementedError
+
+    def state_size(self, inputs: int) -> int:
+        """Return U, the numbers in the state of one window, for `inputs` numbers per frame."""
+        _, state = self.forward(self.sense(torch.zeros(1, 1, inputs)), torch.full((1, 1), NOMINAL_STEP_S))
+        return sum(part.shape[1] for part in state)
 
     __call__: Any  # nn.Module's, untyped

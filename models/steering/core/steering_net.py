@@ -32,6 +32,7 @@ from models.steering.core.recurrent import RecurrentCell
 
 Line = Mapping[str, Any]
 """A model's entry of params.yaml: general keys as in pipeline/sections/models.py, and knobs of its networks."""
+HIDDEN = 16  # neurons of the network for log σ
 KINDS: dict[Kind, str] = {
     "graph": "kNN graphs",
     "pointnet2": "points with neighbourhood: pointnet2",
@@ -48,7 +49,8 @@ class SteeringNet(nn.Module):
             recurrent network. The paper has no such symmetry.
         motion: the recurrent network also gets the measured motion, and its output is the residual to the measured
             angle, in units of its standard deviation. The paper has no such input.
-        uncertainty: predict log σ, too: the logarithm of the error's standard deviation. It is even under mirroring.
+        uncertainty: network from the recurrent network's state [W,U] to log σ [W,1], the logarithm of the error's
+            standard deviation. Its gradient ends at the state, so that steering is learned as without it.
     """
 
     def __init__(
@@ -57,7 +59,7 @@ class SteeringNet(nn.Module):
         temporal: RecurrentCell,
         equivariant: bool = False,
         motion: bool = False,
-        uncertainty: bool = False,
+        uncertainty: nn.Module | None = None,
     ) -> None:
         super().__init__()
         self.spatial = spatial
@@ -155,8 +157,11 @@ class SteeringNet(nn.Module):
     def _last(self, inputs: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
         """Run the recurrent network on inputs [B,D]; return its output at each window's end."""
         sensed = self.temporal.sense(inputs)  # [B,S]
-        out, _ = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,O]
-        return out[:, -1] if self.uncertainty else out[:, -1, 0]
+        out, state = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,1]
+        if not self.uncertainty:
+            return out[:, -1, 0]
+        log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1]
+        return torch.cat([out[:, -1], log_sigma], dim=1)
 
 
 def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
@@ -177,11 +182,15 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
         raise ValueError(
             f"spatial = {line['spatial']!r} expects {KINDS[expected]}, but input: {line['input']} holds {KINDS[kind]}"
         )
-    motion, uncertainty = line.get("motion", "none") != "none", line.get("uncertainty", False)
-    sizes = Sizes(line["features"], line["window"], levels, image_size or (0, 0), outputs=1 + uncertainty)
+    motion = line.get("motion", "none") != "none"
+    sizes = Sizes(line["features"], line["window"], levels, image_size or (0, 0))
     # Random numbers are drawn in this order: a seed's weights depend on it.
     each = spatial.build(sizes)
     over: Any = temporal.build(replace(sizes, features=sizes.features + motion * COLUMNS))
+    uncertainty = None
+    if line.get("uncertainty", False):
+        units = over.state_size(sizes.features + motion * COLUMNS)
+        uncertainty = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
     return SteeringNet(each, over, line["equivariant"], motion, uncertainty)
 
 

@@ -13,19 +13,19 @@ class Knobs(NetworkKnobs):
     units: Count = 32
 
     def build(self, sizes: Sizes) -> RecurrentCell:
-        return LSTM(sizes.features, self, sizes.outputs)
+        return LSTM(sizes.features, self)
 
 
 class LSTM(RecurrentCell):
     """torch.nn.LSTM's cell (parameters, gate order and initialisation) with a linear read-out; dt has no effect."""
 
-    def __init__(self, features: int, knobs: Knobs = Knobs(), outputs: int = 1) -> None:
+    def __init__(self, features: int, knobs: Knobs = Knobs()) -> None:
         super().__init__()
         units = knobs.units
         reference = nn.LSTMCell(features, units)
         self.weight_ih, self.weight_hh = reference.weight_ih, reference.weight_hh  # [4U,D], [4U,U]: gates i, f, g, o
         self.bias_ih, self.bias_hh = reference.bias_ih, reference.bias_hh  # [4U]
-        self.read_out = nn.Linear(units, outputs)
+        self.read_out = nn.Linear(units, 1)
 
     def sense(self, x: Tensor) -> Tensor:
         return nn.functional.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)  # [..., 4U]

@@ -20,4 +20,4 @@ class Knobs(NetworkKnobs):
     wiring: Layout = Layout()
 
     def build(self, sizes: Sizes) -> RecurrentCell:
-        return CELLS[self.cell](ncp(sizes.features, self.wiring, sizes.outputs))
+        return CELLS[self.cell](ncp(sizes.features, self.wiring))

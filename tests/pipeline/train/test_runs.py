@@ -96,4 +96,8 @@ def test_loss_with_uncertainty_is_the_likelihood_of_a_normal_distribution() -> N
     target, weight = torch.tensor([0.2, 0.4, 0.0]), torch.tensor([2.0, 1.0, 0.0])
     each = torch.distributions.Normal(predicted[:, 0], predicted[:, 1].exp()).log_prob(target)
     constant = 3 * np.log(2 * np.pi) / 2
-    assert fit.weighted_loss(predicted, target, weight).item() == pytest.approx(-(weight @ each).item() - constant)
+    squared = fit.weighted_loss(predicted[:, 0], target, weight)
+    loss = fit.weighted_loss(predicted, target, weight)
+    assert loss.item() == pytest.approx(squared.item() - (weight @ each).item() - constant)
+    (plain,), (gradient,) = (torch.autograd.grad(value, predicted, retain_graph=True) for value in (squared, loss))
+    assert gradient[:, 0].tolist() == plain[:, 0].tolist()

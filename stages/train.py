@@ -31,8 +31,8 @@ def main(
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
-    One network per seed, and per test drive with fit_to: others or both. On a CPU, networks are trained in parallel
-    with one thread each. Returns the model's folder.
+    One network per seed, and per test drive with fit_to: others or both. On a CPU, networks are trained in parallel,
+    one process each. Returns the model's folder.
     """
     from pipeline.train.training import Job, encode_ms, fit_run
 

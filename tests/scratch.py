@@ -115,5 +115,5 @@ def edit_params(folder: Path, **sections: Any) -> None:
 
 
 def changed(folder: Path) -> set[str]:
-    """Return the stages whose own deps or params differ from dvc.lock, by `dvc status`."""
+    """Return the stages with deps or params that differ from dvc.lock, by `dvc status`."""
     return set(json.loads(run(folder, "dvc", "status", "--json")))

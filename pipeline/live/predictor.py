@@ -129,8 +129,10 @@ class Predictor:
                 if len(window) == length:
                     features = torch.cat([each.features for each in window])
                     output = net.recall(features, *net.windows(_arrays(window)))
-                    values = angles(output, np.array([base_rad], np.float32), target)
-                    frame.predicted_rad, frame.sigma_rad = (*values[:, 0].tolist(), None)[:2]
+                    frame.predicted_rad, *sigma = angles(output, np.array([base_rad], np.float32), target)[
+                        :, 0
+                    ].tolist()
+                    frame.sigma_rad = sigma[0] if sigma else None
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame
 

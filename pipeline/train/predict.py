@@ -210,7 +210,7 @@ def predict_drives(
     with torch.inference_mode():
         read = prefetch(windows.batches(timelines, [[span] for span in own], window, opened))
         predicted = [angles(net(*net.inputs(batch)), batch["base_rad"], target) for batch in read]
-    columns = 2 if net.uncertainty else 1
+    columns = 1 if net.uncertainty is None else 2
     result = [np.full((columns, len(timeline.frame)), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(own, predicted, strict=True))):
         for span, values in part:

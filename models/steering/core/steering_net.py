@@ -50,7 +50,7 @@ class SteeringNet(nn.Module):
         motion: the recurrent network also gets the measured motion, and its output is the residual to the measured
             angle, in units of its standard deviation. The paper has no such input.
         uncertainty: network from the recurrent network's state [W,U] to log σ [W,1], the logarithm of the error's
-            standard deviation. Its gradient ends at the state, so that steering is learned as without it.
+            standard deviation. Its gradient ends at the state: it does not change what steering is learned from.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class SteeringNet(nn.Module):
 
     def _mirror(self, output: Tensor) -> Tensor:
         """Return the output for the mirrored scene: steering changes its sign, its σ does not."""
-        return output * output.new_tensor([-1.0, 1.0]) if self.uncertainty else -output
+        return -output if self.uncertainty is None else output * output.new_tensor([-1.0, 1.0])
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
         """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
@@ -158,7 +158,7 @@ class SteeringNet(nn.Module):
         """Run the recurrent network on inputs [B,D]; return its output at each window's end."""
         sensed = self.temporal.sense(inputs)  # [B,S]
         out, state = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,1]
-        if not self.uncertainty:
+        if self.uncertainty is None:
             return out[:, -1, 0]
         log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1]
         return torch.cat([out[:, -1], log_sigma], dim=1)

@@ -24,17 +24,17 @@ class Row:
     what: str
 
 
-def compare(ours: Measurement, alternative: Measurement, unit: str, what: str, higher_is_better: bool = False) -> Row:
+def compare(ours: Measurement, alternative: Measurement, unit: str, what: str) -> Row:
     """Run both once to warm up, then in turn, so that other load on the machine affects both."""
     ours(), alternative()
     results = [(ours(), alternative()) for _ in range(ROUNDS)]
     first, second = (statistics.median(column) for column in zip(*results, strict=True))
-    return row(first, second, unit, what, higher_is_better)
+    return row(first, second, unit, what)
 
 
-def row(ours: float, alternative: float, unit: str, what: str, higher_is_better: bool = False) -> Row:
+def row(ours: float, alternative: float, unit: str, what: str) -> Row:
     """Return the row of two results."""
-    ratio = ours / alternative if higher_is_better else alternative / ours
+    ratio = ours / alternative if unit.endswith("/s") else alternative / ours
     return Row(ours, alternative, unit, ratio, what)
 
 

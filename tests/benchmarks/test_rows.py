@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import files, graph_network, neighbours, recurrent, row, training
+from benchmarks import graphs, networks, row
 from benchmarks.street import FRAMES, Street, recorded
 from models.steering.spatial.gnn import GCN
 from pipeline.graphs import graph
@@ -34,20 +34,20 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Street:
 @pytest.fixture(autouse=True)
 def measure_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(row, "ROUNDS", 1)
-    monkeypatch.setattr(recurrent, "REPEATS", 1)
+    monkeypatch.setattr(networks, "REPEATS", 1)
 
 
 @pytest.mark.parametrize(
     "measure",
     [
-        graph_network.beside_edge_index,
-        graph_network.beside_csr,
-        training.windows,
-        files.load,
-        files.size,
-        neighbours.graph_build,
-        neighbours.beside_scipy,
-        neighbours.beside_open3d,
+        networks.beside_edge_index,
+        networks.beside_csr,
+        networks.training,
+        graphs.load,
+        graphs.size,
+        graphs.graph_build,
+        graphs.beside_scipy,
+        graphs.beside_open3d,
     ],
 )
 def test_a_row_has_two_sides(street: Street, measure) -> None:
@@ -55,7 +55,7 @@ def test_a_row_has_two_sides(street: Street, measure) -> None:
 
 
 def test_the_row_of_the_recurrent_network_has_two_sides() -> None:
-    check(recurrent.ltc())
+    check(networks.ltc())
 
 
 def check(measured: row.Row) -> None:
@@ -67,7 +67,7 @@ def check(measured: row.Row) -> None:
 def test_pyg_layers_compute_the_same(street: Street) -> None:
     torch.manual_seed(0)
     net, batch = GCN(1), street.batch(3)
-    expected = graph_network.pooled(graph_network.pyg_layers(net), graph_network.normalised(batch), batch)
+    expected = networks.pooled(networks.pyg_layers(net), networks.normalised(batch), batch)
     torch.testing.assert_close(net.pooled(batch), expected, rtol=1e-4, atol=1e-5)
 
 
@@ -76,6 +76,6 @@ def test_pyg_builds_the_same_graph(keep: float) -> None:
     rng = np.random.default_rng(0)
     xyz, cls = rng.normal(size=(300, 3)).astype(np.float32), rng.integers(0, 3, 300).astype(np.uint8)
     ours = graph.build(xyz, cls, 6, keep, rng)
-    ptr, indices = neighbours.pyg_graph(xyz, cls, 6, keep, rng)
+    ptr, indices = graphs.pyg_graph(xyz, cls, 6, keep, rng)
     np.testing.assert_array_equal(ptr.diff().numpy(), ours.degree)
     np.testing.assert_array_equal(indices.numpy(), ours.indices)

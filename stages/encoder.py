@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base import console, store
-from pipeline.base.atomic import replacing
+from pipeline.base.atomic import exclusive, replacing
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.lock import exclusive
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
 from pipeline.sections.encoder import PARTS, Encoder

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.base import console, store
+from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
-from pipeline.base.lock import exclusive
 from pipeline.base.params import SPLITS, load
 from pipeline.report.judge import predictions, sharpest_bend, split
 from pipeline.sections.evaluate import Evaluate

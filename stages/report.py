@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import replacing
-from pipeline.base.lock import exclusive
+from pipeline.base.atomic import exclusive, replacing
 from pipeline.base.params import load, names
 from pipeline.sections.evaluate import Evaluate
 

@@ -12,8 +12,8 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
+from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.lock import exclusive
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import run_jobs

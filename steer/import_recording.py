@@ -61,8 +61,7 @@ def import_recording(
     steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
     steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
     """
-    from pipeline.base.atomic import replacing
-    from pipeline.base.lock import exclusive
+    from pipeline.base.atomic import exclusive, replacing
     from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import intrinsics
     from pipeline.recording import clock, layout

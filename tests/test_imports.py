@@ -15,7 +15,7 @@ def closure(*modules: str) -> set[str]:
 
 def test_closure_of_a_stage() -> None:
     paths = closure("stages.ingest")
-    assert {"stages/ingest.py", "pipeline/kitti/raw.py", "pipeline/base/store.py", "pipeline/base/lock.py"} <= paths
+    assert {"stages/ingest.py", "pipeline/kitti/raw.py", "pipeline/base/store.py", "pipeline/base/atomic.py"} <= paths
     assert "pipeline/kitti/calibration.py" in paths, "imported by raw, not by the stage"
     assert "pipeline/kitti/__init__.py" in paths
     assert not any(path.startswith("models/") for path in paths)

@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 
 from pipeline.base import console, executors, runner, store
+from pipeline.base.atomic import exclusive
 from pipeline.base.errors import DamagedFile
-from pipeline.base.lock import exclusive
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import ROOT, file_hash
 from pipeline.camera.images import read_image

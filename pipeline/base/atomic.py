@@ -1,16 +1,24 @@
-"""Files and folders that appear under their name when they are complete."""
+"""Files and folders that appear under their name when they are complete, and one writer per stage folder."""
 
 import errno
+import io
 import re
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from pipeline.base.errors import InputError
 
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, the user's quota, the limit on one file
 _LEFTOVER = re.compile(r"\.(?P<name>.+)\.\w{8}\.tmp")  # mkdtemp's eight characters
 _OLD = ".old"
+# Of network file systems, for instance Lustre without -o flock, or NFS without its lock daemon.
+_UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
 
 
 @contextmanager
@@ -45,7 +53,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def sweep(folder: Path) -> None:
     """Remove what killed processes left of :func:`replacing` directly in `folder`.
 
-    Call it under the folder's lock, :func:`pipeline.base.lock.exclusive`.
+    Call it under the folder's lock, :func:`exclusive`.
     """
     for path in folder.glob(".*.tmp"):
         match = _LEFTOVER.fullmatch(path.name)
@@ -63,3 +71,88 @@ def _swap(new: Path, path: Path, old: Path) -> None:
     except OSError:
         old.replace(path)
         raise
+
+
+@contextmanager
+def exclusive(out: Path, pending: Path) -> Iterator[None]:
+    """Hold the write lock of the stage folder `out`, and remove what killed runs left half-written.
+
+    Args:
+        out: where results go, for instance ``data/train/gnn``.
+        pending: where finished parts wait for the next run, for instance ``data/.resume/train-gnn``; created if
+            missing. The lock is the file ``<pending>.lock``, outside of what DVC tracks. The system releases it when
+            this process dies.
+
+    Raises InputError if another process holds the lock.
+    """
+    pending.mkdir(parents=True, exist_ok=True)
+    path = pending.with_name(f"{pending.name}.lock")
+    if path.is_symlink():
+        raise InputError("expected a regular file, got a symbolic link", path, f"Remove it: rm {path}")
+    lock = FileLock(path, timeout=0, fallback_to_soft=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        problem, fix = "another process is writing it", "Wait for that to end, then repeat the command"
+        raise InputError(problem, out, fix) from None
+    except OSError as error:
+        if error.errno not in _UNSUPPORTED:
+            raise
+        print(f"note: {path.parent} does not support locks: run only one process on {out}", flush=True)
+    try:
+        for folder in (out, pending):
+            sweep(folder)
+        yield
+    finally:
+        lock.release()
+
+
+class Sink(io.FileIO):
+    """The file below an HDF5 file. It records the first error and continues.
+
+    HDF5 writes much of a file while closing it, where h5py drops errors: on a full disk, an incomplete file would look
+    complete, and the process would crash at its end.
+    """
+
+    def __init__(self, tmp: Path, path: Path) -> None:
+        """Write to `tmp`; errors name `path`, its final name."""
+        super().__init__(tmp, "w+")
+        self._path = str(path)
+        self._error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while left:  # the system may write a part only
+                left = left[super().write(left) :]
+        except OSError as error:
+            self._record(error)
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._record(error)
+        return size or 0
+
+    def _record(self, error: OSError) -> None:
+        error.filename = self._path
+        self._error = self._error or error
+
+    def check(self) -> None:
+        """Raise the recorded error, if there is one."""
+        if self._error:
+            raise self._error
+
+    @contextmanager
+    def raising(self) -> Iterator[None]:
+        """Raise the recorded error at the end of the block, in place of what HDF5 raises as its consequence."""
+        try:
+            yield
+        except Exception as error:
+            if self._error and error is not self._error:
+                raise self._error from error
+            raise
+        self.check()

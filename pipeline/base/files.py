@@ -1,8 +1,12 @@
-"""Read files of others with a limit on their size."""
+"""Read files of others: bytes up to a limit, columns of numbers from CSV files, and YAML."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from pipeline.base.errors import DamagedFile
+import numpy as np
+
+from pipeline.base.errors import DamagedFile, InputError
 
 MiB = 1 << 20
 
@@ -24,3 +28,53 @@ def read_bytes(path: Path, limit: int) -> bytes:
     """Return the content of a file after :func:`check_file`."""
     check_file(path, limit)
     return path.read_bytes()
+
+
+def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
+    """Return name → column, float64 [N], for the `required` and those of the `optional` columns that the file has.
+
+    The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError, which ends with the
+    sentence `expected`, for a missing column, and for values that are not numbers.
+    """
+    import pandas as pd
+
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        header = file.readline(1 << 16)
+    separator = max(",;\t", key=header.count)
+    names = [name.strip(' "\r\n') for name in header.split(separator)]
+    missing = [name for name in required if name not in names]
+    if missing:
+        raise InputError(f"has no column {', '.join(missing)} (got {', '.join(names)})", path, expected)
+    columns = [*required, *(name for name in optional if name in names)]
+    try:
+        table = pd.read_csv(
+            path,
+            sep=separator,
+            header=0,
+            names=names,
+            index_col=False,
+            usecols=columns,
+            dtype=np.float64,
+            skipinitialspace=True,
+            encoding="utf-8-sig",
+            encoding_errors="replace",
+        )
+    except ValueError as error:  # pandas' parser errors too
+        raise InputError(f"is not a table of numbers ({error})", path, "Correct or remove the line") from error
+    return {name: table[name].to_numpy() for name in columns}
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a YAML 1.2 file, as DVC reads it. Raises InputError if it is invalid or has a key twice."""
+    from ruamel.yaml import YAML  # here, as workers read no YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"invalid UTF-8 ({error})", path) from error
+    except MarkedYAMLError as error:
+        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise InputError(f"invalid YAML: {error.problem}", f"{path}{line}") from error
+    except (YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"invalid YAML: {' '.join(str(error).split())}", path) from error

@@ -11,8 +11,8 @@ from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from pipeline.base import yaml_file
 from pipeline.base.errors import InputError, closest, error_context
+from pipeline.base.files import read_yaml
 
 _DRIVE = "^[0-9]{4}_(0[1-9]|1[0-2])_(0[1-9]|[12][0-9]|3[01])_drive_[0-9]{4}$"
 
@@ -95,7 +95,7 @@ def read(path: Path) -> dict[str, Any]:
     """Return the content of a params file or a preset. Raises InputError if it is missing or has no sections."""
     if not path.is_file():
         raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
-    content = yaml_file.read(path)
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError("expected sections", path)
     return content

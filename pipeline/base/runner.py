@@ -19,10 +19,9 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from pipeline.base import progress
-from pipeline.base.atomic import replacing, sweep
+from pipeline.base.atomic import exclusive, replacing, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import executor
-from pipeline.base.lock import exclusive
 from pipeline.base.store import indexed, write_json
 
 J = TypeVar("J")
@@ -97,7 +96,7 @@ def run_jobs(
     *,
     workers: int | None = None,
     threads: int | None = None,
-    counter: Callable[[int], object] | None = None,
+    counter: Callable[[int], object] = lambda frames: None,
     name: Callable[[J], str] = str,
 ) -> Iterator[tuple[J, Any]]:
     """Yield each job with the result of ``work(job)`` as they finish, in parallel.
@@ -115,7 +114,7 @@ def run_jobs(
     failures: list[BaseException] = []
     running: dict[Future[Any], J] = {}
     waiting = deque(jobs)
-    with executor(workers, len(jobs), counter or _ignore, threads) as pool:
+    with executor(workers, len(jobs), counter, threads) as pool:
         while running or (waiting and not failures):
             # No more than can run at once, so that after a failure there is nothing to cancel.
             while waiting and not failures and len(running) < pool.capacity():
@@ -143,10 +142,6 @@ def _log_line(job: tuple[str, Path], result: tuple[Summary, float], describe: Ca
     (drive, path), (summary, seconds) = job, result
     rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
     return f"{drive}: {describe(summary)}, {_size(path) / 1e6:.1f} MB, {seconds:.1f} s{rate}"
-
-
-def _ignore(frames: int) -> None:
-    return None
 
 
 def _worker_died(jobs: Sequence[str]) -> InputError:

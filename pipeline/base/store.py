@@ -23,10 +23,9 @@ import hdf5plugin
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from pipeline.base.atomic import replacing
+from pipeline.base.atomic import Sink, replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import SPLITS
-from pipeline.base.sink import Sink
 
 SCHEMA = 2  # 1: gzip
 # What h5py raises for damaged bytes.

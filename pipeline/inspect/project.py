@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.base import yaml_file
 from pipeline.base.errors import InputError
+from pipeline.base.files import read_yaml
 from pipeline.base.params import load, load_entry, names
 from pipeline.inspect.reading import read_errors
 from pipeline.sections.ingest import Ingest
@@ -134,7 +134,7 @@ def read_lock(project: Path) -> Stages:
         return {}
     fix = "Restore it: git checkout dvc.lock. Or delete it, then run: dvc repro"
     with read_errors(lock, fix):
-        stages = yaml_file.read(lock)["stages"]
+        stages = read_yaml(lock)["stages"]
         for stage in stages.values():
             _paths(stage, "deps"), _paths(stage, "outs")
     return stages

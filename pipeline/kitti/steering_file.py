@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.csv_file import read_columns
 from pipeline.base.errors import InputError
+from pipeline.base.files import read_columns
 
 NAME = "steering.csv"
 COLUMNS = ("frame", "steering_rad")

@@ -10,7 +10,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from pipeline.base.lock import exclusive
+from pipeline.base.atomic import exclusive
 from pipeline.live.frame_state import FrameState
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.csv_file import read_columns
 from pipeline.base.errors import InputError
+from pipeline.base.files import read_columns
 from pipeline.kitti.steering_file import check_angles, check_frames
 from pipeline.recording.checks import check_size, check_times
 from pipeline.recording.clock import coverage

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
-from pipeline.base.lock import exclusive
 from pipeline.base.store import DriveReader
 from pipeline.kitti import steering_file
 from pipeline.kitti.oxts import read_times

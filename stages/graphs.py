@@ -12,7 +12,6 @@ import typer
 from pipeline.base import console, progress, store
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load_entry
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.graphs import accumulate, cloud, graph_file
 from pipeline.motion import kinds
@@ -41,18 +40,15 @@ def main(
             "Add it to motion.kinds and run dvc repro, or choose another kind",
         )
 
-    def key(drive: str) -> str:
-        inputs = [folder / f"{drive}.h5" for folder in (source, *motion.values())]
-        settings = {"drive": drive, **variant.model_dump(mode="json"), "motion": list(motion)}
-        return stage_key("graphs", settings, inputs)
-
     summaries = run_over_drives(
         partial(_write, source=source, motion=motion, variant=variant),
         list(splits),
         out=out / name,
-        key=key,
+        stage="graphs",
+        settings={**variant.model_dump(mode="json"), "motion": list(motion)},
+        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (source, *motion.values())],
         pending=out.parent / ".resume" / f"{out.name}-{name}",
-        frames=lambda drive: _count(source / f"{drive}.h5", stage),
+        frames=lambda drive: store.frame_count(source / f"{drive}.h5", stage=stage),
         workers=workers,
         describe=lambda summary: ", ".join(f"{number} {what}" for what, number in summary.items()),
     )
@@ -66,11 +62,6 @@ def main(
     share = f", {after / before:.0%} of {before} kNN edges kept" if before else ""
     print(f"{name}: {len(splits)} drives{share}" + (f"; no frames in {', '.join(without)}" if without else ""))
     return out / name
-
-
-def _count(source: Path, stage: str) -> int:
-    with store.DriveReader(source, stage=stage) as file:
-        return int(file["has_image"].sum()) if stage == "ingest" else len(file.frame)
 
 
 def _write(drive: str, path: Path, *, source: Path, motion: Mapping[str, Path], variant: Variant) -> Summary:

@@ -8,7 +8,6 @@ import numpy as np
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.geometry import scale_K
 from pipeline.camera.images import crop_to
@@ -50,10 +49,6 @@ def main(
         for drive, files in drives.items()
     }
 
-    def key(drive: str) -> str:
-        inputs = [*attributes[drive].values(), drives[drive].changes(settings.cameras)]
-        return stage_key("ingest", {"drive": drive, **settings.model_dump(mode="json", exclude={"drives"})}, inputs)
-
     summaries = run_over_drives(
         partial(
             _ingest,
@@ -63,7 +58,9 @@ def main(
         ),
         list(splits),
         out=out,
-        key=key,
+        stage="ingest",
+        settings=settings.model_dump(mode="json", exclude={"drives"}),
+        inputs=lambda drive: [*attributes[drive].values(), drives[drive].changes(settings.cameras)],
         frames=lambda drive: len(drives[drive].oxts) or max(len(drives[drive].images(n)) for n in settings.cameras),
         workers=workers,
         describe=describe,

@@ -9,7 +9,6 @@ import numpy as np
 from pipeline import label, label_sources
 from pipeline.base import console, store
 from pipeline.base.params import load
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.kitti.oxts import VL
 from pipeline.motion import kinds
@@ -30,15 +29,13 @@ def main(
     splits = store.read_index(ingest, stage="ingest")
     motions = {} if settings.source == "oxts" else kinds.read(motion)
 
-    def key(drive: str) -> str:
-        inputs = [folder / f"{drive}.h5" for folder in (ingest, *motions.values())]
-        return stage_key("labels", {"drive": drive, **settings.model_dump(mode="json")}, inputs)
-
     summaries = run_over_drives(
         partial(label_drive, ingest=ingest, motions=motions, settings=settings),
         list(splits),
         out=out,
-        key=key,
+        stage="labels",
+        settings=settings.model_dump(mode="json"),
+        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, *motions.values())],
         workers=1,  # less work than starting a process
         describe=describe,
     )

@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.base import console, progress, store
 from pipeline.base.executors import default_workers
 from pipeline.base.params import load
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.mount import camera_height
 from pipeline.encoder import precomputed
@@ -41,13 +40,14 @@ def main(
     splits = store.read_index(ingest, stage="ingest")
     _predictor(encoder, "", settings.precision)  # report a bad checkpoint once, not from each worker
     weights = encoder / ("config.json" if precomputed.named_in(encoder) else "encoder.pt")
-    dump = settings.model_dump(mode="json")
     summaries = run_over_drives(
         partial(_perceive, ingest=ingest, encoder=encoder, settings=settings),
         list(splits),
         out=out,
-        key=lambda drive: stage_key("perception", {"drive": drive, **dump}, [ingest / f"{drive}.h5", weights]),
-        frames=lambda drive: _count(ingest / f"{drive}.h5"),
+        stage="perception",
+        settings=settings.model_dump(mode="json"),
+        inputs=lambda drive: [ingest / f"{drive}.h5", weights],
+        frames=lambda drive: store.frame_count(ingest / f"{drive}.h5", stage="ingest"),
         # Two processes keep a GPU busy: one reads and writes while the other encodes.
         workers=min(2, workers or default_workers()) if torch.cuda.is_available() else workers,
         describe="{frames} frames".format_map,
@@ -57,11 +57,6 @@ def main(
     if without:
         print(f"no images in {', '.join(without)}, so no depth and classes", flush=True)
     return out
-
-
-def _count(path: Path) -> int:
-    with store.DriveReader(path, stage="ingest") as source:
-        return int(source["has_image"].sum())
 
 
 def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:

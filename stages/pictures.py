@@ -5,7 +5,6 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.params import load
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.sections.pictures import Pictures
 
@@ -21,17 +20,15 @@ def main(
     """Draw image, depth, classes and cloud of frames that are evenly spread over each drive. Returns `out`."""
     settings = load(Pictures, params)
     splits = store.read_index(clouds, stage="clouds")
-    with_images = [drive for drive in splits if _has_frames(perception / f"{drive}.h5")]
-
-    def key(drive: str) -> str:
-        inputs: list[Path | str] = [splits[drive], *(folder / f"{drive}.h5" for folder in (ingest, perception, clouds))]
-        return stage_key("pictures", {"drive": drive, **settings.model_dump(mode="json")}, inputs)
+    with_images = [drive for drive in splits if store.frame_count(perception / f"{drive}.h5", stage="perception")]
 
     run_over_drives(
         partial(_draw, ingest=ingest, perception=perception, clouds=clouds, splits=splits, count=settings.frames),
         with_images,
         out=out,
-        key=key,
+        stage="pictures",
+        settings=settings.model_dump(mode="json"),
+        inputs=lambda drive: [splits[drive], *(folder / f"{drive}.h5" for folder in (ingest, perception, clouds))],
         workers=workers,
         target=lambda drive: out / f"{drive}.png",
         describe=lambda summary: f"frames {', '.join(map(str, summary['drawn']))}",
@@ -56,11 +53,6 @@ def _draw(
         views = [street_view.read_view(images, perceived, cloud, number) for number in numbers]
     drawing.save(street_view.sheet(f"{drive} ({splits[drive]})", views), path, dpi=90)
     return {"drawn": numbers}
-
-
-def _has_frames(path: Path) -> bool:
-    with store.DriveReader(path, stage="perception") as perceived:
-        return len(perceived.frame) > 0
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from pipeline import label_sources
 from pipeline.base import console, store
 from pipeline.base.params import SPLITS, load
 from pipeline.base.progress import track
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.encoder.truth import Truth, read_truth, visible
@@ -41,19 +40,17 @@ def main(
     splits = store.read_index(perception, stage="perception")
     motions = kinds.read(motion)
 
-    def key(drive: str) -> str:
-        inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, *motions.values())]
-        return stage_key("scores", {"drive": drive, "motion": list(motions), **rule}, inputs)
-
     score_motion = partial(_score_motion, ingest=ingest, motions=motions, rule=rule)
     summaries = run_over_drives(
         partial(_score_drive, ingest=ingest, perception=perception, score_motion=score_motion),
         list(splits),
         out=out,
-        key=key,
+        stage="scores",
+        settings={"motion": list(motions), **rule},
+        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, perception, *motions.values())],
         workers=workers,
         target=lambda drive: out / drive,
-        frames=lambda drive: _count(perception / f"{drive}.h5"),
+        frames=lambda drive: store.frame_count(perception / f"{drive}.h5", stage="perception"),
         describe="{frames} frames, {line}".format_map,
     )
     motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
@@ -72,11 +69,6 @@ def main(
             print(f"{kind} motion, {split}: {motion_scores.summary_line(figures)}", flush=True)
     store.write_json(out / "metrics.json", content)
     return out
-
-
-def _count(path: Path) -> int:
-    with store.DriveReader(path, stage="perception") as perceived:
-        return len(perceived.frame)
 
 
 def _score_drive(

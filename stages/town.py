@@ -10,7 +10,6 @@ from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.sections.ingest import Ingest
@@ -41,17 +40,15 @@ def main(
             raise InputError("folder holds a drive that is not rendered", folder, "Pass another --out, or move it")
     recorded = _find_recorded(settings, list(limits))
 
-    def key(drive: str) -> str:
-        inputs = [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])]
-        return stage_key("town", {"drive": drive, **settings.model_dump(mode="json")}, inputs)
-
     run_over_drives(
         partial(
             render, limits=limits, recorded={drive: raw.folder for drive, raw in recorded.items()}, settings=settings
         ),
         list(limits),
         out=out,
-        key=key,
+        stage="town",
+        settings=settings.model_dump(mode="json"),
+        inputs=lambda drive: [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
         frames=lambda drive: min(limits[drive], len(recorded[drive].oxts)) if recorded else limits[drive],
         workers=workers,
         target=folders.__getitem__,

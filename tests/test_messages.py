@@ -137,7 +137,7 @@ def fail(drive: str, path: Path) -> dict[str, object]:
 
 
 def frame_damaged() -> None:
-    runner.run_over_drives(fail, [DRIVE], out=Path("data/ingest"), key=str, workers=1)
+    runner.run_over_drives(fail, [DRIVE], out=Path("data/ingest"), stage="ingest", settings={}, inputs=list, workers=1)
 
 
 def worker_died() -> None:

@@ -22,6 +22,7 @@ from pipeline.base import progress
 from pipeline.base.atomic import exclusive, replacing, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import executor
+from pipeline.base.resume import stage_key
 from pipeline.base.store import indexed, write_json
 
 J = TypeVar("J")
@@ -35,7 +36,9 @@ def run_over_drives(
     drives: Sequence[str],
     *,
     out: Path,
-    key: Callable[[str], str],
+    stage: str,
+    settings: Mapping[str, Any],
+    inputs: Callable[[str], Sequence[Path | str]],
     workers: int | None = None,
     pending: Path | None = None,
     target: Callable[[str], Path] | None = None,
@@ -47,7 +50,9 @@ def run_over_drives(
     Args:
         work: picklable. Writes the drive's file or folder to `path` in one step and returns a JSON-able summary.
         out: the stage's folder, for instance ``data/clouds/pseudo``.
-        key: drive → hash of everything that determines its file: :func:`pipeline.base.resume.stage_key`.
+        stage, settings: name in ``dvc.yaml``, and JSON-able; with the code and `inputs` they determine a drive's
+            file: :func:`pipeline.base.resume.stage_key`.
+        inputs: drive → files whose contents, and strings which, determine its file.
         workers: processes; None: :func:`pipeline.base.executors.default_workers`. 1: this process, otherwise the
             workers of a Dask cluster if there is one. Never changes a result.
         pending: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
@@ -66,8 +71,9 @@ def run_over_drives(
     pending = pending or out.parent / ".resume" / out.name
     targets = {drive: target(drive) if target else out / f"{drive}.h5" for drive in drives}
     with exclusive(out, pending):
+        keys = {drive: stage_key(stage, {"drive": drive, **settings}, inputs(drive)) for drive in drives}
         paths = {
-            drive: pending / f"{drive.replace('/', '-')}-{key(drive)}{path.suffix}" for drive, path in targets.items()
+            drive: pending / f"{drive.replace('/', '-')}-{keys[drive]}{path.suffix}" for drive, path in targets.items()
         }
         todo = [drive for drive, path in paths.items() if not path.exists() or not _sidecar(path).is_file()]
         if len(todo) < len(drives):

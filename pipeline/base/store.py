@@ -268,6 +268,12 @@ class DriveReader:
         self._file.close()
 
 
+def frame_count(path: Path, *, stage: str) -> int:
+    """Return the number of frames in a drive's file; of stage ingest, of those with an image."""
+    with DriveReader(path, stage=stage) as file:
+        return int(file["has_image"].sum()) if stage == "ingest" else len(file.frame)
+
+
 def fix_hint(path: Path, stage: str) -> str:
     """Return how to replace a damaged file."""
     return f"Delete it and fetch it: dvc pull {path}. Or make it again: dvc repro --force --single-item {stage}"

@@ -10,7 +10,6 @@ import numpy as np
 
 from pipeline.base.params import Section
 from pipeline.base.progress import track
-from pipeline.base.resume import stage_key
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.frame import Camera, Frame
@@ -82,15 +81,13 @@ def run_over_kinds(
 ) -> dict[str, dict[str, Summary]]:
     """Write out/<kind>/<drive>.h5 for all kinds and drives in one parallel run. Returns kind → drive → summary."""
 
-    def key(name: str) -> str:
-        inputs = [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)]
-        return stage_key(stage, {"name": name, **settings.model_dump(mode="json")}, inputs)
-
     summaries = run_over_drives(
         partial(_write, stage=stage, write=write, params={stage: settings.model_dump()}, folders=(ingest, perception)),
         [f"{kind}/{drive}" for kind in kinds for drive in drives],
         out=out,
-        key=key,
+        stage=stage,
+        settings=settings.model_dump(mode="json"),
+        inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
         frames=partial(_count, folders=(ingest, perception)),
         workers=workers,
         describe=describe,

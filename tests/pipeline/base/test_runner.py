@@ -90,7 +90,7 @@ def write(drive: str, path: Path) -> dict[str, Any]:
 
 
 def run(out: Path, **options: Any) -> None:
-    runner.run_over_drives(write, DRIVES, out=out, key=lambda drive: "same", workers=1, **options)
+    runner.run_over_drives(write, DRIVES, out=out, stage="labels", settings={}, inputs=list, workers=1, **options)
 
 
 def test_only_files_of_drives_of_an_earlier_index_are_removed(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.base import progress
 from pipeline.base.errors import DamagedFile
-from pipeline.base.resume import ROOT, stage_key
+from pipeline.base.resume import ROOT
 from pipeline.base.runner import run_over_drives
 from pipeline.base.store import DriveWriter
 from tests.kitti_drive import contents
@@ -61,7 +61,9 @@ def main(folder: Path, k: int = 2, workers: int | None = None) -> dict[str, Any]
         partial(work, folder=folder, k=k),
         DRIVES,
         out=folder / "data/toy",
-        key=lambda drive: stage_key("labels", {"k": k}, [drive, folder / "input"]),
+        stage="labels",
+        settings={"k": k},
+        inputs=lambda drive: [folder / "input"],
         workers=workers,
         frames=FRAMES.__getitem__,
         describe=lambda summary: f"{summary['frames']} frames",

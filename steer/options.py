@@ -1,8 +1,9 @@
-"""Options that all commands share, and their output: text for people, or one JSON object."""
+"""Options that several commands share, and their output: text for people, or one JSON object."""
 
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -10,6 +11,14 @@ import typer
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 Json = Annotated[bool, typer.Option("--json", help="print the result as one JSON object, and nothing else")]
 Debug = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
+SourcePath = Annotated[Path, typer.Argument(help="folder of a KITTI drive, folder of images, or video")]
+Fov = Annotated[float | None, typer.Option(help="horizontal field of view in degrees, unless a KITTI drive")]
+K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="or the intrinsics in pixels")]
+Calib = Annotated[Path | None, typer.Option(help="or a calib_cam_to_cam.txt")]
+Fps = Annotated[float | None, typer.Option(min=0.01, max=1000, help="images per second; default: a video's own times")]
+Times = Annotated[Path | None, typer.Option(help="or the images' times: seconds, one per line")]
+CameraHeight = Annotated[float | None, typer.Option(min=0.3, max=5, help="of the camera over the road, metres")]
+Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 _PIPE_WIDTH = 200  # columns where the output is not a terminal
 
 

@@ -1,14 +1,12 @@
 """steer predict: predict the steering angle of a drive, a folder of images or a video, frame by frame."""
 
-from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from pipeline.base.errors import InputError
-from steer.options import Debug, Json, Output, Quiet
-from steer.running import Calib, CameraHeight, Fov, Fps, K, SourcePath, Times, Video, print_notes, write_results
+from steer.options import Calib, CameraHeight, Debug, Fov, Fps, Json, K, Output, Quiet, SourcePath, Times, Video
 
 
 def predict(
@@ -39,11 +37,7 @@ def predict(
 
     steer predict street.mp4 --fov 65 --model data/train/motion
     """
-    from pipeline.encoder.perceive import FILE
-    from pipeline.live import settings
-    from pipeline.live.chain import Chain
-    from pipeline.live.course import add_courses
-    from pipeline.live.predictor import Predictor, differences, motion_kinds, needs_scans
+    from pipeline.live import predictor, settings
     from pipeline.live.results import STEERING, VIDEO
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.train.predict import load
@@ -51,37 +45,21 @@ def predict(
     output, trained = Output(quiet, as_json), load(model)
     data = _data_folder(model, encoder, params)
     sections = settings.read(params or data.parent / "params.yaml", trained.line["input"], data)
-    scans, size, car = needs_scans(trained, sections), sections.ingest.image_size, trained.target.car
-    height_m = camera_height or sections.perception.camera_height_m
-    clock, cameras = Clock(fps, times), sections.ingest.cameras
-    frames = open_source(source, cameras, Lens(calib, fov, k), size, scans, car, clock, height_m)
-    frames.notes += differences(trained, frames, settings.focal_by_width(data))
-    folder, kinds = encoder or data / "encoder", motion_kinds(trained, sections)
-    network = folder if (folder / FILE).is_file() or sections.variant.source != "ingest" or "visual" in kinds else None
-    with closing(frames.frames):
-        kinds |= {"visual"} if network else set()
-        chain = Chain(frames, size, network, kinds, sections.perception, sections.motion.road_scale)
-        predictor = Predictor(trained, sections, frames, chain.camera)
-        measured = add_courses(predictor.run(chain.run(frames.frames)), car, smooth=False)
-        run: dict[str, Any] = {"wheelbase_m": car.wheelbase_m, "warm_up": trained.window, "video": video}
-        results = write_results(measured, frames, source, out, (STEERING,), output, **run)
-    print_notes(frames, results, output)
+    scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras
+    lens, height_m = Lens(calib, fov, k), camera_height or sections.perception.camera_height_m
+    frames = open_source(source, cameras, lens, size, scans, trained.target.car, Clock(fps, times), height_m)
+    show = {"video": video, "visible": output.visible}
+    results = predictor.predict(trained, sections, frames, data, encoder or data / "encoder", out, **show)
+    for line in results.lines(frames.notes):
+        output.line(line)
     ahead = f", each {trained.horizon} frames ahead" if trained.horizon else ""
     output.line(
         f"{trained.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}"
     )
-    output.line(f"{out / STEERING}, {out / VIDEO}" if video else str(out / STEERING))
-    output.result(
-        {
-            "model": trained.name,
-            "source": frames.name,
-            "horizon": trained.horizon,
-            **results.summary(),
-            "notes": frames.notes,
-            "csv": str(out / STEERING),
-            "video": str(out / VIDEO) if video else None,
-        }
-    )
+    files = {"csv": str(out / STEERING), "video": str(out / VIDEO) if video else None}
+    output.line(", ".join(filter(None, files.values())))
+    about = {"model": trained.name, "source": frames.name, "horizon": trained.horizon}
+    output.result({**about, **results.summary(), "notes": frames.notes, **files})
 
 
 def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path:

@@ -1,5 +1,6 @@
 """A frame on its way through the chain."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -7,20 +8,6 @@ import numpy as np
 
 from pipeline.camera.frame import Frame
 from pipeline.motion.estimator import Estimate
-
-
-class Motion(NamedTuple):
-    """Motion since the previous frame as the graph file stores it, left and forward positive; 0 if not valid."""
-
-    yaw_rate_radps: np.float32 = np.float32(0)
-    speed_mps: np.float32 = np.float32(0)
-    valid: bool = False
-
-    @classmethod
-    def from_estimate(cls, estimate: Estimate | None) -> "Motion":
-        if estimate is None:
-            return cls()
-        return cls(np.float32(estimate.yaw_rate_radps), np.float32(estimate.speed_mps), True)
 
 
 class Course(NamedTuple):
@@ -44,6 +31,7 @@ class FrameState(Frame):
     driven_rad: float | None = None  # ground truth from oxts, where the source has it
     estimates: dict[str, Estimate | None] = field(default_factory=dict)  # by kind of motion
     problem: str = ""  # why no visual motion could be measured
+    road_height_m: float = math.nan  # of the camera over the road, by the encoder's depth
     course: Course | None = None
     arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, as in pipeline.train.frames
     predicted_rad: float | None = None  # None until the first complete window

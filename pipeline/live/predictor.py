@@ -8,7 +8,8 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,12 +18,16 @@ from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline import label
 from pipeline.base.errors import InputError
 from pipeline.camera.frame import Camera
+from pipeline.encoder.perceive import FILE
 from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import neighbours_of, sample_frame
-from pipeline.live.frame_state import FrameState, Motion
-from pipeline.live.settings import Settings
+from pipeline.live.chain import Chain
+from pipeline.live.course import add_courses
+from pipeline.live.frame_state import FrameState
+from pipeline.live.results import STEERING, Results, write_results
+from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
 from pipeline.perception.depth_scale import needs_scan
 from pipeline.sections.ingest import SAMPLE
@@ -55,6 +60,40 @@ def differences(model: Trained, source: Source, fitted_focal: float | None) -> l
     if fitted_focal and abs(focal / fitted_focal - 1) > TOLERANCE:
         texts.append(f"it was fitted to a focal length of {fitted_focal:.2f} image widths, got {focal:.2f}")
     return [f"warning: model {model.name}: {text}" for text in texts]
+
+
+def predict(
+    model: Trained,
+    settings: Settings,
+    source: Source,
+    data: Path,
+    encoder: Path,
+    out: Path,
+    *,
+    video: bool,
+    visible: bool,
+) -> Results:
+    """Write steering.csv and the video to `out`.
+
+    Args:
+        data: with stage ingest's files, if there are any, for a comparison of the cameras.
+        encoder: folder of an encoder, if the model needs one.
+        visible: show a progress bar.
+    Raises:
+        InputError: the source lacks an input of the model, or no frame can be read.
+    """
+    source.notes += differences(model, source, focal_by_width(data))
+    kinds = motion_kinds(model, settings)
+    perceives = (encoder / FILE).is_file() or settings.variant.source != "ingest" or "visual" in kinds
+    kinds |= {"visual"} if perceives else set()
+    with closing(source.frames) as frames:
+        size, road_scale = settings.ingest.image_size, settings.motion.road_scale
+        chain = Chain(source, size, encoder if perceives else None, kinds, settings.perception, road_scale)
+        predicted = Predictor(model, settings, source, chain.camera).run(chain.run(frames))
+        courses = add_courses(predicted, model.target.car, smooth=False)
+        options: dict[str, Any] = {"wheelbase_m": model.target.wheelbase_m, "warm_up": model.window, "video": video}
+        with write_results(courses, source, out, (STEERING,), visible=visible, **options) as (_, results):
+            return results
 
 
 class Predictor:
@@ -116,23 +155,25 @@ class Predictor:
         base_rad = 0.0
         window: deque[_WindowFrame] = deque(maxlen=length)
         for frame in frames:
-            motion = Motion.from_estimate(frame.estimates.get(self.model.line["motion"]))
-            if motion.valid and abs(motion.speed_mps) >= target.min_speed_mps:
-                yaw_rate_radps, speed_mps = np.array(motion[:2], np.float64)
+            estimate = frame.estimates.get(self.model.line["motion"])
+            rates = np.zeros(2, np.float32)  # yaw rate, speed: in the precision of graph files
+            if estimate:
+                rates[:] = estimate.yaw_rate_radps, estimate.speed_mps
+            yaw_rate_radps, speed_mps = rates.astype(np.float64)
+            if estimate and abs(rates[1]) >= target.min_speed_mps:
                 base_rad = float(label.steering_angle(yaw_rate_radps, speed_mps, target.wheelbase_m))
             if window and frame.number != window[-1].number + 1:
                 window.clear()
             dt_s = frame.time_s - window[-1].time_s if window else NOMINAL_STEP_S
             with torch.inference_mode():
                 features = net.encode(net.frames(frame.arrays))
-                window.append(_WindowFrame(frame.number, frame.time_s, dt_s, features, (base_rad, *motion)))
+                motion = base_rad, yaw_rate_radps, speed_mps, float(estimate is not None)
+                window.append(_WindowFrame(frame.number, frame.time_s, dt_s, features, motion))
                 if len(window) == length:
                     features = torch.cat([each.features for each in window])
                     output = net.recall(features, *net.windows(_arrays(window)))
-                    frame.predicted_rad, *sigma = angles(output, np.array([base_rad], np.float32), target)[
-                        :, 0
-                    ].tolist()
-                    frame.sigma_rad = sigma[0] if sigma else None
+                    rows = angles(output, np.array([base_rad], np.float32), target)
+                    frame.predicted_rad, frame.sigma_rad = [*rows[:, 0].tolist(), None][:2]
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame
 
@@ -144,7 +185,7 @@ class _WindowFrame(NamedTuple):
     time_s: float
     dt_s: float
     features: torch.Tensor  # [1,F]
-    motion: tuple[float, np.float32, np.float32, bool]  # columns pipeline.train.windows.MOTION
+    motion: tuple[float, float, float, float]  # columns pipeline.train.windows.MOTION
 
 
 def _arrays(window: Sequence[_WindowFrame]) -> dict[str, np.ndarray]:

@@ -1,17 +1,21 @@
-"""The results of a run: a CSV file, counts, latency, and the folder in which they appear when it succeeds."""
+"""The results of a run: a CSV file, a video, counts, and the folder in which they appear when it succeeds."""
 
 import csv
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
+from tqdm import tqdm
 
 from pipeline.base.atomic import exclusive
-from pipeline.live.frame_state import FrameState
+from pipeline.base.errors import InputError
+from pipeline.live.frame_state import Course, FrameState
+from pipeline.live.overlay import Overlay
+from pipeline.live.source import Source
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"
 TRACK, QUALITY = "track.png", "quality.json"
@@ -63,6 +67,8 @@ class Results:
         self._rows.writeheader()
         self.frames = self.predicted = self.valid = 0
         self.problems: Counter[str] = Counter()
+        self.courses: list[tuple[float, Course]] = []  # with their times in seconds
+        self.road_heights_m: list[float] = []
         self.gaps: list[tuple[int, int]] = []  # numbers of the frames before and after each
         self._last: int | None = None
         self._latencies_s: deque[float] = deque(maxlen=RECENT)
@@ -78,6 +84,9 @@ class Results:
         self.valid += frame.course is not None
         if frame.problem:
             self.problems[frame.problem] += 1
+        if frame.course:
+            self.courses.append((frame.time_s, frame.course))
+        self.road_heights_m.append(frame.road_height_m)
         if self.frames <= self._warm_up:
             self._started_s = time.perf_counter()
         else:
@@ -100,6 +109,55 @@ class Results:
     def speed(self) -> str:
         """Return latency and rate as text."""
         return "{hz:.1f} Hz, latency p50 {p50_ms:.0f} ms, p95 {p95_ms:.0f} ms".format_map(self.summary())
+
+    def lines(self, notes: Sequence[str]) -> Iterator[str]:
+        """Yield text for the user: gaps, the `notes` of the source, and why motion could not be measured."""
+        yield from (f"no frames between {before} and {after}" for before, after in self.gaps)
+        yield from notes
+        if problems := self.problems.most_common():
+            reasons = ", ".join(f"{problem} ({count})" for problem, count in problems)
+            yield f"motion measured in {self.valid} of {self.frames} frames; not measured: {reasons}"
+
+
+@contextmanager
+def write_results(
+    frames: Generator[FrameState],
+    source: Source,
+    out: Path,
+    names: tuple[str, ...],
+    *,
+    wheelbase_m: float,
+    warm_up: int,
+    video: bool,
+    visible: bool,
+) -> Iterator[tuple[Path, Results]]:
+    """Write `frames` to the CSV file names[0] and a video; yield the folder for further files `names`, and the results.
+
+    Args:
+        frames: of `source`, with their results.
+        out: all files replace those in it when the block succeeds: :func:`result_folder`.
+        visible: show a progress bar.
+    Raises:
+        InputError: there is no frame.
+    """
+    with ExitStack() as stack:
+        folder = stack.enter_context(result_folder(out, *names, VIDEO))
+        file = stack.enter_context((folder / names[0]).open("w", newline="", encoding="utf-8"))
+        results, overlay = Results(file, source.name, warm_up, COLUMNS[names[0]]), None
+        if video:
+            overlay = Overlay(folder / VIDEO, source, wheelbase_m, predicts=names[0] == STEERING)
+            stack.enter_context(overlay)
+        bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if visible else True))
+        for frame in stack.enter_context(closing(frames)):
+            results.add(frame)
+            if overlay:
+                overlay.add(frame)
+            bar.update()
+            if results.frames % 20 == 0:
+                bar.set_postfix_str(results.speed())
+        if not results.frames:
+            raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
+        yield folder, results
 
 
 def _measured(frame: FrameState) -> list[str]:

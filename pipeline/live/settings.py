@@ -1,9 +1,8 @@
 """The sections of params.yaml that lead from an image to the network's input, compared with existing artefacts."""
 
-from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
@@ -45,18 +44,16 @@ def read(params: Path, variant: str, data: Path) -> Settings:
 
 def focal_by_width(data: Path) -> float | None:
     """Return focal length / image width of the first drive in `data`/ingest; None without files."""
-    folder = data / "ingest"
-    for path in (folder / f"{drive}.h5" for drive in store.indexed(folder)):
-        if path.is_file():
-            with store.DriveReader(path, stage="ingest") as file:
-                return float(file["K"][0, 0] / file.shape("image")[2]) if "K" in file else None
-    return None
+    with _first_file(data / "ingest", "ingest") as file:
+        return float(file["K"][0, 0] / file.shape("image")[2]) if file and "K" in file else None
 
 
 def _compare(section: Section, folder: Path, params: Path, keys: set[str]) -> None:
     """Raise InputError if the first file of a stage's folder was made with another value of one of `keys`."""
     stage = getattr(type(section), "key", "graphs")  # an entry of graphs has no key of its own
-    stored, current = _stored(folder, stage), section.model_dump(mode="json")
+    with _first_file(folder, stage) as file:
+        stored = file.params.get(stage, {}) if file else {}
+    current = section.model_dump(mode="json")
     for key in sorted(keys & stored.keys()):
         if stored[key] != current[key]:
             problem = f"{key} = {current[key]}, but {folder}, on which the model depends, was made with {stored[key]}"
@@ -64,11 +61,8 @@ def _compare(section: Section, folder: Path, params: Path, keys: set[str]) -> No
             raise InputError(problem, f"{params}: {stage}", fix)
 
 
-def _stored(folder: Path, stage: str) -> Mapping[str, Any]:
-    """Return the section in a stage's files; empty without files."""
-    for path in (folder / f"{drive}.h5" for drive in store.indexed(folder)):
-        if path.is_file():
-            with store.DriveReader(path, stage=stage) as file:
-                section: Mapping[str, Any] = file.params.get(stage, {})
-                return section
-    return {}
+def _first_file(folder: Path, stage: str) -> AbstractContextManager[store.DriveReader | None]:
+    """Return the first file of a stage's folder, open; None without files."""
+    paths = (folder / f"{drive}.h5" for drive in store.indexed(folder))
+    path = next((path for path in paths if path.is_file()), None)
+    return store.DriveReader(path, stage=stage) if path else nullcontext()

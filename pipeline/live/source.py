@@ -31,6 +31,7 @@ MIN_SIDE = 16  # px; nothing can be recognised in smaller images
 class Source:
     """A camera and its frames."""
 
+    path: Path
     name: str  # of the drive; random draws depend on it
     size: Size  # (H, W) of the images
     K: np.ndarray  # [3,3] for that size
@@ -95,7 +96,7 @@ def open_source(
         if lens != Lens() or clock != Clock():
             fix = "Remove --calib, --fov, --K, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
-        source = _open_drive(drive, cameras, aspect, scans, car)
+        source = _open_drive(path, drive, cameras, aspect, scans, car)
     elif drive.oxts or drive.scans:
         wanted = " or ".join(map(str, cameras))
         raise InputError(f"no images of camera {wanted}", path, "Extract image_02 of the drive")
@@ -108,7 +109,7 @@ def open_source(
     return source
 
 
-def _open_drive(drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car) -> Source:
+def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car) -> Source:
     camera = drive.camera(cameras)
     assert camera is not None  # since it has images
     crop = crop_to(camera.size, aspect, camera.K)
@@ -135,6 +136,7 @@ def _open_drive(drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bo
 
     fps = (len(time_s) - 1) / seconds[-1] if len(time_s) > 1 else DEFAULT_FPS
     return Source(
+        path=path,
         name=drive.folder.name.removesuffix("_sync"),
         size=crop.size,
         K=crop.K(camera.K),
@@ -180,7 +182,9 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
             yield FrameState(image.number, time_s, source_image=crop.pixels(image.image), started_s=started_s)
             started_s = time.perf_counter()
 
-    source = Source(path.stem, crop.size, crop.K(K), frames(), footage.count, footage.fps or DEFAULT_FPS, notes=notes)
+    source = Source(
+        path, path.stem, crop.size, crop.K(K), frames(), footage.count, footage.fps or DEFAULT_FPS, notes=notes
+    )
     if times_s is not None and len(times_s) > 1:
         source.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
     if crop.size != footage.size:

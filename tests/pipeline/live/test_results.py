@@ -29,7 +29,7 @@ def frames(count: int) -> list[FrameState]:
 
 def overlay(path: Path) -> Overlay:
     K = np.array([[200.0, 0, 160], [0, 200, 40], [0, 0, 1]])
-    return Overlay(path, Source("drive", SIZE, K, iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
+    return Overlay(path, Source(path, "drive", SIZE, K, iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
 
 
 def decoded(path: Path) -> int:

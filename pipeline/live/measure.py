@@ -1,0 +1,125 @@
+"""Measure the motion of a car from the frames of a source: a CSV file, a video, the track, and their quality."""
+
+import math
+from collections.abc import Generator, Sequence
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pipeline.base import store
+from pipeline.fitting.prefetch import prefetch
+from pipeline.live.chain import Chain
+from pipeline.live.course import add_courses
+from pipeline.live.frame_state import Course, FrameState
+from pipeline.live.results import MOTION, QUALITY, TRACK, Results, write_results
+from pipeline.live.source import Source
+from pipeline.motion.visual import Odometry
+from pipeline.report import drawing
+from pipeline.sections.perception import Perception
+from pipeline.train.windows import Car
+
+SIZE = (192, 640)  # of images, as the depth network was trained
+FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
+MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
+MAX_SPREAD = 0.15  # of the road's heights
+
+
+def measure(
+    source: Source, encoder: Path, car: Car, out: Path, max_frames: int | None, *, video: bool, visible: bool
+) -> tuple[Results, dict[str, Any]]:
+    """Write motion.csv, track.png, quality.json and the video to `out`; return results and quality.
+
+    Args:
+        encoder: folder of an encoder.
+        max_frames: measure only these first frames; None: all.
+        visible: show a progress bar.
+    Raises:
+        InputError: the encoder has no network, or no frame can be read.
+    """
+    with closing(_first(source.frames, max_frames)) as frames:
+        chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_m is not None)
+        assert chain.odometry
+        measured = add_courses(prefetch(chain.run(frames), 1), car, smooth=True)
+        options: dict[str, Any] = {"wheelbase_m": car.wheelbase_m, "warm_up": 1, "video": video, "visible": visible}
+        with write_results(measured, source, out, (MOTION, TRACK, QUALITY), **options) as (folder, results):
+            quality = _quality(results.road_heights_m, chain.odometry, source.height_m)
+            store.write_json(folder / QUALITY, quality)
+            _draw_track(folder / TRACK, source.name, results.courses)
+    return results, quality
+
+
+def _first(frames: Generator[FrameState], count: int | None) -> Generator[FrameState]:
+    with closing(frames):
+        yield from islice(frames, count)
+
+
+def _quality(road_heights_m: Sequence[float], odometry: Odometry, height_m: float | None) -> dict[str, Any]:
+    """Return the content of quality.json; None where unknown.
+
+    `road_heights_m` of the camera over the road by the encoder's depth, NaN without a road; `height_m` by the user.
+    """
+    heights_m = np.array(road_heights_m)
+    known = heights_m[np.isfinite(heights_m)]
+    gradient, information = odometry.focal
+    summary: dict[str, Any] = {
+        "camera_height_m": height_m,
+        "road_frames": float(np.isfinite(heights_m).mean()),
+        "road_height_m": float(np.median(known)) if len(known) else None,
+        "road_height_spread": float(known.std() / known.mean()) if len(known) else None,
+        "pitch_deg": math.degrees(math.atan(odometry.road.slope)),
+        "focal_ratio": math.exp(float(np.clip(-gradient / information, -1, 1))) if information > 0 else None,
+        "focal_sigma": float(information**-0.5) if information > 0 else None,
+    }
+    return summary | {"remarks": _remarks(summary)}
+
+
+def _remarks(summary: dict[str, Any]) -> list[str]:
+    """Return what a user should know before using the numbers."""
+    height_m, road_m, spread = (summary[key] for key in ("camera_height_m", "road_height_m", "road_height_spread"))
+    if road_m is None or summary["road_frames"] < MIN_ROAD:
+        scale = f"road found in {summary['road_frames']:.0%} of the frames: speed and curvature are uncertain"
+    elif height_m is None:
+        scale = (
+            f"the encoder's depth, which puts the camera {road_m:.2f} m above the road (spread {spread:.0%}). Measure "
+            "it and pass --camera-height: speed is proportional to it"
+        )
+    else:
+        scale = f"the camera's height of {height_m:.2f} m over the road (spread {spread:.0%})"
+        scale += ", uncertain" if spread > MAX_SPREAD else ""
+    remarks = [f"scale: {scale}"]
+    ratio, sigma = summary["focal_ratio"], summary["focal_sigma"]
+    if ratio is None or sigma > FOCAL_TOLERANCE / 2:
+        remarks.append("focal length: too few turns to check it")
+    elif abs(math.log(ratio)) > max(FOCAL_TOLERANCE, FOCAL_SIGMAS * sigma):
+        direction = "short (pass a smaller --fov)" if ratio > 1 else "long (pass a larger --fov)"
+        remarks.append(f"focal length: turns of the camera show that it is too {direction}")
+    else:
+        remarks.append("focal length: agrees with the turns of the camera")
+    return remarks
+
+
+def _draw_track(path: Path, title: str, courses: Sequence[tuple[float, Course]]) -> None:
+    """Write a PNG of the times and courses of measured frames. Gaps longer than a second are not connected."""
+    figure = Figure((10, 5), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.2, 1])
+    above, speed, steering = (figure.add_subplot(grid[place]) for place in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1]))
+    above.set(title=f"{title}: measured track", xlabel="to the right, m", ylabel="ahead, m", aspect="equal")
+    above.set_adjustable("datalim")
+    speed.set(ylabel="speed, m/s")
+    steering.set(ylabel="steering angle, deg, left +", xlabel="time, s")
+    if courses:
+        time_s = [seconds for seconds, _ in courses]
+        columns = np.array([course for _, course in courses], np.float64)  # None becomes NaN
+        gaps = np.flatnonzero(np.diff(time_s) > 1) + 1
+        seconds, columns = np.insert(time_s, gaps, np.nan), np.insert(columns, gaps, np.nan, axis=0)
+        above.plot(-columns[:, 5], columns[:, 4], color="0.2")
+        above.plot(0, 0, "o", color="tab:green", label="start")
+        above.legend(loc="best")
+        speed.plot(seconds, columns[:, 0], color="tab:blue")
+        steering.plot(seconds, np.rad2deg(columns[:, 3]), color="tab:red")
+        steering.axhline(0, color="0.8", zorder=0)
+    drawing.save(figure, path)

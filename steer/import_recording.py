@@ -1,23 +1,14 @@
 """steer import: convert a recording of one's own to a drive in KITTI raw's layout, which all stages read."""
 
-import math
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from pipeline.base.errors import InputError
 from steer.options import Debug, Json, Output, Quiet
-
-if TYPE_CHECKING:  # heavy imports wait until the command runs, so that --help is fast
-    import numpy as np
-
-    from pipeline.camera.footage import Footage
-    from pipeline.recording.clock import Coverage
-    from pipeline.recording.motion_log import MotionLog, WheelLog
 
 
 def import_recording(
@@ -32,9 +23,7 @@ def import_recording(
     steering_ratio: Annotated[
         float | None, typer.Option(help="angle of the steering wheel / angle of the front wheels, 1 to 50")
     ] = None,
-    out: Annotated[Path, typer.Option(help="root in KITTI raw's layout; stage ingest reads data/raw")] = Path(
-        "data/raw"
-    ),
+    out: Annotated[Path, typer.Option(help="root in KITTI raw's layout; ingest reads data/raw")] = Path("data/raw"),
     calib: Annotated[Path | None, typer.Option(help="intrinsics: a KITTI calib_cam_to_cam.txt")] = None,
     fov: Annotated[float | None, typer.Option(help="intrinsics: horizontal field of view, degrees")] = None,
     K: Annotated[str | None, typer.Option("--K", help="intrinsics: fx,fy,cx,cy in pixels")] = None,
@@ -61,87 +50,27 @@ def import_recording(
     steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
     steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
     """
-    from pipeline.base.atomic import exclusive, replacing
-    from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import intrinsics
     from pipeline.recording import clock, layout
     from pipeline.recording.motion_log import read_motion, read_wheel
+    from pipeline.recording.recording import Recording
 
     output = Output(quiet, as_json)
     _check_paths(source, motion, wheel, out, calib, times)
-    _check_range("--fps", fps, 0.01, 1000)
-    _check_range("--offset", offset, -1e10, 1e10)
-    _check_range("--max-gap", max_gap, 0, 3600)
-    _check_range("--steering-ratio", steering_ratio, 1, 50)
+    _check_numbers(fps, offset, max_gap, steering_ratio)
     if (wheel is None) != (steering_ratio is None):
-        fix = "Pass both: a ratio of 1 takes angles of the front wheels"
-        raise InputError("expected --wheel together with --steering-ratio", fix=fix)
-    if times and fps:
-        raise InputError("expected one source of the images' times, got two", fix="Pass --times or --fps")
-    folder = layout.drive_folder(out, drive)
-    _check_absent(folder, force)
+        raise InputError("expected both of --wheel and --steering-ratio", fix="A ratio of 1 takes front wheels' angles")
+    layout.check_absent(layout.drive_folder(out, drive), force)
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
-    footage = open_footage(source, fps)
+    footage, times_s = clock.open_timed(source, fps, times)
     matrix = intrinsics(footage.size, calib=calib, fov_deg=fov, K=K)
-    times_s = clock.read_times(times) if times else None
-    if log:
-        clock.check_overlap("motion", log.rates.time_s, *_span(footage, times_s))
-    if angles and angles.time_s is not None:
-        clock.check_overlap("wheel angles", angles.time_s, *_span(footage, times_s))
-
-    # One lock per date, as its drives share a calibration.
-    with exclusive(folder.parent, out / ".import" / drive[:10]), replacing(folder) as unfinished:
-        _check_absent(folder, force)
-        calibrated = layout.check_calibration(folder, footage.size, matrix, force)
-        time_s, usable, recorded = _write(unfinished, footage, times_s, log, angles, max_gap, output)
-        if not calibrated:
-            layout.write_calibration(folder, footage.size, matrix)
-
-    covered = clock.coverage(log.rates.time_s, time_s, max_gap) if log else None
-    summary = {"drive": drive} | _summary(folder, footage, time_s[usable], len(time_s), covered)
-    summary |= {"motion": log.source if log else None, "steering_angles": recorded}
+    recording = Recording(footage, matrix, times_s, log, angles, max_gap)
+    recording.check_overlap()
+    summary = recording.write(out, drive, force=force, visible=output.visible)
     for line in _lines(summary):
         output.line(line)
     output.result(summary | {"K": matrix.tolist()})
-
-
-def _write(
-    folder: Path,
-    footage: "Footage",
-    times_s: "np.ndarray | None",
-    log: "MotionLog | None",
-    angles: "WheelLog | None",
-    max_gap: float,
-    output: Output,
-) -> tuple["np.ndarray", "np.ndarray", int]:
-    """Write the images, those that have motion if there is a log, with their packets and steering angles.
-
-    Returns the times of all images, which of them were written, and the number of angles.
-    """
-    import numpy as np
-
-    from pipeline.base.executors import default_workers
-    from pipeline.kitti import steering_file
-    from pipeline.recording import clock, layout
-    from pipeline.recording.packets import packets
-
-    all_s: list[float] = []
-    images = _with_motion(footage, times_s, log, max_gap, all_s, output)
-    layout.write_images(folder, images, threads=default_workers())
-    time_s, recorded = np.array(all_s), {}
-    usable = clock.coverage(log.rates.time_s, time_s, max_gap).usable if log else np.ones(len(time_s), bool)
-    if not usable.any():
-        raise InputError(f"no image lies between samples at most {max_gap:g} s apart", "--motion", "Raise --max-gap")
-    if log:
-        layout.write_packets(folder, packets(log.rates, time_s[usable]), usable)
-    layout.write_times(folder, usable, time_s, (layout.IMAGES, "oxts") if log else (layout.IMAGES,))
-    if angles:
-        recorded = angles.at(time_s, usable, max_gap)
-        if not recorded:
-            raise InputError("no image has an angle", "--wheel", "Check its times or frames, or raise --max-gap")
-        steering_file.write(folder / steering_file.NAME, recorded)
-    return time_s, usable, len(recorded)
 
 
 def _check_paths(*paths: Path | None) -> None:
@@ -153,65 +82,15 @@ def _check_paths(*paths: Path | None) -> None:
             raise InputError("name is not valid UTF-8", repr(os.fsencode(str(path))), "Rename it") from None
 
 
-def _check_range(option: str, value: float | None, lowest: float, highest: float) -> None:
-    if value is not None and not (math.isfinite(value) and lowest <= value <= highest):
-        raise InputError(f"expected {lowest:g} to {highest:g}, got {value:g}", option)
-
-
-def _check_absent(folder: Path, force: bool) -> None:
-    if folder.exists() and not force:
-        raise InputError("drive exists", folder, "Replace it with --force, or pass --drive another number")
-
-
-def _span(footage: "Footage", times_s: "np.ndarray | None") -> tuple[float, float]:
-    """Return the images' first and last time; inf if a video does not announce its length."""
-    if times_s is not None:
-        return float(times_s[0]), float(times_s[-1])
-    return 0.0, (footage.count - 1) / footage.fps if footage.count and footage.fps else math.inf
-
-
-def _with_motion(
-    footage: "Footage",
-    times_s: "np.ndarray | None",
-    log: "MotionLog | None",
-    max_gap: float,
-    all_s: list[float],
-    output: Output,
-) -> Iterator[tuple[int, "np.ndarray"]]:
-    """Yield number and pixels of the images, of those that have motion if there is a `log`.
-
-    Appends the times of all images to `all_s`.
-    """
-    import numpy as np
-    from tqdm import tqdm
-
-    from pipeline.recording import clock
-
-    with tqdm(total=footage.count, unit=" images", disable=not (output.visible and sys.stderr.isatty())) as bar:
-        for time_s, image in clock.timed(footage, times_s):
-            all_s.append(time_s)
-            if log is None or clock.coverage(log.rates.time_s, np.array([time_s]), max_gap).usable[0]:
-                yield image.number, image.image
-            bar.update()
-
-
-def _summary(
-    folder: Path, footage: "Footage", usable_s: "np.ndarray", images: int, covered: "Coverage | None"
-) -> dict[str, Any]:
-    summary: dict[str, Any] = {
-        "folder": str(folder),
-        "images": images,
-        "frames": len(usable_s),
-        "size": list(footage.size),
-        "first_s": float(usable_s[0]),
-        "last_s": float(usable_s[-1]),
-        "untimed_from": getattr(footage, "untimed_from", None),
-    }
-    if covered:
-        left_out = {"before": covered.before, "after": covered.after, "in_gaps": covered.in_gaps}
-        gaps = {"interpolated": covered.interpolated, "largest_gap_s": covered.largest_gap_s}
-        summary |= gaps | {"left_out": left_out}
-    return summary
+def _check_numbers(fps: float | None, offset: float, max_gap: float, steering_ratio: float | None) -> None:
+    for option, value, lowest, highest in (
+        ("--fps", fps, 0.01, 1000),
+        ("--offset", offset, -1e10, 1e10),
+        ("--max-gap", max_gap, 0, 3600),
+        ("--steering-ratio", steering_ratio, 1, 50),
+    ):
+        if value is not None and not lowest <= value <= highest:  # also NaN
+            raise InputError(f"expected {lowest:g} to {highest:g}, got {value:g}", option)
 
 
 def _lines(summary: dict[str, Any]) -> Iterator[str]:

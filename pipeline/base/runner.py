@@ -61,12 +61,9 @@ def run_over_drives(
             first. Default: one each.
         describe: a drive's summary → text for the log.
 
-    Files in `out` of drives that its ``index.json`` names and `drives` does not are removed.
-
-    Returns: drive → summary, in the order of `drives`.
-
-    Raises InputError if another process writes the same folder; the first error of a worker after the drives in
-    progress are done. What is finished is kept for the next run.
+    Files in `out` of drives that its ``index.json`` names and `drives` does not are removed. Returns drive → summary,
+    in the order of `drives`. Raises InputError if another process writes the same folder; the first error of a worker
+    after the drives in progress are done. What is finished is kept for the next run.
     """
     pending = pending or out.parent / ".resume" / out.name
     targets = {drive: target(drive) if target else out / f"{drive}.h5" for drive in drives}

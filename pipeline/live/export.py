@@ -60,22 +60,23 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
         raise InputError("the path exists and is not an earlier export", out, "Choose a new folder: --out")
     model.net.requires_grad_(False)
     examples = read_examples(model, graphs)
-    modules = {
-        "spatial": (Spatial(model.net, model.contents["kind"]), examples[0].frames[0]),
-        "recurrent": (Recurrent(model.net, model.window), examples[0].window),
+    modules = {"spatial": Spatial(model.net, model.contents["kind"]), "recurrent": Recurrent(model.net, model.window)}
+    calls: dict[str, list[tuple[Arrays, Any]]] = {  # inputs and expected results
+        "spatial": [call for each in examples for call in zip(each.frames, each.window["features"][0], strict=True)],
+        "recurrent": [(each.window, each.output) for each in examples],
     }
     differences = {}
     with replacing(out) as tmp:
         tmp.mkdir()
-        for name, (module, arrays) in modules.items():
+        for name, module in modules.items():
             where = f"{name} part of model {model.name}"
             with _exporting(where):
-                tensors = tuple(torch.from_numpy(array) for array in arrays.values())
+                tensors = tuple(torch.from_numpy(array) for array in calls[name][0][0].values())
                 sizes = tuple(dict.fromkeys(range(tensor.ndim), torch.export.Dim.AUTO) for tensor in tensors)
                 dynamic = (sizes,) if name == "spatial" else None  # windows have a fixed size
                 program = torch.export.export(module, tensors, dynamic_shapes=dynamic, strict=False)
                 torch.export.save(program, tmp / f"{name}.pt2")
-                differences[name] = _largest_difference(tmp / f"{name}.pt2", name, examples)
+                differences[name] = _largest_difference(tmp / f"{name}.pt2", calls[name])
             if not differences[name] <= tolerance:  # also for NaN
                 problem = f"the exported program differs by {differences[name]:.2g} (tolerance {tolerance:.2g})"
                 raise InputError(problem, where, "Intended? Raise --tolerance")
@@ -88,7 +89,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
             **vars(model.target),
             "inputs": {
                 part: {name: INPUTS[name.rstrip("0123456789")] for name in arrays}
-                for part, (_, arrays) in modules.items()
+                for part, ((arrays, _), *_) in calls.items()
             },
             "verified": {"windows": len(examples), "drives": list(dict.fromkeys(each.drive for each in examples))},
             "largest_difference": differences,
@@ -137,19 +138,11 @@ def _pad(frame: Arrays) -> Arrays:
     return {"xyz": frame["xyz"], "cls": frame["cls"], "degree": frame["degree"], "neighbours": neighbours}
 
 
-def _largest_difference(path: Path, name: str, examples: list[Example]) -> float:
+def _largest_difference(path: Path, calls: list[tuple[Arrays, Any]]) -> float:
     program = torch.export.load(path).module()
-
-    def run(arrays: Arrays) -> np.ndarray:
-        return program(*map(torch.from_numpy, arrays.values())).numpy()
-
-    differences = []
-    for example in examples:
-        if name == "recurrent":
-            differences.append(np.abs(run(example.window) - example.output).max())
-        else:
-            results = np.concatenate([run(frame) for frame in example.frames])
-            differences.append(np.abs(results - example.window["features"][0]).max())
+    differences = [
+        np.abs(program(*map(torch.from_numpy, arrays.values())).numpy() - expected).max() for arrays, expected in calls
+    ]
     return float(np.max(differences))
 
 

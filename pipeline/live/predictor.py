@@ -159,7 +159,7 @@ class Predictor:
             rates = np.zeros(2, np.float32)  # yaw rate, speed: in the precision of graph files
             if estimate:
                 rates[:] = estimate.yaw_rate_radps, estimate.speed_mps
-            yaw_rate_radps, speed_mps = rates.astype(np.float64)
+            yaw_rate_radps, speed_mps = np.array(rates, np.float64)
             if estimate and abs(rates[1]) >= target.min_speed_mps:
                 base_rad = float(label.steering_angle(yaw_rate_radps, speed_mps, target.wheelbase_m))
             if window and frame.number != window[-1].number + 1:

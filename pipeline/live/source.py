@@ -18,7 +18,7 @@ from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.live.frame_state import FrameState
 from pipeline.live.horizon import find_horizon
-from pipeline.recording.clock import read_times, timed
+from pipeline.recording.clock import open_timed, timed
 from pipeline.train.windows import Car
 
 DEFAULT_FPS = 10.0  # KITTI's
@@ -160,14 +160,11 @@ def _driven_angle(packets: Mapping[int, Path], number: int, car: Car) -> float |
 
 
 def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: bool) -> Source:
-    if clock.fps and clock.times:
-        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
-    footage = open_footage(path, clock.fps)
+    footage, times_s = open_timed(path, clock.fps, clock.times)
     if footage.size[0] > footage.size[1]:
         sizes = f"images are taller than wide ({format_size(footage.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
     K = intrinsics(footage.size, **lens._asdict())
-    times_s = read_times(clock.times) if clock.times else None
     notes, horizon = [], None
     if times_s is None and next(iter(footage.frames())).time_s is None:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")

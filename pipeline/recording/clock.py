@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.camera.footage import Footage, ImageFolder
+from pipeline.camera.footage import Footage, ImageFolder, open_footage
 from pipeline.camera.video import Image
-from pipeline.recording.checks import check_size, check_times
+from pipeline.recording.track import check_size, check_times
 
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 _MOST_BYTES = 1 << 27  # of a file of times
@@ -25,6 +26,11 @@ class Coverage:
     in_gaps: int  # images between samples that are too far apart
     interpolated: int  # usable images between two samples
     largest_gap_s: float  # that was interpolated over
+
+    def counts(self) -> dict[str, Any]:
+        """Return the counts as JSON-able values."""
+        left_out = {"before": self.before, "after": self.after, "in_gaps": self.in_gaps}
+        return {"interpolated": self.interpolated, "largest_gap_s": self.largest_gap_s, "left_out": left_out}
 
 
 def coverage(samples: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> Coverage:
@@ -53,6 +59,13 @@ def check_overlap(name: str, samples: np.ndarray, first_s: float, last_s: float)
             f"images from {first_s:.3f} to {last_s:.3f} s and {name} from {begin:.3f} to {end:.3f} s do not overlap",
             fix=f"Change --offset by {first_s - begin:+.3f} to align their starts",
         )
+
+
+def open_timed(path: Path, fps: float | None, times: Path | None) -> tuple[Footage, np.ndarray | None]:
+    """Open a video or a folder of images, with `fps` images per second or with the times in a file, float64 [F]."""
+    if fps and times:
+        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
+    return open_footage(path, fps), read_times(times) if times else None
 
 
 def read_times(path: Path) -> np.ndarray:

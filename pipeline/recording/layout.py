@@ -14,7 +14,16 @@ from pipeline.camera.calib_file import write_entries
 from pipeline.camera.images import Size, format_size
 from pipeline.camera.pixels import write_png
 from pipeline.kitti.calibration import read_camera
-from pipeline.kitti.oxts import LONGEST_STEP_S, YEARS, format_packet, format_times
+from pipeline.kitti.oxts import (
+    GRAVITY_MPS2,
+    LONGEST_STEP_S,
+    YEARS,
+    format_packet,
+    format_times,
+    level_columns,
+    make_rows,
+)
+from pipeline.recording.track import Rates
 
 CAMERA = 2  # left colour camera, the default of stage ingest
 IMAGES = f"image_{CAMERA:02d}"
@@ -33,6 +42,12 @@ def drive_folder(out: Path, drive: str) -> Path:
         example = f"a date from {YEARS[0]} to {YEARS[-1]} and four digits, for instance 2027_03_31_drive_0001"
         raise InputError(f"expected {example}", "--drive")
     return out / drive[:10] / f"{drive}_sync"
+
+
+def check_absent(folder: Path, force: bool) -> None:
+    """Raise InputError if the drive exists, unless `force`."""
+    if folder.exists() and not force:
+        raise InputError("drive exists", folder, "Replace it with --force, or pass --drive another number")
 
 
 def write_images(folder: Path, images: Iterable[tuple[int, np.ndarray]], threads: int) -> None:
@@ -68,12 +83,35 @@ def write_times(folder: Path, usable: np.ndarray, time_s: np.ndarray, sensors: I
         (folder / sensor / "timestamps.txt").write_bytes(times)
 
 
-def write_packets(folder: Path, rows: np.ndarray, usable: np.ndarray) -> None:
-    """Write packets [K,30] for the `usable` images, bool [F]."""
+def write_packets(folder: Path, rates: Rates, time_s: np.ndarray, usable: np.ndarray) -> None:
+    """Write the packets of the `usable` images, bool [F], taken at `time_s` [F]."""
     data = folder / "oxts" / "data"
     data.mkdir(parents=True)
-    for number, row in zip(np.flatnonzero(usable), rows, strict=True):
+    for number, row in zip(np.flatnonzero(usable), packets(rates, time_s[usable]), strict=True):
         (data / f"{number:010d}.txt").write_bytes(format_packet(row))
+
+
+def packets(rates: Rates, time_s: np.ndarray) -> np.ndarray:
+    """Return the packets [F,30] of images at `time_s` [F], ascending, within the motion's times.
+
+    Rates are interpolated linearly; heading and position are their integrals from the first sample. Height, roll,
+    pitch, accuracies and receiver modes are unknown and 0.
+    """
+    from scipy.integrate import cumulative_trapezoid
+
+    time_s = np.clip(time_s, rates.time_s[0], rates.time_s[-1])
+    nodes_s = np.union1d(time_s, rates.time_s)
+    speed, yaw_rate = (np.interp(nodes_s, rates.time_s, rate) for rate in (rates.speed_mps, rates.yaw_rate_radps))
+    heading = rates.heading_rad + cumulative_trapezoid(yaw_rate, nodes_s, initial=0)
+    velocity = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    xy = cumulative_trapezoid(velocity, nodes_s, axis=0, initial=0)
+
+    at = np.concatenate([[0], np.searchsorted(nodes_s, time_s)])  # the first sample has a known position
+    speed, yaw_rate = speed[at], yaw_rate[at]
+    left = speed * yaw_rate
+    forward = np.concatenate([[0.0], np.gradient(speed[1:], time_s) if len(time_s) > 1 else np.zeros(1)])
+    level = level_columns(xy[at], heading[at], speed, forward, left, yaw_rate, rates.latitude_deg, rates.longitude_deg)
+    return make_rows(len(at), **level, ax=forward, ay=left, az=GRAVITY_MPS2)[1:]
 
 
 def check_calibration(folder: Path, size: Size, K: np.ndarray, force: bool) -> bool:

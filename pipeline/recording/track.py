@@ -1,4 +1,4 @@
-"""Derive speed and yaw rate from a GNSS track: from its velocities, or from its positions."""
+"""Derive speed and yaw rate from a GNSS track: from its velocities, or from its positions. Check what logs contain."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -7,7 +7,6 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.kitti.oxts import EARTH_RADIUS_M, LIMITS
-from pipeline.recording.checks import check_limit, check_times
 
 # Window of the parabolas: at 10 Hz on KITTI's own track, half of it triples the angle's squared error.
 SMOOTH_S = 1.0
@@ -15,6 +14,7 @@ SMOOTH_S = 1.0
 LEAST_POSITIONS, LEAST_VELOCITIES = 5, 3
 MIN_SPEED_MPS = 1.0  # below, the course is noise
 _MOST_FIXES = 1e8  # after resampling
+LATEST_S = 4e9  # since 1970: year 2096
 
 
 @dataclass(frozen=True)
@@ -112,3 +112,33 @@ def _to_plane(fixes: Fixes) -> np.ndarray:
     east = EARTH_RADIUS_M * np.cos((latitude[1:] + latitude[:-1]) / 2) * np.diff(longitude)
     north = EARTH_RADIUS_M * np.diff(latitude)
     return np.concatenate([np.zeros((1, 2)), np.cumsum(np.stack([east, north], axis=-1), axis=0)])
+
+
+def check_size(path: Path, most_bytes: int) -> None:
+    """Raise InputError if a file is too large to read into memory."""
+    size = path.stat().st_size
+    if size > most_bytes:
+        limit = f"expected at most {most_bytes >> 20} MiB, got {size >> 20}"
+        raise InputError(f"file is too large ({limit})", path, "Cut it to the recording")
+
+
+def check_limit(name: str, values: np.ndarray, limit: float, path: Path) -> None:
+    """Raise InputError if one of `values` [N] is not finite or its magnitude exceeds `limit`."""
+    wrong = ~(np.abs(values) <= limit)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        problem = f"implausible {name} = {values[at]:g} at sample {at + 1} (limit ±{limit:g})"
+        raise InputError(problem, path, "Correct or remove the sample")
+
+
+def check_times(time_s: np.ndarray, path: Path) -> None:
+    """Raise InputError if times [N] are implausible or do not increase."""
+    check_limit("time_s", time_s, LATEST_S, path)
+    wrong = np.diff(time_s) <= 0
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(
+            f"time goes from {time_s[at]:.15g} to {time_s[at + 1]:.15g} at sample {at + 2} (expected an increase)",
+            path,
+            "Sort the file and remove repeated times",
+        )

@@ -1,0 +1,105 @@
+"""A recording of one's own, and its conversion to a drive in KITTI raw's layout."""
+
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from pipeline.base.atomic import exclusive, replacing
+from pipeline.base.errors import InputError
+from pipeline.base.executors import default_workers
+from pipeline.camera.footage import Footage
+from pipeline.kitti import steering_file
+from pipeline.recording import clock, layout
+from pipeline.recording.motion_log import MotionLog, WheelLog
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Images, and what was logged while they were taken."""
+
+    footage: Footage
+    K: np.ndarray  # intrinsics [3,3] in pixels
+    times_s: np.ndarray | None  # of the images; None: their own
+    motion: MotionLog | None
+    wheel: WheelLog | None
+    max_gap_s: float  # longest interval between samples of a log to interpolate over
+
+    def check_overlap(self) -> None:
+        """Raise InputError if the images and a log do not overlap in time."""
+        count, fps = self.footage.count, self.footage.fps
+        span = 0.0, (count - 1) / fps if count and fps else math.inf  # a video may not announce its length
+        if self.times_s is not None:
+            span = float(self.times_s[0]), float(self.times_s[-1])
+        if self.motion:
+            clock.check_overlap("motion", self.motion.rates.time_s, *span)
+        if self.wheel and self.wheel.time_s is not None:
+            clock.check_overlap("wheel angles", self.wheel.time_s, *span)
+
+    def write(self, root: Path, drive: str, *, force: bool, visible: bool) -> dict[str, Any]:
+        """Write the drive below `root`, and return counts and times; images without motion are left out.
+
+        Args:
+            force: replace an existing drive.
+            visible: show a progress bar.
+        Raises:
+            InputError: the drive exists, no image has motion or none an angle, or the date has another camera.
+        """
+        folder = layout.drive_folder(root, drive)
+        # One lock per date, as its drives share a calibration.
+        with exclusive(folder.parent, root / ".import" / drive[:10]), replacing(folder) as unfinished:
+            layout.check_absent(folder, force)
+            calibrated = layout.check_calibration(folder, self.footage.size, self.K, force)
+            time_s, usable = self._write_images(unfinished, visible)
+            if self.motion:
+                layout.write_packets(unfinished, self.motion.rates, time_s, usable)
+            layout.write_times(unfinished, usable, time_s, (layout.IMAGES, "oxts") if self.motion else (layout.IMAGES,))
+            angles = self.wheel.at(time_s, usable, self.max_gap_s) if self.wheel else {}
+            if self.wheel and not angles:
+                raise InputError("no image has an angle", "--wheel", "Check its times or frames, or raise --max-gap")
+            if angles:
+                steering_file.write(unfinished / steering_file.NAME, angles)
+            if not calibrated:
+                layout.write_calibration(folder, self.footage.size, self.K)
+        summary = {
+            "drive": drive,
+            "folder": str(folder),
+            "images": len(time_s),
+            "frames": int(usable.sum()),
+            "size": list(self.footage.size),
+            "first_s": float(time_s[usable][0]),
+            "last_s": float(time_s[usable][-1]),
+            "untimed_from": getattr(self.footage, "untimed_from", None),
+            "motion": self.motion.source if self.motion else None,
+            "steering_angles": len(angles),
+        }
+        return summary | (self._coverage(time_s).counts() if self.motion else {})
+
+    def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Write the images that have motion, if there is a log; return the times of all, and which were written."""
+        all_s: list[float] = []
+        timed = clock.timed(self.footage, self.times_s)
+        shown = tqdm(timed, total=self.footage.count, unit=" images", disable=not (visible and sys.stderr.isatty()))
+
+        def images() -> Iterator[tuple[int, np.ndarray]]:
+            for time_s, image in shown:
+                all_s.append(time_s)
+                if self.motion is None or self._coverage(np.array([time_s])).usable[0]:
+                    yield image.number, image.image
+
+        layout.write_images(folder, images(), threads=default_workers())
+        time_s = np.array(all_s)
+        usable = self._coverage(time_s).usable if self.motion else np.ones(len(time_s), bool)
+        if not usable.any():
+            problem = f"no image lies between samples at most {self.max_gap_s:g} s apart"
+            raise InputError(problem, "--motion", "Raise --max-gap")
+        return time_s, usable
+
+    def _coverage(self, time_s: np.ndarray) -> clock.Coverage:
+        assert self.motion
+        return clock.coverage(self.motion.rates.time_s, time_s, self.max_gap_s)

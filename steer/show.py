@@ -39,14 +39,14 @@ def show(
 
 def _show_frame(path: Path, frame: int | None, out: Path | None, output: Output) -> dict[str, Any]:
     """Print a frame's numbers, draw it, and return what was written."""
-    from pipeline.inspect import frame_picture, frame_view
+    from pipeline.inspect import frame_view
 
     view = frame_view.read(path, frame)
     title = f"{Path(*path.absolute().parts[-3:])}, frame {view.frame}"
     content: dict[str, Any] = {"path": str(path), "frame": view.frame, **view.values}
     if out or view.drawable:
         picture = out or Path(f"{path.absolute().stem}-frame-{view.frame}.png")
-        frame_picture.draw(picture, title, view)
+        frame_view.draw(picture, title, view)
         content["picture"] = str(picture)
     output.facts(content)
     return content

@@ -10,7 +10,7 @@ from pipeline.base.params import SECTIONS
 from pipeline.base.store import read_json
 from pipeline.inspect import drive_file
 from pipeline.inspect.diff import flatten
-from pipeline.inspect.reading import read_errors, size_of
+from pipeline.inspect.drive_file import read_errors, size_of
 
 Content = dict[str, Any]
 _STAGES = (*SECTIONS, "scores", "report")

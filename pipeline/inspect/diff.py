@@ -5,7 +5,7 @@ Each file is read as columns: name → frame number → value, or function that 
 
 import filecmp
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -16,8 +16,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.inspect.drive_file import open_drive
-from pipeline.inspect.reading import read_errors
+from pipeline.inspect.drive_file import open_drive, read_errors
 
 Column = Mapping[int, Any]
 _NO_FRAME = -1
@@ -75,7 +74,7 @@ def compare(name: str, a: Path, b: Path, tolerance: float) -> Iterator[Differenc
         yield Difference(name, "", f"only in {'A' if a.is_file() else 'B'}")
     elif filecmp.cmp(a, b, shallow=False):
         return
-    elif a.suffix != ".h5" and a.suffix not in _READERS:
+    elif a.suffix not in (".h5", ".json", ".pt"):
         yield Difference(name, "", f"{a.stat().st_size} and {b.stat().st_size} bytes, not the same")
     else:
         with _columns(a) as one, _columns(b) as other:
@@ -139,9 +138,11 @@ def _columns(path: Path) -> Iterator[Mapping[str, Column]]:
         with open_drive(path) as file:
             yield _drive_columns(file)
     else:
+        from pipeline.fitting import checkpoint
+
         with read_errors(path):
-            columns = _READERS[path.suffix](path)
-        yield columns
+            content = json.loads(path.read_text(encoding="utf-8")) if path.suffix == ".json" else checkpoint.load(path)
+        yield _leaves(content)
 
 
 def flatten(value: Any, key: str = "") -> dict[str, Any]:
@@ -160,19 +161,6 @@ def flatten(value: Any, key: str = "") -> dict[str, Any]:
 
 def _leaves(value: Any) -> dict[str, Column]:
     return {key: {_NO_FRAME: leaf} for key, leaf in flatten(value).items()}
-
-
-def _read_json(path: Path) -> dict[str, Column]:
-    return _leaves(json.loads(path.read_text(encoding="utf-8")))
-
-
-def _read_checkpoint(path: Path) -> dict[str, Column]:
-    from pipeline.fitting import checkpoint
-
-    return _leaves(checkpoint.load(path))
-
-
-_READERS: dict[str, Callable[[Path], dict[str, Column]]] = {".json": _read_json, ".pt": _read_checkpoint}
 
 
 def _drive_columns(file: DriveReader) -> dict[str, Column]:

@@ -11,7 +11,7 @@ from typing import Any
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_yaml
 from pipeline.base.params import load, load_entry, names
-from pipeline.inspect.reading import read_errors
+from pipeline.inspect.drive_file import read_errors
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
 from pipeline.sections.models import Model

@@ -1,6 +1,6 @@
 """Check the files of a KITTI raw drive: missing, partly extracted or damaged ones, calibration, and timestamps."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,13 +13,14 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import default_workers
 from pipeline.base.files import check_file
 from pipeline.camera.pixels import read_pixels
-from pipeline.inspect import raw_drive
-from pipeline.inspect.raw_drive import image_folder
-from pipeline.inspect.reading import gaps, spans
+from pipeline.inspect.drive_file import gaps, spans
 from pipeline.kitti.calibration import cameras_in, read_camera
 from pipeline.kitti.oxts import read_row, read_times
 from pipeline.kitti.raw import RawDrive, read_scan
 
+_CAMERAS = range(4)
+_CALIBRATION = ("cam_to_cam", "velo_to_cam", "imu_to_velo")
+_DRIVE = "[0-9]*_drive_[0-9][0-9][0-9][0-9]_sync"
 _PARTLY = 0.1  # share of missing frames above which an archive was partly extracted; KITTI itself lacks single frames
 _MAX_PROBLEMS = 3  # of damaged files of one modality, in words
 _MAX_BYTES = 1 << 28
@@ -42,13 +43,20 @@ class DriveCheck:
 
 def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: bool = True) -> list[DriveCheck]:
     """Check one drive, or all drives below a root, as :func:`check` does. Raises InputError if there is none."""
-    folders = raw_drive.drives_below(root)
+    folders = _drives_below(root)
     if not folders:
         fix = "Expected <date>/<date>_drive_NNNN_sync in it"
-        near = [path for path in root.iterdir() if raw_drive.drives_below(path)] if root.is_dir() else []
+        near = [path for path in root.iterdir() if _drives_below(path)] if root.is_dir() else []
         raise InputError("holds no drives", root, f"Pass {near[0]}" if near else fix)
     with ThreadPoolExecutor(default_workers()) as pool:  # disks and decoders work in parallel
         return list(pool.map(partial(check, cameras=cameras, lidar=lidar, deep=deep, oxts=oxts), folders))
+
+
+def _drives_below(root: Path) -> list[Path]:
+    """Return the folders of the drives, sorted, below a KITTI raw root or one of its dates; of a drive, itself."""
+    if root.match(_DRIVE) or (root / "oxts" / "data").is_dir():
+        return [root]
+    return sorted(path for pattern in (_DRIVE, f"*/{_DRIVE}") for path in root.glob(pattern) if path.is_dir())
 
 
 def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: bool = True) -> DriveCheck:
@@ -60,16 +68,17 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: b
         deep: decode every image and scan.
         oxts: whether labels need oxts; without, a drive may lack the folder.
     """
-    result = DriveCheck(raw_drive.name_of(folder), calibration=raw_drive.calibration(folder))
+    raw, drive = RawDrive(folder), folder.absolute().name.removesuffix("_sync")
+    result = DriveCheck(drive, calibration=[name for name in _CALIBRATION if _calibration_file(folder, name).is_file()])
     try:
-        files = raw_drive.modalities(folder)
-    except InputError as error:
+        files = {"oxts": raw.oxts, **{_images(n): raw.images(n) for n in _CAMERAS}, "velodyne_points": raw.scans}
+    except InputError as error:  # two files with one frame number
         result.problems.append(str(error))
         return result
-    with_images = [camera for camera in cameras if files[image_folder(camera)]]
-    numbers, times = RawDrive(folder).timeline(with_images[0] if with_images else None)
+    with_images = [camera for camera in cameras if files[_images(camera)]]
+    numbers, times = raw.timeline(with_images[0] if with_images else None)
     timed = "oxts" if oxts or (folder / "oxts").is_dir() else times.parent.name
-    required = {timed, *(image_folder(camera) for camera in with_images[:1] or cameras)}
+    required = {timed, *(_images(camera) for camera in with_images[:1] or cameras)}
     required |= {"velodyne_points"} if lidar else set()
     first, last = _expected_range(times, len(numbers), files)
     damaged = set()
@@ -88,13 +97,25 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: b
     scans = lidar and bool(files["velodyne_points"])
     calibration = _input_error(_check_calibration, folder.parent, with_images[:1], scans)
     result.problems += [f"calibration: {text}" for text in calibration]
-    others = [camera for camera in raw_drive.CAMERAS if files[image_folder(camera)]]
+    others = [camera for camera in _CAMERAS if files[_images(camera)]]
     if others and not with_images:
         result.problems.append(f"has images of cameras {others} only, expected one of ingest.cameras = {list(cameras)}")
     elif not others and not scans and damaged <= {"oxts"}:
         result.notes.append("has neither images nor scans: only labels can be computed")
-    result.fix = _unzip(folder, damaged, bool(calibration))
+    root = raw.calibration.absolute().parent
+    parts = " ".join(f"'*/{name}/*'" for name in sorted(damaged))
+    commands = [f"unzip -o {drive}_sync.zip {parts} -d {root}"] if parts else []
+    commands += [f"unzip -o {drive[:10]}_calib.zip -d {root}"] if calibration else []
+    result.fix = " && ".join(commands)
     return result
+
+
+def _images(camera: int) -> str:
+    return f"image_{camera:02d}"
+
+
+def _calibration_file(drive: Path, name: str) -> Path:
+    return drive.parent / f"calib_{name}.txt"
 
 
 def _input_error(function: Callable[..., object], *arguments: Any) -> list[str]:
@@ -104,14 +125,6 @@ def _input_error(function: Callable[..., object], *arguments: Any) -> list[str]:
     except (InputError, ValueError, np.linalg.LinAlgError) as error:
         return [str(error)]
     return []
-
-
-def _unzip(folder: Path, damaged: set[str], calibration: bool) -> str:
-    drive, root = raw_drive.name_of(folder), folder.absolute().parent.parent
-    parts = " ".join(f"'*/{name}/*'" for name in sorted(damaged))
-    commands = [f"unzip -o {drive}_sync.zip {parts} -d {root}"] if parts else []
-    commands += [f"unzip -o {drive[:10]}_calib.zip -d {root}"] if calibration else []
-    return " && ".join(commands)
 
 
 def _expected_range(stamps: Path, count: int, files: dict[str, dict[int, Path]]) -> tuple[int, int]:
@@ -146,13 +159,9 @@ def _damaged_files(paths: dict[int, Path], read: Callable[[Path], object]) -> li
             frames.setdefault(problem, []).append(frame)
         except OSError as error:
             frames.setdefault(f"cannot be read ({error.strerror})", []).append(frame)
-    texts = [f"frame {_list(numbers)} {problem}" for problem, numbers in frames.items()]
-    rest = [number for numbers in [*frames.values()][_MAX_PROBLEMS:] for number in numbers]
-    return texts[:_MAX_PROBLEMS] + ([f"frame {_list(sorted(rest))}: damaged as well"] if rest else [])
-
-
-def _list(frames: Iterable[int]) -> str:
-    return spans([(frame, frame) for frame in frames])
+    kinds = [f"frame {spans([(n, n) for n in numbers])} {problem}" for problem, numbers in frames.items()]
+    more = sum(len(numbers) for numbers in [*frames.values()][_MAX_PROBLEMS:])
+    return kinds[:_MAX_PROBLEMS] + ([f"{more} more files are damaged"] if more else [])
 
 
 def _reader(name: str, deep: bool) -> Callable[[Path], object]:

@@ -9,7 +9,7 @@ from pipeline.base.params import read
 from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
 from pipeline.sections.models import Model, resolve
 from pipeline.sections.motion import Kind, Motion
-from pipeline.sections.params import Params, validate
+from pipeline.sections.preset import Params, validate
 from pipeline.train import runs
 
 

@@ -27,3 +27,6 @@ _add("show", show.show, "files that were written are complete")
 _add("diff", diff.diff, "nothing was written")
 _add("doctor", doctor.doctor, "nothing was written", needs_arguments=False)
 _add("export", export.export, "nothing was written")
+
+if __name__ == "__main__":
+    app(prog_name="steer")

@@ -35,7 +35,7 @@ def doctor(
     steer doctor data/raw --json
     """
     from pipeline.base.errors import InputError
-    from pipeline.inspect import project
+    from pipeline.inspect import project, raw_check
 
     output = Output(quiet, as_json)
     folder = project.project_root(Path.cwd())
@@ -46,14 +46,15 @@ def doctor(
         root = folder / "data" / "raw"
     with output.console.status("checking", spinner="line"):
         found = project.check(folder) if folder else None
-        drives = _check_drives(root, found, deep) if root else []
+        cameras, lidar = (found.ingest.cameras, found.ingest.lidar) if found and found.ingest else (_ALL_CAMERAS, True)
+        oxts = not found or found.needs_oxts
+        drives = raw_check.check_root(root, cameras, lidar, deep, oxts) if root else []
     named = found.kitti_drives() if found else []
     required = [one for one in drives if not named or one.drive in named]
     problems = [f"{one.drive}: {text}" for one in required for text in one.problems]
     notes = [f"{one.drive}: {text}" for one in drives for text in one.notes]
-    notes += [
-        f"{one.drive}, not in params.yaml: {text}" for one in drives if one not in required for text in one.problems
-    ]
+    others = [one for one in drives if one not in required]
+    notes += [f"{one.drive}, not in params.yaml: {text}" for one in others for text in one.problems]
     if found:
         problems += _missing_drives(named, root, drives, found) + found.problems
         notes += found.notes
@@ -61,17 +62,17 @@ def doctor(
             problems.append(f"stages that have to run: {len(found.due)}. Run: dvc repro check pictures report")
     fixes = [one.fix for one in required if one.fix]
     _print(output, drives, found, {"problems": problems, "extract again": fixes, "notes": notes})
-    output.result(_content(root, drives, found) | {"problems": problems, "commands": fixes, "notes": notes})
+    result: dict[str, Any] = {
+        "root": str(root) if root else None,
+        "drives": [asdict(one) for one in drives],
+        "project": None,
+    }
+    if found:
+        state = {name: getattr(found, name) for name in ("due", "unused", "free_bytes", "due_bytes")}
+        result["project"] = {"folder": str(found.folder), **state}
+    output.result({**result, "problems": problems, "commands": fixes, "notes": notes})
     if problems:
         raise typer.Exit(1)
-
-
-def _check_drives(root: Path, project: "Project | None", deep: bool) -> "list[DriveCheck]":
-    from pipeline.inspect import raw_check
-
-    ingest = project.ingest if project else None
-    cameras, lidar = (ingest.cameras, ingest.lidar) if ingest else (_ALL_CAMERAS, True)
-    return raw_check.check_root(root, cameras, lidar, deep, oxts=not project or project.needs_oxts)
 
 
 def _missing_drives(
@@ -110,14 +111,3 @@ def _print(
             output.line("\n  ".join([f"{title}:", *texts]))
     if not lists["problems"]:
         output.line("no problems found")
-
-
-def _content(root: Path | None, drives: "Sequence[DriveCheck]", project: "Project | None") -> dict[str, Any]:
-    return {
-        "root": str(root) if root else None,
-        "drives": [asdict(one) for one in drives],
-        "project": {
-            "folder": str(project.folder), "due": project.due, "unused": project.unused,
-            "free_bytes": project.free_bytes, "due_bytes": project.due_bytes,
-        } if project else None,
-    }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Presets: ``presets/NAME.yaml`` holds the values that a run changes in ``params.yaml``.
+"""All sections of ``params.yaml`` as one type, and presets: sets of changes, ``presets/NAME.yaml``.
 
 ``python -m pipeline.sections.preset NAME`` prints params.yaml with a preset's changes; ``--out params.yaml`` overwrites
 the file and keeps its comments.
@@ -9,16 +9,71 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from pydantic import AfterValidator, Field
 
 from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.params import read
+from pipeline.base.params import NAME, Section, parse, read
 from pipeline.base.resume import ROOT
-from pipeline.sections.params import validate
+from pipeline.sections.clouds import Clouds
+from pipeline.sections.encoder import Encoder
+from pipeline.sections.evaluate import Evaluate
+from pipeline.sections.graphs import Variant
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.labels import Labels
+from pipeline.sections.models import Model
+from pipeline.sections.motion import Motion
+from pipeline.sections.perception import Perception
+from pipeline.sections.pictures import Pictures
+from pipeline.sections.town import Town
+from pipeline.sections.train import Train
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
+
+
+def _check_name(name: str) -> str:
+    if not NAME.fullmatch(name):
+        raise ValueError("expected at most 100 letters A-Z and a-z, digits, _ and -, no _ or - first")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_name)]
+
+
+class Params(Section):
+    """All of params.yaml."""
+
+    town: Town
+    ingest: Ingest
+    labels: Labels
+    encoder: Encoder
+    perception: Perception
+    motion: Motion
+    clouds: Clouds
+    pictures: Pictures
+    graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
+    models: Annotated[dict[Name, Model], Field(min_length=1)]
+    train: Train
+    evaluate: Evaluate
+
+
+ENTRIES: dict[str, type[Section]] = {"graphs": Variant, "models": Model}
+
+
+def validate(content: dict[str, Any], where: Path) -> Params:
+    """Return the content of a complete params file as :class:`Params`. Raises InputError, which names `where`."""
+    parsed = dict(content)
+    with error_context(where):
+        # Section by section, so that messages suggest the section's own keys.
+        for key, value in content.items():
+            if key in ENTRIES and isinstance(value, dict):
+                parsed[key] = {name: parse(ENTRIES[key], entry, f"{key}.{name}") for name, entry in value.items()}
+            elif key in Params.model_fields and key not in ENTRIES:
+                kind: Any = Params.model_fields[key].annotation
+                parsed[key] = parse(kind, value, key)
+        return parse(Params, parsed, "")
 
 
 def main(
@@ -48,28 +103,22 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
     Raises InputError if there is no such preset, or if a key or value of either file is wrong.
     """
-    from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-
-    base, changes = read(params), read(find(name))
-    validate(base, _short(params))
-    try:
-        content: Any = OmegaConf.to_container(OmegaConf.merge(base, changes))
-    except OmegaConfBaseException as error:
-        raise InputError(str(error), _short(find(name))) from error
-    _remove_nulls(content, changes)
+    content, changes = read(params), read(find(name))
+    validate(content, _short(params))
+    _merge(content, changes)
     validate(content, _short(find(name)))
-    return dict(content)
+    return content
 
 
 def text(name: str, params: Path = PARAMS) -> str:
     """Return :func:`merged` as YAML with the comments of `params`, and a first line that names the preset."""
     from ruamel.yaml import YAML
 
-    content, writer, stream = merged(name, params), YAML(), io.StringIO()
+    merged(name, params)  # raises
+    writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
     document = writer.load(params.read_text(encoding="utf-8-sig"))
-    _update(document, content)
+    _merge(document, read(find(name)))
     writer.dump(document, stream)
     head = f"# Includes the changes of {_short(find(name))}\n"
     return stream.getvalue() if head in stream.getvalue() else head + stream.getvalue()
@@ -84,23 +133,15 @@ def find(name: str) -> Path:
     return path
 
 
-def _remove_nulls(content: dict[str, Any], changes: dict[str, Any]) -> None:
+def _merge(content: Any, changes: dict[str, Any]) -> None:
+    """Apply changes to nested mappings, which may have comments; equal values keep their comments and style."""
     for key, value in changes.items():
         if value is None:
-            del content[key]
-        elif isinstance(value, dict):
-            _remove_nulls(content[key], value)
-
-
-def _update(document: Any, content: dict[str, Any]) -> None:
-    """Make a commented mapping equal to `content`; unchanged values keep their comments and style."""
-    for key in [key for key in document if key not in content]:
-        del document[key]
-    for key, value in content.items():
-        if isinstance(value, dict) and isinstance(document.get(key), dict):
-            _update(document[key], value)
-        elif key not in document or document[key] != value:
-            document[key] = value
+            content.pop(key, None)
+        elif isinstance(value, dict) and isinstance(content.get(key), dict):
+            _merge(content[key], value)
+        elif key not in content or content[key] != value:
+            content[key] = value
 
 
 def _short(path: Path) -> Path:

@@ -29,7 +29,7 @@ def test_help_of_each_verb_has_an_example() -> None:
 
 
 def test_error_is_one_line_and_debug_shows_the_traceback(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "steer", "show", str(tmp_path / "none")]
+    command = [sys.executable, "-m", "steer.app", "show", str(tmp_path / "none")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith(f"error: {tmp_path}/none: ")

@@ -99,7 +99,7 @@ def test_sigterm_ends_a_run_like_ctrl_c_and_keeps_the_earlier_result(sample: Pat
     out, frames = tmp_path / "out", tmp_path / "out/.unfinished/steering.csv"
     out.mkdir()
     (out / "steering.csv").write_text("earlier")
-    command = [sys.executable, "-m", "steer", "predict", str(video), "--fov", "81", "--out", str(out)]
+    command = [sys.executable, "-m", "steer.app", "predict", str(video), "--fov", "81", "--out", str(out)]
     command += ["--model", str(sample / "data/train/images")]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "9"})
     while process.poll() is None and not (frames.exists() and frames.read_text().count("\n") > 20):

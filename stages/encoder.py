@@ -16,9 +16,7 @@ from pipeline.sections.encoder import PARTS, Encoder
 
 
 def main(
-    ingest: Path = Path("data/ingest"),
-    out: Path = Path("data/encoder"),
-    params: Path = Path("params.yaml"),
+    ingest: Path = Path("data/ingest"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)

@@ -53,10 +53,7 @@ def main(
 def _write(kind: str, drive: str, frames: DriveFrames, file: store.DriveWriter, *, settings: Motion) -> Summary:
     estimator = MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
     estimates = (estimator.estimate(frame) for frame in frames)
-    return {
-        "frames": len(frames.frame),
-        "valid": motion_file.write(file, kind, frames.frame, frames.time_s, estimates),
-    }
+    return {"frames": len(frames.frame), "valid": motion_file.write(file, kind, frames.frame, frames.time_s, estimates)}
 
 
 if __name__ == "__main__":

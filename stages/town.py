@@ -18,11 +18,7 @@ from pipeline.town.drive import Drive
 from pipeline.town.rig import make_rig, write_calibration
 
 
-def main(
-    out: Path = Path("data/town"),
-    params: Path = Path("params.yaml"),
-    workers: int | None = None,
-) -> Path:
+def main(out: Path = Path("data/town"), params: Path = Path("params.yaml"), workers: int | None = None) -> Path:
     """Render the drives of section ingest that belong to the sample; none with ingest.source: kitti.
 
     Returns the stage's folder. Raises InputError instead of replacing a drive that is not rendered.

@@ -7,7 +7,7 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.atomic import exclusive, replacing
-from pipeline.base.params import load, names
+from pipeline.base.params import entries, load
 from pipeline.sections.evaluate import Evaluate
 
 
@@ -26,7 +26,7 @@ def main(
     from pipeline.report.results import load_results
     from pipeline.report.story import sentences
 
-    models = names("models", params)
+    models = entries("models", params)
     evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
     results = load_results(data / "evaluate", evaluated)
     has_scores = (data / "scores/metrics.json").is_file()  # a machine that only trains may have none

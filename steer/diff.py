@@ -1,6 +1,5 @@
 """steer diff: compare two artefacts."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -50,11 +49,7 @@ def diff(
             output.line(f"{name}: {len(differences) - _MAX_LINES} more, see --json")
     within = f" (tolerance {tolerance:g})" if tolerance else ""
     output.line(f"files that differ: {different} of {len(files)}{within}" if different else f"equal{within}")
-    output.result(
-        {
-            "equal": not different, "files": len(files), "different": different,
-            "differences": [asdict(difference) for difference in found],
-        }
-    )  # fmt: skip
+    result = {"equal": not different, "files": len(files), "different": different, "differences": found}
+    output.result(result)
     if different:
         raise typer.Exit(DIFFERENT)

@@ -1,9 +1,8 @@
 """steer doctor: check raw drives and the project."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -62,15 +61,10 @@ def doctor(
             problems.append(f"stages that have to run: {len(found.due)}. Run: dvc repro check pictures report")
     fixes = [one.fix for one in required if one.fix]
     _print(output, drives, found, {"problems": problems, "extract again": fixes, "notes": notes})
-    result: dict[str, Any] = {
-        "root": str(root) if root else None,
-        "drives": [asdict(one) for one in drives],
-        "project": None,
-    }
-    if found:
-        state = {name: getattr(found, name) for name in ("due", "unused", "free_bytes", "due_bytes")}
-        result["project"] = {"folder": str(found.folder), **state}
-    output.result({**result, "problems": problems, "commands": fixes, "notes": notes})
+    names = ("folder", "due", "unused", "free_bytes", "due_bytes")
+    state = {name: getattr(found, name) for name in names} if found else None
+    lists = {"problems": problems, "commands": fixes, "notes": notes}
+    output.result({"root": root, "drives": drives, "project": state, **lists})
     if problems:
         raise typer.Exit(1)
 

@@ -67,8 +67,10 @@ class Output:
 
     def result(self, content: Mapping[str, Any]) -> None:
         """Print the result as JSON, if ``--json`` is given; numbers that are not finite become null."""
+        from pydantic_core import to_jsonable_python
+
         if self._json:
-            print(json.dumps(_finite(content), indent=1, allow_nan=False), flush=True)
+            print(json.dumps(to_jsonable_python(content, inf_nan_mode="null"), indent=1), flush=True)
 
 
 def _is_table(value: Any) -> bool:
@@ -88,11 +90,3 @@ def _text(name: str, value: Any) -> str:
     if isinstance(value, list):
         return (" × " if name == "shape" else ", ").join(_text("", inner) for inner in value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
-    return None if isinstance(value, float) and value - value != 0 else value

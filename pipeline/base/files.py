@@ -30,6 +30,13 @@ def read_bytes(path: Path, limit: int) -> bytes:
     return path.read_bytes()
 
 
+def size_of(path: Path) -> int:
+    """Return the bytes of a file, or of all files below a folder."""
+    if not path.is_dir():
+        return path.stat().st_size
+    return sum(file.lstat().st_size for file in path.rglob("*") if not file.is_dir())
+
+
 def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
     """Return name → column, float64 [N], for the `required` and those of the `optional` columns that the file has.
 

@@ -60,27 +60,23 @@ def load(section: type[S], path: Path) -> S:
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises InputError."""
-    entries = _mapping(mapping, path)
-    if name not in entries:
-        raise InputError(f"{mapping} has no entry {name!r}: {closest(name, list(entries))}", path)
+    content = entries(mapping, path)
+    if name not in content:
+        raise InputError(f"{mapping} has no entry {name!r}: {closest(name, list(content))}", path)
     with error_context(path):
-        return parse(kind, entries[name], f"{mapping}.{name}")
+        return parse(kind, content[name], f"{mapping}.{name}")
 
 
-def names(mapping: str, path: Path) -> list[str]:
-    """Return the names in a mapping section (``graphs`` or ``models``), in the file's order. Raises InputError."""
-    return list(_mapping(mapping, path))
-
-
-def _mapping(mapping: str, path: Path) -> dict[str, Any]:
-    entries = _read(path).get(mapping)
-    if not isinstance(entries, dict) or not entries:
+def entries(mapping: str, path: Path) -> dict[str, Any]:
+    """Return name → content of a mapping section (``graphs`` or ``models``), in the file's order. Raises InputError."""
+    content = _read(path).get(mapping)
+    if not isinstance(content, dict) or not content:
         raise InputError(f"section {mapping!r} is missing or empty: it needs at least one entry", path)
-    for name in entries:
+    for name in content:
         if not isinstance(name, str) or not NAME.fullmatch(name):
             fix = "Use up to 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on"
             raise InputError(f"section {mapping!r}: invalid name {_shorten(name)}", path, fix)
-    return entries
+    return content
 
 
 def _read(path: Path) -> dict[str, Any]:

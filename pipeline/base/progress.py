@@ -22,15 +22,11 @@ def advance(frames: int) -> None:
         _report(frames)
 
 
-def start() -> None:
-    """Forget the current frame: a new drive begins."""
+def take_frame() -> int | None:
+    """Return the frame that :func:`track` yielded last, once; None outside of it."""
     global _frame
-    _frame = None
-
-
-def current_frame() -> int | None:
-    """Return the frame that :func:`track` yielded last; None outside of it."""
-    return _frame
+    frame, _frame = _frame, None
+    return frame
 
 
 def report_to(report: Callable[[int], object] | None) -> None:

@@ -22,6 +22,7 @@ from pipeline.base import progress
 from pipeline.base.atomic import exclusive, replacing, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import executor
+from pipeline.base.files import size_of
 from pipeline.base.resume import stage_key
 from pipeline.base.store import indexed, write_json
 
@@ -144,7 +145,7 @@ def run_jobs(
 def _log_line(job: tuple[str, Path], result: tuple[Summary, float], describe: Callable[[Summary], str]) -> str:
     (drive, path), (summary, seconds) = job, result
     rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
-    return f"{drive}: {describe(summary)}, {_size(path) / 1e6:.1f} MB, {seconds:.1f} s{rate}"
+    return f"{drive}: {describe(summary)}, {size_of(path) / 1e6:.1f} MB, {seconds:.1f} s{rate}"
 
 
 def _worker_died(jobs: Sequence[str]) -> InputError:
@@ -156,11 +157,10 @@ def _run(job: tuple[str, Path], work: Work) -> tuple[Summary, float]:
     """Make one drive's file with its summary beside it; an error names the drive and, where known, the frame."""
     drive, path = job
     start = time.perf_counter()
-    progress.start()
     try:
         summary = work(drive, path)
     except Exception as error:
-        frame = progress.current_frame()
+        frame = progress.take_frame()
         where = drive if frame is None else f"{drive} frame {frame}"
         if isinstance(error, InputError):
             with error_context(where):
@@ -189,7 +189,3 @@ def _publish(targets: Mapping[Path, Path], out: Path) -> None:
 
 def _sidecar(path: Path) -> Path:
     return path.with_name(f"{path.name}.json")
-
-
-def _size(path: Path) -> int:
-    return sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size

@@ -71,7 +71,8 @@ class DriveWriter:
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
         """Write the first row of each frame, and the end, int64 [F+1], for `counts` [F] of rows per frame."""
-        self.put(name, pointers(counts), unit)
+        ends = np.cumsum(np.fromiter(counts, np.int64))
+        self.put(name, np.concatenate([[0], ends]).astype(np.int64), unit)
 
     def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape."""
@@ -352,8 +353,3 @@ def _is_drive(name: str) -> bool:
 def drives_in(splits: Mapping[str, str], *names: str) -> list[str]:
     """Return the drives with one of the splits `names`, in the index's order."""
     return [drive for drive, split in splits.items() if split in names]
-
-
-def pointers(counts: Iterable[int]) -> np.ndarray:
-    """Return ``ptr`` int64 [F+1] for `counts` [F] of rows per frame."""
-    return np.concatenate([[0], np.cumsum(np.fromiter(counts, np.int64))]).astype(np.int64)

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
+from pipeline.base.files import size_of
 from pipeline.base.params import SECTIONS
 from pipeline.base.store import read_json
 from pipeline.inspect import drive_file
 from pipeline.inspect.diff import flatten
-from pipeline.inspect.drive_file import read_errors, size_of
+from pipeline.inspect.drive_file import read_errors
 
 Content = dict[str, Any]
 _STAGES = (*SECTIONS, "scores", "report")

@@ -89,13 +89,6 @@ def summary(path: Path) -> dict[str, Any]:
         }
 
 
-def size_of(path: Path) -> int:
-    """Return the bytes of a file, or of all files below a folder."""
-    if not path.is_dir():
-        return path.stat().st_size
-    return sum(file.lstat().st_size for file in path.rglob("*") if not file.is_dir())
-
-
 def gaps(frames: Sequence[int], first: int, last: int) -> list[tuple[int, int]]:
     """Return (first, last) of each run missing from ascending `frames` between `first` and `last`, both included."""
     edges = [first - 1, *frames, last + 1]

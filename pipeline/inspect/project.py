@@ -10,7 +10,7 @@ from typing import Any
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_yaml
-from pipeline.base.params import load, load_entry, names
+from pipeline.base.params import entries, load, load_entry
 from pipeline.inspect.drive_file import read_errors
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
@@ -49,7 +49,7 @@ def check(folder: Path) -> Project:
     try:
         project.ingest = load(Ingest, params)
         project.needs_oxts = load(Labels, params).source == "oxts"
-        used = {f"graphs@{load_entry(Model, 'models', name, params).input}" for name in names("models", params)}
+        used = {f"graphs@{load_entry(Model, 'models', name, params).input}" for name in entries("models", params)}
         command = running_command(folder)
         if command:
             project.notes.append(f"DVC is running here ({command}): run steer doctor again when it has ended")

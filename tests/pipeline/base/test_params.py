@@ -97,6 +97,6 @@ def test_faulty_files(tmp_path: Path, content: bytes | None, problem: str) -> No
 )
 def test_invalid_names(tmp_path: Path, name: Any) -> None:
     path = edited(tmp_path, "graphs", {name: {}})
-    for read in (lambda: params.names("graphs", path), lambda: params.load_entry(Variant, "graphs", name, path)):
+    for read in (lambda: params.entries("graphs", path), lambda: params.load_entry(Variant, "graphs", name, path)):
         with pytest.raises(InputError, match="invalid name"):
             read()

@@ -29,7 +29,7 @@ def write(path: Path, seed: int = 0, stage: str = "clouds") -> Path:
         file.fill("cls", 1, np.full((8, 9), 7, np.uint8))
         for count in counts:
             file.append("xyz", rng.normal(size=(count, 3)).astype(np.float32), "m")
-        file.put("ptr", store.pointers(counts))
+        file.put_pointers("ptr", counts)
     return path
 
 

@@ -36,7 +36,7 @@ _CHECKED_ROWS = 1024  # of uncompressed data, under one checksum
 _POINTS = {**hdf5plugin.Blosc2(cname="lz4", filters=hdf5plugin.Blosc2.BITSHUFFLE), "fletcher32": True}
 _PIXELS = {**hdf5plugin.Blosc2(cname="zstd", clevel=1, filters=hdf5plugin.Blosc2.SHUFFLE), "fletcher32": True}
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
-_PER_DRIVE = {"K": (3, 3), "T_cam_velo": (4, 4)}  # datasets without a row for each frame
+PER_DRIVE = {"K": (3, 3), "T_cam_velo": (4, 4)}  # datasets without a row for each frame
 
 
 class DriveWriter:
@@ -125,33 +125,34 @@ class DriveWriter:
 class DriveReader:
     """Read one drive's file; a context manager.
 
-    Raises InputError if the file is missing, is not an HDF5 file, was written by another stage or schema, or belongs to
-    another drive; and when a dataset is damaged or has unexpected contents (see :meth:`_validate`).
+    `stage` None: of any stage. Raises InputError if the file is missing, is not an HDF5 file, was written by another
+    stage or schema, or belongs to another drive; and when a dataset is damaged or has unexpected contents
+    (see :meth:`_validate`).
     """
 
-    def __init__(self, path: Path, *, stage: str) -> None:
+    def __init__(self, path: Path, *, stage: str | None) -> None:
+        self.path, self._stage = path, stage or "STAGE"
         if not path.is_file():
-            raise _missing(path, stage)
-        self.path = path
-        self._stage = stage
+            raise _missing(path, self._stage)
         self._datasets: dict[str, h5py.Dataset] = {}  # looking one up takes longer than reading a small one
         with self._read_errors():
             self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
         try:
-            self._read_attributes()
+            self._read_attributes(stage)
         except BaseException:
             self._file.close()
             raise
 
-    def _read_attributes(self) -> None:
+    def _read_attributes(self, expected: str | None) -> None:
         with self._read_errors():
             self.attrs: dict[str, Any] = {
                 name: value.decode() if isinstance(value, bytes) else value for name, value in self._file.attrs.items()
             }
         self.drive, stage, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
-        if (stage, schema) != (self._stage, str(SCHEMA)):
+        if (stage, schema) != (expected or stage, str(SCHEMA)):
             problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {stage!r}, schema {schema}"
             raise InputError(problem, self.path, _other_version(self._stage))
+        self._stage = stage
         if "_drive_" in self.path.stem and self.drive != self.path.stem:
             raise InputError(f"contains drive {self.drive}", self.path, fix_hint(self.path, self._stage))
 
@@ -236,15 +237,15 @@ class DriveReader:
 
     def _validate(self, name: str, dataset: h5py.Dataset) -> None:
         """Check the number of rows, that frames and times increase, and that pointers cover the rows they point to."""
-        if name in _PER_DRIVE:
-            if dataset.shape != _PER_DRIVE[name]:
-                raise ValueError(f"expected shape {_PER_DRIVE[name]}, got {dataset.shape}")
+        if name in PER_DRIVE:
+            if dataset.shape != PER_DRIVE[name]:
+                raise ValueError(f"expected shape {PER_DRIVE[name]}, got {dataset.shape}")
             return
         if name in ("frame", "time_s"):
             values = dataset[()]
             if values.ndim != 1 or (np.diff(values) <= 0).any() or (name == "frame" and (values < 0).any()):
                 raise ValueError("expected increasing numbers, one for each frame")
-        pointer = self._pointer(name)
+        pointer = self.pointer(name)
         if pointer is None and "frame" in self.names:
             rows = len(self._file["frame"]) + (name == "ptr" or name.endswith("_ptr"))
             if len(dataset) != rows:
@@ -254,7 +255,7 @@ class DriveReader:
             if ptr[0] != 0 or (np.diff(ptr) < 0).any() or ptr[-1] != len(dataset):
                 raise ValueError(f"its {len(dataset)} rows do not fit {pointer}")
 
-    def _pointer(self, name: str) -> str | None:
+    def pointer(self, name: str) -> str | None:
         """Return the dataset with the frames' first rows in `name`; None if `name` has one row for each frame."""
         own = f"{name.replace('neighbours', 'centres')}_ptr"
         if own in self.names:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
+from pipeline.base.store import PER_DRIVE, DriveReader
 from pipeline.inspect.drive_file import open_drive, read_errors
 
 Column = Mapping[int, Any]
@@ -177,16 +177,15 @@ def _dataset(file: DriveReader, name: str) -> Column:
 
     Of a pointer, the values are numbers of rows: one more row in the first frame would shift all others.
     """
-    frames, length, own = file.frame.tolist(), file.shape(name)[0], f"{name}_ptr"
-    pointers = [dataset for dataset in file.names if dataset == "ptr" or dataset.endswith("_ptr")]
-    if name in pointers:
+    frames, pointer = file.frame.tolist(), file.pointer(name)
+    if name in PER_DRIVE:
+        return {_NO_FRAME: file[name]}
+    if name == "ptr" or name.endswith("_ptr"):
         return dict(zip(frames, np.diff(file[name]), strict=True))
-    if own not in pointers and length == len(frames):
-        if len(file.shape(name)) == 1:
-            return dict(zip(frames, file[name], strict=True))
-        return {frame: partial(file.row, name, row) for row, frame in enumerate(frames)}
-    for starts in (file[pointer] for pointer in ([own] if own in pointers else pointers)):
-        if starts[-1] == length:
-            ends = zip(frames, starts, starts[1:], strict=False)
-            return {frame: partial(file.rows, name, start, stop) for frame, start, stop in ends}
-    return {_NO_FRAME: file[name]}
+    if pointer:
+        starts = file[pointer]
+        ends = zip(frames, starts, starts[1:], strict=False)
+        return {frame: partial(file.rows, name, start, stop) for frame, start, stop in ends}
+    if len(file.shape(name)) == 1:
+        return dict(zip(frames, file[name], strict=True))
+    return {frame: partial(file.row, name, row) for row, frame in enumerate(frames)}

@@ -10,8 +10,6 @@ from typing import Any
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 
-STAGES = ("ingest", "labels", "perception", "motion", "clouds", "graphs")
-"""Stages that write one file per drive."""
 _HEADER = ("schema", "drive", "stage", "params")
 _MAX_SPANS = 8
 _FIX = "Make it again: dvc repro --force --single-item STAGE. Or fetch it: dvc pull"
@@ -37,20 +35,8 @@ def read_errors(path: Path, fix: str = "Make it again: dvc repro. Or fetch it: d
 @contextmanager
 def open_drive(path: Path) -> Iterator[DriveReader]:
     """Open a drive's file of any stage. Raises InputError if it is damaged, also for errors within the block."""
-    with read_errors(path, _FIX), _reader(path) as file:
+    with read_errors(path, _FIX), DriveReader(path, stage=None) as file:
         yield file
-
-
-def _reader(path: Path) -> DriveReader:
-    # The folder usually names the stage: then its error message is the relevant one.
-    stages = sorted(STAGES, key=lambda stage: stage not in path.absolute().parts[:-1])
-    errors = []
-    for stage in stages:
-        try:
-            return DriveReader(path, stage=stage)
-        except InputError as error:
-            errors.append(error)
-    raise errors[0]
 
 
 def describe(path: Path) -> dict[str, Any]:

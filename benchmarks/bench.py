@@ -25,8 +25,7 @@ import torch
 import typer
 
 from benchmarks import graphs, networks
-from benchmarks.row import Row
-from benchmarks.street import Street, recorded, sample
+from benchmarks.street import Row, Street, recorded, sample
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, closest
 

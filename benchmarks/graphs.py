@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.row import DEVICE, Row, compare, milliseconds, row
-from benchmarks.street import FRAMES, KEEP_INTER_CLASS, K, Street
+from benchmarks.street import DEVICE, FRAMES, KEEP_INTER_CLASS, K, Row, Street, compare, milliseconds, row
 from models.steering.core.batch import GraphBatch
 from pipeline.graphs import graph
 from pipeline.train import frames

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.graphs import edge_index, save
-from benchmarks.row import DEVICE, Row, compare, milliseconds
-from benchmarks.street import FRAMES, Street
+from benchmarks.street import DEVICE, FRAMES, Row, Street, compare, milliseconds
 from models.steering.core import steering_net
 from models.steering.core.batch import GraphBatch
 from models.steering.core.cell.ltc import LTC

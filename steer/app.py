@@ -1,11 +1,11 @@
-"""The command `steer`, one module per verb. Large imports are inside functions, so that help is quick."""
+"""The command `steer`. Large imports are inside functions, so that help is quick."""
 
 from collections.abc import Callable
 
 import typer
 
 from pipeline.base.console import guarded
-from steer import diff, doctor, export, import_recording, measure, predict, show
+from steer import artefacts, doctor, import_recording, measure, predict
 
 app = typer.Typer(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
@@ -23,10 +23,10 @@ def _add(name: str, command: Callable[..., object], after_stop: str, needs_argum
 _add("predict", predict.predict, "the frames so far are in .unfinished of the output folder")
 _add("measure", measure.measure, "the frames so far are in .unfinished of the output folder")
 _add("import", import_recording.import_recording, "no drive was written, repeat the command")
-_add("show", show.show, "files that were written are complete")
-_add("diff", diff.diff, "nothing was written")
+_add("show", artefacts.show, "files that were written are complete")
+_add("diff", artefacts.diff, "nothing was written")
 _add("doctor", doctor.doctor, "nothing was written", needs_arguments=False)
-_add("export", export.export, "nothing was written")
+_add("export", artefacts.export, "nothing was written")
 
 if __name__ == "__main__":
     app(prog_name="steer")

@@ -1,6 +1,6 @@
 """Read one frame of a drive's file, and draw it: its images beside its cloud or graph from above."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ class FrameView:
     """
 
     frame: int
-    values: dict[str, Any] = field(default_factory=dict)
+    values: dict[str, Any]
     rgb: np.ndarray | None = None
     depth_m: np.ndarray | None = None
     cls: np.ndarray | None = None
@@ -50,11 +50,15 @@ def read(path: Path, frame: int | None) -> FrameView:
     with open_drive(path) as file:
         number = _choose(frame, file.frame, path)
         row = int(np.searchsorted(file.frame, number))
-        view = FrameView(number)
-        for name in sorted({*file.names} - {"frame"}):
-            if file.shape(name) == file.frame.shape:
-                view.values[name] = file.row(name, row).item()
-        _read_images(file, row, view)
+        numbers = [name for name in file.names if name != "frame" and file.shape(name) == file.frame.shape]
+        values = {name: file.row(name, row).item() for name in sorted(numbers)}
+
+        def image(name: str) -> np.ndarray | None:  # in ingest, a frame may lack it; cls may be of points
+            present = name in file and values.get(f"has_{name}", True) and len(file.shape(name)) > 2
+            return file.row(name, row) if present else None
+
+        depth = image("depth_m") if "depth_m" in file else image("depth")
+        view = FrameView(number, values, image("image"), None if depth is None else to_metres(depth), image("cls"))
         _read_points(file, row, view)
         return view
 
@@ -68,23 +72,8 @@ def _choose(frame: int | None, frames: np.ndarray, path: Path) -> int:
     return int(frames[0]) if frame is None else frame
 
 
-def _has(file: DriveReader, name: str, view: FrameView) -> bool:
-    """Return whether a frame has a dataset: those of stage ingest have gaps."""
-    return name in file and bool(view.values.get(f"has_{name}", True))
-
-
-def _read_images(file: DriveReader, row: int, view: FrameView) -> None:
-    if _has(file, "image", view):
-        view.rgb = file.row("image", row)
-    for name in ("depth", "depth_m"):
-        if _has(file, name, view):
-            view.depth_m = to_metres(file.row(name, row))
-    if _has(file, "cls", view) and len(file.shape("cls")) == 3:  # not of points
-        view.cls = file.row("cls", row)
-
-
 def _read_points(file: DriveReader, row: int, view: FrameView) -> None:
-    if _has(file, "lidar", view):
+    if view.values.get("has_lidar"):
         calibrated = "T_cam_velo" in file
         T_cam_velo = file["T_cam_velo"] if calibrated else _CAMERA_AXES
         view.cloud = lidar_cloud(_ragged(file, "lidar", "lidar_ptr", row), T_cam_velo, file["K"], view.cls)
@@ -108,14 +97,10 @@ def draw(path: Path, title: str, view: FrameView) -> None:
         raise InputError(f"expected a name that ends with .png, got {path}", "--out")
     if not view.drawable:
         raise InputError("nothing to draw, this frame has numbers only", title, "Leave out --out")
-    images = {
-        "image": view.rgb,
-        f"depth: {street_view.NEAR_M:g} m red to {street_view.FAR_M:g} m blue, logarithmic": (
-            None if view.depth_m is None else street_view.colourise_depth(view.depth_m)
-        ),
-        "classes": None if view.cls is None else classes.colourise(view.cls),
-    }
-    panels = {name: pixels for name, pixels in images.items() if pixels is not None}
+    depth = f"depth: {street_view.NEAR_M:g} m red to {street_view.FAR_M:g} m blue, logarithmic"
+    panels = {} if view.rgb is None else {"image": view.rgb}
+    panels |= {} if view.depth_m is None else {depth: street_view.colourise_depth(view.depth_m)}
+    panels |= {} if view.cls is None else {"classes": classes.colourise(view.cls)}
     width = 10.0 if panels and view.cloud else 7.0
     height = max(2.6 * len(panels), 5.2 if view.cloud else 0.0) + 1.0
     figure = Figure(figsize=(width, height), layout="constrained")

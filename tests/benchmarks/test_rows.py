@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import graphs, networks, row
-from benchmarks.street import FRAMES, Street, recorded
+from benchmarks import graphs, networks
+from benchmarks import street as measuring
+from benchmarks.street import FRAMES, Row, Street, recorded
 from models.steering.spatial.gnn import GCN
 from pipeline.graphs import graph
 
@@ -33,7 +34,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Street:
 
 @pytest.fixture(autouse=True)
 def measure_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(row, "ROUNDS", 1)
+    monkeypatch.setattr(measuring, "ROUNDS", 1)
     monkeypatch.setattr(networks, "REPEATS", 1)
 
 
@@ -58,7 +59,7 @@ def test_the_row_of_the_recurrent_network_has_two_sides() -> None:
     check(networks.ltc())
 
 
-def check(measured: row.Row) -> None:
+def check(measured: Row) -> None:
     assert measured.alternative is not None
     assert measured.ratio is not None
     assert all(0 < number < math.inf for number in (measured.ours, measured.alternative, measured.ratio))

@@ -1,0 +1,131 @@
+"""steer show, diff and export: describe artefacts, compare two of them, and export a trained model."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from steer.options import Debug, Json, Output, Quiet
+
+DIFFERENT = 3  # exit status; 1 is an error, 2 a wrong option
+_MAX_LINES = 20  # per file
+
+
+def show(
+    path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="an artefact of a stage")],
+    frame: Annotated[int | None, typer.Option(min=0, help="show this frame only, and draw it")] = None,
+    out: Annotated[Path | None, typer.Option(help="name of the PNG; default NAME-frame-N.png")] = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Describe an artefact of any stage, and the stage that wrote it; or draw one of its frames.
+
+    \b
+    steer show data
+    steer show data/graphs/semantic/2026_01_03_drive_0001.h5
+    steer show data/graphs/semantic/2026_01_03_drive_0001.h5 --frame 40
+    steer show data/train/sa-gnn-ncp --json
+    """
+    from pipeline.inspect import artefact, project
+
+    output = Output(quiet, as_json)
+    if frame is not None or out:
+        output.result(_show_frame(path, frame, out, output))
+        return
+    content = artefact.describe(path)
+    origin = project.trace(path)
+    output.facts(content)
+    output.facts(origin)
+    output.result(content | {"origin": origin})
+
+
+def _show_frame(path: Path, frame: int | None, out: Path | None, output: Output) -> dict[str, Any]:
+    """Print a frame's numbers, draw it, and return what was written."""
+    from pipeline.inspect import frame_view
+
+    view = frame_view.read(path, frame)
+    title = f"{Path(*path.absolute().parts[-3:])}, frame {view.frame}"
+    content: dict[str, Any] = {"path": str(path), "frame": view.frame, **view.values}
+    if out or view.drawable:
+        picture = out or Path(f"{path.absolute().stem}-frame-{view.frame}.png")
+        frame_view.draw(picture, title, view)
+        content["picture"] = str(picture)
+    output.facts(content)
+    return content
+
+
+def diff(
+    a: Annotated[Path, typer.Argument(metavar="A", help="a file or folder of any stage")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="another one of the same kind")],
+    tolerance: Annotated[
+        float, typer.Option(min=0, help="numbers that differ by at most this are equal, in the dataset's unit")
+    ] = 0.0,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Compare two artefacts and print what differs: dataset, first frame, number of frames, largest difference.
+
+    HDF5 files are compared by frame, JSON files and checkpoints by key, others by bytes.
+
+    Exit status: 0 equal, 3 different, 1 error, 2 wrong option.
+
+    \b
+    steer diff data/labels ../other/data/labels
+    steer diff data/train/net/best.pt best.pt --tolerance 1e-6
+    """
+    from rich.progress import track
+
+    from pipeline.inspect import diff as artefacts
+
+    output = Output(quiet, as_json)
+    files = artefacts.pairs(a, b)
+    different, found = 0, []
+    hidden = not output.console.is_terminal
+    for name, one, other in track(files, "comparing", transient=True, console=output.console, disable=hidden):
+        differences = list(artefacts.compare(name, one, other, tolerance))
+        different += bool(differences)
+        found += differences
+        for difference in differences[:_MAX_LINES]:
+            output.line(str(difference))
+        if len(differences) > _MAX_LINES:
+            output.line(f"{name}: {len(differences) - _MAX_LINES} more, see --json")
+    within = f" (tolerance {tolerance:g})" if tolerance else ""
+    output.line(f"files that differ: {different} of {len(files)}{within}" if different else f"equal{within}")
+    result = {"equal": not different, "files": len(files), "different": different, "differences": found}
+    output.result(result)
+    if different:
+        raise typer.Exit(DIFFERENT)
+
+
+def export(
+    model: Annotated[Path, typer.Argument(help="folder of a trained model, for instance data/train/sa-gnn-ncp")],
+    out: Annotated[Path, typer.Option(help="folder for the files; new, empty or an earlier export")],
+    graphs: Annotated[Path, typer.Option(help="folder of the graph variants, for verification")] = Path("data/graphs"),
+    tolerance: Annotated[float, typer.Option(min=0, help="largest difference of features and outputs")] = 1e-4,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Write a model's spatial and recurrent part as .pt2 files (torch.export), verified on real frames.
+
+    export.json describes their inputs and how to compute the angle. Numbers of points and neighbours may differ between
+    frames; each call takes one frame. For ONNX, convert each file with the package onnxscript:
+    torch.onnx.export(torch.export.load("spatial.pt2"), dynamo=True).save("spatial.onnx")
+
+    steer export data/train/sa-gnn-ncp --out net/
+    """
+    from pipeline.live.export import export as write
+    from pipeline.train.predict import load
+
+    output = Output(quiet, as_json)
+    trained = load(model, "cpu")
+    manifest = write(trained, graphs / trained.line["input"], out, tolerance)
+    for part, difference in manifest["largest_difference"].items():
+        output.line(
+            f"{out / part}.pt2: largest difference from the network {difference:.2g} (tolerance {tolerance:.2g})"
+        )
+    verified = manifest["verified"]
+    output.line(f"verified on {verified['windows']} windows of {', '.join(verified['drives'])}")
+    output.result({"out": str(out), **manifest})

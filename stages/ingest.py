@@ -88,14 +88,8 @@ def _check_names(drives: list[str], raw: Path) -> None:
 def _ingest(
     drive: str, path: Path, *, folders: dict[str, Path], attributes: dict[str, dict[str, str]], settings: Ingest
 ) -> Summary:
-    params = {"ingest": settings.model_dump(exclude={"drives"})}
-    with store.DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
-        file.attrs |= attributes[drive]
-        return ingest(file, RawDrive(folders[drive]), settings)
-
-
-def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
     """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image."""
+    raw, params = RawDrive(folders[drive]), {"ingest": settings.model_dump(exclude={"drives"})}
     scans = raw.scans if settings.lidar else {}
     camera = raw.camera(settings.cameras)
     if scans and (camera is None or camera.T_cam_velo is None):
@@ -113,21 +107,23 @@ def ingest(file: store.DriveWriter, raw: RawDrive, settings: Ingest) -> Summary:
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
     rows = list(packets or range(len(numbers)))
     frames, time_s = [numbers[row] for row in rows], oxts.read_times(times, numbers)[rows]
-    counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
-    file.attrs["camera"] = camera.number if camera else -1
-    put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
-    if raw.steering.is_file():
-        counts["steering"] = put_steering(file, frames, steering_file.read(raw.steering))
-    if camera:
-        crop = crop_to(camera.size, settings.image_size, camera.K)
-        put_camera(file, scale_K(crop.K(camera.K), crop.size, settings.image_size), camera.T_cam_velo)
-    for name, pixels in PIXELS.items():
-        arrays = None
-        if camera and name in images:
-            read = partial(pixels.read, size=camera.size, new_size=settings.image_size, crop=crop)
-            arrays = reader.each(name, read, images[name], frames)
-        counts[name] = put_pixels(file, name, len(frames), settings.image_size, arrays)
-    counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
+    with store.DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
+        file.attrs |= attributes[drive]
+        counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
+        file.attrs["camera"] = camera.number if camera else -1
+        put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
+        if raw.steering.is_file():
+            counts["steering"] = put_steering(file, frames, steering_file.read(raw.steering))
+        if camera:
+            crop = crop_to(camera.size, settings.image_size, camera.K)
+            put_camera(file, scale_K(crop.K(camera.K), crop.size, settings.image_size), camera.T_cam_velo)
+        for name, pixels in PIXELS.items():
+            arrays = None
+            if camera and name in images:
+                read = partial(pixels.read, size=camera.size, new_size=settings.image_size, crop=crop)
+                arrays = reader.each(name, read, images[name], frames)
+            counts[name] = put_pixels(file, name, len(frames), settings.image_size, arrays)
+        counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
     others = (set(images.get("image", {})) | set(scans)) - set(numbers)
     return counts | {
         "camera": camera.number if camera else None,

@@ -12,10 +12,9 @@ is changed when they are complete. Readers validate what they read, which HDF5 d
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import h5py
@@ -102,24 +101,26 @@ class DriveWriter:
         self._datasets[name][index] = array
         self._sink.check()
 
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            self._sink = stack.enter_context(Sink(stack.enter_context(replacing(self.path)), self.path))
-            stack.enter_context(self._sink.raising())
-            self._file = stack.enter_context(h5py.File(self._sink, "w", libver="v110"))
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is not None:
-            self._stack.__exit__(kind, error, trace)
-            return
-        with self._stack:
+    @contextmanager
+    def _open(self) -> Iterator[None]:
+        with (
+            replacing(self.path) as tmp,
+            Sink(tmp, self.path) as self._sink,
+            self._sink.raising(),
+            h5py.File(self._sink, "w", libver="v110") as self._file,
+        ):
+            yield
             for name, value in self.attrs.items():
                 # Fixed length: variable-length text is in a heap without checksums, where a flipped bit hangs HDF5.
                 self._file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
+
+    def __enter__(self) -> Self:
+        self._context = self._open()
+        self._context.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> bool | None:
+        return self._context.__exit__(*error)
 
 
 class DriveReader:

@@ -44,8 +44,8 @@ def measure(
         chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_m is not None)
         assert chain.odometry
         measured = add_courses(prefetch(chain.run(frames), 1), car, smooth=True)
-        options: dict[str, Any] = {"wheelbase_m": car.wheelbase_m, "warm_up": 1, "video": video, "visible": visible}
-        with write_results(measured, source, out, (MOTION, TRACK, QUALITY), **options) as (folder, results):
+        names, show = (MOTION, TRACK, QUALITY), {"video": video, "visible": visible}
+        with write_results(measured, source, out, names, car, warm_up=1, **show) as (folder, results):
             quality = _quality(results.road_heights_m, chain.odometry, source.height_m)
             store.write_json(folder / QUALITY, quality)
             _draw_track(folder / TRACK, source.name, results.courses)

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -83,16 +83,16 @@ def predict(
         InputError: the source lacks an input of the model, or no frame can be read.
     """
     source.notes += differences(model, source, focal_by_width(data))
-    kinds = motion_kinds(model, settings)
+    kinds, car = motion_kinds(model, settings), model.target.car
     perceives = (encoder / FILE).is_file() or settings.variant.source != "ingest" or "visual" in kinds
     kinds |= {"visual"} if perceives else set()
     with closing(source.frames) as frames:
         size, road_scale = settings.ingest.image_size, settings.motion.road_scale
         chain = Chain(source, size, encoder if perceives else None, kinds, settings.perception, road_scale)
         predicted = Predictor(model, settings, source, chain.camera).run(chain.run(frames))
-        courses = add_courses(predicted, model.target.car, smooth=False)
-        options: dict[str, Any] = {"wheelbase_m": model.target.wheelbase_m, "warm_up": model.window, "video": video}
-        with write_results(courses, source, out, (STEERING,), visible=visible, **options) as (_, results):
+        courses = add_courses(predicted, car, smooth=False)
+        show = {"video": video, "visible": visible}
+        with write_results(courses, source, out, (STEERING,), car, warm_up=model.window, **show) as (_, results):
             return results
 
 
@@ -126,20 +126,20 @@ class Predictor:
                 elif self._settings.variant.source == "clouds/lidar" and frame.scan is None:
                     continue
                 else:
-                    T_before, accumulate = None, self._settings.variant.accumulate
-                    if accumulate and (estimate := frame.estimates[accumulate.motion]):
-                        stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
-                        T_before = scaled_step(*stored, self._settings.variant.source)
-                    frame.arrays = self._points(frame, T_before)
+                    frame.arrays = self._points(frame)
                 yield frame
 
-    def _points(self, frame: FrameState, T_before: np.ndarray | None) -> dict[str, np.ndarray]:
+    def _points(self, frame: FrameState) -> dict[str, np.ndarray]:
         """Return the arrays of a variant of points, as :mod:`pipeline.train.frames` reads them."""
         variant, number = self._settings.variant, frame.number
         assert self._neighbours
         kind = variant.source.removeprefix("clouds/")
         cloud = stored_cloud(frame, kind, self._camera, self._drive, self._settings.clouds)
-        if self._accumulator:
+        if self._accumulator and variant.accumulate:
+            T_before = None
+            if estimate := frame.estimates[variant.accumulate.motion]:
+                stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
+                T_before = scaled_step(*stored, variant.source)
             cloud = self._accumulator.add(number, cloud, T_before)
         xyz, cls, rng = sample_frame(cloud, variant, self._drive, number)
         arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, len(xyz)])}

@@ -16,6 +16,7 @@ from pipeline.base.errors import InputError
 from pipeline.live.frame_state import Course, FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.source import Source
+from pipeline.train.windows import Car
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"
 TRACK, QUALITY = "track.png", "quality.json"
@@ -125,8 +126,8 @@ def write_results(
     source: Source,
     out: Path,
     names: tuple[str, ...],
+    car: Car,
     *,
-    wheelbase_m: float,
     warm_up: int,
     video: bool,
     visible: bool,
@@ -145,7 +146,7 @@ def write_results(
         file = stack.enter_context((folder / names[0]).open("w", newline="", encoding="utf-8"))
         results, overlay = Results(file, source.name, warm_up, COLUMNS[names[0]]), None
         if video:
-            overlay = Overlay(folder / VIDEO, source, wheelbase_m, predicts=names[0] == STEERING)
+            overlay = Overlay(folder / VIDEO, source, car.wheelbase_m, predicts=names[0] == STEERING)
             stack.enter_context(overlay)
         bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if visible else True))
         for frame in stack.enter_context(closing(frames)):

@@ -76,18 +76,18 @@ def _read_points(file: DriveReader, row: int, view: FrameView) -> None:
     if view.values.get("has_lidar"):
         calibrated = "T_cam_velo" in file
         T_cam_velo = file["T_cam_velo"] if calibrated else _CAMERA_AXES
-        view.cloud = lidar_cloud(_ragged(file, "lidar", "lidar_ptr", row), T_cam_velo, file["K"], view.cls)
+        view.cloud = lidar_cloud(_ragged(file, "lidar", row), T_cam_velo, file["K"], view.cls)
     elif "xyz" in file:
-        view.cloud = (_ragged(file, "xyz", "ptr", row), _ragged(file, "cls", "ptr", row))
+        view.cloud = (_ragged(file, "xyz", row), _ragged(file, "cls", row))
     if "indices" in file and view.cloud:
         xyz = view.cloud[0]
-        nodes = np.repeat(np.arange(len(xyz)), _ragged(file, "degree", "ptr", row))
-        pairs = np.stack([nodes, _ragged(file, "indices", "indices_ptr", row)], axis=1)
+        nodes = np.repeat(np.arange(len(xyz)), _ragged(file, "degree", row))
+        pairs = np.stack([nodes, _ragged(file, "indices", row)], axis=1)
         view.edges = xyz[pairs[pairs[:, 0] < pairs[:, 1]]]  # each edge is stored in both directions
 
 
-def _ragged(file: DriveReader, name: str, pointers: str, row: int) -> np.ndarray:
-    start, stop = (int(end) for end in file.rows(pointers, row, row + 2))
+def _ragged(file: DriveReader, name: str, row: int) -> np.ndarray:
+    start, stop = (int(end) for end in file.rows(file.pointer(name) or "ptr", row, row + 2))
     return file.rows(name, start, stop)
 
 

@@ -3,7 +3,6 @@
 from contextlib import nullcontext, suppress
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import av
@@ -92,10 +91,8 @@ class Overlay:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with nullcontext() if error is None else suppress(av.FFmpegError):  # on a full disk, this fails again
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        with nullcontext() if kind is None else suppress(av.FFmpegError):  # on a full disk, this fails again
             try:
                 self._file.mux(self._stream.encode())
             finally:

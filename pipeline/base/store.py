@@ -132,7 +132,7 @@ class DriveReader:
     """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
-        self.path, self._stage = path, stage or "STAGE"
+        self.path, self._stage = path, stage or _stage_of(path)
         if not path.is_file():
             raise _missing(path, self._stage)
         self._datasets: dict[str, h5py.Dataset] = {}  # looking one up takes longer than reading a small one
@@ -275,6 +275,12 @@ def frame_count(path: Path, *, stage: str) -> int:
     """Return the number of frames in a drive's file; of stage ingest, of those with an image."""
     with DriveReader(path, stage=stage) as file:
         return int(file["has_image"].sum()) if stage == "ingest" else len(file.frame)
+
+
+def _stage_of(path: Path) -> str:
+    """Return the stage that a file below a folder data/ belongs to, for messages; elsewhere a placeholder."""
+    folders = path.absolute().parts[:-1]
+    return folders[folders.index("data") + 1] if "data" in folders[:-1] else "STAGE"
 
 
 def fix_hint(path: Path, stage: str) -> str:

@@ -1,4 +1,4 @@
-"""Draw a few frames of each drive with their perception: data/pictures/<drive>.png."""
+"""Draw a few frames of drives with their perception: data/pictures/<drive>.png."""
 
 from functools import partial
 from pathlib import Path
@@ -20,10 +20,12 @@ def main(
     """Draw image, depth, classes and cloud of frames that are evenly spread over each drive. Returns `out`."""
     settings = load(Pictures, params)
     splits = store.read_index(clouds, stage="clouds")
-    with_images = [drive for drive in splits if store.frame_count(perception / f"{drive}.h5", stage="perception")]
+    counts = {drive: getattr(settings.frames, split) for drive, split in splits.items()}
+    drawn = [drive for drive in splits if counts[drive]]
+    with_images = [drive for drive in drawn if store.frame_count(perception / f"{drive}.h5", stage="perception")]
 
     run_over_drives(
-        partial(_draw, ingest=ingest, perception=perception, clouds=clouds, splits=splits, count=settings.frames),
+        partial(_draw, ingest=ingest, perception=perception, clouds=clouds, splits=splits, counts=counts),
         with_images,
         out=out,
         stage="pictures",
@@ -33,14 +35,21 @@ def main(
         target=lambda drive: out / f"{drive}.png",
         describe=lambda summary: f"frames {', '.join(map(str, summary['drawn']))}",
     )
-    without = [drive for drive in splits if drive not in with_images]
+    without = [drive for drive in drawn if drive not in with_images]
     if without:
         print(f"no pictures of drives without images: {', '.join(without)}", flush=True)
     return out
 
 
 def _draw(
-    drive: str, path: Path, *, ingest: Path, perception: Path, clouds: Path, splits: dict[str, str], count: int
+    drive: str,
+    path: Path,
+    *,
+    ingest: Path,
+    perception: Path,
+    clouds: Path,
+    splits: dict[str, str],
+    counts: dict[str, int],
 ) -> Summary:
     from pipeline.report import drawing, street_view
 
@@ -49,7 +58,7 @@ def _draw(
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
         store.DriveReader(clouds / f"{drive}.h5", stage="clouds") as cloud,
     ):
-        numbers = street_view.evenly_spread(perceived.frame, count)
+        numbers = street_view.evenly_spread(perceived.frame, counts[drive])
         views = [street_view.read_view(images, perceived, cloud, number) for number in numbers]
     drawing.save(street_view.sheet(f"{drive} ({splits[drive]})", views), path, dpi=90)
     return {"drawn": numbers}

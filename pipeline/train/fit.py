@@ -21,7 +21,7 @@ from pipeline.fitting import checkpoint
 from pipeline.fitting.precision import autocast
 from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.sections.train import Train
-from pipeline.train import predict, reading, score, windows
+from pipeline.train import predict, reading, windows
 from pipeline.train.augment import random_factors
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World
@@ -173,8 +173,8 @@ class Fit:
         predicted = np.concatenate([each.steering_rad for each in predictions])
         steering = np.concatenate([drive.steering_rad for drive in drives])
         valid = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(predicted)
-        steering, predicted = steering[valid], predicted[valid]
-        return score.mse(steering, predicted), score.nmse(steering, predicted)
+        mse, zero = float(np.mean((predicted - steering)[valid] ** 2)), float(np.mean(steering[valid] ** 2))
+        return mse, mse / zero if zero > 0 else math.nan
 
     def sigma_factor(self, drives: Sequence[windows.Drive], target: predict.Target) -> float:
         """Return the factor of the predicted σ with the highest likelihood of the drives' errors, for the best weights.

@@ -37,7 +37,7 @@ def _files(dep: str) -> set[Path]:
             return _files(folder)
     path = resume.ROOT / dep
     assert path.exists(), dep
-    files = path.rglob("*.py") if path.is_dir() else [path]
+    files = path.rglob("*.py") if path.is_dir() else {path} - {path.with_suffix(".j2")}  # a template imports nothing
     return {file.relative_to(resume.ROOT) for file in files if not _is_empty(file.relative_to(resume.ROOT))}
 
 

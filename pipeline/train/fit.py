@@ -18,11 +18,9 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.fitting import checkpoint
-from pipeline.fitting.precision import autocast
-from pipeline.fitting.schedule import warm_up_cosine
+from pipeline.fitting.steps import autocast, warm_up_cosine
 from pipeline.sections.train import Train
 from pipeline.train import predict, reading, windows
-from pipeline.train.augment import random_factors
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World
 
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
 WARM_UP = 0.05  # share of the steps
-REPORTED_WAIT = 0.02  # share of an epoch; the log mentions longer waits for data
 
 
 class Fit:
@@ -76,17 +73,13 @@ class Fit:
         """
         self._resume(state, title)
         epochs, keep = self.settings.epochs, self.settings.keep
-        if self.alpha:
-            count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
-            self._log(f"{title}: alpha {self.alpha:g}, effective sample size {effective:.0f} of {count} frames")
         target = predict.Target.from_drives(train)
         steps = reading.Steps(train, self.window, self.settings.noise)
         with reading.Reader(steps, self.net.device) as reader:
             started, before = time.perf_counter(), len(self.curve)
             while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
-                epoch, epoch_started = len(self.curve) + 1, time.perf_counter()
+                epoch = len(self.curve) + 1
                 loss, rate = self._train(reader, train, target, epoch)
-                waited = reader.waited_s / (time.perf_counter() - epoch_started)
                 if not math.isfinite(loss):
                     raise InputError(
                         f"loss of epoch {epoch} is {loss}", title, "Lower train.learning_rate or clip_norm"
@@ -99,10 +92,7 @@ class Fit:
                     checkpoint.write(state, {**metadata, **self._state(), "kind": predict.KIND, "epoch": epoch})
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
                 nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (selected)' if selected else ''}"
-                wait = f", {waited:.0%} waiting for data" if waited > REPORTED_WAIT else ""
-                self._log(
-                    f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse if val else ''}, ETA {eta:.0f} s{wait}"
-                )
+                self._log(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse if val else ''}, ETA {eta:.0f} s")
 
     def _log(self, line: str) -> None:
         if self.world.is_main:
@@ -122,10 +112,10 @@ class Fit:
         steps = []
         for number, (group, share) in enumerate(zip(groups, shares, strict=True)):
             own = share or [0]  # a process without a run takes part with a run of weight 0
-            factor = random_factors(len(group), settings, rng)[own]  # drawn for all processes' runs
+            factor = settings.rescale ** rng.uniform(-1, 1, len(group))[own]  # drawn for all processes' runs
             first = 1 + number * settings.batch_runs  # from 1: numpy ignores zeros at the end of a seed
             seeds = tuple((self.seed, epoch, first + run) for run in own)
-            steps.append(reading.Step(tuple(group[run] for run in own), factor, seeds))
+            steps.append(reading.Step(tuple(group[run] for run in own), factor.astype(np.float32), seeds))
         return shares, steps
 
     def _train(
@@ -218,13 +208,6 @@ class Fit:
 def copy_weights(net: nn.Module) -> dict[str, Tensor]:
     """Return a copy of the network's tensors on the CPU."""
     return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
-
-
-def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
-    """Return Kish's effective sample size (Σw)² / Σw² of the loss weights w = exp(alpha |Θ|) over the valid frames."""
-    bend = np.abs(np.concatenate([drive.steering_rad[drive.valid] for drive in drives]))
-    weight = np.exp(alpha * (bend - bend.max()))  # the constant factor cancels, and prevents overflow
-    return float(weight.sum() ** 2 / (weight**2).sum())
 
 
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:

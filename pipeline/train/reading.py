@@ -5,7 +5,6 @@ process at a time, and numpy holds Python's lock. Random numbers depend on the s
 the reader.
 """
 
-import time
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -19,8 +18,7 @@ from pipeline.base.executors import default_workers
 from pipeline.fitting.prefetch import prefetch
 from pipeline.sections.train import Noise
 from pipeline.train import frames, windows
-from pipeline.train.augment import rescale
-from pipeline.train.noise import add_noise
+from pipeline.train.augment import add_noise, rescale
 
 AHEAD = 4  # batches per process
 
@@ -70,7 +68,7 @@ class Reader:
 
     def __init__(self, steps: Steps, device: torch.device, workers: int | None = None) -> None:
         """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
-        self._steps, self.waited_s = steps, 0.0
+        self._steps = steps
         self._epoch: list[Step] = []  # the loader's sampler; its processes live for several epochs
         if workers is None:
             workers = default_workers() if device.type == "cuda" else 0
@@ -88,18 +86,12 @@ class Reader:
             )
 
     def batches(self, steps: Sequence[Step]) -> Generator[dict[str, Any]]:
-        """Yield the steps' batches in order; :attr:`waited_s` is the time that the caller waited."""
-        self._epoch[:], self.waited_s = steps, 0.0
-        read = iter(self._loader) if self._loader else prefetch(self._steps[step] for step in steps)
-        try:
-            for _ in steps:
-                started_s = time.perf_counter()
-                batch = next(read)
-                self.waited_s += time.perf_counter() - started_s
-                yield batch
-        finally:
-            if isinstance(read, Generator):
-                read.close()
+        """Yield the steps' batches in order."""
+        self._epoch[:] = steps
+        if self._loader:
+            yield from self._loader
+        else:
+            yield from prefetch(self._steps[step] for step in steps)
 
     def __enter__(self) -> "Reader":
         return self

@@ -1,8 +1,6 @@
 """Train one run, from its drives to its folder: best.pt, last.pt, config.json, curve.csv."""
 
 import shutil
-import statistics
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -91,7 +89,6 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     if world.is_main:
         figures = {
             "seeds": settings.seeds,
-            "effective_frames": fit.effective_frames(train, line["alpha"]),
             "parameters": steering_net.parameter_count(net),
         }
         _write(run.folder, fitting, state, metadata, figures)
@@ -105,20 +102,6 @@ def threads(graphs: Path) -> int:
     """
     with frames.open_graphs(graphs) as file:
         return 1 if 0 < file.points_per_frame < SMALL else torch.get_num_threads()
-
-
-def encode_ms(run: Run, job: Job, device: torch.device | str) -> float:
-    """Return the median time to encode a frame with a trained network, in ms. Call it when nothing else runs."""
-    net, window = predict.load(run.folder, device).net, job.line["window"]
-    drives = job.read_drives(run.fold.val or run.fold.train)
-    groups = [[span] for span in windows.spans(drives, window, predict.WINDOWS)][:6]
-    times = []
-    with torch.inference_mode():
-        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
-            started = time.perf_counter()
-            net.encode(net.frames(batch)).cpu()  # waits for the device
-            times.append((time.perf_counter() - started) / (span.stop - span.start))
-    return 1e3 * statistics.median(times[1:] or times)  # the first batch is a warm-up
 
 
 def _write(

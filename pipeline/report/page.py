@@ -3,7 +3,7 @@
 import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import pandas as pd
@@ -107,12 +107,10 @@ def _graphs(results: Results, evaluate: Path) -> Content:
                 f"Input of {row['model']} where each test drive bends most. Turn with the mouse; the legend shows and "
                 "hides classes, and edges before and after semantic pruning."
             )
-            return [text, *(_graph(drive, graph, row["variant.k"]) for drive, graph in graphs.items())]
+            captions = [f"{drive}, frame {each['frame']}: {each['points']:,} points" for drive, each in graphs.items()]
+            figures = [plots.graph_3d(each, row["variant.k"]) for each in graphs.values()]
+            return [text, *map(Plot, captions, figures)]
     return []
-
-
-def _graph(drive: str, graph: dict[str, Any], k: int) -> Plot:
-    return Plot(f"{drive}, frame {graph['frame']}: {graph['points']:,} points", plots.graph_3d(graph, k))
 
 
 def _learning(models: Sequence[str], train: Path) -> Content:

@@ -93,9 +93,11 @@ def graph_3d(structure: Mapping[str, Any], k: int) -> Plot:
         red, green, blue = classes.COLOURS[number] if number < classes.COUNT else (0, 0, 0)
         marker = {"size": 3, "color": f"rgb({red},{green},{blue})"}
         traces.append(_points(place[cls == number], *"xyz") | {"name": name, "mode": "markers", "marker": marker})
+    first, second = graph.undirected(graph.nearest(xyz, k)).nonzero()
+    unpruned = np.stack([first, second], axis=1)[first < second]
     pruned = np.array(structure["edges"], np.int64).reshape(-1, 2)
     lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
-    for when, pairs in (("before", unpruned_edges(xyz, cls, k)), ("after", pruned)):
+    for when, pairs in (("before", unpruned), ("after", pruned)):
         ends = np.insert(pairs, 2, len(place), axis=1).ravel()  # a row without a point: a gap after each edge
         shown = {"name": f"edges {when} pruning", "visible": True if when == "after" else "legendonly"}
         traces.append(_points(place.reindex(ends), *"xyz") | lines | shown)
@@ -103,13 +105,6 @@ def graph_3d(structure: Mapping[str, Any], k: int) -> Plot:
     axes = {f"{axis}axis": _title(f"{name}, m") for axis, name in zip("xyz", ("right", "ahead", "up"), strict=True)}
     scene = {"aspectmode": "data", "camera": camera, **axes}
     return _plot([trace | {"type": "scatter3d"} for trace in traces], 520, scene=scene)
-
-
-def unpruned_edges(xyz: np.ndarray, cls: np.ndarray, k: int) -> np.ndarray:
-    """Return the undirected kNN edges [E,2] of points [P,3], each once."""
-    complete = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
-    pairs = np.stack([np.repeat(np.arange(len(xyz)), complete.degree), complete.indices.astype(np.int64)], axis=1)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
 
 
 def _styles(names: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -3,7 +3,7 @@
 They feed everything in the report: tables, page, figures, and the files that DVC reads.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -65,7 +65,7 @@ def load_results(evaluate: Path, models: Sequence[str]) -> Results:
     return Results(metrics, predictions)
 
 
-def columns_below(metrics: pd.DataFrame, prefix: str, name: str) -> dict[str, str]:
+def columns_below(metrics: Iterable[str], prefix: str, name: str) -> dict[str, str]:
     """Return key → column for the columns ``<prefix>.<key>.<name>``: a test drive or a range of curvature each."""
     prefix, suffix = f"{prefix}.", f".{name}"
     found = [column for column in metrics if column.startswith(prefix) and column.endswith(suffix)]

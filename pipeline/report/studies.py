@@ -84,7 +84,7 @@ def points(models: pd.DataFrame) -> dict[str, pd.DataFrame]:
         value[models["model"] == DEFAULT] = study.default
         rows = models.assign(value=value).dropna(subset="value").sort_values("value")
         if len(rows) > 1:
-            found[name] = rows.reindex(columns=[*dict.fromkeys([*rows, "val.nmse"])])
+            found[name] = rows
     return found
 
 

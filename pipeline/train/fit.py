@@ -62,6 +62,7 @@ class Fit:
         self,
         train: Sequence[windows.Drive],
         val: Sequence[windows.Drive],
+        target: predict.Target,
         state: Path,
         metadata: Mapping[str, Any],
         title: str,
@@ -73,7 +74,6 @@ class Fit:
         """
         self._resume(state, title)
         epochs, keep = self.settings.epochs, self.settings.keep
-        target = predict.Target.from_drives(train)
         steps = reading.Steps(train, self.window, self.settings.noise)
         with reading.Reader(steps, self.net.device) as reader:
             started, before = time.perf_counter(), len(self.curve)
@@ -158,12 +158,8 @@ class Fit:
         """Return MSE in rad² and nmse of the averaged weights; NaN without drives."""
         if not drives:
             return math.nan, math.nan
-        net: Any = self.average.module
-        predictions = predict.predict_drives(net, drives, self.window, target, self.world)
-        predicted = np.concatenate([each.steering_rad for each in predictions])
-        steering = np.concatenate([drive.steering_rad for drive in drives])
-        valid = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(predicted)
-        mse, zero = float(np.mean((predicted - steering)[valid] ** 2)), float(np.mean(steering[valid] ** 2))
+        steering, error, _ = self._predict(drives, target)
+        mse, zero = float(np.mean(error**2)), float(np.mean(steering**2))
         return mse, mse / zero if zero > 0 else math.nan
 
     def sigma_factor(self, drives: Sequence[windows.Drive], target: predict.Target) -> float:
@@ -171,16 +167,21 @@ class Fit:
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """
+        self.average.module.load_state_dict(self.best)
+        _, error, sigma = self._predict(drives, target)
+        return float(np.sqrt(np.mean((error / sigma) ** 2)))
+
+    def _predict(self, drives: Sequence[windows.Drive], target: predict.Target) -> np.ndarray:
+        """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""
         net: Any = self.average.module
-        net.load_state_dict(self.best)
-        ratios = []
-        for drive, predicted in zip(
+        columns = []
+        for drive, found in zip(
             drives, predict.predict_drives(net, drives, self.window, target, self.world), strict=True
         ):
-            assert predicted.sigma_rad is not None, "the model has uncertainty"
-            counted = drive.valid & ~np.isnan(predicted.steering_rad)
-            ratios.append((np.abs(predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad)[counted])
-        return float(np.sqrt(np.mean(np.concatenate(ratios) ** 2)))
+            error, sigma = found.steering_rad - drive.steering_rad, found.sigma_rad
+            rows = np.stack([drive.steering_rad, error, np.full(len(error), np.nan) if sigma is None else sigma])
+            columns.append(rows[:, drive.valid & ~np.isnan(error)])
+        return np.concatenate(columns, axis=1)
 
     def _resume(self, path: Path, title: str) -> None:
         """Load the state of an interrupted run, if the main process has one."""

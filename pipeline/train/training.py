@@ -51,9 +51,12 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     """
     line, settings, fold = job.line, job.settings, run.fold
     train, val = job.read_drives(fold.train), job.read_drives(fold.val)
-    contents = frames.contents(train[0].graphs)
-    if torch.device(device).type == "cpu":
-        torch.set_num_threads(threads(train[0].graphs))
+    with frames.open_graphs(train[0].graphs) as graphs:
+        contents, points = graphs.contents, graphs.points_per_frame
+    if torch.device(device).type == "cpu" and 0 < points < SMALL:
+        # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
+        # where another process uses its core. One thread's sums are also the same on each machine.
+        torch.set_num_threads(1)
     torch.manual_seed(run.seed)
     with error_context(where=job.where):
         net = steering_net.build(line, **contents)
@@ -82,7 +85,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "card": predict.Card.from_drives(train).model_dump(),
         **inputs,
     }
-    fitting.run(train, val, state, metadata, f"{job.name} {run}")
+    fitting.run(train, val, target, state, metadata, f"{job.name} {run}")
     if line["uncertainty"] and val:
         factor = fitting.sigma_factor(val, target)
         metadata["target"] = vars(replace(target, sigma_factor=factor))
@@ -92,16 +95,6 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
             "parameters": steering_net.parameter_count(net),
         }
         _write(run.folder, fitting, state, metadata, figures)
-
-
-def threads(graphs: Path) -> int:
-    """Return the number of threads for training on frames as in a graph file.
-
-    With few points a second thread has little to do, and slows each of a step's hundreds of small operations where
-    another process uses its core. One thread's sums are also the same on each machine.
-    """
-    with frames.open_graphs(graphs) as file:
-        return 1 if 0 < file.points_per_frame < SMALL else torch.get_num_threads()
 
 
 def _write(

@@ -55,12 +55,6 @@ def by_curvature(
     return rows
 
 
-def nmse_std(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> float | None:
-    """Return the standard deviation of nmse over the seeds of predictions [S,N]; None for one seed."""
-    nmse = [scores(steering_rad, one_seed)["nmse"] for one_seed in predicted_rad]
-    return float(np.std(nmse, ddof=1)) if len(nmse) > 1 and None not in nmse else None
-
-
 def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, settings: Evaluate) -> tuple[float, float]:
     """Return the 95 % interval of Σ error / Σ Θ² over other roads, from a moving-block bootstrap.
 

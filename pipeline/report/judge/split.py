@@ -78,8 +78,9 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
         return errors.scores(steering[rows], predicted[:, rows]) | {"baselines": baselines}
 
     error = ((predicted - steering) ** 2).mean(axis=0)
+    by_seed = [errors.scores(steering, one_seed)["nmse"] for one_seed in predicted]
     return scores(slice(None)) | {
-        "nmse_std": errors.nmse_std(steering, predicted),
+        "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
         "nmse_ci95": list(errors.interval(error, steering, drive, settings)),
         "by_curvature": errors.by_curvature(steering, predicted, curvature, settings.curvature_bins_1pm),
         "by_drive": {case.drive.name: scores(drive == number) for number, case in enumerate(cases)},

@@ -57,8 +57,6 @@ def test_scores_over_seeds_are_means() -> None:
     assert both["frames"] == 400
     for key in ("mse_rad2", "nmse", "mae_deg"):
         assert both[key] == pytest.approx(np.mean([scores[key] for scores in alone]))
-    assert errors.nmse_std(steering, seeds) == pytest.approx(np.std([scores["nmse"] for scores in alone], ddof=1))
-    assert errors.nmse_std(steering, seeds[:1]) is None
     # An error whose square is the seeds' mean square, frame by frame, has the same interval.
     typical = np.sqrt(((seeds - steering) ** 2).mean(axis=0))
     both = interval(steering, seeds - steering, drive, 50, 300)

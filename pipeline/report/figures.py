@@ -80,12 +80,8 @@ def _draw_chain(path: Path, model: pd.Series, view: street_view.View, steering: 
     """Draw image, depth, classes, cloud, pruned graph, and steering [F] over the drive of `view`."""
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
-    panels["a"].imshow(view.rgb)
-    street_view.draw_depth(panels["b"], view.depth_m)
-    panels["c"].imshow(classes.colourise(view.cls), interpolation="nearest")
-    for key, title in zip("abc", ("image", "depth from the image", "classes from the image"), strict=True):
-        panels[key].set_title(title)
-        panels[key].set_axis_off()
+    titles = ("image", "depth from the image", "classes from the image")
+    street_view.draw_images([panels[key] for key in "abc"], view, titles)
     street_view.draw_cloud(panels["d"], view.xyz, view.points_cls)
     panels["d"].set_title(f"cloud from above: {len(view.xyz):,} points")
     keep = model["variant.keep_inter_class"]

@@ -74,8 +74,7 @@ class Fit:
         """
         self._resume(state, title)
         epochs, keep = self.settings.epochs, self.settings.keep
-        steps = reading.Steps(train, self.window, self.settings.noise)
-        with reading.Reader(steps, self.net.device) as reader:
+        with reading.Reader(train, self.window, self.settings.noise, self.net.device) as reader:
             started, before = time.perf_counter(), len(self.curve)
             while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
                 epoch = len(self.curve) + 1

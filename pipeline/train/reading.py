@@ -32,50 +32,31 @@ class Step:
     seeds: tuple[tuple[int, ...], ...]
 
 
-class Steps(Dataset[dict[str, Any]]):
-    """Batches with targets, indexed by :class:`Step`. Files stay open in the process that reads them."""
+class Reader(Dataset[dict[str, Any]]):
+    """Batches with targets, indexed by :class:`Step`; a context manager.
 
-    def __init__(self, drives: Sequence[windows.Drive], window: int, noise: Noise) -> None:
+    Files stay open in the process that reads them.
+    """
+
+    def __init__(
+        self,
+        drives: Sequence[windows.Drive],
+        window: int,
+        noise: Noise,
+        device: torch.device,
+        workers: int | None = None,
+    ) -> None:
+        """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
         self._drives, self._window, self._noise = drives, window, noise
         self._opened: dict[int, frames.Graphs] = {}
         self._files = ExitStack()
-
-    def __getitem__(self, step: Step) -> dict[str, Any]:
-        """Return the arrays of a batch as tensors, which can be pinned."""
-        for drive in {run.drive for run in step.runs} - self._opened.keys():
-            graphs = frames.open_graphs(self._drives[drive].graphs)
-            self._opened[drive] = self._files.enter_context(graphs)
-        (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
-        lengths = [run.stop - run.start for run in step.runs]
-        batch = rescale(batch, np.repeat(step.factor, lengths))
-        batch = add_noise(batch, lengths, [np.random.default_rng(seed) for seed in step.seeds], self._noise)
-        return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_opened": {}, "_files": None}  # open files cannot be pickled
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__ = state | {"_files": ExitStack()}
-
-    def close(self) -> None:
-        """Close the files that this process has opened."""
-        self._files.close()
-        self._opened.clear()
-
-
-class Reader:
-    """Reads the batches of one training run; a context manager."""
-
-    def __init__(self, steps: Steps, device: torch.device, workers: int | None = None) -> None:
-        """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
-        self._steps = steps
         self._epoch: list[Step] = []  # the loader's sampler; its processes live for several epochs
         if workers is None:
             workers = default_workers() if device.type == "cuda" else 0
         self._loader: DataLoader[dict[str, Any]] | None = None
         if workers:
             self._loader = DataLoader(
-                steps,
+                self,
                 batch_size=None,
                 sampler=self._epoch,
                 num_workers=workers,
@@ -91,11 +72,25 @@ class Reader:
         if self._loader:
             yield from self._loader
         else:
-            yield from prefetch(self._steps[step] for step in steps)
+            yield from prefetch(self[step] for step in steps)
+
+    def __getitem__(self, step: Step) -> dict[str, Any]:
+        """Return the arrays of a batch as tensors, which can be pinned."""
+        for drive in {run.drive for run in step.runs} - self._opened.keys():
+            graphs = frames.open_graphs(self._drives[drive].graphs)
+            self._opened[drive] = self._files.enter_context(graphs)
+        (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
+        lengths = [run.stop - run.start for run in step.runs]
+        batch = rescale(batch, np.repeat(step.factor, lengths))
+        batch = add_noise(batch, lengths, [np.random.default_rng(seed) for seed in step.seeds], self._noise)
+        return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_opened": {}, "_files": ExitStack(), "_loader": None}  # for the loader's processes
 
     def __enter__(self) -> "Reader":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._loader = None  # ends its processes
-        self._steps.close()
+        self._files.close()

@@ -10,7 +10,7 @@ import torch
 
 from pipeline.sections.train import Noise
 from pipeline.train import augment, windows
-from pipeline.train.reading import Reader, Step, Steps
+from pipeline.train.reading import Reader, Step
 from tests import artefacts
 
 NOISE = Noise(depth_scale=0.2, speed=0.1)
@@ -48,7 +48,7 @@ def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_batches_equal_the_reference(drives: list[windows.Drive], workers: int) -> None:
-    with Reader(Steps(drives, 4, NOISE), torch.device("cpu"), workers) as reader:
+    with Reader(drives, 4, NOISE, torch.device("cpu"), workers) as reader:
         for epoch in range(2):  # with the same processes
             steps = planned(epoch)
             for step, batch in zip(steps, reader.batches(steps), strict=True):

@@ -121,12 +121,13 @@ def steering_tables(results: Results) -> list[Table]:
     by_bin = {f"{name} 1/m": (column, ".2f") for name, column in bins.items()}
     tables.append(Table("RMSE by curvature", cells(rows, start | by_bin), note))
     if "test.uncertainty.nll" in rows:
-        scores = {
-            "NLL": ("nll", ".3f"), "constant σ": ("nll_constant", ".3f"), "within σ": ("coverage_68", ".1%"),
-            "within 1.96 σ": ("coverage_95", ".1%"), "MAE deg, certain half": ("mae_deg_certain", ".2f"),
+        columns = {
+            "model": ("model", ""), "NLL": ("test.uncertainty.nll", ".3f"),
+            "constant σ": ("test.uncertainty.nll_constant", ".3f"),
+            "within σ": ("test.uncertainty.coverage_68", ".1%"),
+            "within 1.96 σ": ("test.uncertainty.coverage_95", ".1%"),
+            "MAE deg, certain half": ("test.uncertainty.mae_deg_certain", ".2f"), "all": ("test.mae_deg", ".2f"),
         }  # fmt: skip
-        columns = {head: (f"test.uncertainty.{name}", form) for head, (name, form) in scores.items()}
-        columns = {"model": ("model", ""), **columns, "all": ("test.mae_deg", ".2f")}
         tables.append(Table("Uncertainty", cells(rows.dropna(subset="test.uncertainty.nll"), columns), _UNCERTAINTY))
     return tables
 

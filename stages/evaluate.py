@@ -10,7 +10,8 @@ from pipeline.base import console, store
 from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
-from pipeline.report.judge import predictions, sharpest_bend, split
+from pipeline.report.judge import by_frame
+from pipeline.report.judge.split import Case, inputs, metrics
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import frames, predict, runs, windows
 
@@ -50,15 +51,13 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
         "parameters": config["parameters"],
         "wheelbase_m": tested[0].car.wheelbase_m,
         "path": settings.path,
-        "variant": split.variant(tested[0]),
-        **split.sizes(tested),
-        **{part: split.metrics(drives, settings) if drives else None for part, drives in cases.items()},
+        **inputs(tested),
+        **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
     }
     store.write_json(out / "metrics.json", result)
     for number, folder in enumerate(runs.folders(out, seeds).values()):
-        rows = [(case.drive, case.predictions[number]) for case in cases["test"]]
-        predictions.write(folder / "predictions.csv", rows)
-    sharpest_bend.write_graphs(out / "structure.json", tested)
+        by_frame.write_predictions(folder / "predictions.csv", cases["test"], number)
+    by_frame.write_structure(out / "structure.json", tested)
     print(_summary(result))
     return out
 
@@ -76,9 +75,9 @@ def _load(run: runs.Run, name: str, config: Mapping[str, Any]) -> predict.Traine
 
 def _predict(
     models: Mapping[runs.Run, predict.Trained], variant: Path, labels: Path, line: Mapping[str, Any]
-) -> dict[str, list[split.Case]]:
+) -> dict[str, list[Case]]:
     """Return split → drives with the predictions of all seeds; a drive of several folds once, from the first."""
-    cases: dict[str, dict[str, split.Case]] = {part: {} for part in SPLITS}
+    cases: dict[str, dict[str, Case]] = {part: {} for part in SPLITS}
     for fold in dict.fromkeys(run.fold for run in models):
         seeds = [model for run, model in models.items() if run.fold == fold]
         for part, found in cases.items():
@@ -86,7 +85,7 @@ def _predict(
                 drive = windows.read_drive(variant, labels, name, line["horizon"], line["motion"])
                 with frames.open_graphs(drive.graphs) as graphs:
                     predictions = [model.predict_with_sigma(graphs) for model in seeds]
-                found[name] = split.Case(drive, predictions, seeds[0].target.mean_rad)
+                found[name] = Case(drive, predictions, seeds[0].target.mean_rad)
     return {part: list(found.values()) for part, found in cases.items()}
 
 

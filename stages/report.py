@@ -21,8 +21,8 @@ def main(
     Models of the params file that are not evaluated on this machine are named with the command that gets them.
     """
     from pipeline.report import dvc_files, studies, tables
-    from pipeline.report.figures.draw import draw
-    from pipeline.report.page.page import write_page
+    from pipeline.report.figures import draw
+    from pipeline.report.page import write_page
     from pipeline.report.results import load_results
     from pipeline.report.story import sentences
 
@@ -46,8 +46,8 @@ def main(
         for model in evaluated:
             dvc_files.write_learning(data / "train" / model, out / "learning")
         dvc_files.write_steering(results.predictions, out / "steering")
-        figures = draw(out / "figures", results, data)
-        write_page(out / "index.html", sentences(results), results, steering, perception, figures, data)
+        captions = draw(out / "figures", results, data)
+        write_page(out / "index.html", sentences(results), results, steering, perception, captions, data)
         comparison = studies.write(results, out / "settings", load(Evaluate, params))
     print("\n\n".join(filter(None, [text, comparison])))
     return out

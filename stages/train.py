@@ -34,7 +34,7 @@ def main(
     One network per seed, and per test drive with fit_to: others or both. On a CPU, networks are trained in parallel,
     one process each. Returns the model's folder.
     """
-    from pipeline.train.training import Job, encode_ms, fit_run
+    from pipeline.train.training import Job, fit_run
 
     model, settings = load_entry(Model, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": model.learning_rate or settings.learning_rate})
@@ -73,7 +73,6 @@ def main(
             # With folds, the first network has its own folder, and the model's config.json is a copy.
             config = store.read_json(todo[0].folder / "config.json", stage=f"train@{name}")
             store.write_json(out / name / "config.json", config)
-            print(f"{name}: {encode_ms(todo[0], job, device):.2f} ms to encode a frame", flush=True)
             shutil.rmtree(pending)
     return out / name
 

@@ -20,11 +20,10 @@ ROOMS = {"pipeline/base", "pipeline/camera"}  # small and still: what a file is,
 BEYOND: dict[str, set[str]] = {
     "check": {"pipeline", "models"},  # it takes seconds, and is to find faults wherever they are
     "town": {"pipeline/kitti/ingest_file.py", "pipeline/kitti/tolerant.py"},  # the sample is rendered again
-    "perception": {"pipeline/fitting/schedule.py"},  # a change of which makes another encoder anyway
     "scores": {"models/encoder"},  # flat ground; other networks make another perception anyway
     # These make another training anyway.
     "evaluate": {
-        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment", "noise")),
+        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment")),
         "pipeline/fitting",
     },
 }
@@ -37,7 +36,7 @@ def _files(dep: str) -> set[Path]:
             return _files(folder)
     path = resume.ROOT / dep
     assert path.exists(), dep
-    files = path.rglob("*.py") if path.is_dir() else [path]
+    files = path.rglob("*.py") if path.is_dir() else {path} - {path.with_suffix(".j2")}  # a template imports nothing
     return {file.relative_to(resume.ROOT) for file in files if not _is_empty(file.relative_to(resume.ROOT))}
 
 

@@ -16,7 +16,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.camera import classes
 from pipeline.encoder.examples import Examples, augment
 from pipeline.fitting import checkpoint
-from pipeline.fitting.schedule import warm_up_cosine
+from pipeline.fitting.steps import warm_up_cosine
 
 KIND = "unified encoder in fitting"
 WARM_UP = 0.15  # share of the steps with a rising learning rate

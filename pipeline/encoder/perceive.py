@@ -15,8 +15,8 @@ from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.executors import default_workers
 from pipeline.camera import classes
 from pipeline.fitting import checkpoint
-from pipeline.fitting.precision import autocast
 from pipeline.fitting.prefetch import side_by_side
+from pipeline.fitting.steps import autocast
 
 FILE = "encoder.pt"
 KIND = "unified encoder"

@@ -14,9 +14,3 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> None:
     """Write `figure` to a PNG or SVG file in one step, without a date or a version number in it."""
     with mpl.rc_context({"svg.hashsalt": "steering", "svg.fonttype": "none"}), replacing(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix[1:], dpi=dpi, metadata=_METADATA[path.suffix])
-
-
-def save_png_and_svg(figure: Figure, path: Path) -> None:
-    """Write `figure` to `path`.png and `path`.svg."""
-    for suffix in _METADATA:
-        save(figure, path.with_suffix(suffix))

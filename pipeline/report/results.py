@@ -3,8 +3,9 @@
 They feed everything in the report: tables, page, figures, and the files that DVC reads.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,12 +14,13 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.base.errors import error_context
+from pipeline.base.params import SPLITS
 from pipeline.report import paper
 
 _BASELINES = ("zero", "train_mean", "persistence", "odometry", "odometry_lidar")
 _REQUIRED = {
     "model", "parameters", "edges_per_frame", "line.temporal", "test.frames", "test.nmse", "test.mae_deg",
-    "test.nmse_std", "test.nmse_low", "test.nmse_high", "test.without_decisions.nmse", "test.baselines.zero.nmse",
+    "test.nmse_std", "test.without_decisions.nmse", "test.baselines.zero.nmse",
 }  # fmt: skip
 _TYPES = {
     "drive": str, "frame": int, "time_s": float, "speed_mps": float, "steering_rad": float, "predicted_rad": float,
@@ -50,19 +52,20 @@ class Results(NamedTuple):
 
 def load_results(evaluate: Path, models: Sequence[str]) -> Results:
     """Load the results of `models` from their folders below `evaluate`. Raises InputError if a file is damaged."""
-    rows = sorted((_load_metrics(evaluate / model) for model in models), key=_rank)
-    by_horizon = [list(group) for _, group in groupby(rows, key=_horizon)]
-    rows = [row for group in by_horizon for row in [*group, *_baselines(group)]]
+    loaded = sorted((_load_metrics(evaluate / model) for model in models), key=itemgetter("line.horizon", "paper.rank"))
+    rows: list[dict[str, Any]] = []
+    for _, group in groupby(loaded, key=itemgetter("line.horizon")):
+        own = [*group]
+        rows += [*own, *_baselines(own)]
     # dtype=object keeps integers and None as they are, also in columns that baselines lack.
     metrics = pd.DataFrame(rows, columns=None if rows else ["model", "baseline"], dtype=object)
-    tables = [
-        _load_predictions(path, evaluate / model) for model in models for path in _prediction_files(evaluate, model)
-    ]
+    folders = [evaluate / model for model in models]
+    tables = [_load_predictions(path, folder) for folder in folders for path in sorted(folder.rglob("predictions.csv"))]
     predictions = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=["model", "run", *_TYPES])
     return Results(metrics, predictions)
 
 
-def columns_below(metrics: pd.DataFrame, prefix: str, name: str) -> dict[str, str]:
+def columns_below(metrics: Iterable[str], prefix: str, name: str) -> dict[str, str]:
     """Return key → column for the columns ``<prefix>.<key>.<name>``: a test drive or a range of curvature each."""
     prefix, suffix = f"{prefix}.", f".{name}"
     found = [column for column in metrics if column.startswith(prefix) and column.endswith(suffix)]
@@ -76,18 +79,22 @@ def _load_metrics(folder: Path) -> dict[str, Any]:
     content = store.read_json(path, stage=f"evaluate@{folder.name}")
     with error_context(path, fix=_fix(folder.name)):
         try:
-            for scores in filter(None, (content["train"], content["val"], content["test"])):
+            for scores in filter(None, (content[split] for split in SPLITS)):
                 scores["nmse_low"], scores["nmse_high"] = scores["nmse_ci95"]
-                scores["by_curvature"] = {_range(part): _with_baseline(part) for part in scores["by_curvature"]}
+                scores["by_curvature"] = {
+                    _range(part): {"rmse_deg": None, "baselines": {"zero": part.pop("zero", {})}, **part}
+                    for part in scores["by_curvature"]
+                }
+            network = paper.name(content["line"] | {"accumulate": content["variant"].get("accumulate")})
+            row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
+            if lacking := sorted(_REQUIRED - row.keys()):
+                raise KeyError(lacking[0])
         except (KeyError, TypeError) as error:
             raise ValueError(f"incomplete ({error!r})") from error
-        row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
-        if lacking := sorted(_REQUIRED - row.keys()):
-            raise ValueError(f"no {lacking[0]}")
-    network = _paper_name(row)
     published = paper.PAPER[network] if network else None
     return row | {
         "seeds": len(row["seeds"]),
+        "paper.rank": [*paper.PAPER, None].index(network),
         "paper.train_mse": published and published.train_mse,
         "paper.test_mse": published and published.test_mse,
         "baseline": False,
@@ -99,11 +106,6 @@ def _range(part: Mapping[str, Any]) -> str:
     return f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
 
 
-def _with_baseline(part: Mapping[str, Any]) -> dict[str, Any]:
-    errors = {"rmse_deg": None} | {key: value for key, value in part.items() if key != "zero"}
-    return errors | {"baselines": {"zero": part["zero"]} if "zero" in part else {}}
-
-
 def _baselines(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return a row per baseline of models with one horizon, on the frames of the first model that has it."""
     found = []
@@ -112,27 +114,8 @@ def _baselines(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         first = next((row for row in rows if f"test{key}nmse" in row), None)
         if first:
             own = {column.replace(key, "."): value for column, value in first.items() if key in column}
-            found.append({"model": name, "line.horizon": _horizon(first), **own, "baseline": True})
+            found.append({"model": name, "line.horizon": first["line.horizon"], **own, "baseline": True})
     return found
-
-
-def _horizon(row: Mapping[str, Any]) -> int:
-    return int(row["line.horizon"])
-
-
-def _paper_name(row: Mapping[str, Any]) -> str | None:
-    settings = {key.removeprefix("line."): value for key, value in row.items() if key.startswith("line.")}
-    # json_normalize turns a mapping into several columns.
-    accumulated = any(key.startswith("variant.accumulate") and value is not None for key, value in row.items())
-    return paper.name({**settings, "accumulate": accumulated or None})
-
-
-def _rank(row: Mapping[str, Any]) -> tuple[int, int]:
-    return _horizon(row), [*paper.PAPER, None].index(_paper_name(row))
-
-
-def _prediction_files(evaluate: Path, model: str) -> list[Path]:
-    return sorted((evaluate / model).rglob("predictions.csv"))
 
 
 def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
@@ -144,10 +127,9 @@ def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
     table.insert(0, "model", folder.name)
     table.insert(1, "run", ".".join(path.parent.relative_to(folder).parts))
     table["elapsed_s"] = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
-    table["driven_deg"] = np.rad2deg(table["steering_rad"].where(table["valid"] == 1))
-    table["predicted_deg"] = np.rad2deg(table["predicted_rad"])
-    table["odometry_deg"] = np.rad2deg(table["odometry_rad"])
-    table["sigma_deg"] = np.rad2deg(table["sigma_rad"])
+    rad = {"driven": table["steering_rad"].where(table["valid"] == 1)}
+    rad |= {name: table[f"{name}_rad"] for name in ("predicted", "odometry", "sigma")}
+    table = table.assign(**{f"{name}_deg": np.rad2deg(angles) for name, angles in rad.items()})
     return table
 
 

@@ -13,9 +13,7 @@ def sentences(results: Results) -> list[str]:
     if not len(group):
         return []
     best = group.loc[group["test.nmse"].astype(float).idxmin()]
-    baselines = results.metrics[results.metrics["baseline"].astype(bool)]
-    zero = baselines[(baselines["model"] == "zero") & (baselines["line.horizon"] == best["line.horizon"])].iloc[0]
-    bends = _bends(best, zero)
+    bends = _bends(best)
     return [_accuracy(best, len(group)), *([_weakness(bends)] if len(bends) > 1 else []), _next_step(best, bends)]
 
 
@@ -33,10 +31,11 @@ def _accuracy(best: pd.Series, count: int) -> str:
     return f"{text} and {_times(best['test.nmse'] / odometry)} the error of odometry, {verdict}."
 
 
-def _bends(best: pd.Series, zero: pd.Series) -> pd.DataFrame:
+def _bends(best: pd.Series) -> pd.DataFrame:
     """Return a row per range of |curvature| with frames: its name, RMSE of the best model and of zero in degrees."""
-    columns = columns_below(best.to_frame().T, "test.by_curvature", "rmse_deg")
-    rows = [(name, best[column], zero[column]) for name, column in columns.items() if pd.notna(best[column])]
+    columns = columns_below(best.dropna().index, "test.by_curvature", "rmse_deg")
+    zero = "test.by_curvature.{}.baselines.zero.rmse_deg"
+    rows = [(name, best[column], best[zero.format(name)]) for name, column in columns.items()]
     return pd.DataFrame(rows, columns=["range", "rmse", "zero"])
 
 

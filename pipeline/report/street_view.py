@@ -1,7 +1,7 @@
 """Draw the perception of a frame (the paper's Figure 2): image, depth, classes, and cloud from above."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -67,6 +67,16 @@ def draw_depth(panel: Axes, depth_m: np.ndarray) -> None:
     panel.imshow(colourise_depth(depth_m), interpolation="nearest")
 
 
+def draw_images(panels: Sequence[Axes], view: View, titles: Sequence[str], **style: Any) -> None:
+    """Draw image, depth and classes in three panels without axes, each with a title of some `style`."""
+    panels[0].imshow(view.rgb)
+    draw_depth(panels[1], view.depth_m)
+    panels[2].imshow(classes.colourise(view.cls), interpolation="nearest")
+    for panel, title in zip(panels, titles, strict=True):
+        panel.set_title(title, **style)
+        panel.set_axis_off()
+
+
 def draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray) -> None:
     """Draw points [P,3] of the camera frame from above, in the colours of their classes [P]; high points on top."""
     order = np.argsort(-xyz[:, 1], kind="stable")  # y points down
@@ -93,12 +103,7 @@ def sheet(title: str, views: Sequence[View]) -> Figure:
     grid = figure.add_gridspec(3 * len(views), 2, width_ratios=[5, 4])
     for row, view in enumerate(views):
         left = [figure.add_subplot(grid[3 * row + i, 0]) for i in range(3)]
-        left[0].imshow(view.rgb)
-        draw_depth(left[1], view.depth_m)
-        left[2].imshow(classes.colourise(view.cls), interpolation="nearest")
-        for panel, name in zip(left, (f"frame {view.frame}", "depth", "classes"), strict=True):
-            panel.set_title(name, fontsize="small", loc="left")
-            panel.set_axis_off()
+        draw_images(left, view, (f"frame {view.frame}", "depth", "classes"), fontsize="small", loc="left")
         above = figure.add_subplot(grid[3 * row : 3 * row + 3, 1])
         draw_cloud(above, view.xyz, view.points_cls)
         above.set_title(f"cloud from above: {len(view.xyz):,} points", fontsize="small", loc="left")

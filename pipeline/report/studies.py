@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from pipeline.base.atomic import replacing
 from pipeline.report import drawing
-from pipeline.report.judge.interval import difference_interval
+from pipeline.report.judge.errors import interval
 from pipeline.report.results import Results
 from pipeline.report.tables import Table, cells, with_text
 from pipeline.sections.evaluate import Evaluate
@@ -84,7 +84,7 @@ def points(models: pd.DataFrame) -> dict[str, pd.DataFrame]:
         value[models["model"] == DEFAULT] = study.default
         rows = models.assign(value=value).dropna(subset="value").sort_values("value")
         if len(rows) > 1:
-            found[name] = rows.reindex(columns=[*dict.fromkeys([*rows, "val.nmse"])])
+            found[name] = rows
     return found
 
 
@@ -128,8 +128,7 @@ def claims(results: Results, settings: Evaluate) -> list[str]:
         if not {claim.ours, claim.other} <= set(models.index):
             continue
         ours, other = models.loc[claim.ours], models.loc[claim.other]
-        bootstrap = (settings.bootstrap_block_frames, settings.bootstrap_samples, settings.seed)
-        low, high = difference_interval(*_aligned(results.predictions, claim.ours, claim.other), *bootstrap)
+        low, high = _difference_interval(results.predictions, claim, settings)
         verdict = "better" if high < 0 else "worse" if low > 0 else "no difference shown"
         lines.append(
             f"- {claim.text}: {verdict}. nmse {ours['test.nmse']:.3f} against {other['test.nmse']:.3f}, "
@@ -139,16 +138,16 @@ def claims(results: Results, settings: Evaluate) -> list[str]:
     return ["## The paper's claims", "\n".join(lines)] if lines else []
 
 
-def _aligned(predictions: pd.DataFrame, ours: str, other: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return truth [N], predictions of two models [S,N], [S',N] and drive number [N], where all networks predict."""
-    counted = predictions[(predictions["valid"] == 1) & predictions["predicted_rad"].notna()]
+def _difference_interval(predictions: pd.DataFrame, claim: Claim, settings: Evaluate) -> tuple[float, float]:
+    """Return the 95 % interval of the difference in nmse of two models, where all their networks predict."""
     index = ["drive", "frame"]
+    counted = predictions[(predictions["valid"] == 1) & predictions["predicted_rad"].notna()]
+    counted = counted.assign(error=(counted["predicted_rad"] - counted["steering_rad"]) ** 2)
     first, second = (
-        counted[counted["model"] == model].pivot(index=index, columns="run", values="predicted_rad")
-        for model in (ours, other)
+        counted[counted["model"] == model].pivot(index=index, columns="run", values="error").dropna().mean(axis=1)
+        for model in (claim.ours, claim.other)
     )
-    both = pd.concat([first, second], axis=1, join="inner").dropna().sort_index()
-    truth = counted[counted["model"] == ours].drop_duplicates(index).set_index(index)["steering_rad"]
-    angles = both.to_numpy().T
-    drive = both.index.get_level_values("drive").factorize()[0]
-    return truth.loc[both.index].to_numpy(), angles[: first.shape[1]], angles[first.shape[1] :], drive
+    frames = counted[counted["model"] == claim.ours].drop_duplicates(index).set_index(index)
+    frames = frames.assign(error=first - second).dropna(subset="error").sort_index()
+    drive = frames.index.get_level_values("drive").factorize()[0]
+    return interval(frames["error"].to_numpy(), frames["steering_rad"].to_numpy(), drive, settings)

@@ -58,45 +58,38 @@ class Table(NamedTuple):
     note: str = ""
 
     def markdown(self) -> str:
-        """Return title, table with aligned columns, and note as Markdown."""
-        text = markdown_table([*self.cells], self.cells.to_numpy().tolist())
-        return "\n\n".join(filter(None, [f"## {self.title}", text, fill(self.note, _WIDTH)]))
-
-
-def markdown_table(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table with aligned columns, the first to the left and all others to the right."""
-    widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
-    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
-    lines = []
-    for row in (head, rule, *body):
-        first, *others = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
-        lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *others])} |")
-    return "\n".join(lines)
+        """Return title, table and note as Markdown, with the first column aligned to the left, others to the right."""
+        head, body = [*self.cells], self.cells.to_numpy().tolist()
+        widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]
+        rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+        lines = []
+        for row in (head, rule, *body):
+            first, *others = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
+            lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *others])} |")
+        return "\n\n".join(filter(None, [f"## {self.title}", "\n".join(lines), fill(self.note, _WIDTH)]))
 
 
 def cells(rows: pd.DataFrame, columns: Columns) -> pd.DataFrame:
     """Return `columns` of `rows` as text; a column that no row has is empty."""
-    rows = rows.reindex(columns=[column for column, _ in columns.values()])
-    texts = [
-        [
-            NONE if pd.isna(value) else format(value, form)
-            for value, (_, form) in zip(row, columns.values(), strict=True)
-        ]
-        for row in rows.itertuples(index=False, name=None)
-    ]
+    texts = {
+        head: [NONE if pd.isna(value) else format(value, form) for value in rows.get(column, [None] * len(rows))]
+        for head, (column, form) in columns.items()
+    }
     return pd.DataFrame(texts, columns=[*columns])
 
 
 def with_text(metrics: pd.DataFrame) -> pd.DataFrame:
     """Return the metrics with text columns: name (of baselines in *), nmse with its spread over seeds, interval."""
-    rows = metrics.copy()
-    rows["name"] = [f"*{row['model']}*" if row["baseline"] else row["model"] for _, row in metrics.iterrows()]
-    spread = ["" if pd.isna(std) else f" ± {std:.3f}" for std in metrics["test.nmse_std"]]
-    rows["nmse"] = [NONE if pd.isna(nmse) else f"{nmse:.3f}" for nmse in metrics["test.nmse"]]
-    rows["nmse"] += spread
-    bounds = zip(metrics["test.nmse_low"], metrics["test.nmse_high"], strict=True)
-    rows["interval"] = [None if pd.isna(low) else f"{low:.3f} to {high:.3f}" for low, high in bounds]
-    return rows
+    rows = metrics[["model", "baseline", *(f"test.nmse{key}" for key in ("", "_std", "_low", "_high"))]]
+    texts = [
+        {
+            "name": f"*{model}*" if baseline else model,
+            "nmse": (NONE if pd.isna(nmse) else f"{nmse:.3f}") + ("" if pd.isna(std) else f" ± {std:.3f}"),
+            "interval": None if pd.isna(low) else f"{low:.3f} to {high:.3f}",
+        }
+        for model, baseline, nmse, std, low, high in rows.itertuples(index=False, name=None)
+    ]
+    return metrics.join(pd.DataFrame(texts, index=metrics.index))
 
 
 def steering_tables(results: Results) -> list[Table]:
@@ -127,38 +120,30 @@ def steering_tables(results: Results) -> list[Table]:
     note = f"RMSE in degrees by |curvature| of the road; {counts} frames for {rows.iloc[0]['model']}."
     by_bin = {f"{name} 1/m": (column, ".2f") for name, column in bins.items()}
     tables.append(Table("RMSE by curvature", cells(rows, start | by_bin), note))
-    return [*tables, *_uncertainty(results.models)]
-
-
-def _uncertainty(models: pd.DataFrame) -> list[Table]:
-    if "test.uncertainty.nll" not in models:
-        return []
-    scores = {
-        "NLL": ("nll", ".3f"), "constant σ": ("nll_constant", ".3f"), "within σ": ("coverage_68", ".1%"),
-        "within 1.96 σ": ("coverage_95", ".1%"), "MAE deg, certain half": ("mae_deg_certain", ".2f"),
-    }  # fmt: skip
-    columns = {head: (f"test.uncertainty.{name}", form) for head, (name, form) in scores.items()}
-    columns = {"model": ("model", ""), **columns, "all": ("test.mae_deg", ".2f")}
-    rows = models[models["test.uncertainty.nll"].notna()]
-    return [Table("Uncertainty", cells(rows, columns), _UNCERTAINTY)]
+    if "test.uncertainty.nll" in rows:
+        columns = {
+            "model": ("model", ""), "NLL": ("test.uncertainty.nll", ".3f"),
+            "constant σ": ("test.uncertainty.nll_constant", ".3f"),
+            "within σ": ("test.uncertainty.coverage_68", ".1%"),
+            "within 1.96 σ": ("test.uncertainty.coverage_95", ".1%"),
+            "MAE deg, certain half": ("test.uncertainty.mae_deg_certain", ".2f"), "all": ("test.mae_deg", ".2f"),
+        }  # fmt: skip
+        tables.append(Table("Uncertainty", cells(rows.dropna(subset="test.uncertainty.nll"), columns), _UNCERTAINTY))
+    return tables
 
 
 def _settings(models: pd.DataFrame) -> pd.DataFrame:
     line = models.filter(regex=r"^line\.\w+$").rename(columns=lambda column: column.removeprefix("line."))
     rows = pd.concat([models[["model", *_SIZES]], line.reindex(columns=[*_SETTINGS])], axis=1)
-    share = models["edges_per_frame"] / models["edges_per_frame_unpruned"]
-    rows["pruned"] = 1 - share.astype(float)
+    rows["pruned"] = 1 - (rows["edges_per_frame"] / rows["edges_per_frame_unpruned"]).astype(float)
     rows["temporal"] += [f" ({cell})" if cell else "" for cell in rows["cell"].where(rows["temporal"] == "ncp", "")]
     rows["fit_to"] += [f" ({roads} roads)" if pd.notna(roads) else "" for roads in rows["roads"]]
     columns = {
-        "model": "",
-        "input": "",
-        "points_per_frame": ",.0f",
-        "edges_per_frame_unpruned": ",.0f",
-        "pruned": ".0%",
-    }
-    columns |= dict.fromkeys(("semantics", "spatial", "temporal", "window", "equivariant", "motion", "fit_to"), "")
-    return cells(rows, {name.split("_")[0]: (name, form) for name, form in columns.items()})
+        "model": ("model", ""), "input": ("input", ""), "points": ("points_per_frame", ",.0f"),
+        "edges": ("edges_per_frame_unpruned", ",.0f"), "pruned": ("pruned", ".0%"),
+    }  # fmt: skip
+    columns |= {name: (name, "") for name in ("semantics", "spatial", "temporal", "window", "equivariant", "motion")}
+    return cells(rows, columns | {"fit": ("fit_to", "")})
 
 
 def _seeds(models: pd.DataFrame) -> str:

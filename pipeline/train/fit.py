@@ -18,11 +18,9 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.fitting import checkpoint
-from pipeline.fitting.precision import autocast
-from pipeline.fitting.schedule import warm_up_cosine
+from pipeline.fitting.steps import autocast, warm_up_cosine
 from pipeline.sections.train import Train
-from pipeline.train import predict, reading, score, windows
-from pipeline.train.augment import random_factors
+from pipeline.train import predict, reading, windows
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World
 
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
 WARM_UP = 0.05  # share of the steps
-REPORTED_WAIT = 0.02  # share of an epoch; the log mentions longer waits for data
 
 
 class Fit:
@@ -65,6 +62,7 @@ class Fit:
         self,
         train: Sequence[windows.Drive],
         val: Sequence[windows.Drive],
+        target: predict.Target,
         state: Path,
         metadata: Mapping[str, Any],
         title: str,
@@ -76,17 +74,11 @@ class Fit:
         """
         self._resume(state, title)
         epochs, keep = self.settings.epochs, self.settings.keep
-        if self.alpha:
-            count, effective = sum(int(drive.valid.sum()) for drive in train), effective_frames(train, self.alpha)
-            self._log(f"{title}: alpha {self.alpha:g}, effective sample size {effective:.0f} of {count} frames")
-        target = predict.Target.from_drives(train)
-        steps = reading.Steps(train, self.window, self.settings.noise)
-        with reading.Reader(steps, self.net.device) as reader:
+        with reading.Reader(train, self.window, self.settings.noise, self.net.device) as reader:
             started, before = time.perf_counter(), len(self.curve)
             while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
-                epoch, epoch_started = len(self.curve) + 1, time.perf_counter()
+                epoch = len(self.curve) + 1
                 loss, rate = self._train(reader, train, target, epoch)
-                waited = reader.waited_s / (time.perf_counter() - epoch_started)
                 if not math.isfinite(loss):
                     raise InputError(
                         f"loss of epoch {epoch} is {loss}", title, "Lower train.learning_rate or clip_norm"
@@ -99,10 +91,7 @@ class Fit:
                     checkpoint.write(state, {**metadata, **self._state(), "kind": predict.KIND, "epoch": epoch})
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
                 nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (selected)' if selected else ''}"
-                wait = f", {waited:.0%} waiting for data" if waited > REPORTED_WAIT else ""
-                self._log(
-                    f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse if val else ''}, ETA {eta:.0f} s{wait}"
-                )
+                self._log(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse if val else ''}, ETA {eta:.0f} s")
 
     def _log(self, line: str) -> None:
         if self.world.is_main:
@@ -122,10 +111,10 @@ class Fit:
         steps = []
         for number, (group, share) in enumerate(zip(groups, shares, strict=True)):
             own = share or [0]  # a process without a run takes part with a run of weight 0
-            factor = random_factors(len(group), settings, rng)[own]  # drawn for all processes' runs
+            factor = settings.rescale ** rng.uniform(-1, 1, len(group))[own]  # drawn for all processes' runs
             first = 1 + number * settings.batch_runs  # from 1: numpy ignores zeros at the end of a seed
             seeds = tuple((self.seed, epoch, first + run) for run in own)
-            steps.append(reading.Step(tuple(group[run] for run in own), factor, seeds))
+            steps.append(reading.Step(tuple(group[run] for run in own), factor.astype(np.float32), seeds))
         return shares, steps
 
     def _train(
@@ -168,29 +157,30 @@ class Fit:
         """Return MSE in rad² and nmse of the averaged weights; NaN without drives."""
         if not drives:
             return math.nan, math.nan
-        net: Any = self.average.module
-        predictions = predict.predict_drives(net, drives, self.window, target, self.world)
-        predicted = np.concatenate([each.steering_rad for each in predictions])
-        steering = np.concatenate([drive.steering_rad for drive in drives])
-        valid = np.concatenate([drive.valid for drive in drives]) & ~np.isnan(predicted)
-        steering, predicted = steering[valid], predicted[valid]
-        return score.mse(steering, predicted), score.nmse(steering, predicted)
+        steering, error, _ = self._predict(drives, target)
+        mse, zero = float(np.mean(error**2)), float(np.mean(steering**2))
+        return mse, mse / zero if zero > 0 else math.nan
 
     def sigma_factor(self, drives: Sequence[windows.Drive], target: predict.Target) -> float:
         """Return the factor of the predicted σ with the highest likelihood of the drives' errors, for the best weights.
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """
+        self.average.module.load_state_dict(self.best)
+        _, error, sigma = self._predict(drives, target)
+        return float(np.sqrt(np.mean((error / sigma) ** 2)))
+
+    def _predict(self, drives: Sequence[windows.Drive], target: predict.Target) -> np.ndarray:
+        """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""
         net: Any = self.average.module
-        net.load_state_dict(self.best)
-        ratios = []
-        for drive, predicted in zip(
+        columns = []
+        for drive, found in zip(
             drives, predict.predict_drives(net, drives, self.window, target, self.world), strict=True
         ):
-            assert predicted.sigma_rad is not None, "the model has uncertainty"
-            counted = drive.valid & ~np.isnan(predicted.steering_rad)
-            ratios.append((np.abs(predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad)[counted])
-        return float(np.sqrt(np.mean(np.concatenate(ratios) ** 2)))
+            error, sigma = found.steering_rad - drive.steering_rad, found.sigma_rad
+            rows = np.stack([drive.steering_rad, error, np.full(len(error), np.nan) if sigma is None else sigma])
+            columns.append(rows[:, drive.valid & ~np.isnan(error)])
+        return np.concatenate(columns, axis=1)
 
     def _resume(self, path: Path, title: str) -> None:
         """Load the state of an interrupted run, if the main process has one."""
@@ -218,13 +208,6 @@ class Fit:
 def copy_weights(net: nn.Module) -> dict[str, Tensor]:
     """Return a copy of the network's tensors on the CPU."""
     return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
-
-
-def effective_frames(drives: Sequence[windows.Drive], alpha: float) -> float:
-    """Return Kish's effective sample size (Σw)² / Σw² of the loss weights w = exp(alpha |Θ|) over the valid frames."""
-    bend = np.abs(np.concatenate([drive.steering_rad[drive.valid] for drive in drives]))
-    weight = np.exp(alpha * (bend - bend.max()))  # the constant factor cancels, and prevents overflow
-    return float(weight.sum() ** 2 / (weight**2).sum())
 
 
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:

@@ -155,12 +155,6 @@ def open_graphs(path: str | Path) -> Iterator[Graphs]:
         yield Graphs(file)
 
 
-def contents(path: Path) -> dict[str, Any]:
-    """Return :attr:`Graphs.contents` of a graph file."""
-    with open_graphs(path) as graphs:
-        return graphs.contents
-
-
 def describe(contents: Mapping[str, Any]) -> str:
     """Return :attr:`Graphs.contents` in words."""
     if contents["kind"] == "image":

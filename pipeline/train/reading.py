@@ -5,7 +5,6 @@ process at a time, and numpy holds Python's lock. Random numbers depend on the s
 the reader.
 """
 
-import time
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -19,8 +18,7 @@ from pipeline.base.executors import default_workers
 from pipeline.fitting.prefetch import prefetch
 from pipeline.sections.train import Noise
 from pipeline.train import frames, windows
-from pipeline.train.augment import rescale
-from pipeline.train.noise import add_noise
+from pipeline.train.augment import add_noise, rescale
 
 AHEAD = 4  # batches per process
 
@@ -34,13 +32,47 @@ class Step:
     seeds: tuple[tuple[int, ...], ...]
 
 
-class Steps(Dataset[dict[str, Any]]):
-    """Batches with targets, indexed by :class:`Step`. Files stay open in the process that reads them."""
+class Reader(Dataset[dict[str, Any]]):
+    """Batches with targets, indexed by :class:`Step`; a context manager.
 
-    def __init__(self, drives: Sequence[windows.Drive], window: int, noise: Noise) -> None:
+    Files stay open in the process that reads them.
+    """
+
+    def __init__(
+        self,
+        drives: Sequence[windows.Drive],
+        window: int,
+        noise: Noise,
+        device: torch.device,
+        workers: int | None = None,
+    ) -> None:
+        """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
         self._drives, self._window, self._noise = drives, window, noise
         self._opened: dict[int, frames.Graphs] = {}
         self._files = ExitStack()
+        self._epoch: list[Step] = []  # the loader's sampler; its processes live for several epochs
+        if workers is None:
+            workers = default_workers() if device.type == "cuda" else 0
+        self._loader: DataLoader[dict[str, Any]] | None = None
+        if workers:
+            self._loader = DataLoader(
+                self,
+                batch_size=None,
+                sampler=self._epoch,
+                num_workers=workers,
+                prefetch_factor=AHEAD,
+                persistent_workers=True,
+                pin_memory=device.type == "cuda",
+                multiprocessing_context="forkserver",
+            )
+
+    def batches(self, steps: Sequence[Step]) -> Generator[dict[str, Any]]:
+        """Yield the steps' batches in order."""
+        self._epoch[:] = steps
+        if self._loader:
+            yield from self._loader
+        else:
+            yield from prefetch(self[step] for step in steps)
 
     def __getitem__(self, step: Step) -> dict[str, Any]:
         """Return the arrays of a batch as tensors, which can be pinned."""
@@ -54,56 +86,11 @@ class Steps(Dataset[dict[str, Any]]):
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_opened": {}, "_files": None}  # open files cannot be pickled
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__ = state | {"_files": ExitStack()}
-
-    def close(self) -> None:
-        """Close the files that this process has opened."""
-        self._files.close()
-        self._opened.clear()
-
-
-class Reader:
-    """Reads the batches of one training run; a context manager."""
-
-    def __init__(self, steps: Steps, device: torch.device, workers: int | None = None) -> None:
-        """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
-        self._steps, self.waited_s = steps, 0.0
-        self._epoch: list[Step] = []  # the loader's sampler; its processes live for several epochs
-        if workers is None:
-            workers = default_workers() if device.type == "cuda" else 0
-        self._loader: DataLoader[dict[str, Any]] | None = None
-        if workers:
-            self._loader = DataLoader(
-                steps,
-                batch_size=None,
-                sampler=self._epoch,
-                num_workers=workers,
-                prefetch_factor=AHEAD,
-                persistent_workers=True,
-                pin_memory=device.type == "cuda",
-                multiprocessing_context="forkserver",
-            )
-
-    def batches(self, steps: Sequence[Step]) -> Generator[dict[str, Any]]:
-        """Yield the steps' batches in order; :attr:`waited_s` is the time that the caller waited."""
-        self._epoch[:], self.waited_s = steps, 0.0
-        read = iter(self._loader) if self._loader else prefetch(self._steps[step] for step in steps)
-        try:
-            for _ in steps:
-                started_s = time.perf_counter()
-                batch = next(read)
-                self.waited_s += time.perf_counter() - started_s
-                yield batch
-        finally:
-            if isinstance(read, Generator):
-                read.close()
+        return self.__dict__ | {"_opened": {}, "_files": ExitStack(), "_loader": None}  # for the loader's processes
 
     def __enter__(self) -> "Reader":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._loader = None  # ends its processes
-        self._steps.close()
+        self._files.close()

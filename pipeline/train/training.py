@@ -1,8 +1,6 @@
 """Train one run, from its drives to its folder: best.pt, last.pt, config.json, curve.csv."""
 
 import shutil
-import statistics
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,9 +51,12 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     """
     line, settings, fold = job.line, job.settings, run.fold
     train, val = job.read_drives(fold.train), job.read_drives(fold.val)
-    contents = frames.contents(train[0].graphs)
-    if torch.device(device).type == "cpu":
-        torch.set_num_threads(threads(train[0].graphs))
+    with frames.open_graphs(train[0].graphs) as graphs:
+        contents, points = graphs.contents, graphs.points_per_frame
+    if torch.device(device).type == "cpu" and 0 < points < SMALL:
+        # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
+        # where another process uses its core. One thread's sums are also the same on each machine.
+        torch.set_num_threads(1)
     torch.manual_seed(run.seed)
     with error_context(where=job.where):
         net = steering_net.build(line, **contents)
@@ -84,41 +85,16 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "card": predict.Card.from_drives(train).model_dump(),
         **inputs,
     }
-    fitting.run(train, val, state, metadata, f"{job.name} {run}")
+    fitting.run(train, val, target, state, metadata, f"{job.name} {run}")
     if line["uncertainty"] and val:
         factor = fitting.sigma_factor(val, target)
         metadata["target"] = vars(replace(target, sigma_factor=factor))
     if world.is_main:
         figures = {
             "seeds": settings.seeds,
-            "effective_frames": fit.effective_frames(train, line["alpha"]),
             "parameters": steering_net.parameter_count(net),
         }
         _write(run.folder, fitting, state, metadata, figures)
-
-
-def threads(graphs: Path) -> int:
-    """Return the number of threads for training on frames as in a graph file.
-
-    With few points a second thread has little to do, and slows each of a step's hundreds of small operations where
-    another process uses its core. One thread's sums are also the same on each machine.
-    """
-    with frames.open_graphs(graphs) as file:
-        return 1 if 0 < file.points_per_frame < SMALL else torch.get_num_threads()
-
-
-def encode_ms(run: Run, job: Job, device: torch.device | str) -> float:
-    """Return the median time to encode a frame with a trained network, in ms. Call it when nothing else runs."""
-    net, window = predict.load(run.folder, device).net, job.line["window"]
-    drives = job.read_drives(run.fold.val or run.fold.train)
-    groups = [[span] for span in windows.spans(drives, window, predict.WINDOWS)][:6]
-    times = []
-    with torch.inference_mode():
-        for (span,), batch in zip(groups, windows.batches(drives, groups, window), strict=True):
-            started = time.perf_counter()
-            net.encode(net.frames(batch)).cpu()  # waits for the device
-            times.append((time.perf_counter() - started) / (span.stop - span.start))
-    return 1e3 * statistics.median(times[1:] or times)  # the first batch is a warm-up
 
 
 def _write(

@@ -218,8 +218,8 @@ def random_spans(drives: Sequence[Drive], window: int, windows: int, rng: np.ran
     for number, drive in enumerate(drives):
         for start, stop in drive.runs:
             last = start + window - 1  # row of the first window's last frame
-            phase = int(rng.integers(windows))
-            edges = [last, *range(last + phase, stop, windows), stop] if phase else [*range(last, stop, windows), stop]
+            phase = int(rng.integers(windows)) or windows  # windows in the first span
+            edges = [last, *range(last + phase, stop, windows), stop]
             spans += [Span(number, a - window + 1, b) for a, b in pairwise(edges) if a < b and drive.valid[a:b].any()]
     rng.shuffle(spans)
     return spans
@@ -235,13 +235,10 @@ def spans(
     """
     result: list[Span] = []
     for number, timeline in enumerate(timelines):
-        wanted = np.ones(len(timeline.frame), bool) if rows is None else np.zeros(len(timeline.frame), bool)
-        if rows is not None:
-            wanted[rows[number]] = True
+        wanted = np.arange(len(timeline.frame)) if rows is None else np.unique(rows[number])
         for start, stop in timeline.runs:
-            ends = range(start + window - 1, stop)  # rows of the windows' last frames
             span: Span | None = None
-            for end in (row for row in ends if wanted[row]):
+            for end in wanted[(wanted >= start + window - 1) & (wanted < stop)].tolist():  # a window's last frame
                 if span and end - window + 1 <= span.stop and end - (span.start + window - 1) < windows:
                     span = result[-1] = Span(number, span.start, end + 1)
                 else:

@@ -6,6 +6,8 @@ the road and no manoeuvre around an obstacle. On KITTI's drives it finds turns o
 invalid, for instance while the car waits at a corner, the curvature of the last valid frame is used.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pipeline.base import store
@@ -41,25 +43,27 @@ def onsets(
     return np.array(rows, np.int64)
 
 
-def frames(drive: Drive) -> np.ndarray:
-    """Return the numbers, int32, of a drive's frames at which a turn begins."""
-    return _onsets(drive)[0]
+class Turns(NamedTuple):
+    """Onsets of the turns in a drive."""
+
+    frame: np.ndarray  # int32
+    time_s: np.ndarray
 
 
-def near(drive: Drive) -> np.ndarray:
+def read_turns(drive: Drive) -> Turns:
+    """Return the onsets in a drive's labels."""
+    with store.DriveReader(drive.labels, stage="labels") as labels:
+        motion = (labels.time_s, labels["yaw_rate_radps"], labels["speed_mps"])
+        rows = onsets(labels["curvature_1pm"], labels["valid"].astype(bool), *motion)
+        return Turns(labels.frame[rows], labels.time_s[rows])
+
+
+def near(drive: Drive, turns: Turns) -> np.ndarray:
     """Return which frames [G] of a drive are close to an onset, bool.
 
     Their target lies at an onset or later, and the frame itself at most one second after it. With a horizon they begin
     that much before the onset.
     """
-    frame, time_s = _onsets(drive)
-    begun = drive.frame[:, None] + drive.horizon >= frame
-    recent = drive.time_s[:, None] <= time_s + SECOND_S
+    begun = drive.frame[:, None] + drive.horizon >= turns.frame
+    recent = drive.time_s[:, None] <= turns.time_s + SECOND_S
     return np.asarray((begun & recent).any(axis=1))
-
-
-def _onsets(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    with store.DriveReader(drive.labels, stage="labels") as labels:
-        motion = (labels.time_s, labels["yaw_rate_radps"], labels["speed_mps"])
-        rows = onsets(labels["curvature_1pm"], labels["valid"].astype(bool), *motion)
-        return labels.frame[rows], labels.time_s[rows]

@@ -1,37 +1,44 @@
-"""Compute errors of steering predictions and of baselines, overall and by curvature. Angles in rad unless named deg."""
+"""Compute errors of steering predictions, their confidence intervals, and scores of predicted standard deviations.
 
-from collections.abc import Mapping, Sequence
+Angles are in rad unless named deg. Predictions are [N], or [S,N] for S seeds, over which errors are averaged.
+"""
+
+import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from pipeline.train import score
+from pipeline.sections.evaluate import Evaluate
 
-Scores = dict[str, Any]
+COVERED = {"68": 1.0, "95": 1.96}
+"""Share of a normal distribution in per cent → half of the interval, in standard deviations."""
+_DRAWS_AT_ONCE = 1 << 22  # bounds the memory of the bootstrap at about 100 MB
 
 
-def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> Scores:
-    """Return frames, mse_rad2, rmse_deg, mae_deg and nmse of predictions [N], or the mean over S seeds [S,N].
+def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> dict[str, Any]:
+    """Return frames, mse_rad2, rmse_deg, mae_deg and nmse of predictions for angles [N].
 
-    nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless, None if every label is 0. Without frames,
-    all errors are None.
+    nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless, None if every angle is 0. Without frames, or
+    if a prediction is NaN, all errors are None.
     """
-    if not len(steering_rad):
+    if not len(steering_rad) or np.isnan(predicted_rad).any():
         return {"frames": 0, **dict.fromkeys(("mse_rad2", "rmse_deg", "mae_deg", "nmse"))}
-    mse, nmse = score.mse(steering_rad, predicted_rad), score.nmse(steering_rad, predicted_rad)
+    error = predicted_rad - steering_rad
+    mse, zero = float(np.mean(error**2)), float(np.mean(steering_rad**2))
     return {
         "frames": len(steering_rad),
         "mse_rad2": mse,
         "rmse_deg": float(np.rad2deg(np.sqrt(mse))),
-        "mae_deg": float(np.rad2deg(np.mean(np.abs(predicted_rad - steering_rad)))),
-        "nmse": None if np.isnan(nmse) else nmse,
+        "mae_deg": float(np.rad2deg(np.mean(np.abs(error)))),
+        "nmse": mse / zero if zero > 0 else None,
     }
 
 
 def by_curvature(
     steering_rad: np.ndarray, predicted_rad: np.ndarray, curvature_1pm: np.ndarray, edges: Sequence[float]
-) -> list[Scores]:
+) -> list[dict[str, Any]]:
     """Return the scores in bins of |curvature|, straightest first, each with the scores of predicting `zero`.
 
     A model that always drives straight ahead has a small mean error, but not in the bins of bends. A bin without frames
@@ -40,7 +47,7 @@ def by_curvature(
     rows = []
     for low, high in pairwise([0.0, *edges, np.inf]):
         inside = (np.abs(curvature_1pm) >= low) & (np.abs(curvature_1pm) < high)
-        row: Scores = {"from_1pm": low, "to_1pm": None if np.isinf(high) else high, "frames": 0}
+        row: dict[str, Any] = {"from_1pm": low, "to_1pm": None if np.isinf(high) else high, "frames": 0}
         if inside.any():
             row |= scores(steering_rad[inside], predicted_rad[..., inside])
             row["zero"] = scores(steering_rad[inside], np.zeros(inside.sum()))
@@ -48,30 +55,57 @@ def by_curvature(
     return rows
 
 
-def baselines(
-    steering_rad: np.ndarray,
-    train_mean_rad: np.ndarray | float,
-    persistence_rad: np.ndarray,
-    measured_rad: Mapping[str, np.ndarray],
-) -> dict[str, Scores]:
-    """Return the scores of predictors that do not use the scene, for target angles [N].
+def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, settings: Evaluate) -> tuple[float, float]:
+    """Return the 95 % interval of Σ error / Σ Θ² over other roads, from a moving-block bootstrap.
 
-    - zero: always straight ahead.
-    - train_mean: the mean of the training targets.
-    - persistence: `persistence_rad` [N], the last true angle before the target frame. No model gets it as input.
-    - odometry: the angle measured at the last input frame; `measured_rad` maps the kind of motion to [N]. The first
-      kind is `odometry`, a second one `odometry_<kind>`. Its errors are None if some angles are NaN, as in a drive
-      without scans.
+    Errors of neighbouring frames are correlated, so blocks of consecutive rows are drawn, each within a drive; a
+    shorter drive is one block.
+
+    Args:
+        error: [N] in time order; squared errors of a model, for the interval of its nmse. For the interval of a
+            difference in nmse, the difference of two models' squared errors: it is narrower if both have their errors
+            on the same roads. Means over seeds give an interval for these networks.
+        steering_rad: [N], Θ.
+        drive: [N], the number of each row's drive.
     """
-    predictions = {
-        "zero": np.zeros_like(steering_rad),
-        "train_mean": np.full_like(steering_rad, train_mean_rad),
-        "persistence": persistence_rad,
+    block, seed = settings.bootstrap_block_frames, settings.seed
+    first = np.flatnonzero(np.diff(drive, prepend=drive[0] - 1))  # [D] first row of each drive
+    length = np.minimum(block, np.diff(first, append=len(drive)))
+    last = np.append(first[1:], len(drive)) - length  # [D] last row at which a block can start
+    starts = np.concatenate([np.arange(a, b + 1) for a, b in zip(first, last, strict=True)])
+    length = np.repeat(length, last - first + 1)
+    sums = np.concatenate([np.zeros((2, 1)), np.cumsum(np.stack([error, steering_rad**2]), axis=1)], axis=1)
+    block_sums = sums[:, starts + length] - sums[:, starts]  # [2, blocks]
+    count = int(np.ceil(len(drive) / length.mean()))
+    rng, step = np.random.default_rng(seed), max(1, _DRAWS_AT_ONCE // count)
+    ratios = []
+    for done in range(0, settings.bootstrap_samples, step):
+        draws = rng.integers(len(starts), size=(min(step, settings.bootstrap_samples - done), count))
+        errors, zeros = block_sums[:, draws].sum(axis=2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios.append(np.where(zeros > 0, errors / zeros, np.nan))
+    low, high = np.nanpercentile(np.concatenate(ratios), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def uncertainty(steering_rad: np.ndarray, predicted_rad: np.ndarray, sigma_rad: np.ndarray) -> dict[str, float]:
+    """Return means over S seeds' predictions [S,N] with standard deviations [S,N].
+
+    - nll: mean negative log-likelihood of a normal distribution, in nats; nll_constant: the same with one σ for all
+      frames, the RMSE on these frames, which is the best constant.
+    - coverage_68, coverage_95: share of angles within ±σ and ±1.96 σ of the prediction.
+    - mae_deg_certain: mean error of the half with the smaller σ.
+    """
+    error = np.abs(predicted_rad - steering_rad)
+    rmse = np.sqrt(np.mean(error**2, axis=1, keepdims=True))
+    by_sigma = np.take_along_axis(error, np.argsort(sigma_rad, axis=1), axis=1)
+    return {
+        "nll": _nll(error, sigma_rad),
+        "nll_constant": _nll(error, np.broadcast_to(rmse, error.shape)),
+        **{f"coverage_{share}": float(np.mean(error <= width * sigma_rad)) for share, width in COVERED.items()},
+        "mae_deg_certain": float(np.rad2deg(by_sigma[:, : (error.shape[1] + 1) // 2].mean())),
     }
-    for number, (kind, angle) in enumerate(measured_rad.items()):
-        predictions[f"odometry_{kind}" if number else "odometry"] = angle
-    found = {}
-    for name, predicted in predictions.items():
-        rows = slice(0 if np.isnan(predicted).any() else None)
-        found[name] = scores(steering_rad[rows], predicted[rows])
-    return found
+
+
+def _nll(error: np.ndarray, sigma: np.ndarray) -> float:
+    return float(np.mean(np.log(sigma) + (error / sigma) ** 2 / 2 + math.log(2 * math.pi) / 2))

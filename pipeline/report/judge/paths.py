@@ -8,7 +8,7 @@ poses. With this convention, paths of true angles stay within 1 m per 100 m of t
 with rates that apply until the next frame, in 12 (tests/pipeline/report/judge/test_paths.py).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -62,7 +62,7 @@ def segments(track: Track, predicted_rad: np.ndarray) -> list[tuple[int, int]]:
     return found
 
 
-def drift(tracks: Sequence[tuple[Track, np.ndarray]]) -> float | None:
+def drift(tracks: Iterable[tuple[Track, np.ndarray]]) -> float | None:
     """Return the distance in metres between predicted and true end of a segment, per 100 m driven.
 
     Each track comes with predicted angles [F]. None without segments.

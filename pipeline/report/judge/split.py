@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pipeline.base import store
-from pipeline.report.judge import certainty, decisions, errors, paths
-from pipeline.report.judge.interval import nmse_interval, nmse_std
+from pipeline.report.judge import decisions, errors, paths
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train.predict import Prediction
 from pipeline.train.windows import Drive
@@ -22,106 +22,118 @@ class Case:
     predictions: Sequence[Prediction]  # [S]
     train_mean_rad: float
 
+    @cached_property
+    def turns(self) -> decisions.Turns:
+        """The onsets of turns in the drive."""
+        return decisions.read_turns(self.drive)
+
     @property
-    def counted(self) -> np.ndarray:
-        """Return the frames [G] with a valid target and a prediction, bool."""
-        return self.drive.valid & ~np.isnan(self.predictions[0].steering_rad)
+    def onset(self) -> np.ndarray:
+        """The frames [G] at which a turn begins, bool."""
+        return np.isin(self.drive.frame, self.turns.frame)
+
+    def baselines(self, kinds: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return the angles [G] of predictors that do not use the scene.
+
+        - zero: always straight ahead.
+        - train_mean: the mean of the training targets.
+        - persistence: the last true angle before the target frame. No model gets it as input.
+        - odometry: the angle measured at the last input frame, of the first of `kinds` of motion; `odometry_<kind>` for
+          a second kind. NaN in a drive without measurements, for instance without scans.
+        """
+        angles = {
+            "zero": np.zeros(len(self.drive.frame)),
+            "train_mean": np.full(len(self.drive.frame), self.train_mean_rad),
+            "persistence": self.drive.persistence_rad,
+        }
+        names = [f"odometry_{kind}" if number else "odometry" for number, kind in enumerate(kinds)]
+        return angles | {name: self.drive.measured_rad[kind] for name, kind in zip(names, kinds, strict=True)}
+
+    def track(self, settings: Evaluate) -> paths.Track:
+        return paths.Track(
+            time_s=self.drive.time_s,
+            speed_mps=self.drive.speed_mps,
+            steering_rad=np.nan_to_num(self.drive.steering_rad),
+            onsets=np.flatnonzero(self.onset),
+            wheelbase_m=self.drive.car.wheelbase_m,
+            formula=settings.path,
+        )
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
     """Return errors, confidence interval, baselines, and errors by curvature, by drive and without decisions.
 
-    `without_decisions` leaves out the frames of :func:`decisions.near`.
+    Only frames with a valid target and a prediction count. `without_decisions` leaves out :func:`decisions.near`.
     """
-    columns = _Columns(cases)
-    steering, predicted = columns.steering, columns.predicted
-    interval = nmse_interval(
-        steering, predicted, columns.number, settings.bootstrap_block_frames, settings.bootstrap_samples, settings.seed
-    )
-    names = [case.drive.name for case in cases]
-    row_names = np.array(names)[columns.number]
-    return columns.scores() | {
-        "nmse_std": nmse_std(steering, predicted),
-        "nmse_ci95": list(interval),
-        "by_curvature": errors.by_curvature(steering, predicted, columns.curvature, settings.curvature_bins_1pm),
-        "by_drive": {name: columns.scores(row_names == name) for name in dict.fromkeys(names)},
-        "without_decisions": columns.scores(~columns.near),
+    measured = [case.drive.measured_rad for case in cases]
+    kinds = [kind for kind in measured[0] if all(kind in kinds for kinds in measured)]
+    parts = [_counted(case, kinds) for case in cases]
+    columns = {name: np.concatenate([part[name] for part in parts], axis=-1) for name in parts[0]}
+    steering, predicted = columns.pop("steering"), columns.pop("predicted")  # [N], [S,N]
+    curvature, near, sigma = columns.pop("curvature"), columns.pop("near"), columns.pop("sigma", None)
+    drive = np.repeat(np.arange(len(parts)), [len(part["steering"]) for part in parts])
+
+    def scores(rows: np.ndarray | slice) -> dict[str, Any]:
+        baselines = {name: errors.scores(steering[rows], angles[rows]) for name, angles in columns.items()}
+        return errors.scores(steering[rows], predicted[:, rows]) | {"baselines": baselines}
+
+    error = ((predicted - steering) ** 2).mean(axis=0)
+    by_seed = [errors.scores(steering, one_seed)["nmse"] for one_seed in predicted]
+    return scores(slice(None)) | {
+        "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
+        "nmse_ci95": list(errors.interval(error, steering, drive, settings)),
+        "by_curvature": errors.by_curvature(steering, predicted, curvature, settings.curvature_bins_1pm),
+        "by_drive": {case.drive.name: scores(drive == number) for number, case in enumerate(cases)},
+        "without_decisions": scores(~near),
         "drift_m_per_100m": _drift(cases, settings),
-        "uncertainty": None
-        if columns.sigma is None
-        else certainty.scores(columns.steering, columns.predicted, columns.sigma),
+        "uncertainty": None if sigma is None else errors.uncertainty(steering, predicted, sigma),
     }
+
+
+def _counted(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return arrays [N], predictions and σ [S,N], of the frames that count, and those of baselines."""
+    drive, predictions = case.drive, case.predictions
+    columns = {
+        "steering": drive.steering_rad,
+        "predicted": np.stack([seed.steering_rad for seed in predictions]),
+        "curvature": drive.curvature_1pm,
+        "near": decisions.near(drive, case.turns),
+        **case.baselines(kinds),
+    }
+    sigma = [seed.sigma_rad for seed in predictions if seed.sigma_rad is not None]
+    if sigma:
+        columns["sigma"] = np.stack(sigma)
+    counted = drive.valid & ~np.isnan(predictions[0].steering_rad)
+    return {name: np.compress(counted, values, axis=-1) for name, values in columns.items()}
 
 
 def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:
     """Return the mean over seeds of :func:`paths.drift`; None with a horizon."""
-    if any(case.drive.horizon for case in cases):
+    if cases[0].drive.horizon:
         return None
-    tracks = [_track(case.drive, settings) for case in cases]
+    tracks = [case.track(settings) for case in cases]
     by_seed = [
-        paths.drift([(track, case.predictions[seed].steering_rad) for track, case in zip(tracks, cases, strict=True)])
-        for seed in range(len(cases[0].predictions))
+        paths.drift(zip(tracks, (seed.steering_rad for seed in seeds), strict=True))
+        for seeds in zip(*(case.predictions for case in cases), strict=True)
     ]
     values = [value for value in by_seed if value is not None]
     return float(np.mean(values)) if values else None
 
 
-def _track(drive: Drive, settings: Evaluate) -> paths.Track:
-    return paths.Track(
-        time_s=drive.time_s,
-        speed_mps=drive.speed_mps,
-        steering_rad=np.nan_to_num(drive.steering_rad),
-        onsets=np.flatnonzero(np.isin(drive.frame, decisions.frames(drive))),
-        wheelbase_m=drive.car.wheelbase_m,
-        formula=settings.path,
-    )
+def inputs(drives: Sequence[Drive]) -> dict[str, Any]:
+    """Return settings of the drives' graph variant, and means per frame; None where a file has none.
 
-
-class _Columns:
-    """The counted frames of all cases, N together."""
-
-    def __init__(self, cases: Sequence[Case]) -> None:
-        def column(arrays: Sequence[np.ndarray]) -> np.ndarray:
-            return np.concatenate([values[case.counted] for values, case in zip(arrays, cases, strict=True)])
-
-        drives = [case.drive for case in cases]
-        self.steering = column([drive.steering_rad for drive in drives])
-        by_seed = list(zip(*(case.predictions for case in cases), strict=True))
-        self.predicted = np.stack([column([each.steering_rad for each in one_seed]) for one_seed in by_seed])  # [S,N]
-        sigma = [[each.sigma_rad for each in one_seed if each.sigma_rad is not None] for one_seed in by_seed]
-        self.sigma = np.stack([column(one_seed) for one_seed in sigma]) if all(sigma) else None  # [S,N]
-        self.curvature = column([drive.curvature_1pm for drive in drives])
-        self.near = column([decisions.near(drive) for drive in drives])
-        self.number = column([np.full(len(drive.frame), index) for index, drive in enumerate(drives)])
-        self._mean = column([np.full(len(case.drive.frame), case.train_mean_rad) for case in cases])
-        self._persistence = column([drive.persistence_rad for drive in drives])
-        kinds = [kind for kind in drives[0].measured_rad if all(kind in drive.measured_rad for drive in drives)]
-        self._measured = {kind: column([drive.measured_rad[kind] for drive in drives]) for kind in kinds}
-
-    def scores(self, rows: np.ndarray | slice = slice(None)) -> dict[str, Any]:
-        """Return the scores of some rows, and of the baselines on them."""
-        steering, measured = self.steering[rows], {kind: angle[rows] for kind, angle in self._measured.items()}
-        return errors.scores(steering, self.predicted[:, rows]) | {
-            "baselines": errors.baselines(steering, self._mean[rows], self._persistence[rows], measured)
-        }
-
-
-def variant(drive: Drive) -> dict[str, Any]:
-    """Return the settings of the graph variant of a drive's graph file."""
-    with store.DriveReader(drive.graphs, stage="graphs") as file:
-        settings: dict[str, Any] = file.params.get("graphs", {})
-    return settings
-
-
-def sizes(drives: Sequence[Drive]) -> dict[str, float | None]:
-    """Return means per frame: points, directed kNN edges after and before pruning; None where a file has none."""
+    Means are of points, and of directed kNN edges after and before pruning.
+    """
     counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}
     for drive in drives:
         with store.DriveReader(drive.graphs, stage="graphs") as file:
+            variant = file.params.get("graphs", {})
             if "ptr" in file:
                 counts["points"].append(np.diff(file["ptr"]))
             for name in ("edges_knn", "edges_kept"):
                 if name in file:
                     counts[name].append(file[name])
     points, knn, edges = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
-    return {"points_per_frame": points, "edges_per_frame": edges, "edges_per_frame_unpruned": knn}
+    sizes = {"points_per_frame": points, "edges_per_frame": edges, "edges_per_frame_unpruned": knn}
+    return {"variant": variant, **sizes}

@@ -30,7 +30,8 @@ def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings
     line |= {"equivariant": False, "motion": "none", "horizon": 0, "learning_rate": None, "alpha": 0.0}
     line |= {"fit_to": "train", "roads": None}
     line |= SMALL.get(spatial, {"layers": [16, 8], "semantics": 1.0}) | settings
-    contents = frames.contents(folder / f"graphs/semantic/{next(iter(DRIVES))}.h5")
+    with frames.open_graphs(folder / f"graphs/semantic/{next(iter(DRIVES))}.h5") as graphs:
+        contents = graphs.contents
     torch.manual_seed(0)
     net = steering_net.build(line, **contents).eval()
     target = Target(0.0, 0.1, artefacts.WHEELBASE_M, 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.graphs import cloud
-from pipeline.report.figures import draw
+from pipeline.report import figures
 from tests import street
 from tests.pipeline.report import examples
 
@@ -25,7 +25,7 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     graph = {"frame": 5, "xyz_m": rng.uniform(-9, 9, (60, 3)).tolist(), "cls": [0] * 30 + [2] * 30}
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
     results = examples.load_results(tmp_path / "evaluate", ["net"])
-    captions = draw.draw(tmp_path / "figures", results, tmp_path)
+    captions = figures.draw(tmp_path / "figures", results, tmp_path)
     assert [*captions] == ["chain", "street", "pruning", "paths"]
     assert [caption[:8] for caption in captions.values()] == [f"Figure {number}" for number in range(1, 5)]
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.base import store
 from pipeline.report import tables
-from pipeline.report.page.page import write_page
+from pipeline.report.page import write_page
 from pipeline.report.results import load_results
 from tests.pipeline.report import examples
 

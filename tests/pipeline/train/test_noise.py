@@ -6,7 +6,7 @@ import pytest
 from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.camera import classes
 from pipeline.sections.train import Noise
-from pipeline.train import noise, windows
+from pipeline.train import augment, windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES, read_batch
 
@@ -25,7 +25,7 @@ def make(folder: Path, write: object = artefacts.write_graphs) -> windows.Batch:
 
 
 def noisy(batch: windows.Batch, settings: Noise, seed: int = 0) -> windows.Batch:
-    return noise.add_noise(batch, FRAMES, [np.random.default_rng([seed, run]) for run in (1, 2)], settings)
+    return augment.add_noise(batch, FRAMES, [np.random.default_rng([seed, run]) for run in (1, 2)], settings)
 
 
 def differing(a: windows.Batch, b: windows.Batch) -> set[str]:
@@ -62,7 +62,7 @@ def test_classes_become_similar_ones_or_void(batch: windows.Batch) -> None:
         confused = noisy(batch, Noise(confused=0.5), seed)["cls"]
         missing = noisy(batch, Noise(missing=0.5), seed)["cls"]
         pairs = set(zip(batch["cls"].tolist(), confused.tolist(), strict=True))
-        assert all(now == was or now in noise.CONFUSED_WITH[was] for was, now in pairs)
+        assert all(now == was or now in augment.CONFUSED_WITH[was] for was, now in pairs)
         found |= pairs
         gone = missing != batch["cls"]
         assert (missing[gone] == classes.VOID).all()
@@ -70,7 +70,7 @@ def test_classes_become_similar_ones_or_void(batch: windows.Batch) -> None:
         for run in (first, ~first):
             assert all(len(set(gone[run & (batch["cls"] == number)])) == 1 for number in set(batch["cls"]))
     assert {(classes.ROAD, classes.SIDEWALK), (classes.BUILDING, classes.WALL)} < found
-    assert set(noise.CONFUSED_WITH) == set(range(classes.COUNT)) - {classes.SKY}
+    assert set(augment.CONFUSED_WITH) == set(range(classes.COUNT)) - {classes.SKY}
 
 
 def test_removed_points_take_their_edges_with_them(batch: windows.Batch) -> None:

@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from pipeline.sections.train import Noise
-from pipeline.train import noise, windows
-from pipeline.train.augment import rescale
-from pipeline.train.reading import Reader, Step, Steps
+from pipeline.train import augment, windows
+from pipeline.train.reading import Reader, Step
 from tests import artefacts
 
 NOISE = Noise(depth_scale=0.2, speed=0.1)
@@ -36,8 +35,8 @@ def planned(seed: int) -> list[Step]:
 
 def expected_batch(drives: Sequence[windows.Drive], step: Step) -> dict[str, np.ndarray]:
     (batch,) = windows.batches(drives, [step.runs], 4)
-    batch = rescale(batch, np.repeat(step.factor, 9))
-    return noise.add_noise(batch, [9, 9], [np.random.default_rng(seed) for seed in step.seeds], NOISE)
+    batch = augment.rescale(batch, np.repeat(step.factor, 9))
+    return augment.add_noise(batch, [9, 9], [np.random.default_rng(seed) for seed in step.seeds], NOISE)
 
 
 def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
@@ -49,9 +48,8 @@ def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_batches_equal_the_reference(drives: list[windows.Drive], workers: int) -> None:
-    with Reader(Steps(drives, 4, NOISE), torch.device("cpu"), workers) as reader:
+    with Reader(drives, 4, NOISE, torch.device("cpu"), workers) as reader:
         for epoch in range(2):  # with the same processes
             steps = planned(epoch)
             for step, batch in zip(steps, reader.batches(steps), strict=True):
                 same(batch, expected_batch(drives, step))
-            assert reader.waited_s > 0

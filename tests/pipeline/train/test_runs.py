@@ -6,10 +6,8 @@ import pytest
 import torch
 
 from pipeline.sections.train import Train
-from pipeline.train import fit, runs, score, windows
+from pipeline.train import fit, runs
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
-from tests import artefacts
-from tests.pipeline.train.shared import DRIVES
 
 PLAIN = {"fit_to": "train", "roads": None}
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
@@ -66,29 +64,6 @@ def test_epochs_without_validation_error_are_not_selected(keep):
     assert selected_epoch(epochs(0.9, 0.8, nothing), keep) == (3 if keep == "last" else 2)
     assert selected_epoch(epochs(nothing, nothing), keep) == 2
     assert selected_epoch([], keep) == 0
-
-
-def test_scores_by_hand() -> None:
-    steering, predicted = np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1])
-    assert score.mse(steering, predicted) == pytest.approx((0 + 0.04 + 0.01) / 3)
-    assert score.nmse(steering, predicted) == pytest.approx(0.05 / 0.06)
-    assert score.nmse(steering, np.zeros(3)) == 1
-
-
-def test_labels_that_are_all_zero_have_no_nmse() -> None:
-    assert np.isnan(score.nmse(np.zeros(3), np.ones(3)))
-
-
-def test_effective_frames(tmp_path: Path) -> None:
-    artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=20)
-    drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(DRIVES), 8)
-    weight = np.exp(20 * np.abs(np.concatenate([drive.steering_rad for drive in drives])))
-    counts = [fit.effective_frames(drives, alpha) for alpha in (0.0, 5.0, 20.0, 100_000.0)]
-    assert counts[2] == pytest.approx(weight.sum() ** 2 / (weight**2).sum())
-    assert counts == sorted(counts, reverse=True)
-    assert counts[3] == pytest.approx(1, abs=0.1)  # the sharpest bend alone, without overflow
-    drives[0].valid[:5] = False
-    assert fit.effective_frames(drives, 0.0) == pytest.approx(2 * 23 - 5)
 
 
 def test_loss_with_uncertainty_is_the_likelihood_of_a_normal_distribution() -> None:

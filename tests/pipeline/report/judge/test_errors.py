@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.report.judge import errors
+from pipeline.sections.evaluate import Evaluate
 
 
 def test_scores_by_hand() -> None:
@@ -22,13 +23,87 @@ def test_errors_by_curvature_stand_beside_those_of_zero() -> None:
     assert straight["mse_rad2"] == pytest.approx(0.0001 / 2)
 
 
-def test_baselines_by_hand() -> None:
-    steering = np.array([0.1, 0.2])
-    measured = {"visual": np.array([0.1, 0.1]), "lidar": np.array([0.1, np.nan])}
-    found = errors.baselines(steering, np.array([0.1, 0.3]), np.array([0.0, 0.1]), measured)
-    assert list(found) == ["zero", "train_mean", "persistence", "odometry", "odometry_lidar"]
-    assert found["zero"]["nmse"] == 1.0
-    mse = [found[name]["mse_rad2"] for name in ("train_mean", "persistence", "odometry")]
-    assert mse == pytest.approx([0.005, 0.01, 0.005])
-    assert (found["odometry_lidar"]["frames"], found["odometry_lidar"]["nmse"]) == (0, None)
-    assert errors.baselines(steering, 0.0, steering, {"lidar": steering})["odometry"]["nmse"] == 0
+def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> tuple:
+    """Return the interval for errors [N] or [S,N] in rad."""
+    general = {"curvature_bins_1pm": [0.1], "path": "bicycle", "seed": 0}
+    settings = Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, **general)
+    return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings)
+
+
+def test_zero_prediction_has_nmse_one_and_a_degenerate_interval() -> None:
+    steering = np.sin(np.arange(300) / 20)
+    low, high = interval(steering, steering, np.zeros(300), 50, 200)
+    assert errors.scores(steering, np.zeros(300))["nmse"] == low == high == 1.0
+
+
+def test_interval_has_its_coverage() -> None:
+    """Errors are correlated over 10 frames; the interval contains the true ratio in most repetitions."""
+    hits = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        noise = np.convolve(rng.normal(size=620), np.ones(10) / np.sqrt(10), "valid")[:600]
+        steering = np.convolve(rng.normal(size=620), np.ones(10) / np.sqrt(10), "valid")[:600]
+        low, high = interval(steering, 0.5 * noise, np.zeros(600), 50, 400)
+        hits += low <= 0.25 <= high
+    assert 24 <= hits <= 30
+
+
+def test_scores_over_seeds_are_means() -> None:
+    rng = np.random.default_rng(0)
+    steering, drive = rng.normal(size=400), np.repeat([0, 1], 200)
+    seeds = steering + rng.normal(size=(3, 400)) * np.array([[0.3], [0.5], [0.7]])
+    alone = [errors.scores(steering, one_seed) for one_seed in seeds]
+    both = errors.scores(steering, seeds)
+    assert both["frames"] == 400
+    for key in ("mse_rad2", "nmse", "mae_deg"):
+        assert both[key] == pytest.approx(np.mean([scores[key] for scores in alone]))
+    # An error whose square is the seeds' mean square, frame by frame, has the same interval.
+    typical = np.sqrt(((seeds - steering) ** 2).mean(axis=0))
+    both = interval(steering, seeds - steering, drive, 50, 300)
+    assert both == pytest.approx(interval(steering, typical, drive, 50, 300))
+
+
+def test_interval_draws_blocks_within_drives_only() -> None:
+    steering = np.concatenate([np.full(20, 0.1), np.full(20, 0.3)])
+    error = np.concatenate([np.full(20, 0.1), np.zeros(20)])
+    drive = np.repeat([0, 1], 20)
+    low, high = interval(steering, error, drive, block=20, samples=500)
+    # Two blocks are drawn, each a whole drive: error ratios 1, 0.1 (one of each) and 0.
+    assert (low, high) == (0.0, 1.0)
+    assert interval(steering, error, drive, block=500, samples=500) == (low, high)
+
+
+def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
+    rng = np.random.default_rng(0)
+    steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)
+    hard = np.repeat(rng.uniform(0, 1, 12), 50)  # both err on the same roads
+    one, other = (hard * rng.normal(size=(2, 600)) * size for size in (0.5, 0.55))
+    settings = Evaluate(
+        bootstrap_block_frames=50, bootstrap_samples=500, curvature_bins_1pm=[0.1], path="bicycle", seed=0
+    )
+    difference = (one**2 - other**2).mean(axis=0)
+    low, high = errors.interval(difference, steering, drive, settings)
+    alone = interval(steering, one, drive, 50, 500)
+    assert high - low < 0.5 * (alone[1] - alone[0])
+    assert errors.interval(0 * difference, steering, drive, settings) == (0.0, 0.0)
+
+
+def test_scores_of_normal_errors_with_known_sigma() -> None:
+    rng = np.random.default_rng(0)
+    sigma = rng.choice([0.01, 0.01, 0.04], size=(2, 50_000))
+    steering = np.zeros(50_000)
+    found = errors.uncertainty(steering, steering + sigma * rng.standard_normal(sigma.shape), sigma)
+    assert found["coverage_68"] == pytest.approx(0.6827, abs=0.01)
+    assert found["coverage_95"] == pytest.approx(0.95, abs=0.01)
+    entropy = np.log(2 * np.pi * np.e) / 2
+    assert found["nll"] == pytest.approx(np.mean(np.log([0.01, 0.01, 0.04])) + entropy, abs=0.01)
+    assert found["nll_constant"] == pytest.approx(
+        np.log(np.sqrt(np.mean([0.01**2, 0.01**2, 0.04**2]))) + entropy, abs=0.01
+    )
+    assert found["mae_deg_certain"] == pytest.approx(np.sqrt(2 / np.pi) * np.rad2deg(0.01), rel=0.02)
+
+
+def test_too_small_a_sigma_covers_less() -> None:
+    error = np.array([[0.5, 1.5, 2.5]])
+    found = errors.uncertainty(np.zeros(3), error, np.ones((1, 3)))
+    assert (found["coverage_68"], found["coverage_95"]) == (pytest.approx(1 / 3), pytest.approx(2 / 3))

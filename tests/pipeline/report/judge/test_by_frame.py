@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.report.judge import decisions, predictions
+from pipeline.report.judge import by_frame, decisions
+from pipeline.report.judge.split import Case
 from pipeline.train import windows
 from pipeline.train.predict import Prediction
 from tests import artefacts
@@ -22,10 +23,11 @@ def test_a_row_per_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[0]}.h5", "visual", np.full(9, 0.25))
     drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4)
     drives[1].valid[2] = False
-    onsets = {NAMES[0]: np.array([4], np.int32), NAMES[1]: np.empty(0, np.int32)}
-    monkeypatch.setattr(decisions, "frames", lambda drive: onsets[drive.name])
+    turns = {NAMES[0]: np.array([4], np.int32), NAMES[1]: np.empty(0, np.int32)}
+    monkeypatch.setattr(decisions, "read_turns", lambda drive: decisions.Turns(turns[drive.name], turns[drive.name]))
     predicted = [Prediction(np.full(9, 0.5)), Prediction(np.r_[np.nan, np.full(8, -0.1234567)])]
-    predictions.write(tmp_path / "new/predictions.csv", list(zip(drives, predicted, strict=True)))
+    cases = [Case(drive, [seed], 0.0) for drive, seed in zip(drives, predicted, strict=True)]
+    by_frame.write_predictions(tmp_path / "new/predictions.csv", cases, 0)
     head, *rows = read(tmp_path / "new/predictions.csv")
     assert ",".join(head) == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid,onset,odometry_rad"
     assert [row[0] for row in rows] == [NAMES[0]] * 9 + [NAMES[1]] * 9

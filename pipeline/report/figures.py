@@ -1,0 +1,184 @@
+"""Draw the figures of the paper that the data at hand allows, as PNG and SVG files, and write their captions."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from pipeline.base import store
+from pipeline.camera import classes
+from pipeline.graphs import graph
+from pipeline.report import drawing, street_view
+from pipeline.report.judge.paths import Track, segments
+from pipeline.report.results import Results
+
+_FOLDERS = ("ingest", "perception", "clouds/pseudo")
+CHAIN_POINTS, PRUNING_POINTS = 300, 100
+MAX_MODELS = 4  # models with a path in Figure 4
+MAX_COLUMNS = 4  # panels side by side
+FORMULA = {"bicycle": "bicycle model", "paper": "the paper's formula, which takes the steering angle as heading"}
+Captions = dict[str, str]
+"""Name of the file without suffix → caption."""
+
+
+def draw(out: Path, results: Results, data: Path) -> Captions:
+    """Draw figures of the best model that predicts the current angle, from the stages' folders in `data`."""
+    models = results.models
+    now = models[models["line.horizon"] == 0].sort_values("test.nmse", kind="stable") if len(models) else models
+    if now.empty:
+        return {}
+    best = now.iloc[0]
+    captions = _draw_images(out, best, results.first_seed([best["model"]]), data)
+    captions |= _draw_pruning(out, best, data / "evaluate" / best["model"] / "structure.json")
+    return captions | _draw_paths(out, now[:MAX_MODELS], results)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    drawing.save(figure, path.with_suffix(".png"))
+    figure.set_layout_engine("none")  # computing it again takes longer than drawing
+    drawing.save(figure, path.with_suffix(".svg"))
+
+
+def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path) -> Captions:
+    """Draw Figures 1 and 2, a frame's way from image to steering, and perception: each drive's sharpest left turn."""
+    predicted = steering.dropna(subset=["driven_deg", "predicted_deg"])
+    rows = predicted.loc[predicted.groupby("drive")["predicted_deg"].idxmax()]
+    frames = rows.sort_values("predicted_deg", ascending=False)[["drive", "frame"]].to_numpy().tolist()
+    views = [(drive, view) for drive, number in frames if (view := _read_view(data, drive, number))]
+    if not views:
+        return {}
+    drive, view = views[0]
+    captions = {}
+    if pd.notna(model.get("variant.k")):
+        _draw_chain(out / "chain", model, view, steering[steering["drive"] == drive])
+        captions["chain"] = (
+            f"Figure 1. From image to steering: frame {view.frame} of {drive}. {model['model']} gets the graphs of "
+            f"{model['line.window']} such frames, with {model['points_per_frame']:,.0f} points each."
+        )
+    drive, view = views[-1]
+    _save(street_view.sheet(drive, [view]), out / "street")
+    captions["street"] = f"Figure 2. {drive}, frame {view.frame}: image, depth, classes, semantic cloud from above."
+    return captions
+
+
+def _read_view(data: Path, drive: str, number: int) -> street_view.View | None:
+    """Read a frame's image, perception and cloud; None if this machine or the drive has none."""
+    files = [(data / folder / f"{drive}.h5", folder.split("/")[0]) for folder in _FOLDERS]
+    if not all(path.is_file() for path, _ in files):
+        return None
+    images, perceived, cloud = (store.DriveReader(path, stage=stage) for path, stage in files)
+    with images, perceived, cloud:
+        if not all(number in file.frame for file in (images, perceived, cloud)):
+            return None
+        return street_view.read_view(images, perceived, cloud, number)
+
+
+def _draw_chain(path: Path, model: pd.Series, view: street_view.View, steering: pd.DataFrame) -> None:
+    """Draw image, depth, classes, cloud, pruned graph, and steering [F] over the drive of `view`."""
+    figure = Figure(figsize=(13, 6.4), layout="constrained")
+    panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
+    titles = ("image", "depth from the image", "classes from the image")
+    street_view.draw_images([panels[key] for key in "abc"], view, titles)
+    street_view.draw_cloud(panels["d"], view.xyz, view.points_cls)
+    panels["d"].set_title(f"cloud from above: {len(view.xyz):,} points")
+    keep = model["variant.keep_inter_class"]
+    pruned = _draw_graph(panels["e"], view.xyz, view.points_cls, CHAIN_POINTS, model["variant.k"], keep)
+    street_view.look_from_above(panels["e"])
+    edges = f"{pruned.edges_knn:,} edges, pruned to {pruned.edges_kept:,}"
+    panels["e"].set_title(f"graph of {len(pruned.degree)} points: {edges}")
+    time_s, panel = steering["elapsed_s"], panels["f"]
+    panel.plot(time_s, steering["driven_deg"], color="0.15", linewidth=2.5, label="driven")
+    panel.plot(time_s, steering["odometry_deg"], color="tab:orange", linestyle="--", label="odometry")
+    panel.plot(time_s, steering["predicted_deg"], color="tab:blue", label="predicted")
+    panel.axvline(time_s[steering["frame"] == view.frame].iloc[0], color="0.7", linewidth=1)
+    panel.set(xlabel="time in s", title="steering in deg, left +; grey: this frame")
+    panel.margins(x=0)
+    panel.legend(frameon=False)
+    street_view.class_legend(figure, np.concatenate([view.cls.ravel(), view.points_cls]), columns=10)
+    _save(figure, path)
+
+
+def _draw_graph(
+    panel: Axes, xyz: np.ndarray, cls: np.ndarray, points: int, k: int, keep_inter_class: float
+) -> graph.Graph:
+    """Draw and return the graph of at most `points` points of a cloud xyz [P,3] with trainIds [P], from above."""
+    rows = np.sort(np.random.default_rng(0).choice(len(xyz), min(points, len(xyz)), replace=False))
+    above, cls = xyz[rows][:, [0, 2]], cls[rows]
+    drawn = graph.build(xyz[rows], cls, k, keep_inter_class, np.random.default_rng(0))
+    source = np.repeat(np.arange(len(above)), drawn.degree)
+    lines = np.stack([above[source], above[drawn.indices.astype(np.int64)]], axis=1)
+    panel.add_collection(LineCollection([*lines], colors="0.7", linewidths=0.7, zorder=1))
+    colours = classes.colourise(cls) / 255
+    panel.scatter(above[:, 0], above[:, 1], c=colours, s=24, zorder=2, edgecolors="white", linewidths=0.4)
+    return drawn
+
+
+def _draw_pruning(out: Path, model: pd.Series, path: Path) -> Captions:
+    """Draw the kNN graph of the first frame in structure.json, before and after pruning."""
+    structures = store.read_json(path, stage=f"evaluate@{model['model']}") if path.is_file() else {}
+    if not structures:
+        return {}
+    drive, structure = next(iter(structures.items()))
+    xyz, cls = np.array(structure["xyz_m"], np.float32), np.array(structure["cls"], np.uint8)
+    title, keep = f"{drive}, frame {structure['frame']}", model["variant.keep_inter_class"]
+    figure = Figure(figsize=(10, 5.4), layout="constrained")
+    for panel, (name, share) in zip(figure.subplots(1, 2), (("before", 1.0), ("after", keep)), strict=True):
+        drawn = _draw_graph(panel, xyz, cls, PRUNING_POINTS, model["variant.k"], share)
+        panel.set_title(f"{name} pruning: {drawn.edges_kept} edges", fontsize="medium")
+        panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", adjustable="datalim")
+    street_view.class_legend(figure, cls, columns=8)
+    figure.suptitle(title)
+    _save(figure, out / "pruning")
+    caption = (
+        f"Figure 3. {title}, sampled to {len(drawn.degree)} points: the graph of {model['variant.k']} nearest "
+        f"neighbours before and after pruning of edges between classes to {keep:.0%}. Edges are directed, as in the "
+        "paper and in all tables."
+    )
+    return {"pruning": caption}
+
+
+def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Captions:
+    """Draw the driven path of each drive, and the paths of predicted steering. Dots are restarts."""
+    first, drives = models.iloc[0], [*results.first_seed([*models["model"]]).groupby("drive", sort=False)]
+    rows = -(-len(drives) // MAX_COLUMNS)
+    columns = -(-len(drives) // rows)
+    figure = Figure(figsize=(4.0 * columns, 4.2 * rows + 0.4), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for panel in panels[len(drives) :]:
+        panel.set_axis_off()
+    for panel, (drive, tables) in zip(panels, drives, strict=False):
+        own = tables.drop_duplicates("frame").sort_values("frame")
+        track = Track(
+            time_s=own["elapsed_s"].to_numpy(),
+            speed_mps=own["speed_mps"].to_numpy(),
+            steering_rad=np.nan_to_num(own["steering_rad"].to_numpy()),
+            onsets=np.flatnonzero(own["onset"]),
+            wheelbase_m=first["wheelbase_m"],
+            formula=first["path"],
+        )
+        true = track.path(track.steering_rad, 0, len(own))
+        panel.plot(-true[:, 1], true[:, 0], color="0.15", linewidth=3, label="driven")
+        predicted = tables.pivot(index="frame", columns="model", values="predicted_rad").loc[own["frame"]]
+        for number, model in enumerate(models["model"]):
+            angles = predicted[model].to_numpy() if model in predicted else np.full(len(own), np.nan)
+            for start, stop in segments(track, angles):
+                piece = track.path(angles, start, stop)
+                panel.plot(-piece[:, 1], piece[:, 0], color=f"C{number}", linewidth=1.3, label=model)
+                panel.plot(-piece[0, 1], piece[0, 0], ".", color=f"C{number}", markersize=6)
+        panel.set_aspect("equal", adjustable="datalim")
+        panel.set_title(drive, fontsize="small", loc="left")
+        panel.set(xlabel="right of the start in m", ylabel="ahead of the start in m")
+    labels = {text: line for panel in panels for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
+    figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=6, frameon=False)
+    _save(figure, out / "paths")
+    drift = models.dropna(subset="test.drift_m_per_100m")
+    text = ", ".join(f"{row['model']} {row['test.drift_m_per_100m']:.1f} m" for _, row in drift.iterrows())
+    caption = (
+        f"Figure 4 (5 in the paper). Paths from measured speed and predicted steering: {FORMULA[first['path']]}. A "
+        "path restarts from the true one at each dot: at its start and at the onset of a turn. Drift per 100 m: "
+        f"{text}."
+    )
+    return {"paths": caption}

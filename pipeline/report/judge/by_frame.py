@@ -1,0 +1,82 @@
+"""Write predictions.csv, the steering of the test drives frame by frame, and structure.json, the graph of one frame."""
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base import store
+from pipeline.base.atomic import replacing
+from pipeline.report.judge.split import Case
+from pipeline.train import frames
+from pipeline.train.windows import Drive
+
+MAX_POINTS = 5000  # more points slow a browser down
+
+
+def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
+    """Write one row per frame with the predictions of seed number `seed`; an empty field is an angle that is missing.
+
+    `frame`, `time_s` and `speed_mps` are those of the last input frame, `onset` is 1 where a turn begins
+    (decisions.py). `steering_rad` (true), `predicted_rad` and `valid` are those `horizon` frames later, and
+    `odometry_rad` is the angle measured at the last input frame, which the baseline `odometry` predicts. Models with
+    uncertainty have a last column `sigma_rad`, the standard deviation of the predicted angle.
+    """
+    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        for number, case in enumerate(cases):
+            drive, predicted = case.drive, case.predictions[seed]
+            columns = {
+                "drive": [drive.name] * len(drive.frame),
+                "frame": drive.frame,
+                "time_s": _text(drive.time_s, 6),
+                "speed_mps": _text(drive.speed_mps, 4),
+                "steering_rad": _text(drive.steering_rad, 9),
+                "predicted_rad": _text(predicted.steering_rad, 6),
+                "valid": drive.valid.astype(int),
+                "onset": case.onset.astype(int),
+                # Of the first kind of motion in the graph file.
+                "odometry_rad": _text(next(iter(drive.measured_rad.values()), np.full(len(drive.frame), np.nan)), 6),
+            }
+            if predicted.sigma_rad is not None:
+                columns["sigma_rad"] = _text(predicted.sigma_rad, 6)
+            if not number:
+                rows.writerow(columns)
+            rows.writerows(zip(*columns.values(), strict=True))
+
+
+def _text(values: np.ndarray, digits: int) -> Iterator[str]:
+    return ("" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
+
+
+def write_structure(path: Path, drives: Sequence[Drive]) -> None:
+    """Write drive → frame, points, xyz_m [[x,y,z],…], cls [P], edges [[a,b],…] with a < b, where the drive bends most.
+
+    Only kNN graphs are written. Points beyond the nearest MAX_POINTS are left out; `points` counts all.
+    """
+    written = {}
+    for drive in drives:
+        with frames.open_graphs(drive.graphs) as graphs:
+            if graphs.contents["kind"] == "graph" and len(drive.frame):
+                bend = np.where(drive.valid, np.abs(np.nan_to_num(drive.steering_rad)), -1.0)
+                written[drive.name] = _graph(graphs, int(bend.argmax()))
+    store.write_json(path, written)
+
+
+def _graph(graphs: frames.Graphs, row: int) -> dict[str, Any]:
+    arrays = graphs.read(row, row + 1)
+    xyz, cls, degree, indices = (arrays[name] for name in ("xyz", "cls", "degree", "indices"))
+    near = np.sort(np.argsort(np.linalg.norm(xyz, axis=1), kind="stable")[:MAX_POINTS])
+    number = np.full(len(xyz), -1)
+    number[near] = np.arange(len(near))
+    edges = number[np.stack([np.repeat(np.arange(len(xyz)), degree), indices], axis=1)]
+    edges = edges[(edges[:, 0] >= 0) & (edges[:, 0] < edges[:, 1])]
+    return {
+        "frame": int(graphs.frame[row]),
+        "points": len(xyz),
+        "xyz_m": [[round(float(value), 3) for value in point] for point in xyz[near]],
+        "cls": cls[near].tolist(),
+        "edges": edges.tolist(),
+    }

@@ -1,0 +1,140 @@
+"""Write the page: one HTML file that needs no other file and no network, from page.html.j2."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from pipeline.base import store
+from pipeline.base.atomic import replacing
+from pipeline.base.errors import InputError
+from pipeline.report import plots
+from pipeline.report.dvc_files import load_curves
+from pipeline.report.results import Results
+from pipeline.report.tables import Table
+
+JPEG_QUALITY = 82
+MAX_WIDTH = 1600  # pixels of a picture
+
+
+class Plot(NamedTuple):
+    caption: str
+    figure: plots.Plot
+
+
+class Picture(NamedTuple):
+    caption: str
+    jpeg: str  # in base64
+
+
+Content = Sequence[str | Table | Plot | Picture]
+
+
+def write_page(
+    path: Path,
+    story: Sequence[str],
+    results: Results,
+    tables: Sequence[Table],
+    perception: Sequence[Table],
+    figures: Mapping[str, str],
+    data: Path,
+) -> None:
+    """Write the page.
+
+    Args:
+        path: the HTML file; the files of `figures` are in folder figures beside it.
+        story: sentences about the results.
+        results: of all models.
+        tables: of models and baselines, the most important first.
+        perception: tables of depth, classes and motion.
+        figures: name of a PNG file without suffix → caption; Figure 1 is shown first.
+        data: holds a folder per stage; folders may be missing.
+    """
+    pictures = {name: _picture(caption, path.parent / f"figures/{name}.png") for name, caption in figures.items()}
+    chain = pictures.pop("chain", None)
+    sections: dict[str, Content] = {
+        "Results": tables[:1],
+        **_steering(results),
+        "Figures of the paper": [*pictures.values()],
+        "Graphs in 3D": _graphs(results, data / "evaluate"),
+        "Learning curves": _learning([*results.models["model"]], data / "train"),
+        "Models in detail": tables[1:],
+        "Depth, classes and motion": perception,
+        "Input of the test drives": _inputs(results, data / "pictures"),
+    }
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "ensure_ascii": False}
+    html = environment.get_template("page.html.j2").render(
+        story=story,
+        chain=chain,
+        sections={title: content for title, content in sections.items() if content},
+        plotly=Markup(get_plotlyjs()),
+    )
+    with replacing(path) as unfinished:
+        unfinished.write_text(html, encoding="utf-8")
+
+
+def _steering(results: Results) -> dict[str, Content]:
+    """Return a section of plots per horizon: only models of one horizon predict the same angle."""
+    sections: dict[str, Content] = {}
+    for horizon, rows in results.metrics.groupby("line.horizon") if len(results.metrics) else ():
+        ahead = f", {horizon} frames ahead" if horizon else ""
+        predictions = results.first_seed([*rows["model"]])
+        drives = predictions.groupby("drive", sort=False)
+        sections[f"Steering on the test drives{ahead}"] = [
+            "Predictions of the first seed. Drag to zoom, double-click to reset, click the legend to hide a line.",
+            *(Plot(f"{drive}: steering over time{ahead}", plots.over_time(table)) for drive, table in drives),
+            Plot(f"All test frames: predicted over driven steering{ahead}", plots.scatter(predictions)),
+            Plot("Error by curvature of the road, mean over seeds", plots.by_curvature(rows)),
+        ]
+    return sections
+
+
+def _graphs(results: Results, evaluate: Path) -> Content:
+    for _, row in results.models.iterrows():
+        path = evaluate / row["model"] / "structure.json"
+        graphs = store.read_json(path, stage=f"evaluate@{row['model']}") if path.is_file() else {}
+        if graphs:
+            text = (
+                f"Input of {row['model']} where each test drive bends most. Turn with the mouse; the legend shows and "
+                "hides classes, and edges before and after semantic pruning."
+            )
+            captions = [f"{drive}, frame {each['frame']}: {each['points']:,} points" for drive, each in graphs.items()]
+            figures = [plots.graph_3d(each, row["variant.k"]) for each in graphs.values()]
+            return [text, *map(Plot, captions, figures)]
+    return []
+
+
+def _learning(models: Sequence[str], train: Path) -> Content:
+    curves = {model: load_curves(train / model) for model in models}
+    first = {model: next(iter(found.values())) for model, found in curves.items() if found}
+    caption = "Training loss (dotted) and validation nmse of each model's first network"
+    return [Plot(caption, plots.learning(first))] if first else []
+
+
+def _inputs(results: Results, pictures: Path) -> Content:
+    drives = pd.unique(results.predictions["drive"])
+    sheets = {drive: pictures / f"{drive}.png" for drive in drives}
+    caption = "{}: image, depth, classes, cloud from above"
+    return [_picture(caption.format(drive), path) for drive, path in sheets.items() if path.is_file()]
+
+
+def _picture(caption: str, path: Path) -> Picture:
+    """Read a PNG file, at most MAX_WIDTH wide. Raises InputError if it is damaged."""
+    image = cv2.imread(str(path))
+    if image is None:
+        raise InputError("not a picture", path, "Recreate it: dvc repro --force --single-item pictures")
+    height, width = image.shape[:2]
+    if width > MAX_WIDTH:
+        size = (MAX_WIDTH, round(height * MAX_WIDTH / width))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+    return Picture(caption, base64.b64encode(jpeg.tobytes()).decode("ascii"))

@@ -15,15 +15,16 @@ from pipeline.kitti.oxts import (
     read_times,
 )
 from pipeline.kitti.raw import RawDrive
-from pipeline.town.motion import IMU_HEIGHT_M, Body, Motion
+from pipeline.town.motion import Journey
 from pipeline.town.rig import rotation
-from pipeline.town.route import Route
+from pipeline.town.route import IMU_HEIGHT_M
 
 ALTITUDE_M = 110.0  # of the road
 # KITTI's rates are late: in each of its 31 drives with bends, wu fits the heading's derivative of 0.055 to 0.065 s
 # earlier best. So labels belong to half a frame earlier, as does the mean motion between two images; angles and speed
 # do not.
 RATES_LATE_S = 0.06
+_NOON_S = 12 * 3600.0
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Recording:
 
 
 def read_recording(raw: RawDrive, most: int) -> Recording:
-    """Return the oxts of the first `most` frames of a real drive, unchanged.
+    """Return the packets of the first `most` frames of a real drive, unchanged, and their times, counted from noon.
 
     Raises InputError if there are none, DamagedFile if a packet cannot be read.
     """
@@ -46,15 +47,8 @@ def read_recording(raw: RawDrive, most: int) -> Recording:
         raise InputError("drive has no packets, which town.replay needs", raw.folder / "oxts" / "data", "Extract it")
     rows = np.array([read_row(raw.oxts[frame]) for frame in frames])
     time_s = read_times(raw.oxts_times, list(raw.oxts))[: len(frames)]
-    timestamps = raw.oxts_times.read_bytes()
-    if len(frames) < len(raw.oxts) and len(timestamps.rstrip().split(b"\n")) <= max(raw.oxts):
-        raise InputError(
-            f"file has one line per packet, so the lines of the first {most} packets alone are ambiguous",
-            raw.oxts_times,
-            f"Raise town.frames to {len(raw.oxts)}",
-        )
     packets = {frame: raw.oxts[frame].read_bytes() for frame in frames}
-    return Recording(rows, time_s, packets, timestamps)
+    return Recording(rows, time_s, packets, format_times(time_s, raw.folder.name[:10], _NOON_S))
 
 
 def make_recording(rows: np.ndarray, time_s: np.ndarray, date: str, start_s: float) -> Recording:
@@ -63,9 +57,15 @@ def make_recording(rows: np.ndarray, time_s: np.ndarray, date: str, start_s: flo
     return Recording(rows, time_s, packets, format_times(time_s, date, start_s))
 
 
-def oxts_rows(route: Route, motion: Motion, body: Body, latitude_deg: float, longitude_deg: float) -> np.ndarray:
+def record(journey: Journey, date: str, rng: np.random.Generator) -> Recording:
+    """Return the oxts files of a drawn drive, at a random place and time of day."""
+    rows = oxts_rows(journey, *rng.uniform((48.9, 8.3), (49.1, 8.5)))
+    return make_recording(rows, journey.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)
+
+
+def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np.ndarray:
     """Return oxts packets [F,30] for a level road on which the car's body moves."""
-    xy, heading = route.at(motion.s_m)
+    route, motion, body = journey.route, journey.motion, journey.body
     v, a, roll, pitch = motion.speed_mps, motion.acceleration_mps2, body.roll_rad, body.pitch_rad
     sideways = v**2 * route.curvature(motion.s_m)
     yaw_rate = _late(v, motion.time_s) * route.curvature(_late(motion.s_m, motion.time_s))
@@ -77,7 +77,7 @@ def oxts_rows(route: Route, motion: Motion, body: Body, latitude_deg: float, lon
     roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in (roll_rate, pitch_rate))
     return make_rows(
         len(v),
-        **level_columns(xy, heading, v, a, sideways, yaw_rate, latitude_deg, longitude_deg),
+        **level_columns(journey.xy, journey.heading_rad, v, a, sideways, yaw_rate, latitude_deg, longitude_deg),
         alt=ALTITUDE_M + IMU_HEIGHT_M + body.heave_m,
         roll=roll, pitch=pitch, vu=climb,
         ax=ax, ay=ay, az=az,

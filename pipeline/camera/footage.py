@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.camera.images import Size, format_size
-from pipeline.camera.pixels import read_pixels
+from pipeline.camera.images import Size, format_size, read_pixels
 from pipeline.camera.video import Image, Video, open_video
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")

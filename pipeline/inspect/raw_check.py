@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import default_workers
 from pipeline.base.files import check_file
-from pipeline.camera.pixels import read_pixels
+from pipeline.camera.images import read_pixels
 from pipeline.inspect import raw_drive
 from pipeline.inspect.raw_drive import image_folder
 from pipeline.inspect.reading import gaps, spans

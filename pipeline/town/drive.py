@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from pipeline.base import progress
-from pipeline.camera.pixels import write_png
+from pipeline.camera.images import write_png
 from pipeline.kitti.raw import RawDrive
 from pipeline.town.character import QUARTERS, draw_character
 from pipeline.town.light import draw_ground_colours, draw_light

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.camera.calib_file import write_entries
+from pipeline.camera.intrinsics import write_entries
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
 from pipeline.town.route import IMU_HEIGHT_M
 

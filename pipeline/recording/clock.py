@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.camera.footage import Footage, ImageFolder
-from pipeline.camera.video import Image
+from pipeline.camera.footage import Footage, Image, ImageFolder
 from pipeline.recording.checks import check_size, check_times
 
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it

@@ -24,7 +24,6 @@ ALTITUDE_M = 110.0  # of the road
 # earlier best. So labels belong to half a frame earlier, as does the mean motion between two images; angles and speed
 # do not.
 RATES_LATE_S = 0.06
-_NOON_S = 12 * 3600.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Recording:
 
 
 def read_recording(raw: RawDrive, most: int) -> Recording:
-    """Return the packets of the first `most` frames of a real drive, unchanged, and their times, counted from noon.
+    """Return the oxts of the first `most` frames of a real drive, unchanged.
 
     Raises InputError if there are none, DamagedFile if a packet cannot be read.
     """
@@ -47,8 +46,15 @@ def read_recording(raw: RawDrive, most: int) -> Recording:
         raise InputError("drive has no packets, which town.replay needs", raw.folder / "oxts" / "data", "Extract it")
     rows = np.array([read_row(raw.oxts[frame]) for frame in frames])
     time_s = read_times(raw.oxts_times, list(raw.oxts))[: len(frames)]
+    timestamps = raw.oxts_times.read_bytes()
+    if len(frames) < len(raw.oxts) and len(timestamps.rstrip().split(b"\n")) <= max(raw.oxts):
+        raise InputError(
+            f"file has one line per packet, so the lines of the first {most} packets alone are ambiguous",
+            raw.oxts_times,
+            f"Raise town.frames to {len(raw.oxts)}",
+        )
     packets = {frame: raw.oxts[frame].read_bytes() for frame in frames}
-    return Recording(rows, time_s, packets, format_times(time_s, raw.folder.name[:10], _NOON_S))
+    return Recording(rows, time_s, packets, timestamps)
 
 
 def make_recording(rows: np.ndarray, time_s: np.ndarray, date: str, start_s: float) -> Recording:

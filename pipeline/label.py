@@ -4,7 +4,7 @@ Signs: yaw rate and steering angle are positive to the left. The speed v is oxts
 surface, and the yaw rate ψ̇ the corresponding ``wu``.
 """
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,19 @@ REVERSING_MPS = -0.5
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
+
+
+class Labels(NamedTuple):
+    """Labels of the frames [F] of a drive's ingest file; speed and yaw rate are NaN where the source has none."""
+
+    steering_rad: np.ndarray  # float64, left positive; 0 where unknown
+    valid: np.ndarray  # bool
+    speed_mps: np.ndarray
+    yaw_rate_radps: np.ndarray
+
+    def at(self, rows: np.ndarray) -> "Labels":
+        """Return the labels of some `rows`."""
+        return Labels(*(values[rows] for values in self))
 
 
 def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float) -> np.ndarray:
@@ -63,47 +76,32 @@ def steering_labels(
     return steering_rad, ~slow if standstill == "invalid" else np.ones_like(slow)
 
 
-def write(
-    file: DriveWriter,
-    frame: np.ndarray,
-    time_s: np.ndarray,
-    *,
-    steering_rad: np.ndarray,
-    valid: np.ndarray,
-    speed_mps: np.ndarray,
-    yaw_rate_radps: np.ndarray,
-    wheelbase_m: float,
-) -> None:
-    """Write the content of data/labels/<drive>.h5: the arguments [F] and the curvature tan Θ / L."""
+def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labels, wheelbase_m: float) -> None:
+    """Write the content of data/labels/<drive>.h5: labels of the frames [F], unknown rates as 0, and tan Θ / L."""
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, "s")
-    file.put("steering_rad", steering_rad, "rad, left positive")
-    file.put("valid", valid.astype(np.uint8))
-    file.put("speed_mps", speed_mps, "m/s")
-    file.put("yaw_rate_radps", yaw_rate_radps, "rad/s, left positive")
-    file.put("curvature_1pm", np.tan(steering_rad) / wheelbase_m, "1/m, left positive")
+    file.put("steering_rad", labels.steering_rad, "rad, left positive")
+    file.put("valid", labels.valid.astype(np.uint8))
+    file.put("speed_mps", np.nan_to_num(labels.speed_mps), "m/s")
+    file.put("yaw_rate_radps", np.nan_to_num(labels.yaw_rate_radps), "rad/s, left positive")
+    file.put("curvature_1pm", np.tan(labels.steering_rad) / wheelbase_m, "1/m, left positive")
 
 
-def plausibility(
-    steering_rad: np.ndarray,
-    valid: np.ndarray,
-    speed_mps: np.ndarray,
-    sideways_mps: np.ndarray,
-    time_s: np.ndarray,
-) -> dict[str, float | int | None]:
+def plausibility(labels: Labels, sideways_mps: np.ndarray, time_s: np.ndarray) -> dict[str, float | int | None]:
     """Return statistics that show whether a drive's labels are plausible; None where there are no values.
 
     ``zero_mse_rad2`` is the error of always predicting 0. ``dt_std_s`` is the jitter of the frame interval.
     """
-    angle = np.abs(steering_rad[valid])
+    valid = labels.valid
+    angle = np.abs(labels.steering_rad[valid])
     dt = np.diff(time_s)
     return {
-        "frames": len(steering_rad),
+        "frames": len(valid),
         "valid_share": float(valid.mean()) if len(valid) else None,
         "mean_abs_steering_rad": float(angle.mean()) if len(angle) else None,
         "max_abs_steering_rad": float(angle.max()) if len(angle) else None,
         "zero_mse_rad2": float((angle**2).mean()) if len(angle) else None,
-        "reversing_frames": int((speed_mps < REVERSING_MPS).sum()),
+        "reversing_frames": int((labels.speed_mps < REVERSING_MPS).sum()),
         "sideways_frames": int((np.abs(sideways_mps) > SIDEWAYS_MPS).sum()),
         "dt_mean_s": float(dt.mean()) if len(dt) else None,
         "dt_std_s": float(dt.std()) if len(dt) else None,

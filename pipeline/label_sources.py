@@ -2,29 +2,16 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.kitti.oxts import VF, WU
-from pipeline.label import steering_labels
+from pipeline.label import Labels, steering_labels
 
 _OTHERS = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
-
-
-class Labels(NamedTuple):
-    """Labels of the frames [F] of a drive's ingest file; speed and yaw rate are NaN where the source has none."""
-
-    steering_rad: np.ndarray  # float64, left positive; 0 where unknown
-    valid: np.ndarray  # bool
-    speed_mps: np.ndarray
-    yaw_rate_radps: np.ndarray
-
-    def at(self, rows: np.ndarray) -> "Labels":
-        """Return the labels of some `rows`."""
-        return Labels(*(values[rows] for values in self))
 
 
 def recorded(raw: DriveReader) -> list[str]:

@@ -82,7 +82,7 @@ def _write_points(
             graph_file.sample_frame(combined, variant, drive, number)
             for number, combined in _clouds(drive, clouds, motion, variant)
         )
-        counts = graph_file.write_points(file, clouds.frame, clouds.time_s, points, graph_file.neighbours_of(variant))
+        counts = graph_file.write_points(file, clouds.frame, clouds.time_s, points, variant)
         return clouds.frame, counts
 
 

@@ -12,9 +12,16 @@ from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.geometry import scale_K
 from pipeline.camera.images import crop_to
 from pipeline.kitti import oxts, steering_file
-from pipeline.kitti.ingest_file import PIXELS, put_camera, put_motion, put_pixels, put_scans, put_steering
+from pipeline.kitti.ingest_file import (
+    PIXELS,
+    TolerantReader,
+    put_camera,
+    put_motion,
+    put_pixels,
+    put_scans,
+    put_steering,
+)
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
-from pipeline.kitti.tolerant import TolerantReader
 from pipeline.sections.ingest import Ingest
 
 _FIXES = {

@@ -52,21 +52,11 @@ def label_drive(drive: str, path: Path, ingest: Path, motions: Mapping[str, Path
     rule = settings.model_dump(exclude={"source"})
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
         frame, time_s = raw.frame, raw.time_s
-        steering_rad, valid, *rates = label_sources.read(settings.source, raw, motions, rule)
+        labels = label_sources.read(settings.source, raw, motions, rule)
         sideways_mps = raw["oxts"][:, VL] if settings.source == "oxts" else np.zeros(len(frame))
-    speed_mps, yaw_rate_radps = (np.nan_to_num(rate) for rate in rates)
     with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
-        label.write(
-            file,
-            frame,
-            time_s,
-            steering_rad=steering_rad,
-            valid=valid,
-            speed_mps=speed_mps,
-            yaw_rate_radps=yaw_rate_radps,
-            wheelbase_m=settings.wheelbase_m,
-        )
-    return label.plausibility(steering_rad, valid, speed_mps, sideways_mps, time_s)
+        label.write(file, frame, time_s, labels, settings.wheelbase_m)
+    return label.plausibility(labels, sideways_mps, time_s)
 
 
 def describe(summary: Summary) -> str:

@@ -8,8 +8,7 @@ from typing import get_args
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.runner import Summary
-from pipeline.motion import kinds, motion_file
-from pipeline.motion.estimator import MotionEstimator
+from pipeline.motion import estimator, kinds
 from pipeline.perception.drive_frames import DriveFrames, run_over_kinds
 from pipeline.sections.motion import Kind, Motion
 
@@ -51,9 +50,10 @@ def main(
 
 
 def _write(kind: str, drive: str, frames: DriveFrames, file: store.DriveWriter, *, settings: Motion) -> Summary:
-    estimator = MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
-    estimates = (estimator.estimate(frame) for frame in frames)
-    return {"frames": len(frames.frame), "valid": motion_file.write(file, kind, frames.frame, frames.time_s, estimates)}
+    measured = estimator.MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
+    estimates = (measured.estimate(frame) for frame in frames)
+    valid = estimator.write(file, kind, frames.frame, frames.time_s, estimates)
+    return {"frames": len(frames.frame), "valid": valid}
 
 
 if __name__ == "__main__":

@@ -68,7 +68,8 @@ def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: 
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
         store.DriveWriter(path, stage="perception", drive=drive, params=params) as file,
     ):
-        camera_height_m = settings.camera_height_m or camera_height(batches.calibration(source))
+        calibrated = "T_cam_velo" in source
+        camera_height_m = settings.camera_height_m or camera_height(source["T_cam_velo"] if calibrated else None)
         file.attrs["camera_height_m"] = camera_height_m
         with_image, size = np.flatnonzero(source["has_image"]), source.shape("image")[1:3]
         file.put("frame", source.frame[with_image])

@@ -1,7 +1,6 @@
 """Stage scores: errors of depth, classes and measured motion against what the drives recorded."""
 
 from collections.abc import Generator, Mapping
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -15,7 +14,7 @@ from pipeline.base.params import SPLITS, load
 from pipeline.base.progress import track
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
-from pipeline.encoder.truth import Truth, read_truth, visible
+from pipeline.encoder.truth import Truth, read_truth
 from pipeline.motion import kinds
 from pipeline.perception import motion_scores
 from pipeline.perception.scores import Scores, summary_line
@@ -93,10 +92,7 @@ def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[
     """Yield depth [H,W] in the stored unit, trainIds [H,W] and ground truth of each frame with an image."""
     for row, number in enumerate(track(perceived.frame)):
         depth, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
-        truth = read_truth(source, source.row_of(number))
-        if truth.depth_source == "lidar":
-            truth = replace(truth, depth_m=visible(truth.depth_m, source["K"]))
-        yield depth, cls, truth
+        yield depth, cls, read_truth(source, source.row_of(number))
 
 
 def _score_motion(

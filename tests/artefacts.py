@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -11,6 +12,7 @@ from pipeline.base import store
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.graphs import graph_file
+from pipeline.sections.graphs import Variant
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
@@ -33,16 +35,9 @@ def write_labels(
     """Write a labels file for frames [F] at 10 Hz."""
     speed_mps = np.full(len(frame), 8.0)
     with store.DriveWriter(path, stage="labels", drive=drive, params=LABELS) as file:
-        label.write(
-            file,
-            frame,
-            frame * 0.1,
-            steering_rad=steering_rad,
-            valid=np.ones(len(frame), bool) if valid is None else valid,
-            speed_mps=speed_mps,
-            yaw_rate_radps=speed_mps * np.tan(steering_rad) / WHEELBASE_M,
-            wheelbase_m=WHEELBASE_M,
-        )
+        rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
+        labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
+        label.write(file, frame, frame * 0.1, labels, WHEELBASE_M)
 
 
 def write_graphs(
@@ -51,7 +46,8 @@ def write_graphs(
     """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
     clouds = ((*bend(float(np.tan(steering)) / WHEELBASE_M, points, rng), rng) for steering in steering_rad)
     with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
-        graph_file.write_points(file, frame, frame * 0.1, clouds, graph_file.KnnGraph(points, 6, 0.2))
+        variant = Variant(source="clouds/pseudo", points=points, k=6, keep_inter_class=0.2)
+        graph_file.write_points(file, frame, frame * 0.1, clouds, variant)
 
 
 def write_sets(
@@ -66,7 +62,8 @@ def write_sets(
         (*bend(float(np.tan(steering)) / WHEELBASE_M, count, rng), rng)
         for steering, count in zip(steering_rad, counts, strict=True)
     ]
-    sets = graph_file.PointSets(points, [(16, 8.0, 6), (5, 16.0, 4)])
+    levels: dict[str, Any] = {"centres": [16, 5], "radius_m": [8.0, 16.0], "neighbours": [6, 4]}
+    sets = Variant(source="clouds/pseudo", neighbourhood="pointnet2", points=points, **levels)
     with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
         graph_file.write_points(file, frame, frame * 0.1, clouds, sets)
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.camera.calib_file import projection, read_entries
 from pipeline.camera.images import read_image
+from pipeline.camera.intrinsics import projection, read_entries
 from pipeline.fitting import checkpoint
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import read_scan

@@ -19,7 +19,7 @@ NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "m
 ROOMS = {"pipeline/base", "pipeline/camera"}  # small and still: what a file is, what a pixel is
 BEYOND: dict[str, set[str]] = {
     "check": {"pipeline", "models"},  # it takes seconds, and is to find faults wherever they are
-    "town": {"pipeline/kitti/ingest_file.py", "pipeline/kitti/tolerant.py"},  # the sample is rendered again
+    "town": {"pipeline/kitti/ingest_file.py"},  # the sample is rendered again
     "scores": {"models/encoder"},  # flat ground; other networks make another perception anyway
     # These make another training anyway.
     "evaluate": {

@@ -19,7 +19,7 @@ def test_closure_of_a_stage() -> None:
     assert "pipeline/kitti/calibration.py" in paths, "imported by raw, not by the stage"
     assert "pipeline/kitti/__init__.py" in paths
     assert not any(path.startswith("models/") for path in paths)
-    assert not {"pipeline/kitti/raw.py", "pipeline/camera/pixels.py"} & closure("stages.labels"), (
+    assert not {"pipeline/kitti/raw.py", "pipeline/camera/images.py"} & closure("stages.labels"), (
         "labels needs no raw drives"
     )
 

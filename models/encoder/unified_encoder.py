@@ -9,9 +9,8 @@ from torch import Tensor, nn
 from models.encoder.backbones import Parts
 from models.encoder.backbones.dinov2 import dinov2
 from models.encoder.backbones.espnetv2 import espnetv2
-from models.encoder.backbones.rtmonodepth_s import rtmonodepth_s
+from models.encoder.backbones.rtmonodepth_s import rtmonodepth_s, street
 from models.encoder.backbones.small import small
-from models.encoder.backbones.street import street
 from models.encoder.backbones.swin import swin
 
 BACKBONES: dict[str, Callable[[], Parts]] = {

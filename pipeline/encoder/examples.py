@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.encoder.truth import image_size, no_truth, read_truth, training_rows, visible
+from pipeline.encoder.truth import image_size, read_truth, training_rows
 
 CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
@@ -101,10 +101,9 @@ class Examples:
             return self._cache[i]
         drive, row = self._frames[i]
         image, K = drive.file.row("image", row), drive.file["K"]
-        truth = read_truth(drive.file, row) if drive.labelled else no_truth(drive.file)
-        depth_m = visible(truth.depth_m, K) if truth.depth_source == "lidar" else truth.depth_m
+        truth = read_truth(drive.file, row, drive.labelled)
         cls = drive.teacher(image, K) if drive.teacher and not truth.has_cls else truth.cls
-        example = Example(image, K, depth_m, cls)
+        example = Example(image, K, truth.depth_m, cls)
         if self._cached:
             self._cache[i] = example
         return example

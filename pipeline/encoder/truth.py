@@ -25,28 +25,22 @@ class Truth:
     has_cls: bool
 
 
-def read_truth(drive: DriveReader, row: int) -> Truth:
-    """Return the ground truth of the frame in `row` of a file of stage ingest.
+def read_truth(drive: DriveReader, row: int, labelled: bool = True) -> Truth:
+    """Return the ground truth of the frame in `row` of a file of stage ingest; without `labelled`, nothing is known.
 
-    Dense depth takes precedence over projected LiDAR; of several points in a pixel the nearest counts.
+    Dense depth takes precedence over projected LiDAR, of which points that are hidden from the camera are left out.
     """
     size = image_size(drive)
     depth = np.zeros(size, np.float32)
     source: DepthSource | None = None
-    if drive.row("has_depth", row):
+    if labelled and drive.row("has_depth", row):
         depth, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
-    elif drive.row("has_lidar", row):
+    elif labelled and drive.row("has_lidar", row):
         scan = drive.rows("lidar", *drive.rows("lidar_ptr", row, row + 2))
-        depth, source = scan_depth(scan, drive["T_cam_velo"], drive["K"], size), "lidar"
-    has_cls = bool(drive.row("has_cls", row))
+        depth, source = visible(scan_depth(scan, drive["T_cam_velo"], drive["K"], size), drive["K"]), "lidar"
+    has_cls = labelled and bool(drive.row("has_cls", row))
     cls = drive.row("cls", row) if has_cls else np.full(size, classes.VOID, np.uint8)
     return Truth(depth, source, cls, has_cls)
-
-
-def no_truth(drive: DriveReader) -> Truth:
-    """Return a Truth in which all pixels are unknown."""
-    size = image_size(drive)
-    return Truth(np.zeros(size, np.float32), None, np.full(size, classes.VOID, np.uint8), has_cls=False)
 
 
 def visible(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:

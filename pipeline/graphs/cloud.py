@@ -137,20 +137,18 @@ def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(drive.encode()), frame])
 
 
-def cropped(xyz: np.ndarray, left_near_right_far_m: tuple[float, float, float, float] | None) -> np.ndarray:
-    """Return the indices of the points [P,3] with x and z (camera frame) inside the crop; None: all."""
-    if left_near_right_far_m is None:
-        return np.arange(len(xyz))
-    xz, bounds = xyz[:, [0, 2]], np.array(left_near_right_far_m)
-    return np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
-
-
 def sample_points(
     cloud: Cloud, left_near_right_far_m: tuple[float, float, float, float] | None, points: int, rng: np.random.Generator
 ) -> Cloud:
-    """Return at most `points` random points of a cloud inside the crop, in the cloud's order."""
+    """Return at most `points` random points of a cloud inside the crop (all without one), in the cloud's order.
+
+    The crop limits x and z of the camera frame.
+    """
     xyz, cls = cloud
-    inside = cropped(xyz, left_near_right_far_m)
+    inside = np.arange(len(xyz))
+    if left_near_right_far_m is not None:
+        xz, bounds = xyz[:, [0, 2]], np.array(left_near_right_far_m)
+        inside = np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
     sampled = inside[sample(len(inside), points, rng)]
     return xyz[sampled], cls[sampled]
 

@@ -4,7 +4,7 @@ Three kinds of frames: points with a kNN graph, points with PointNet++'s neighbo
 the datasets; :mod:`pipeline.train.frames` reads them.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import chain
 
 import numpy as np
@@ -29,50 +29,29 @@ UNITS = {
 MOTION = {"yaw_rate_radps": "rad/s, left positive", "speed_mps": "m/s, forward positive", "valid": ""}
 
 
-class KnnGraph:
-    """Computes the kNN graph of a frame: degree, indices, and the numbers of edges before and after pruning."""
+def neighbours(variant: Variant, xyz: np.ndarray, cls: np.ndarray, rng: np.random.Generator) -> Arrays:
+    """Return a frame's datasets beside its points; those without axes are numbers per frame.
 
-    pointers = ("indices",)
-
-    def __init__(self, points: int, k: int, keep_inter_class: float) -> None:
-        """`points`: the largest number per frame; the others as in :func:`pipeline.graphs.graph.build`."""
-        self._dtype = graph.index_dtype(points)
-        self._k, self._keep_inter_class = k, keep_inter_class
-
-    def compute(self, xyz: np.ndarray, cls: np.ndarray, rng: np.random.Generator) -> Arrays:
-        """Return the frame's datasets; those without axes are numbers per frame."""
-        built = graph.build(xyz, cls, self._k, self._keep_inter_class, rng)
-        edges = {"edges_knn": np.array(built.edges_knn), "edges_kept": np.array(built.edges_kept)}
-        return {"degree": built.degree, "indices": built.indices.astype(self._dtype), **edges}
-
-
-class PointSets:
-    """Computes PointNet++'s samplings and groupings of a frame: centres_1, neighbours_1, centres_2, …"""
-
-    def __init__(self, points: int, sizes: Sequence[neighbourhoods.Size]) -> None:
-        """`points`: the largest number per frame; `sizes`: of each level."""
-        self._dtype, self._sizes = graph.index_dtype(points), sizes
-        self.pointers = tuple(f"centres_{number}" for number in range(1, len(sizes) + 1))
-
-    def compute(self, xyz: np.ndarray, cls: np.ndarray, rng: np.random.Generator) -> Arrays:
-        """Return the frame's datasets."""
-        arrays: Arrays = {}
-        for number, level in enumerate(neighbourhoods.levels(xyz, self._sizes, rng), start=1):
-            arrays[f"centres_{number}"] = level.centres.astype(self._dtype)
-            arrays[f"neighbours_{number}"] = level.neighbours.astype(self._dtype)
-        return arrays
-
-
-Neighbours = KnnGraph | PointSets
-
-
-def neighbours_of(variant: Variant) -> Neighbours:
-    """Return what computes the neighbours for a variant of points."""
+    degree and indices of the kNN graph, and the numbers of edges before and after pruning; or PointNet++'s samplings
+    and groupings: centres_1, neighbours_1, centres_2, …
+    """
     assert variant.points
+    dtype = graph.index_dtype(variant.points)
     if variant.kind == "graph":
         assert variant.k
-        return KnnGraph(variant.points, variant.k, variant.keep_inter_class)
-    return PointSets(variant.points, variant.levels)
+        built = graph.build(xyz, cls, variant.k, variant.keep_inter_class, rng)
+        edges = {"edges_knn": np.array(built.edges_knn), "edges_kept": np.array(built.edges_kept)}
+        return {"degree": built.degree, "indices": built.indices.astype(dtype), **edges}
+    arrays: Arrays = {}
+    for number, level in enumerate(neighbourhoods.levels(xyz, variant.levels, rng), start=1):
+        arrays[f"centres_{number}"] = level.centres.astype(dtype)
+        arrays[f"neighbours_{number}"] = level.neighbours.astype(dtype)
+    return arrays
+
+
+def has_pointers(name: str) -> bool:
+    """Return whether frames differ in their rows of a dataset: its first row of each frame is in <name>_ptr."""
+    return name.startswith(("indices", "centres"))
 
 
 def sample_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Points:
@@ -84,23 +63,23 @@ def sample_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Poi
 
 
 def write_points(
-    file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iterable[Points], neighbours: Neighbours
+    file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iterable[Points], variant: Variant
 ) -> Counts:
     """Write KITTI frame numbers [F], times [F], and the points and neighbours of each frame."""
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
     no_points = np.empty((0, 3), np.float32), np.empty(0, np.uint8)
-    lengths: dict[str, list[int]] = {name: [] for name in ("xyz", *neighbours.pointers)}
+    lengths: dict[str, list[int]] = {"xyz": []}
     numbers: dict[str, list[int]] = {}
     # The empty frame creates the datasets, also in the file of a drive without frames.
     for row, (xyz, cls, rng) in enumerate(chain([(*no_points, np.random.default_rng(0))], clouds)):
-        for name, array in {**neighbours.compute(xyz, cls, rng), "xyz": xyz, "cls": cls}.items():
+        for name, array in {**neighbours(variant, xyz, cls, rng), "xyz": xyz, "cls": cls}.items():
             if array.ndim == 0:
                 numbers.setdefault(name, []).extend([int(array)] if row else [])
                 continue
             file.append(name, array, UNITS[name.partition("_")[0]])
-            if row and name in lengths:
-                lengths[name].append(len(array))
+            if name == "xyz" or has_pointers(name):
+                lengths.setdefault(name, []).extend([len(array)] if row else [])
     for name, counts in lengths.items():
         file.put_pointers("ptr" if name == "xyz" else f"{name}_ptr", counts, unit="row")
     for name, values in numbers.items():

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import default_workers
 from pipeline.base.files import check_file
-from pipeline.camera.pixels import read_pixels
+from pipeline.camera.images import read_pixels
 from pipeline.inspect.drive_file import gaps, spans
 from pipeline.kitti.calibration import cameras_in, read_camera
 from pipeline.kitti.oxts import read_row, read_times

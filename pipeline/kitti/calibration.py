@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError, error_context
-from pipeline.camera.calib_file import matrix, projection, read_entries, rotation
+from pipeline.camera.intrinsics import matrix, projection, read_entries, rotation
 
 _EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
 _FARTHEST_M = 20.0  # between LiDAR and camera

@@ -3,11 +3,15 @@
 Rows go by KITTI's frame numbers. What a frame lacks stays empty, and ``has_<name>`` is 0.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.base import progress
+from pipeline.base.errors import DamagedFile, error_context
 from pipeline.base.store import DriveWriter
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, read_classes, read_depth, read_image
@@ -82,3 +86,34 @@ def put_scans(file: DriveWriter, frames: int, rows: Rows) -> int:
     file.put_pointers("lidar_ptr", points, "rows of lidar")
     file.put("has_lidar", (points > 0).astype(np.uint8))
     return int(np.count_nonzero(points))
+
+
+class TolerantReader:
+    """Read files of single frames. A damaged file is an error or, if `tolerant`, skipped and counted by kind."""
+
+    def __init__(self, tolerant: bool, passes: int = 1) -> None:
+        """`passes`: calls of :meth:`each` per drive; a frame counts as progress once every `passes` frames."""
+        self._tolerant, self._passes, self._visited = tolerant, passes, 0
+        self.damaged: Counter[str] = Counter()
+
+    def each(
+        self, kind: str, read: Callable[[Path], np.ndarray], files: Mapping[int, Path], frames: Sequence[int]
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield (position in `frames`, array) for each of `frames` with an intact file of this `kind`.
+
+        Raises DamagedFile unless damaged files are tolerated.
+        """
+        for index, frame in enumerate(frames):
+            try:
+                with error_context(fix="Extract it again, or set ingest.on_damaged: skip to leave it out"):
+                    array = read(files[frame]) if frame in files else None
+            except DamagedFile:
+                if not self._tolerant:
+                    raise
+                self.damaged[kind] += 1
+                array = None
+            if array is not None:
+                yield index, array
+            self._visited += 1
+            if self._visited % self._passes == 0:
+                progress.advance(1)

@@ -19,6 +19,7 @@ from pipeline.fitting.prefetch import prefetch
 from pipeline.live.frame_state import FrameState
 from pipeline.live.source import Source
 from pipeline.motion.estimator import MotionEstimator
+from pipeline.motion.visual import Odometry
 from pipeline.perception.depth_scale import DepthPostprocessor, needs_scan
 from pipeline.sections.perception import Perception
 
@@ -39,8 +40,8 @@ class Chain:
         self.camera = Camera(size, scale_K(source.K, source.size, size), source.T_cam_velo, source.camera_height_m)
         self._encoder = EncoderRunner(encoder, settings, self.camera) if encoder else None
         self._estimators = {kind: MotionEstimator(kind, self.camera, road_scale=road_scale) for kind in kinds}
-        visual = self._estimators.get("visual")
-        self.odometry = visual.visual if visual else None
+        odometries = (estimator.odometry for estimator in self._estimators.values())
+        self.odometry = next((each for each in odometries if isinstance(each, Odometry)), None)  # the visual one
 
     def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
         """Yield each frame with depth, classes and estimates of motion, in order; closes `frames`."""

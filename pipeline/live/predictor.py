@@ -22,7 +22,7 @@ from pipeline.encoder.perceive import FILE
 from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
-from pipeline.graphs.graph_file import neighbours_of, sample_frame
+from pipeline.graphs.graph_file import has_pointers, neighbours, sample_frame
 from pipeline.live.chain import Chain
 from pipeline.live.course import add_courses
 from pipeline.live.frame_state import FrameState
@@ -109,7 +109,6 @@ class Predictor:
         self.model, self._settings, self._drive, self._camera = model, settings, source.name, camera
         variant = settings.variant
         self._accumulator = Accumulator(variant.accumulate.frames) if variant.accumulate else None
-        self._neighbours = None if variant.kind == "image" else neighbours_of(variant)
 
     def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
         """Yield each frame with its prediction, in order; closes `frames`."""
@@ -120,7 +119,7 @@ class Predictor:
         """Add the spatial network's input; drop frames without the scan that it is made from."""
         with closing(frames):
             for frame in frames:
-                if self._neighbours is None:
+                if self._settings.variant.kind == "image":
                     assert frame.image is not None
                     frame.arrays = {"image": frame.image[None]}
                 elif self._settings.variant.source == "clouds/lidar" and frame.scan is None:
@@ -132,7 +131,6 @@ class Predictor:
     def _points(self, frame: FrameState) -> dict[str, np.ndarray]:
         """Return the arrays of a variant of points, as :mod:`pipeline.train.frames` reads them."""
         variant, number = self._settings.variant, frame.number
-        assert self._neighbours
         kind = variant.source.removeprefix("clouds/")
         cloud = stored_cloud(frame, kind, self._camera, self._drive, self._settings.clouds)
         if self._accumulator and variant.accumulate:
@@ -143,9 +141,9 @@ class Predictor:
             cloud = self._accumulator.add(number, cloud, T_before)
         xyz, cls, rng = sample_frame(cloud, variant, self._drive, number)
         arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, len(xyz)])}
-        for name, array in self._neighbours.compute(xyz, cls, rng).items():
+        for name, array in neighbours(variant, xyz, cls, rng).items():
             arrays[name] = array if name == "degree" else array.astype(np.int64)
-            if name in self._neighbours.pointers:
+            if has_pointers(name):
                 arrays[f"{name}_ptr"] = np.array([0, len(array)])
         return arrays
 

@@ -7,10 +7,11 @@ car and attract the registration to zero motion where a road has little structur
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.camera.frame import Frame
 from pipeline.motion.step import Step, is_standstill, plausible
 
 if TYPE_CHECKING:
@@ -27,13 +28,6 @@ MIN_FITNESS = 0.5  # share of points with a pair
 MIN_CONSTRAINT = 0.01  # least mean squared component of the normals along any direction; isotropic normals: 1/3
 
 
-class Scan(NamedTuple):
-    """KITTI frame number; points [P,≥3] in metres, sensor frame."""
-
-    number: int
-    points: np.ndarray
-
-
 class Odometry:
     """Registers the scans of one drive."""
 
@@ -44,12 +38,13 @@ class Odometry:
         self._cloud: PointCloud | None = None  # of the previous scan
         self._guess: np.ndarray | None = None
 
-    def step(self, scan: Scan) -> Step | None:
-        """Return the motion since the previous frame; None where it cannot be measured. Scans come in order."""
+    def step(self, frame: Frame) -> Step | None:
+        """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
+        assert frame.scan is not None
         number, before, guess = self._number, self._cloud, self._guess
-        now, T_before, step = _preprocess(scan.points), None, None
-        self._number, self._cloud, self._guess = scan.number, now, None
-        if before is not None and now is not None and number is not None and scan.number == number + 1:
+        now, T_before, step = _preprocess(frame.scan), None, None
+        self._number, self._cloud, self._guess = frame.number, now, None
+        if before is not None and now is not None and number is not None and frame.number == number + 1:
             T_before, inliers, residual_m = _register(now, before, guess)
         T_cam_velo = self._T_cam_velo
         if T_before is not None and plausible(T_cam_before := T_cam_velo @ T_before @ np.linalg.inv(T_cam_velo)):

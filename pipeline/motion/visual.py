@@ -1,11 +1,11 @@
 """Visual odometry from images and their depth: track corners, lift them to 3D, estimate the pose."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from pipeline.camera import classes
+from pipeline.camera.frame import Frame
 from pipeline.camera.geometry import project, transform
+from pipeline.camera.images import to_metres
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step, is_standstill, plausible
@@ -21,15 +21,6 @@ ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road ha
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
 STANDSTILL = ("the image does not move", "the camera stands")
 STANDSTILL_PX = 0.1  # the car stands if half of the corners move less
-
-
-class View(NamedTuple):
-    """KITTI frame number; image RGB uint8 [H,W,3]; depth float32 [H,W] in metres, 0 = none; trainIds [H,W]."""
-
-    number: int
-    image: np.ndarray
-    depth_m: np.ndarray
-    cls: np.ndarray
 
 
 class Odometry:
@@ -56,16 +47,17 @@ class Odometry:
         self.focal = np.zeros(2)
         """Sums of :class:`Pose`'s gradient and information of the focal length."""
 
-    def step(self, view: View) -> Step | None:
-        """Return the motion since the previous frame; None where it cannot be measured. Views come in order."""
-        grey, step = self._grey_image(view.image), None
+    def step(self, frame: Frame) -> Step | None:
+        """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
+        assert frame.image is not None
+        grey, step = self._grey_image(frame.image), None
         self.problem = "no previous frame"
-        if self._number is not None and view.number == self._number + 1:
+        if self._number is not None and frame.number == self._number + 1:
             step = self._measure(grey)
         self._T_before = step.T_before if step else None
         if step:
             self.road.add_step(step.T_before)
-        self._number, self._grey, self._points = view.number, grey, self._lift(view, grey)
+        self._number, self._grey, self._points = frame.number, grey, self._lift(frame, grey)
         return step
 
     def _measure(self, grey: np.ndarray) -> Step | None:
@@ -98,10 +90,13 @@ class Odometry:
         self.focal += pose.focal_gradient, pose.focal_information
         return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
 
-    def _lift(self, view: View, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
-        usable = _usable_pixels(view, self._max_depth_m)
-        road, scale = self.road.find(view.depth_m, usable)
+        assert frame.depth is not None
+        assert frame.cls is not None
+        depth_m = to_metres(frame.depth).astype(np.float32)
+        usable = _usable_pixels(depth_m, frame.cls, self._max_depth_m)
+        road, scale = self.road.find(depth_m, usable)
         corners = Corners(grey)
         on_road = corners.best(self._enlarge(road), *ON_ROAD)
         elsewhere = corners.best(self._enlarge(usable & ~road), *ELSEWHERE)
@@ -109,7 +104,7 @@ class Odometry:
         column, row = np.rint(uv).astype(np.int64).T
         rays = np.linalg.solve(self._K, np.column_stack([uv, np.ones(len(uv))]).T).T
         depth_sigma = np.where(road[row, column], ROAD_SIGMA, DEPTH_SIGMA)
-        return rays * (view.depth_m[row, column] * scale)[:, None], depth_sigma, scale
+        return rays * (depth_m[row, column] * scale)[:, None], depth_sigma, scale
 
     def _grey_image(self, image: np.ndarray) -> np.ndarray:
         """Return the image in grey, uint8 [H,W], enlarged to at least MIN_WIDTH."""
@@ -131,10 +126,10 @@ class Odometry:
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
 
-def _usable_pixels(view: View, max_depth_m: float) -> np.ndarray:
+def _usable_pixels(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> np.ndarray:
     """Return the pixels with a well-defined depth that are not traffic, bool [H,W]."""
     import cv2
 
-    nearest, farthest = cv2.erode(view.depth_m, AROUND), cv2.dilate(view.depth_m, AROUND)
-    moving = cv2.dilate(MOVING[view.cls].astype(np.uint8), AROUND)
+    nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
+    moving = cv2.dilate(MOVING[cls].astype(np.uint8), AROUND)
     return (nearest > MIN_DEPTH_M) & (farthest < max_depth_m) & (farthest < EDGE * nearest) & (moving == 0)

@@ -28,12 +28,6 @@ def read(source: DriveReader, rows: np.ndarray, size: int, *, scans: bool) -> Ge
         yield Batch(source.frame[batch], images, source["K"], scans_m)
 
 
-def calibration(source: DriveReader) -> np.ndarray | None:
-    """Return T_cam_velo [4,4] of a file of stage ingest; None without LiDAR calibration."""
-    calibrated = "T_cam_velo" in source
-    return source["T_cam_velo"] if calibrated else None
-
-
 def _scan_depth(source: DriveReader, row: int) -> np.ndarray:
     scan = source.rows("lidar", *source.rows("lidar_ptr", row, row + 2))
     _, height, width, _ = source.shape("image")

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.label_sources import Labels
+from pipeline.label import Labels
 
 
 class Errors(NamedTuple):

@@ -7,8 +7,7 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.encoder.truth import Truth
-from pipeline.perception.depth_scale import scoring_factor
-from pipeline.perception.ground_plane import ground_plane_depth
+from pipeline.perception.depth_scale import ground_plane_depth, scoring_factor
 
 if TYPE_CHECKING:
     from pipeline.sections.perception import DepthScale
@@ -71,17 +70,6 @@ def class_ious(matrix: np.ndarray) -> np.ndarray:
     union = matrix.sum(axis=0) + matrix.sum(axis=1) - matrix.diagonal()
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(matrix.sum(axis=1) > 0, matrix.diagonal() / union, np.nan)
-
-
-def mean_iou(matrix: np.ndarray) -> float:
-    """Return the mean of :func:`class_ious` over the classes in the truth; NaN for an empty matrix."""
-    ious = class_ious(matrix)
-    return float(ious[~np.isnan(ious)].mean()) if not np.isnan(ious).all() else float("nan")
-
-
-def pixel_accuracy(matrix: np.ndarray) -> float:
-    """Return the share of pixels with the correct class; NaN for an empty matrix."""
-    return float(matrix.trace() / matrix.sum()) if matrix.any() else float("nan")
 
 
 class Scores:
@@ -166,8 +154,8 @@ class Scores:
         if present:
             scores["classes"] = {
                 "frames": self.class_frames,
-                "mean_iou": mean_iou(self.confusion),
-                "pixel_accuracy": pixel_accuracy(self.confusion),
+                "mean_iou": float(np.mean([*present.values()])),  # over the classes in the truth
+                "pixel_accuracy": float(self.confusion.trace() / self.confusion.sum()),
                 "iou": present,
             }
         return scores

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.camera.footage import Footage, ImageFolder, open_footage
-from pipeline.camera.video import Image
+from pipeline.camera.footage import Footage, Image, ImageFolder, open_footage
 from pipeline.recording.track import check_size, check_times
 
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it

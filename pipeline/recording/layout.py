@@ -10,9 +10,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import Drive
-from pipeline.camera.calib_file import write_entries
-from pipeline.camera.images import Size, format_size
-from pipeline.camera.pixels import write_png
+from pipeline.camera.images import Size, format_size, write_png
+from pipeline.camera.intrinsics import write_entries
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.oxts import (
     GRAVITY_MPS2,

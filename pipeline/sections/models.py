@@ -54,10 +54,10 @@ def resolve(model: Model) -> dict[str, Any]:
 
     Raises InputError, whose problem starts with the key, if a network does not exist or a knob is unknown or invalid.
     """
-    from models.steering.core import network_file  # imports torch
+    from models.steering.core import knobs  # imports torch
 
     with error_context():
-        networks = [network_file.load("spatial", model.spatial), network_file.load("temporal", model.temporal)]
+        networks = [knobs.load("spatial", model.spatial), knobs.load("temporal", model.temporal)]
     known = [knob for network in networks for knob in network.model_fields]
     names = f"spatial = {model.spatial}, temporal = {model.temporal}"
     for knob in known:

@@ -1,16 +1,16 @@
-"""Draw roads: turns at crossings, bends, straights past side roads."""
+"""Draw roads: turns at crossings, bends, straights past side roads; and the side roads of junctions."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from pipeline.town.junctions import arm_is_clear, crossing_arms, turn_arms
-from pipeline.town.route import BEHIND_M, STEP_M, Piece, Route, bend, trace
+from pipeline.town.route import BEHIND_M, STEP_M, Arm, Piece, Route, bend, trace, unit
 
 DECK = ("right", "bend+", "crossing", "left", "sweep-", "corner+", "bend-", "sweep+", "corner-")
 """Manoeuvres, shuffled for every road: right and left turns at crossings, corners of wider roads, bends, long sweeps
 (+ left, - right), and straight on past side roads."""
 _APART_M, _ROOM_M = 60.0, 32.0  # stretches farther apart along the road keep this distance
+_ARM_M, _ARM_HALF_M = (28.0, 45.0), (2.6, 4.2)  # length and half the width of side roads
 
 
 def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: str = "crossing") -> Route:
@@ -80,3 +80,37 @@ def _clear_of_itself(route: Route) -> bool:
     if (np.linalg.norm(xy[:, None] - xy[None], axis=-1)[far] < _ROOM_M).any():
         return False
     return all(arm_is_clear(arm, xy) for arm in route.arms)
+
+
+def crossing_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
+    """Draw open side roads on one or both sides where the ego goes straight on from s = `start` to `end`."""
+    first, heading_in = route.at(start, route.centre_m)
+    last, _ = route.at(end, route.centre_m)
+    length, half = rng.uniform(*_ARM_M), rng.uniform(*_ARM_HALF_M)
+    square = heading_in + np.pi / 2 + np.deg2rad(rng.uniform(-10, 10))
+    sides = [[0.0], [np.pi], [0.0, np.pi]][rng.integers(3)]
+    return [Arm((first + last) / 2, float(square + turn), False, length, half) for turn in sides]
+
+
+def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
+    """Draw the other roads of a junction where the ego turns from s = `start` to `end`.
+
+    They are closed: otherwise the image would not show which way the ego goes.
+    """
+    first, heading_in = route.at(start, route.centre_m)
+    last, heading_out = route.at(end, route.centre_m)
+    length, half = rng.uniform(*_ARM_M), rng.uniform(*_ARM_HALF_M)
+    # The roads' centre lines intersect at the junction.
+    into, out = unit(heading_in), unit(heading_out)
+    along = np.linalg.solve(np.stack([into, -out], axis=1), last - first)[0]
+    middle = first + along * into
+    which = rng.integers(4)  # corner | T-junction, entered from its stem | straight on | both
+    headings = [float(heading_out + np.pi)] * (which in (1, 3)) + [float(heading_in)] * (which in (2, 3))
+    return [Arm(middle, heading, True, length, half) for heading in headings]
+
+
+def arm_is_clear(arm: Arm, xy: np.ndarray) -> bool:
+    """Return whether the path xy [N,2] stays away from the arm beyond its mouth."""
+    along = np.arange(14, arm.length_m)[:, None]
+    points = arm.xy + along * unit(arm.heading_rad)
+    return not (np.linalg.norm(points[:, None] - xy[None], axis=-1) < 8).any()

@@ -1,16 +1,19 @@
-"""Move the ego along its route over time, and its body on its springs."""
+"""Move the ego along its route over time, and its body on its springs: its pose in every frame."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.town.route import STEP_M, Route
+from pipeline.town.character import Character
+from pipeline.town.manoeuvres import draw_route
+from pipeline.town.rig import rotation
+from pipeline.town.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route
 
 PERIOD_S = 0.1036  # KITTI's synchronised stream
 JITTER_S = 0.001
-IMU_HEIGHT_M = 0.93
 ACCELERATE_MPS2, BRAKE_MPS2 = 1.8, 2.2
 LATERAL_MPS2 = (1.5, 3.2)  # range over drivers
+_WAIT_S = (0.8, 2.0)  # of a stop
 
 _LEAN_RAD_PER_MPS2, _DIVE_RAD_PER_MPS2 = 0.004, 0.003
 _BUMPS_RAD, _BUMPS_M = np.deg2rad((0.03, 0.2)), (0.002, 0.012)  # range of a drive's standard deviation
@@ -27,6 +30,43 @@ class Motion:
     s_m: np.ndarray
     speed_mps: np.ndarray
     acceleration_mps2: np.ndarray
+
+
+@dataclass(frozen=True)
+class Body:
+    """Per frame [F]: roll_rad (positive: left side up), pitch_rad (positive: front down), as in oxts; heave_m."""
+
+    roll_rad: np.ndarray
+    pitch_rad: np.ndarray
+    heave_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Journey:
+    """Positions xy [F,2] and headings heading_rad [F] of the IMU; `motion` is its place along the route."""
+
+    route: Route
+    motion: Motion
+    body: Body
+    xy: np.ndarray
+    heading_rad: np.ndarray
+
+    def pose(self, frame: int) -> np.ndarray:
+        """Return T_world_imu [4,4]."""
+        T = np.eye(4)
+        T[:3, :3] = rotation(self.body.roll_rad[frame], self.body.pitch_rad[frame], self.heading_rad[frame])
+        T[:3, 3] = *self.xy[frame], IMU_HEIGHT_M + self.body.heave_m[frame]
+        return T
+
+
+def draw_journey(rng: np.random.Generator, frames: int, character: Character, first: str) -> Journey:
+    """Draw a road that begins with the manoeuvre `first`, and a drive of `frames` frames in its lane."""
+    times = frame_times(rng, frames)
+    cruise = rng.uniform(*character.cruise_mps)
+    route = draw_route(rng, cruise * times[-1] + AHEAD_M, character.lane_m, first)
+    speed = speed_profile(route, cruise, rng.uniform(*LATERAL_MPS2), draw_stops(rng, route, 0.75 * cruise * times[-1]))
+    motion = drive(route, speed, times, rng.uniform(*_WAIT_S))
+    return Journey(route, motion, draw_body(route, motion, rng), *route.at(motion.s_m))
 
 
 def frame_times(rng: np.random.Generator, frames: int) -> np.ndarray:
@@ -73,20 +113,6 @@ def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: floa
     acceleration = np.diff(v)[i] / duration[i]
     t = times_s - knots[i]
     return Motion(times_s, s[i] + v[i] * t + acceleration * t**2 / 2, v[i] + acceleration * t, acceleration)
-
-
-@dataclass(frozen=True)
-class Body:
-    """Per frame [F]: roll_rad (positive: left side up), pitch_rad (positive: front down), as in oxts; heave_m."""
-
-    roll_rad: np.ndarray
-    pitch_rad: np.ndarray
-    heave_m: np.ndarray
-
-
-def level(frames: int) -> Body:
-    """Return a body without motion."""
-    return Body(*np.zeros((3, frames)))
 
 
 def draw_body(route: Route, motion: Motion, rng: np.random.Generator) -> Body:

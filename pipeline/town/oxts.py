@@ -15,9 +15,9 @@ from pipeline.kitti.oxts import (
     read_times,
 )
 from pipeline.kitti.raw import RawDrive
-from pipeline.town.motion import IMU_HEIGHT_M, Body, Motion
+from pipeline.town.motion import Journey
 from pipeline.town.rig import rotation
-from pipeline.town.route import Route
+from pipeline.town.route import IMU_HEIGHT_M
 
 ALTITUDE_M = 110.0  # of the road
 # KITTI's rates are late: in each of its 31 drives with bends, wu fits the heading's derivative of 0.055 to 0.065 s
@@ -63,9 +63,15 @@ def make_recording(rows: np.ndarray, time_s: np.ndarray, date: str, start_s: flo
     return Recording(rows, time_s, packets, format_times(time_s, date, start_s))
 
 
-def oxts_rows(route: Route, motion: Motion, body: Body, latitude_deg: float, longitude_deg: float) -> np.ndarray:
+def record(journey: Journey, date: str, rng: np.random.Generator) -> Recording:
+    """Return the oxts files of a drawn drive, at a random place and time of day."""
+    rows = oxts_rows(journey, *rng.uniform((48.9, 8.3), (49.1, 8.5)))
+    return make_recording(rows, journey.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)
+
+
+def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np.ndarray:
     """Return oxts packets [F,30] for a level road on which the car's body moves."""
-    xy, heading = route.at(motion.s_m)
+    route, motion, body = journey.route, journey.motion, journey.body
     v, a, roll, pitch = motion.speed_mps, motion.acceleration_mps2, body.roll_rad, body.pitch_rad
     sideways = v**2 * route.curvature(motion.s_m)
     yaw_rate = _late(v, motion.time_s) * route.curvature(_late(motion.s_m, motion.time_s))
@@ -77,7 +83,7 @@ def oxts_rows(route: Route, motion: Motion, body: Body, latitude_deg: float, lon
     roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in (roll_rate, pitch_rate))
     return make_rows(
         len(v),
-        **level_columns(xy, heading, v, a, sideways, yaw_rate, latitude_deg, longitude_deg),
+        **level_columns(journey.xy, journey.heading_rad, v, a, sideways, yaw_rate, latitude_deg, longitude_deg),
         alt=ALTITUDE_M + IMU_HEIGHT_M + body.heave_m,
         roll=roll, pitch=pitch, vu=climb,
         ax=ax, ay=ay, az=az,

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from pipeline.town.character import Character
-from pipeline.town.junctions import Meetings, find_meetings
 from pipeline.town.route import STEP_M, Route, unit
 
 CELL_M = 0.1
@@ -18,6 +17,9 @@ KERB_M = 0.12
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
 CORNER_M = 4.0  # kerb radius at junctions
 BAY_M = 2.1  # width for a parked car
+_APART_M = 60.0  # along the route; nearer points belong to the same stretch
+_NOWHERE_M = 1000.0
+_MOUTH_M, _MOUTH_RAD = 9.0, np.deg2rad(30)
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,30 @@ class Plan:
         return [outline * CELL_M + self.origin for outline in thinned if len(outline) > 2]
 
 
+@dataclass(frozen=True)
+class Meetings:
+    """Per sample of the route: distances to the nearest other and the nearest earlier stretch [N], and whether it lies
+    at a junction of two stretches, bool [N]."""
+
+    other_m: np.ndarray
+    earlier_m: np.ndarray
+    junction: np.ndarray
+
+
+def _find_meetings(route: Route) -> Meetings:
+    """Compare each metre of a route with all others: recorded drives cross their track and repeat streets."""
+    every = round(1 / STEP_M)
+    s, xy, heading = route.s_m[::every], route.xy[::every], route.heading_rad[::every]
+    meetings = np.zeros((3, len(s)))
+    for i in range(len(s)):
+        to = np.linalg.norm(xy - xy[i], axis=1)
+        to[np.abs(s - s[i]) <= _APART_M] = _NOWHERE_M
+        across = np.abs(np.sin(heading - heading[i])) > np.sin(_MOUTH_RAD)
+        meetings[:, i] = to.min(), to[: i + 1].min(), (across & (to < _MOUTH_M)).any()
+    other, earlier, junction = (np.interp(route.s_m, s, row) for row in meetings)
+    return Meetings(other, earlier, junction > 0)
+
+
 def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> Plan:
     """Paint the road, its arms, pavements, parking bays and markings."""
     ends = [arm.xy + arm.length_m * unit(arm.heading_rad) for arm in route.arms]
@@ -56,7 +82,7 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     every = slice(None, None, round(0.5 / STEP_M))
     s = route.s_m[every]
 
-    meetings = find_meetings(route)
+    meetings = _find_meetings(route)
     parking = _may_park(route, meetings, character.kerbside)
     bays = {side: _bay_width(route, meetings, parking, rng, character) for side in (1, -1)}
     left = route.at(s, route.left_m + bays[1][every])[0]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.camera.calib_file import write_entries
+from pipeline.camera.intrinsics import write_entries
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
-from pipeline.town.motion import IMU_HEIGHT_M
+from pipeline.town.route import IMU_HEIGHT_M
 
 CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}  # of camera 0: grey left, right, colour left, right
 _LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x forward, y left, z up -> x right, y down, z forward

@@ -11,6 +11,7 @@ import numpy as np
 STEP_M = 0.1
 BEHIND_M = 40.0  # road behind the first frame, for the LiDAR
 AHEAD_M = 110.0  # road ahead of the last frame, for the camera
+IMU_HEIGHT_M = 0.93  # of the IMU over the road
 IMU_LEFT_M = 0.3  # offset of the IMU from the car's centre line, as in KITTI; the car is centred in its lane
 
 Piece = tuple[float, float, float]

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 
 from pipeline.camera import classes
+from pipeline.town.route import unit
 
 Colour = tuple[float, float, float]
 
@@ -81,19 +82,18 @@ def house(size: tuple[float, float, float], colour: Colour, roof: Colour, roof_m
     return merge([walls, slopes, gables])
 
 
+def wall(outline: np.ndarray, height_m: float | np.ndarray, colour: Colour, cls: int) -> Mesh:
+    """Build vertical faces along a closed outline [N,2], from z = 0 to `height_m`, one number or [N]."""
+    n = len(outline)
+    vertices = np.concatenate([np.column_stack([outline, np.full(n, z)]) for z in (0.0, height_m)])
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    faces = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
+    return mesh(vertices, faces, colour, cls)
+
+
 def cylinder(radius_m: float, height_m: float, colour: Colour, cls: int) -> Mesh:
     """Build an upright tube on the origin, open at both ends."""
-    vertices, faces = _tube()
-    return mesh(vertices * [radius_m, radius_m, height_m], faces, colour, cls)
-
-
-@cache
-def _tube(sides: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    angle = np.arange(sides) * 2 * np.pi / sides
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    vertices = np.concatenate([np.column_stack([ring, np.full(sides, z)]) for z in (0.0, 1.0)])
-    i, j = np.arange(sides), (np.arange(sides) + 1) % sides
-    return vertices, np.concatenate([np.stack([i, j, j + sides], 1), np.stack([i, j + sides, i + sides], 1)])
+    return wall(radius_m * unit(np.arange(8) * 2 * np.pi / 8), height_m, colour, cls)
 
 
 @cache

@@ -1,11 +1,13 @@
 """Build the static street: kerbs, barriers, houses, trees, posts, hedges, parked cars, woods on the horizon."""
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 
 from pipeline.camera import classes
 from pipeline.town import shapes
 from pipeline.town.character import Character
-from pipeline.town.lots import Frontage, Ground, footprint, frontages
 from pipeline.town.plan import CELL_M, KERB_M, Plan
 from pipeline.town.route import Route, unit
 from pipeline.town.shapes import Mesh
@@ -17,28 +19,48 @@ _ROOFS = [(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.2
 _LEAVES = [(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)]
 
 
+class Ground:
+    """The plan, with a map of occupied cells."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self._taken: np.ndarray = np.zeros(plan.kind.shape, np.uint8)
+
+    def claim(self, corners: np.ndarray, clear_m: float) -> bool:
+        """Take the convex footprint `corners` [N,2] if it is free and keeps `clear_m` from roads."""
+        cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32)
+        lowest, highest = cells.min(axis=0), cells.max(axis=0) + 1
+        if (lowest < 0).any() or highest[0] > self._taken.shape[1] or highest[1] > self._taken.shape[0]:
+            return False
+        window = (slice(lowest[1], highest[1]), slice(lowest[0], highest[0]))
+        footprint = np.zeros(self._taken[window].shape, np.uint8)
+        cv2.fillConvexPoly(footprint, cells - lowest, 1)
+        inside = footprint > 0
+        if (self._taken[window][inside] > 0).any() or (self.plan.to_road_m[window][inside] < clear_m).any():
+            return False
+        self._taken[window][inside] = 1
+        return True
+
+
+@dataclass(frozen=True)
+class Frontage:
+    """One side of a road: the line of its edge, [N,2] every half metre, and the outward headings [N]."""
+
+    edge: np.ndarray
+    outward_rad: np.ndarray
+
+
 def build_street(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> Mesh:
     """Return the mesh of all static objects, without the ground."""
     ground = Ground(plan)
-    parts = [_kerbs(plan), _horizon(plan, rng), *_barriers(route, rng)]
+    parts = [shapes.wall(outline, KERB_M, (0.5, 0.5, 0.49), classes.SIDEWALK) for outline in plan.kerbs()]
+    parts += [_horizon(plan, rng), *_barriers(route, rng)]
     parts += _parked_cars(route, plan, character, rng)
     for frontage in frontages(route, plan):
         parts += _houses(frontage, ground, character, rng)
     for frontage in frontages(route, plan):
         parts += _furniture(frontage, ground, character, rng)
     parts += _backdrop(ground, character, rng)
-    return shapes.merge(parts)
-
-
-def _kerbs(plan: Plan) -> Mesh:
-    """Build vertical faces along the roads' outlines."""
-    parts = []
-    for outline in plan.kerbs():
-        n = len(outline)
-        vertices = np.concatenate([np.column_stack([outline, np.full(n, z)]) for z in (0.0, KERB_M)])
-        i, j = np.arange(n), (np.arange(n) + 1) % n
-        faces = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
-        parts.append(shapes.mesh(vertices, faces, (0.5, 0.5, 0.49), classes.SIDEWALK))
     return shapes.merge(parts)
 
 
@@ -49,10 +71,7 @@ def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
     angle = np.arange(n) * 2 * np.pi / n
     ring = middle + radius * unit(angle)
     heights = 9 + 5 * rng.random(n) + 4 * np.sin(angle * 3 + rng.uniform(0, 6.28))
-    vertices = np.concatenate([np.column_stack([ring, np.zeros(n)]), np.column_stack([ring, heights])])
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    faces = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
-    return shapes.mesh(vertices, faces, (0.13, 0.20, 0.10), classes.VEGETATION)
+    return shapes.wall(ring, heights, (0.13, 0.20, 0.10), classes.VEGETATION)
 
 
 def _barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
@@ -168,3 +187,29 @@ def _tree(rng: np.random.Generator, low_m: float, high_m: float) -> Mesh:
 def _leaves(rng: np.random.Generator) -> shapes.Colour:
     r, g, b = np.array(_LEAVES[rng.integers(len(_LEAVES))]) * rng.uniform(0.8, 1.2)
     return (float(r), float(g), float(b))
+
+
+def frontages(route: Route, plan: Plan) -> list[Frontage]:
+    """Return both sides of the route and its arms, and the far ends of the arms."""
+    s = np.arange(route.s_m[0], route.s_m[-1], 0.5)
+    sides = []
+    for side, edge in ((1, route.left_m), (-1, route.right_m)):
+        bay = np.interp(s, route.s_m, plan.bays[side])
+        xy, heading = route.at(s, edge + side * bay)
+        sides.append(Frontage(xy, heading + side * np.pi / 2))
+    for arm in route.arms:
+        along = np.arange(6, arm.length_m + 6, 0.5)[:, None] * unit(arm.heading_rad)
+        for side in (1, -1):
+            outward = arm.heading_rad + side * np.pi / 2
+            xy = arm.xy + along + arm.half_m * unit(outward)
+            sides.append(Frontage(xy, np.full(len(xy), outward)))
+        across = np.arange(-12, 12, 0.5)[:, None] * unit(arm.heading_rad + np.pi / 2)  # closes the arm's far end
+        xy = arm.xy + arm.length_m * unit(arm.heading_rad) + across
+        sides.append(Frontage(xy, np.full(len(xy), arm.heading_rad)))
+    return sides
+
+
+def footprint(xy: np.ndarray, outward_rad: float, size: tuple[float, float]) -> np.ndarray:
+    """Return the corners [4,2] of a rectangle of `size` (along the street, away from it)."""
+    along, away = unit(outward_rad - np.pi / 2) * size[0] / 2, unit(outward_rad) * size[1] / 2
+    return np.array([xy + along + away, xy - along + away, xy - along - away, xy + along - away])

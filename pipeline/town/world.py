@@ -45,23 +45,24 @@ class World:
 
     def set_traffic(self, cars: list[Mesh]) -> None:
         """Replace the moving cars."""
-        self._cars = [_Layer(car, bounded=True) for car in cars]
+        self._layers = [self._street, *(_Layer(car) for car in cars)]
         # Surface numbers: the kinds of ground, the sky, the triangles of each layer.
-        sky, meshes = np.zeros((1, 3), np.float32), [layer.mesh for layer in (self._street, *self._cars)]
+        sky, meshes = np.zeros((1, 3), np.float32), [layer.mesh for layer in self._layers]
         self._cls = np.concatenate([_GROUND_CLASS, np.array([classes.SKY], np.uint8), *(mesh.cls for mesh in meshes)])
         self._colour = np.concatenate([self._ground_colours, sky, *(mesh.colour for mesh in meshes)]).T.copy()
 
     def cast(self, rays: np.ndarray) -> Hits:
         """Return the first hits of `rays` [6,N]."""
-        first = _SKY + 1
-        distance, surface, normal = self._street.cast(rays, first)
-        for layer, before in zip(self._cars, (self._street, *self._cars), strict=False):
-            first += len(before.mesh.cls)
+        count, first = rays.shape[1], _SKY + 1
+        distance, surface = np.full(count, np.inf, np.float32), np.full(count, _SKY)
+        normal = np.zeros((3, count), np.float32)
+        for layer in self._layers:
             near = layer.near(rays)
-            t, triangle, facing = layer.cast(rays[:, near], first)
+            t, triangle, facing = layer.cast(rays[:, near])
             nearer = t < distance[near]
             ray = near[nearer]
-            distance[ray], surface[ray], normal[:, ray] = t[nearer], triangle[nearer], facing[:, nearer]
+            distance[ray], surface[ray], normal[:, ray] = t[nearer], triangle[nearer] + first, facing[:, nearer]
+            first += len(layer.mesh.cls)
         ground = self._cast_ground(rays, distance)
         met = ground >= 0
         surface = np.where(met, ground, surface)
@@ -73,7 +74,7 @@ class World:
         rays = np.empty((6, points.shape[1]), np.float32)
         rays[:3], rays[3:] = points, sun[:, None]
         lit = np.ones(points.shape[1], bool)
-        for layer in (self._street, *self._cars):
+        for layer in self._layers:
             lit[layer.blocks(rays)] = False
         return lit
 
@@ -96,39 +97,31 @@ class World:
 
 
 class _Layer:
-    """A mesh prepared for ray casting."""
+    """A mesh prepared for ray casting. Most rays miss the bounding sphere of a car."""
 
-    def __init__(self, mesh: Mesh, bounded: bool = False) -> None:
-        """`bounded`: the mesh is small, so that most rays miss it."""
+    def __init__(self, mesh: Mesh) -> None:
         import open3d as o3d
 
         self.mesh = mesh
         # One thread: Embree's parallel build is not guaranteed to be deterministic.
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
-        self._bounded = bounded
         self._middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         self._radius = float(np.linalg.norm(mesh.vertices - self._middle, axis=1).max()) + 0.01
 
-    def cast(self, rays: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return per ray: distance (miss: inf), surface, normal [3,N] towards the viewer (miss: 0).
-
-        `first` is the surface number of the first triangle.
-        """
+    def cast(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return per ray: distance (miss: inf), triangle, normal [3,N] towards the viewer."""
         answer = self._scene.cast_rays(_tensor(rays.T))
         distance = answer["t_hit"].numpy()
         triangle = answer["primitive_ids"].numpy().astype(np.int64)
         normal = np.ascontiguousarray(answer["primitive_normals"].numpy().T)
         normal *= np.where(dot(normal, rays[3:]) > 0, np.float32(-1), np.float32(1))
-        return distance, np.where(np.isinf(distance), _SKY, triangle + first), normal
+        return distance, triangle, normal
 
     def blocks(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays that hit."""
-        near = self.near(rays) if self._bounded else None
-        shadow = self._scene.test_occlusions(
-            _tensor((rays if near is None else rays[:, near]).T), 0.02, _SHADOW_M
-        ).numpy()
-        return np.flatnonzero(shadow) if near is None else near[shadow]
+        near = self.near(rays)
+        return near[self._scene.test_occlusions(_tensor(rays[:, near].T), 0.02, _SHADOW_M).numpy()]
 
     def near(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays whose line intersects the mesh's bounding sphere."""

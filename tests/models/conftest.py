@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.core import network_file
+from models.steering.core import knobs
 from models.steering.core.batch import GraphBatch, SetBatch, from_arrays
 from pipeline.graphs import neighbourhoods
 from pipeline.train import frames
@@ -79,8 +79,8 @@ def make_line() -> MakeLine:
     def make(spatial: str = "gnn", temporal: str = "ncp", **changes: object) -> dict[str, object]:
         line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": 4, "features": 8}
         known = {
-            *network_file.load("spatial", spatial).model_fields,
-            *network_file.load("temporal", temporal).model_fields,
+            *knobs.load("spatial", spatial).model_fields,
+            *knobs.load("temporal", temporal).model_fields,
         }
         return line | {"equivariant": False} | {key: SMALL[key] for key in SMALL if key in known} | changes
 

@@ -29,7 +29,7 @@ def write_drive(root: Path, drive: str, poses: list[np.ndarray], *, images: bool
         if images or scans:
             put_camera(file, street.K, T_CAM_VELO if scans else None)
         put_pixels(file, "image", frames, street.SIZE, enumerate(image for image, *_ in views))
-        clouds = [scan(row, pose, world()).points for row, pose in enumerate(poses) if scans]
+        clouds = [scan(row, pose, world()).scan for row, pose in enumerate(poses) if scans]
         put_scans(file, frames, ((row, np.pad(points, [(0, 0), (0, 1)])) for row, points in enumerate(clouds)))
     params = {"perception": Perception(batch=1).model_dump()}
     with store.DriveWriter(root / "perception" / f"{drive}.h5", stage="perception", drive=drive, params=params) as file:

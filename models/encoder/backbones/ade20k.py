@@ -43,10 +43,10 @@ CITYSCAPES = {
     "train": "",
     "motorcycle": "minibike",
     "bicycle": "bicycle",
-    "void": "",
 }
-_LISTED = {name: number for number, names in enumerate(CITYSCAPES.values()) for name in names.split(", ") if name}
-TARGET = {name: _LISTED.get(name, len(CITYSCAPES) - 1) for name in ADE20K}
+_GROUPS = [sorted(ADE20K.index(name) for name in names.split(", ") if name) for names in CITYSCAPES.values()]
+GROUPS = [*_GROUPS, sorted({*range(len(ADE20K))}.difference(*_GROUPS))]
+"""Numbers of ADE20K's classes for each of Cityscapes' classes, and for void."""
 MARGIN = 10.0  # of a class without members, below the least likely other
 
 
@@ -56,10 +56,7 @@ def to_cityscapes(logits: Tensor) -> Tensor:
     A class has the summed probability of its members. A class without members is below all others, so that it is never
     predicted, also between interpolated pixels, and has a finite loss as a target.
     """
-    groups = [
-        [number for number, name in enumerate(ADE20K) if TARGET[name] == target] for target in range(len(CITYSCAPES))
-    ]
-    gathered = {target: torch.logsumexp(logits[:, group], dim=1) for target, group in enumerate(groups) if group}
+    gathered = {target: torch.logsumexp(logits[:, group], dim=1) for target, group in enumerate(GROUPS) if group}
     # Without gradients, which would train the least likely class.
     never = torch.stack(list(gathered.values())).amin(dim=0).detach() - MARGIN
-    return torch.stack([gathered.get(target, never) for target in range(len(groups))], dim=1)
+    return torch.stack([gathered.get(target, never) for target in range(len(GROUPS))], dim=1)

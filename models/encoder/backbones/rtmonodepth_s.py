@@ -1,7 +1,7 @@
 """RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres, and a class head on its features.
 
 The authors' files ``encoder.pth`` and ``depth.pth`` of ``s/ms_640_192`` are the weights of backbone and depth head,
-under Monodepth2's terms: non-commercial use only. The class head is fitted.
+under Monodepth2's terms: non-commercial use only. The class head is fitted; backbone `street` has none.
 """
 
 from collections import OrderedDict
@@ -29,6 +29,14 @@ DROPPED = 0.1  # share of features dropped in training
 def rtmonodepth_s() -> Parts:
     """Return the parts; the class head has no published weights."""
     return Parts(Encoder(), Depth(), Classes())
+
+
+def street() -> Parts:
+    """Return the parts with a class head that has nothing to fit: all pixels are void.
+
+    For visual odometry, which finds traffic by its own motion.
+    """
+    return Parts(Encoder(), Depth(), Void())
 
 
 class Encoder(Backbone):
@@ -117,6 +125,16 @@ class Classes(Part):
         for side, merge, x in zip(self.sides[1:], self.merges, finer, strict=True):
             y = merge(F.relu(resized(y, x.shape[-2:]) + side(self.drop(x))))
         return resized(self.last(y), rays.shape[-2:])
+
+
+class Void(Part):
+    """A class head without parameters."""
+
+    def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
+        """Return logits [B,20,H,W], 1 for void and 0 for all classes."""
+        logits = rays.new_zeros(len(rays), classes.COUNT + 1, *rays.shape[-2:])
+        logits[:, -1] = 1
+        return logits
 
 
 def resized(x: Tensor, size: Sequence[int]) -> Tensor:

@@ -25,14 +25,18 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import Array, Batch, Kind, from_arrays
-from models.steering.core.knobs import NetworkKnobs, Sizes
-from models.steering.core.motion import COLUMNS, MIRROR_SIGNS, odd_and_even
-from models.steering.core.network_file import Part, load
+from models.steering.core.knobs import NetworkKnobs, Part, Sizes, load
 from models.steering.core.recurrent import RecurrentCell
 
 Line = Mapping[str, Any]
 """A model's entry of params.yaml: general keys as in pipeline/sections/models.py, and knobs of its networks."""
 HIDDEN = 16  # neurons of the network for log σ
+MOTION = 4
+"""Columns of `motion`: measured angle (rad) and yaw rate (rad/s), both left +; speed (m/s) and valid (0 or 1)."""
+MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
+"""Factor of each column under left-right mirroring."""
+# Scales: a sharp corner for the columns that change sign, a fast street for the others.
+ODD_SCALE, EVEN_SCALE = (0.25, 0.4), (15.0, 1.0)  # rad, rad/s; m/s, 1
 KINDS: dict[Kind, str] = {
     "graph": "kNN graphs",
     "pointnet2": "points with neighbourhood: pointnet2",
@@ -92,7 +96,7 @@ class SteeringNet(nn.Module):
             batch: B frames.
             windows: int64 [W,T], the frames of each window, oldest first.
             dt_s: [W,T] seconds since the previous frame.
-            motion: [B,4], see core/motion.py; required with motion.
+            motion: [B,4], columns MOTION; required with motion.
             pairs: predict for the windows and for their mirror images.
         Returns:
             [W], or with uncertainty [W,2], the second is log σ. With pairs the mirror images follow: [2W], [2W,2].
@@ -164,6 +168,15 @@ class SteeringNet(nn.Module):
         return torch.cat([out[:, -1], log_sigma], dim=1)
 
 
+def odd_and_even(motion: Tensor) -> tuple[Tensor, Tensor]:
+    """Split motion [B,4] into the columns that change sign in the mirror and the others, each [B,2] and O(1).
+
+    Odd columns saturate at ±1: a value far beyond a sharp corner is a measurement error.
+    """
+    odd = torch.tanh(motion[:, :2] / motion.new_tensor(ODD_SCALE))
+    return odd, motion[:, 2:] / motion.new_tensor(EVEN_SCALE)
+
+
 def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
     """Build the network of a model's entry, with new weights from torch's random state.
 
@@ -186,10 +199,10 @@ def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[i
     sizes = Sizes(line["features"], line["window"], levels, image_size or (0, 0))
     # Random numbers are drawn in this order: a seed's weights depend on it.
     each = spatial.build(sizes)
-    over: Any = temporal.build(replace(sizes, features=sizes.features + motion * COLUMNS))
+    over: Any = temporal.build(replace(sizes, features=sizes.features + motion * MOTION))
     uncertainty = None
     if line.get("uncertainty", False):
-        units = over.state_size(sizes.features + motion * COLUMNS)
+        units = over.state_size(sizes.features + motion * MOTION)
         uncertainty = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
     return SteeringNet(each, over, line["equivariant"], motion, uncertainty)
 

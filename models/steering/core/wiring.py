@@ -1,4 +1,4 @@
-"""Wiring of a neural circuit policy: signed synapses between neurons (Lechner et al. 2020)."""
+"""Wiring of a neural circuit policy: signed synapses between neurons (Lechner et al. 2020), and their weights."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -6,6 +6,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from torch import Tensor, nn
 
 from models.steering.core.knobs import Count, Group, Seed
 
@@ -91,3 +92,24 @@ def _fan_out(rng: np.random.Generator, matrix: Polarity, sources: Neurons, targe
     for target in targets[~matrix[np.ix_(sources, targets)].any(axis=0)]:
         chosen = rng.choice(sources, size=average, replace=False)
         matrix[chosen, target] = rng.choice([-1, 1], size=average)
+
+
+class SparseMatrix(nn.Module):
+    """Matrix [P,U] that is zero except at S positions; their S values are its parameters.
+
+    Args:
+        values: [P,U], initial; read where `exists`.
+        exists: bool [P,U].
+    """
+
+    place: Tensor
+
+    def __init__(self, values: Tensor, exists: Tensor) -> None:
+        super().__init__()
+        self.shape = exists.shape
+        self.register_buffer("place", exists.flatten().nonzero()[:, 0])  # [S]; saved with the weights
+        self.w = nn.Parameter(values[exists])  # [S], in row order
+
+    def dense(self) -> Tensor:
+        """Return [P,U]. At an NCP's size a dense product is faster than a sparse one."""
+        return self.w.new_zeros(self.shape.numel()).scatter(0, self.place, self.w).view(self.shape)

@@ -1,13 +1,14 @@
-"""Resizing: pixels move as scale_K computes, and depth and classes are never mixed."""
+"""Resizing: pixels move as scale_K computes, depth and classes are never mixed; damaged files are refused."""
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from pipeline.base.errors import DamagedFile
 from pipeline.camera.geometry import scale_K
-from pipeline.camera.images import read_classes, read_depth, read_image
-from tests.kitti_drive import write_png
+from pipeline.camera.images import read_classes, read_depth, read_image, read_pixels, write_png
 
 SIZE, SMALL = (60, 120), (20, 30)
 
@@ -54,3 +55,41 @@ def test_same_size_is_lossless_and_grey_is_repeated(tmp_path: Path, channels: tu
     write_png(tmp_path / "a.png", pixels)
     image = read_image(tmp_path / "a.png", SIZE, SIZE)
     np.testing.assert_array_equal(image, pixels if channels else np.repeat(pixels[..., None], 3, axis=-1))
+
+
+rng = np.random.default_rng(0)
+PIXELS = [
+    rng.integers(0, 256, (20, 30, 3), np.uint8),
+    rng.integers(0, 256, (20, 30), np.uint8),
+    rng.integers(0, 65536, (20, 30), np.uint16),
+]
+SMOOTH = np.full((32, 48, 3), (200, 100, 50), np.uint8)
+
+
+def encode_jpeg(*options: int) -> bytes:
+    return cv2.imencode(".jpg", SMOOTH[..., ::-1], list(options))[1].tobytes()
+
+
+@pytest.mark.parametrize("pixels", PIXELS)
+def test_png_round_trip(tmp_path: Path, pixels: np.ndarray) -> None:
+    write_png(tmp_path / "a.png", pixels)
+    decoded = read_pixels(tmp_path / "a.png")
+    np.testing.assert_array_equal(decoded, pixels)
+    assert decoded.dtype == pixels.dtype
+
+
+@pytest.mark.parametrize("options", [(), (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)])
+def test_jpeg(tmp_path: Path, options: tuple[int, ...]) -> None:
+    (tmp_path / "a.jpg").write_bytes(encode_jpeg(*options) + b"\0maker's notes")
+    assert np.abs(read_pixels(tmp_path / "a.jpg").astype(int) - SMOOTH).max() < 6
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [(b"", "empty"), (b"GIF89a", "not a PNG or JPEG"), (b"\xff\xd8\xff\xd9", "decoded"), (None, "4 channels")],
+)
+def test_other_content(tmp_path: Path, content: bytes | None, problem: str) -> None:
+    transparent = cv2.imencode(".png", np.zeros((8, 8, 4), np.uint8))[1].tobytes()
+    (tmp_path / "a").write_bytes(transparent if content is None else content)
+    with pytest.raises(DamagedFile, match=problem):
+        read_pixels(tmp_path / "a")

@@ -7,8 +7,13 @@ import pytest
 
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.graphs import graph_file
-from pipeline.graphs.graph_file import KnnGraph, Neighbours, PointSets
+from pipeline.sections.graphs import Variant
 
+KNN = Variant(source="clouds/pseudo", points=30, k=4, keep_inter_class=0.5)
+SETS = Variant(
+    **{"source": "clouds/pseudo", "neighbourhood": "pointnet2", "points": 30},
+    **{"centres": [8, 3], "radius_m": [5.0, 9.0], "neighbours": [4, 2]},
+)
 FRAME, TIME_S = np.array([4, 5, 9]), np.array([0.0, 0.1, 0.5])
 
 
@@ -18,20 +23,20 @@ def clouds() -> list[graph_file.Points]:
     return [(*each, np.random.default_rng(seed)) for seed, each in enumerate(points)]
 
 
-def write(path: Path, neighbours: Neighbours, points: list[graph_file.Points]) -> graph_file.Counts:
+def write(path: Path, variant: Variant, points: list[graph_file.Points]) -> graph_file.Counts:
     with DriveWriter(path, stage="graphs", drive="drive", params={}) as file:
-        return graph_file.write_points(file, FRAME[: len(points)], TIME_S[: len(points)], points, neighbours)
+        return graph_file.write_points(file, FRAME[: len(points)], TIME_S[: len(points)], points, variant)
 
 
-@pytest.mark.parametrize("neighbours", [KnnGraph(30, 4, 0.5), PointSets(30, [(8, 5.0, 4), (3, 9.0, 2)])])
-def test_the_datasets_of_each_frame(tmp_path: Path, neighbours: Neighbours) -> None:
-    counts = write(tmp_path / "a.h5", neighbours, clouds())
+@pytest.mark.parametrize("variant", [KNN, SETS])
+def test_the_datasets_of_each_frame(tmp_path: Path, variant: Variant) -> None:
+    counts = write(tmp_path / "a.h5", variant, clouds())
     assert (counts["frames"], counts["points"]) == (3, 42)
     with DriveReader(tmp_path / "a.h5", stage="graphs") as file:
         assert (file.frame.tolist(), file.frame.dtype, file["ptr"].tolist()) == ([4, 5, 9], np.int32, [0, 30, 30, 42])
         np.testing.assert_array_equal(file.time_s, TIME_S)
         for row, (xyz, cls, rng) in enumerate(clouds()):
-            for name, array in {"xyz": xyz, "cls": cls, **neighbours.compute(xyz, cls, rng)}.items():
+            for name, array in {"xyz": xyz, "cls": cls, **graph_file.neighbours(variant, xyz, cls, rng)}.items():
                 if array.ndim:
                     pointer = name.replace("neighbours", "centres") + "_ptr"
                     a, b = file[pointer if pointer in file else "ptr"][row : row + 2]
@@ -42,7 +47,7 @@ def test_the_datasets_of_each_frame(tmp_path: Path, neighbours: Neighbours) -> N
 
 @pytest.mark.parametrize(("points", "dtype"), [(65_535, np.uint16), (65_536, np.uint32)])
 def test_indices_are_as_wide_as_the_largest_frame_needs(tmp_path: Path, points: int, dtype: type) -> None:
-    write(tmp_path / "a.h5", KnnGraph(points, 4, 1.0), clouds())
+    write(tmp_path / "a.h5", KNN.model_copy(update={"points": points}), clouds())
     with DriveReader(tmp_path / "a.h5", stage="graphs") as file:
         assert file["indices"].dtype == dtype
 

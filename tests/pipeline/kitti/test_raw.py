@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import depth_image, transform
-from pipeline.camera.pixels import read_pixels
+from pipeline.camera.images import read_pixels
 from pipeline.kitti.oxts import read_row
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_drive

@@ -4,6 +4,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
+from pipeline.camera.frame import Frame
 from pipeline.motion import lidar, step
 from tests import rendered_street as street
 
@@ -25,13 +26,14 @@ def world(houses: bool = True) -> np.ndarray:
     return np.concatenate(points)
 
 
-def scan(number: int, T_world_cam: np.ndarray, points: np.ndarray) -> lidar.Scan:
+def scan(number: int, T_world_cam: np.ndarray, points: np.ndarray) -> Frame:
     T_velo_world = np.linalg.inv(T_world_cam @ T_CAM_VELO)
     seen = np.random.default_rng(number).random(len(points)) < 0.7  # different points in each scan
-    return lidar.Scan(number, (points @ T_velo_world[:3, :3].T + T_velo_world[:3, 3])[seen].astype(np.float32))
+    xyz = points @ T_velo_world[:3, :3].T + T_velo_world[:3, 3]
+    return Frame(number, number * 0.1, scan=xyz[seen].astype(np.float32))
 
 
-def steps_of(scans: list[lidar.Scan]) -> list[step.Step | None]:
+def steps_of(scans: list[Frame]) -> list[step.Step | None]:
     odometry = lidar.Odometry(T_CAM_VELO)
     return [odometry.step(one) for one in scans]
 

@@ -1,9 +1,13 @@
 """Visual odometry on a rendered street with exact depth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.camera import classes
+from pipeline.camera.frame import Frame
+from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.motion import step, visual
 from tests import rendered_street as street
@@ -11,11 +15,12 @@ from tests import rendered_street as street
 DT_S = 0.1
 
 
-def views(*poses: np.ndarray) -> list[visual.View]:
-    return [visual.View(number, *street.view(pose)) for number, pose in enumerate(poses)]
+def views(*poses: np.ndarray) -> list[Frame]:
+    images = (street.view(pose) for pose in poses)
+    return [Frame(i, i * DT_S, image, to_units(depth_m), cls) for i, (image, depth_m, cls) in enumerate(images)]
 
 
-def measured(frames: list[visual.View], camera_height_m: float | None = CAMERA_HEIGHT_M) -> list[step.Step | None]:
+def measured(frames: list[Frame], camera_height_m: float | None = CAMERA_HEIGHT_M) -> list[step.Step | None]:
     odometry = visual.Odometry(street.K, street.SIZE, camera_height_m)
     return [odometry.step(frame) for frame in frames]
 
@@ -27,11 +32,13 @@ def rates(steps: list[step.Step | None]) -> np.ndarray:
     return np.array([step.rates(one.T_before, DT_S) for one in steps[1:] if one])
 
 
-def rescaled(frames: list[visual.View], road: float, elsewhere: float) -> list[visual.View]:
+def rescaled(frames: list[Frame], road: float, elsewhere: float) -> list[Frame]:
     """Return frames whose depth is wrong by these factors."""
+    factors = [np.where(frame.cls == classes.ROAD, road, elsewhere) for frame in frames]
     return [
-        frame._replace(depth_m=frame.depth_m * np.where(frame.cls == classes.ROAD, road, elsewhere).astype(np.float32))
-        for frame in frames
+        replace(frame, depth=(frame.depth * factor).astype(np.uint16))
+        for frame, factor in zip(frames, factors, strict=True)
+        if frame.depth is not None
     ]
 
 
@@ -64,8 +71,12 @@ def test_traffic_is_excluded_by_its_class() -> None:
     bus = slice(10, 80), slice(60, 260)
     texture = np.random.default_rng(0).integers(0, 255, (70, 200, 1), dtype=np.uint8)
     for frame in frames:
-        frame.image[bus], frame.depth_m[bus], frame.cls[bus] = texture, 8.0, classes.BUS
+        assert frame.image is not None
+        assert frame.depth is not None
+        assert frame.cls is not None
+        frame.image[bus], frame.depth[bus], frame.cls[bus] = texture, 8 * DEPTH_UNITS_PER_M, classes.BUS
     assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.05)
     for frame in frames:
+        assert frame.cls is not None
         frame.cls[bus] = classes.BUILDING
     assert not any(one and abs(step.rates(one.T_before, DT_S)[1] - 6) < 0.3 for one in measured(frames))

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from pipeline.label import steering_angle
-from pipeline.label_sources import Labels
+from pipeline.label import Labels, steering_angle
 from pipeline.perception import motion_scores
 
 TRUE_YAW, TRUE_SPEED = np.array([0.2, 0.2, 0.2, 0.2, 0.2]), np.array([6.0, 6.0, 6.0, 6.0, 0.2])

@@ -5,15 +5,13 @@ import pytest
 
 from pipeline.camera import classes
 from pipeline.encoder.truth import Truth
-from pipeline.perception.ground_plane import ground_plane_depth
+from pipeline.perception.depth_scale import ground_plane_depth
 from pipeline.perception.scores import (
     DEPTH_SCORES,
     Scores,
     class_ious,
     confusion,
     depth_errors,
-    mean_iou,
-    pixel_accuracy,
     summary_line,
 )
 from tests import street
@@ -54,9 +52,11 @@ def test_class_scores_equal_hand_values() -> None:
     ious = class_ious(matrix)
     np.testing.assert_allclose(ious[[0, 1, 18]], [2 / 3, 1 / 3, 1])
     assert np.isnan(ious[2])  # predicted, but not in the truth
-    assert mean_iou(matrix) == pytest.approx((2 / 3 + 1 / 3 + 1) / 3)
-    assert pixel_accuracy(matrix) == pytest.approx(4 / 6)
-    assert np.isnan([mean_iou(0 * matrix), pixel_accuracy(0 * matrix)]).all()
+    scores = Scores()
+    scores.confusion += matrix
+    found = scores.report()["classes"]
+    assert found["mean_iou"] == pytest.approx((2 / 3 + 1 / 3 + 1) / 3)
+    assert found["pixel_accuracy"] == pytest.approx(4 / 6)
 
 
 def test_scores_add_up_over_drives_through_json() -> None:

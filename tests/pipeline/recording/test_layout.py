@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.camera.pixels import read_pixels
+from pipeline.camera.images import read_pixels
 from pipeline.kitti.calibration import read_camera
 from pipeline.kitti.oxts import COLUMNS, EARTH_RADIUS_M, VF, WU, YAW, read_row, read_times
 from pipeline.kitti.raw import RawDrive

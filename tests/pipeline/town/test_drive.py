@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.camera import classes, geometry
-from pipeline.camera.images import to_metres
-from pipeline.camera.pixels import read_pixels
+from pipeline.camera.images import read_pixels, to_metres
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.town.drive import Drive

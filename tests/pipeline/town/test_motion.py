@@ -8,6 +8,7 @@ from pipeline.label import steering_angle
 from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
     Body,
+    Journey,
     Motion,
     draw_body,
     drive,
@@ -31,7 +32,7 @@ def driven(request: pytest.FixtureRequest) -> Drive:
     stops = (40.0,) if request.param == 3 else ()
     motion = drive(route, speed_profile(route, 9.0, LATERAL, stops), times, 2.0)
     body = draw_body(route, motion, rng)
-    rows = oxts_rows(route, motion, body, LAT, LON)
+    rows = oxts_rows(Journey(route, motion, body, *route.at(motion.s_m)), LAT, LON)
     assert rows.shape == (200, 30)
     return route, motion, body, dict(zip(COLUMNS, rows.T, strict=True))
 

@@ -9,7 +9,7 @@ from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive
 from pipeline.label import steering_labels
 from pipeline.town.drive import Drive
-from pipeline.town.journey import Journey
+from pipeline.town.motion import Journey
 from pipeline.town.oxts import read_recording
 from pipeline.town.replay import replay
 from tests.recorded_drive import DRIVE, round_the_block, town_trip, write_recorded

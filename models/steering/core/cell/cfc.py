@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell, State
-from models.steering.core.sparse_matrix import SparseMatrix
-from models.steering.core.wiring import Wiring
+from models.steering.core.wiring import SparseMatrix, Wiring
 
 
 class CfC(RecurrentCell):

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from models.steering.core.batch import GraphBatch, ImageBatch
-from models.steering.core.motion import COLUMNS, odd_and_even
-from models.steering.core.network_file import load, names
-from models.steering.core.steering_net import SteeringNet, build
+from models.steering.core.knobs import load, names
+from models.steering.core.steering_net import MIRROR_SIGNS, SteeringNet, build, odd_and_even
 from models.steering.temporal.ncp import CELLS
 from pipeline.sections.models import Model, resolve
 
@@ -155,12 +154,12 @@ def test_resolved_entry_is_complete_and_builds_the_same_network(make_line, spati
 
 def test_columns_are_of_order_one_and_the_odd_ones_are_odd():
     corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
-    motion = torch.tensor([corner, motorway, [0.0] * COLUMNS, [-1.5, 0.0, 0.1, 0.0]])
+    motion = torch.tensor([corner, motorway, [0.0] * 4, [-1.5, 0.0, 0.1, 0.0]])
     odd, even = odd_and_even(motion)
     assert odd.abs().max() <= 1 < even.max() < 3
     assert odd[0].min() > 0.8
     assert not torch.cat([odd[2], even[2]]).any()
-    there, same = odd_and_even(motion * torch.tensor([-1.0, -1.0, 1.0, 1.0]))
+    there, same = odd_and_even(motion * torch.tensor(MIRROR_SIGNS))
     assert torch.equal(there, -odd)
     assert torch.equal(same, even)
 

@@ -35,7 +35,8 @@ _PAPER = (
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats of the angle in rad under a normal distribution with the predicted σ, "
     "which is scaled on the validation drives; constant σ: the same with the best single σ for these frames. within: "
-    "share of the true angles within ±σ and ±1.96 σ of the prediction. certain half: the frames with the smaller σ."
+    "share of the true angles within ±σ of the prediction, and in its 95 % interval, ± a multiple of σ that is chosen "
+    "on the validation drives. certain half: the frames with the smaller σ."
 )
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
@@ -125,7 +126,7 @@ def steering_tables(results: Results) -> list[Table]:
             "model": ("model", ""), "NLL": ("test.uncertainty.nll", ".3f"),
             "constant σ": ("test.uncertainty.nll_constant", ".3f"),
             "within σ": ("test.uncertainty.coverage_68", ".1%"),
-            "within 1.96 σ": ("test.uncertainty.coverage_95", ".1%"),
+            "in 95 % interval": ("test.uncertainty.coverage_95", ".1%"),
             "MAE deg, certain half": ("test.uncertainty.mae_deg_certain", ".2f"), "all": ("test.mae_deg", ".2f"),
         }  # fmt: skip
         tables.append(Table("Uncertainty", cells(rows.dropna(subset="test.uncertainty.nll"), columns), _UNCERTAINTY))

@@ -5,7 +5,7 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -161,14 +161,16 @@ class Fit:
         mse, zero = float(np.mean(error**2)), float(np.mean(steering**2))
         return mse, mse / zero if zero > 0 else math.nan
 
-    def sigma_factor(self, drives: Sequence[windows.Drive], target: predict.Target) -> float:
-        """Return the factor of the predicted σ with the highest likelihood of the drives' errors, for the best weights.
+    def calibrate(self, drives: Sequence[windows.Drive], target: predict.Target) -> predict.Target:
+        """Return the target with the scale of σ and the 95 % interval that fit the drives' errors; best weights.
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """
         self.average.module.load_state_dict(self.best)
         _, error, sigma = self._predict(drives, target)
-        return float(np.sqrt(np.mean((error / sigma) ** 2)))
+        ratio = np.abs(error) / sigma
+        factor = np.sqrt(np.mean(ratio**2))
+        return replace(target, sigma_factor=float(factor), interval_95=float(np.quantile(ratio, 0.95) / factor))
 
     def _predict(self, drives: Sequence[windows.Drive], target: predict.Target) -> np.ndarray:
         """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -87,8 +87,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     }
     fitting.run(train, val, target, state, metadata, f"{job.name} {run}")
     if line["uncertainty"] and val:
-        factor = fitting.sigma_factor(val, target)
-        metadata["target"] = vars(replace(target, sigma_factor=factor))
+        metadata["target"] = vars(fitting.calibrate(val, target))
     if world.is_main:
         figures = {
             "seeds": settings.seeds,

@@ -55,6 +55,8 @@ def test_uncertainty_is_calibrated_on_validation_drives(folder: Path) -> None:
         predicted = model.predict_with_sigma(graphs)
     ratio = (predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad
     assert np.nanmean(ratio**2) == pytest.approx(1, rel=1e-6)
+    inside = np.abs(predicted.steering_rad - drive.steering_rad) <= predicted.half_95_rad
+    assert inside[~np.isnan(ratio)].mean() == pytest.approx(0.95, abs=0.02)
     rows = read(evaluated / "predictions.csv")
     with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
         predicted = model.predict_with_sigma(graphs, [3, 59])

@@ -12,8 +12,6 @@ import numpy as np
 
 from pipeline.sections.evaluate import Evaluate
 
-COVERED = {"68": 1.0, "95": 1.96}
-"""Share of a normal distribution in per cent → half of the interval, in standard deviations."""
 _DRAWS_AT_ONCE = 1 << 22  # bounds the memory of the bootstrap at about 100 MB
 
 
@@ -88,12 +86,14 @@ def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, set
     return float(low), float(high)
 
 
-def uncertainty(steering_rad: np.ndarray, predicted_rad: np.ndarray, sigma_rad: np.ndarray) -> dict[str, float]:
-    """Return means over S seeds' predictions [S,N] with standard deviations [S,N].
+def uncertainty(
+    steering_rad: np.ndarray, predicted_rad: np.ndarray, sigma_rad: np.ndarray, half_95_rad: np.ndarray
+) -> dict[str, float]:
+    """Return means over S seeds' predictions [S,N] with standard deviations and halves of 95 % intervals [S,N].
 
     - nll: mean negative log-likelihood of a normal distribution, in nats; nll_constant: the same with one σ for all
       frames, the RMSE on these frames, which is the best constant.
-    - coverage_68, coverage_95: share of angles within ±σ and ±1.96 σ of the prediction.
+    - coverage_68, coverage_95: share of angles within ±σ of the prediction, and in its 95 % interval.
     - mae_deg_certain: mean error of the half with the smaller σ.
     """
     error = np.abs(predicted_rad - steering_rad)
@@ -102,7 +102,8 @@ def uncertainty(steering_rad: np.ndarray, predicted_rad: np.ndarray, sigma_rad: 
     return {
         "nll": _nll(error, sigma_rad),
         "nll_constant": _nll(error, np.broadcast_to(rmse, error.shape)),
-        **{f"coverage_{share}": float(np.mean(error <= width * sigma_rad)) for share, width in COVERED.items()},
+        "coverage_68": float(np.mean(error <= sigma_rad)),
+        "coverage_95": float(np.mean(error <= half_95_rad)),
         "mae_deg_certain": float(np.rad2deg(by_sigma[:, : (error.shape[1] + 1) // 2].mean())),
     }
 

@@ -70,7 +70,7 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
     parts = [_counted(case, kinds) for case in cases]
     columns = {name: np.concatenate([part[name] for part in parts], axis=-1) for name in parts[0]}
     steering, predicted = columns.pop("steering"), columns.pop("predicted")  # [N], [S,N]
-    curvature, near, sigma = columns.pop("curvature"), columns.pop("near"), columns.pop("sigma", None)
+    curvature, near, certainty = columns.pop("curvature"), columns.pop("near"), columns.pop("certainty", None)
     drive = np.repeat(np.arange(len(parts)), [len(part["steering"]) for part in parts])
 
     def scores(rows: np.ndarray | slice) -> dict[str, Any]:
@@ -86,12 +86,12 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
         "by_drive": {case.drive.name: scores(drive == number) for number, case in enumerate(cases)},
         "without_decisions": scores(~near),
         "drift_m_per_100m": _drift(cases, settings),
-        "uncertainty": None if sigma is None else errors.uncertainty(steering, predicted, sigma),
+        "uncertainty": None if certainty is None else errors.uncertainty(steering, predicted, *certainty),
     }
 
 
 def _counted(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return arrays [N], predictions and σ [S,N], of the frames that count, and those of baselines."""
+    """Return arrays [N], predictions with σ and intervals [S,N], of the frames that count, and those of baselines."""
     drive, predictions = case.drive, case.predictions
     columns = {
         "steering": drive.steering_rad,
@@ -100,9 +100,9 @@ def _counted(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
         "near": decisions.near(drive, case.turns),
         **case.baselines(kinds),
     }
-    sigma = [seed.sigma_rad for seed in predictions if seed.sigma_rad is not None]
-    if sigma:
-        columns["sigma"] = np.stack(sigma)
+    spread = [(seed.sigma_rad, seed.half_95_rad) for seed in predictions if seed.sigma_rad is not None]
+    if spread:
+        columns["certainty"] = np.stack(spread, axis=1)  # type: ignore[arg-type]  # both are arrays, [2,S,G]
     counted = drive.valid & ~np.isnan(predictions[0].steering_rad)
     return {name: np.compress(counted, values, axis=-1) for name, values in columns.items()}
 

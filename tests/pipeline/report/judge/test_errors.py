@@ -92,7 +92,7 @@ def test_scores_of_normal_errors_with_known_sigma() -> None:
     rng = np.random.default_rng(0)
     sigma = rng.choice([0.01, 0.01, 0.04], size=(2, 50_000))
     steering = np.zeros(50_000)
-    found = errors.uncertainty(steering, steering + sigma * rng.standard_normal(sigma.shape), sigma)
+    found = errors.uncertainty(steering, steering + sigma * rng.standard_normal(sigma.shape), sigma, 1.96 * sigma)
     assert found["coverage_68"] == pytest.approx(0.6827, abs=0.01)
     assert found["coverage_95"] == pytest.approx(0.95, abs=0.01)
     entropy = np.log(2 * np.pi * np.e) / 2
@@ -105,5 +105,5 @@ def test_scores_of_normal_errors_with_known_sigma() -> None:
 
 def test_too_small_a_sigma_covers_less() -> None:
     error = np.array([[0.5, 1.5, 2.5]])
-    found = errors.uncertainty(np.zeros(3), error, np.ones((1, 3)))
+    found = errors.uncertainty(np.zeros(3), error, np.ones((1, 3)), np.full((1, 3), 1.96))
     assert (found["coverage_68"], found["coverage_95"]) == (pytest.approx(1 / 3), pytest.approx(2 / 3))

@@ -1,7 +1,7 @@
 """Compare models that differ in one setting (presets/studies.yaml): a table and a figure per setting.
 
 A model of a study is called STUDY-VALUE; sa-gnn-ncp has the default of every study and is a point of each. Pairs of
-models test the paper's claims.
+models, also of other presets, test claims: those of the paper, and that the scene helps beside motion.
 """
 
 from pathlib import Path
@@ -35,7 +35,7 @@ class Study(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A claim of the paper, and the two models that test it; it claims that the first is better."""
+    """A claim, and the two models that test it: the first is better."""
 
     text: str
     ours: str
@@ -55,20 +55,22 @@ CLAIMS = (
     Claim("pruning: 20 % of the edges between classes kept, against all", DEFAULT, "keep-100"),
     Claim("semantics: λ = 1 against 0", DEFAULT, "lambda-0"),
     Claim("NCP against LSTM", DEFAULT, "lstm"),
+    Claim("the scene, beside motion, one second ahead", "motion-10", "motion-10-blind"),
+    Claim("the scene, beside motion, one second ahead, leave-one-out", "motion-others-10", "blind-others-10"),
 )
 
 
 def write(results: Results, out: Path, settings: Evaluate) -> str:
     """Write studies.md and a figure per study to folder `out`; return the Markdown.
 
-    Writes nothing and returns an empty text without models of a study.
+    Writes nothing and returns an empty text without models of a study or of a claim.
     """
-    studies = points(results.models)
-    if not studies:
+    studies, tested = points(results.models), claims(results, settings)
+    if not studies and not tested:
         return ""
     for name, rows in studies.items():
         drawing.save(figure(STUDIES[name], rows), out / f"{name}.png")
-    text = "\n\n".join([*(table(name, rows).markdown() for name, rows in studies.items()), *claims(results, settings)])
+    text = "\n\n".join([*(table(name, rows).markdown() for name, rows in studies.items()), *tested])
     with replacing(out / "studies.md") as unfinished:
         unfinished.write_text(f"{text}\n", encoding="utf-8")
     return text
@@ -135,7 +137,7 @@ def claims(results: Results, settings: Evaluate) -> list[str]:
             f"difference {low:+.3f} to {high:+.3f} (95 %); {ours['parameters']:,} parameters against "
             f"{other['parameters']:,}"
         )
-    return ["## The paper's claims", "\n".join(lines)] if lines else []
+    return ["## Claims", "\n".join(lines)] if lines else []
 
 
 def _difference_interval(predictions: pd.DataFrame, claim: Claim, settings: Evaluate) -> tuple[float, float]:

@@ -34,9 +34,9 @@ _PAPER = (
 )
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats of the angle in rad under a normal distribution with the predicted σ, "
-    "which is scaled on the validation drives; constant σ: the same with the best single σ for these frames. within: "
-    "share of the true angles within ±σ of the prediction, and in its 95 % interval, ± a multiple of σ that is chosen "
-    "on the validation drives. certain half: the frames with the smaller σ."
+    "which is scaled on the validation drives; constant σ: the same with the best single σ for these frames. within "
+    "σ: share of the true angles that differ from the prediction by at most σ. in 95 % interval: by at most a multiple "
+    "of σ, below which 95 % of the validation errors are. certain half: the frames with the smaller σ."
 )
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "

@@ -24,13 +24,14 @@ def describe(path: Path) -> Content:
 
     Raises InputError if `path` is missing, damaged, or not an artefact.
     """
-    if path.is_file():
-        return drive_file.describe(path) if path.suffix == ".h5" else describe(path.absolute().parent)
-    content = _folder(path) if path.is_dir() else None
+    if path.is_file() and path.suffix == ".h5":
+        return drive_file.describe(path)
+    folder = path.absolute().parent if path.is_file() else path
+    content = _folder(folder) if folder.is_dir() else None
     if content is None:
-        problem = "holds no artefact of a stage" if path.is_dir() else "no file or folder of this name"
+        problem = "no artefact of a stage" if path.exists() else "no file or folder of this name"
         raise InputError(problem, path, "Pass data/, or a folder or an .h5 file in it; for raw drives: steer doctor")
-    return {"kind": content.pop("kind"), "path": str(path), "bytes": size_of(path), **content}
+    return {"kind": content.pop("kind"), "path": str(folder), "bytes": size_of(folder), **content}
 
 
 def _folder(folder: Path) -> Content | None:

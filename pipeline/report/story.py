@@ -58,7 +58,7 @@ def _next_step(best: pd.Series, bends: pd.DataFrame) -> str:
     if len(bends) and bends.iloc[0]["rmse"] > bends.iloc[0]["zero"] and best["line.equivariant"] is False:
         steps.append("equivariant: true, so that a mirrored scene gives the opposite angle and a straight road no bias")
     if not steps and not best["line.horizon"]:
-        steps.append("horizon: 10, a second ahead, where the scene matters more than the present motion")
+        steps.append("horizon: 10, a second ahead, which no odometry can measure")
     if len(steps) < 2:
         steps.append("more training drives with bends like those of the test drives (ingest.drives)")
     return f"Try next in params.yaml: {'; and '.join(steps)}."

@@ -11,13 +11,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pipeline.base import store
+from pipeline.base.errors import InputError
 from pipeline.fitting.prefetch import prefetch
 from pipeline.live.chain import Chain
 from pipeline.live.course import add_courses
 from pipeline.live.frame_state import Course, FrameState
 from pipeline.live.results import MOTION, QUALITY, TRACK, Results, write_results
-from pipeline.live.source import Source
-from pipeline.motion.visual import Odometry
+from pipeline.live.source import ROTATE, Source
+from pipeline.motion.visual import PITCHES, Odometry
 from pipeline.report import drawing
 from pipeline.sections.perception import Perception
 from pipeline.train.windows import Car
@@ -26,6 +27,7 @@ SIZE = (192, 640)  # of images, as the depth network was trained
 FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 MAX_SPREAD = 0.15  # of the road's heights
+MAX_PITCHED_RAD = math.radians(20.0)  # what yaw is to a car is pitch to a camera that lies on its side
 
 
 def measure(
@@ -38,7 +40,7 @@ def measure(
         max_frames: measure only these first frames; None: all.
         visible: show a progress bar.
     Raises:
-        InputError: the encoder has no network, or no frame can be read.
+        InputError: the encoder has no network, no frame can be read, or the camera turns like one on its side.
     """
     with closing(_first(source.frames, max_frames)) as frames:
         chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_m is not None)
@@ -46,6 +48,9 @@ def measure(
         measured = add_courses(prefetch(chain.run(frames), 1), car, smooth=True)
         names, show = (MOTION, TRACK, QUALITY), {"video": video, "visible": visible}
         with write_results(measured, source, out, names, car, warm_up=1, **show) as (folder, results):
+            if (pitched_rad := chain.odometry.pitched_rad) > MAX_PITCHED_RAD:
+                pitches = f"the camera pitches by {math.degrees(pitched_rad):.0f} degrees within {PITCHES} frames"
+                raise InputError(f"{pitches}. Is it rotated by 90 degrees?", source.path, ROTATE)
             quality = _quality(results.road_heights_m, chain.odometry, source.height_m)
             store.write_json(folder / QUALITY, quality)
             _draw_track(folder / TRACK, source.name, results.courses)

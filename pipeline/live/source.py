@@ -24,6 +24,7 @@ from pipeline.train.windows import Car
 DEFAULT_FPS = 10.0  # KITTI's
 BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are
 PAIRS, PAIR_EVERY = 60, 10  # images that are searched for the horizon
+ROTATE = "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
 MIN_SIDE = 16  # px; nothing can be recognised in smaller images
 
 
@@ -163,7 +164,7 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
     footage, times_s = open_timed(path, clock.fps, clock.times)
     if footage.size[0] > footage.size[1]:
         sizes = f"images are taller than wide ({format_size(footage.size)} pixels): is it rotated by 90 degrees?"
-        raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
+        raise InputError(sizes, path, ROTATE)
     K = intrinsics(footage.size, **lens._asdict())
     notes, horizon = [], None
     if times_s is None and next(iter(footage.frames())).time_s is None:

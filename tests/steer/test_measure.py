@@ -108,6 +108,15 @@ def test_a_cut_is_not_a_motion(tmp_path: Path, encoder: Path) -> None:
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
 
 
+def test_a_camera_on_its_side_is_refused(tmp_path: Path, encoder: Path) -> None:
+    roll = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    views = [street.view(pose @ roll)[0] for pose in street.arc(30, YAW_RATE, SPEED)]
+    with pytest.raises(InputError, match=r"pitches by \d\d degrees") as raised:
+        measure(write_folder(tmp_path / "images", views), out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    assert "transpose" in raised.value.fix
+    assert not (tmp_path / "out/motion.csv").exists()
+
+
 def test_what_is_missing_is_named(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = write_folder(tmp_path / "images", drive(4))
     with pytest.raises(InputError, match="no encoder") as raised:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import estimate_pose
-from tests.rendered_street import K
+from tests.rendered_street import K, pose
 
 POINTS = 60
 
@@ -34,3 +35,20 @@ def test_no_pose_from_degenerate_points(seed: int) -> None:
     assert estimate_pose(coincident, np.tile(uv[:1], (POINTS, 1)) + rng.normal(0, 0.3, uv.shape), K, sigma) is None
     xyz[:, 1] = 1.65
     assert estimate_pose(xyz, rng.uniform(0, 96, (POINTS, 2)), K, sigma) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_last_motion_is_a_start_where_most_depths_are_wrong(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = 0.3 * street(rng)[1]
+    forth = np.linalg.inv(pose(0.05, 0, 0.67))
+    known = np.arange(POINTS) < 8
+    wrong = np.where(known, 1, np.exp(rng.normal(0, 1, POINTS)))[:, None] * xyz
+    uv, sigma = project(transform(forth, xyz), K)[0], np.where(known, 0.02, 1.0)
+    errors = []
+    for T_last in None, np.linalg.inv(pose(0.04, 0, 0.6)):
+        found = estimate_pose(wrong, uv, K, sigma, T_last)
+        assert found
+        errors.append(np.abs(found.T_now_before - forth).max())
+    assert errors[1] < 0.004
+    assert errors[1] < errors[0] / 3

@@ -17,7 +17,8 @@ class InputError(Exception):
 
     def __str__(self) -> str:
         message = f"{self.where}: {self.problem}" if self.where else self.problem
-        return f"{message.rstrip('.')}. {self.fix}" if self.fix else message
+        end = "" if message.endswith(("?", ".")) else "."
+        return f"{message}{end} {self.fix}" if self.fix else message
 
 
 class DamagedFile(InputError):

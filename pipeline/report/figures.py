@@ -1,6 +1,7 @@
 """Draw the figures of the paper that the data at hand allows, as PNG and SVG files, and write their captions."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,21 +20,30 @@ _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 CHAIN_POINTS, PRUNING_POINTS = 300, 100
 MAX_MODELS = 4  # models with a path in Figure 4
 MAX_COLUMNS = 4  # panels side by side
+ERRORS, APART_S = 6, 1.0  # frames with the largest errors, and the time around each from which no other one comes
 FORMULA = {"bicycle": "bicycle model", "paper": "the paper's formula, which takes the steering angle as heading"}
+LARGEST = "errors"  # first part of the names of figures with the largest errors
 Captions = dict[str, str]
 """Name of the file without suffix → caption."""
 
 
 def draw(out: Path, results: Results, data: Path) -> Captions:
-    """Draw figures of the best model that predicts the current angle, from the stages' folders in `data`."""
-    models = results.models
-    now = models[models["line.horizon"] == 0].sort_values("test.nmse", kind="stable") if len(models) else models
-    if now.empty:
+    """Draw figures of the best model that predicts the current angle, from the stages' folders in `data`.
+
+    The largest errors are drawn for the best model of each horizon.
+    """
+    if results.models.empty:
         return {}
-    best = now.iloc[0]
-    captions = _draw_images(out, best, results.first_seed([best["model"]]), data)
-    captions |= _draw_pruning(out, best, data / "evaluate" / best["model"] / "structure.json")
-    return captions | _draw_paths(out, now[:MAX_MODELS], results)
+    captions: Captions = {}
+    for horizon, models in results.models.sort_values("test.nmse", kind="stable").groupby("line.horizon"):
+        best = models.iloc[0]
+        steering = results.first_seed([best["model"]])
+        if horizon == 0:
+            captions |= _draw_images(out, best, steering, data)
+            captions |= _draw_pruning(out, best, data / "evaluate" / best["model"] / "structure.json")
+            captions |= _draw_paths(out, models[:MAX_MODELS], results)
+        captions |= _draw_errors(out / f"{LARGEST}-{horizon}", best, steering, data / "ingest")
+    return captions
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -138,6 +148,56 @@ def _draw_pruning(out: Path, model: pd.Series, path: Path) -> Captions:
         "paper and in all tables."
     )
     return {"pruning": caption}
+
+
+def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows with the largest errors, with the `share` of the squared error within APART_S of each."""
+    left = predictions.dropna(subset=["driven_deg", "predicted_deg"])
+    left = left.assign(cost=(left["predicted_deg"] - left["driven_deg"]) ** 2).query("cost > 0")
+    total = left["cost"].sum()
+    found: list[dict[str, Any]] = []
+    while len(left) and len(found) < ERRORS:
+        row = left.loc[left["cost"].idxmax()]
+        near = (left["drive"] == row["drive"]) & ((left["elapsed_s"] - row["elapsed_s"]).abs() <= APART_S)
+        found.append({**row, "share": left["cost"][near].sum() / total})
+        left = left[~near]
+    return pd.DataFrame(found)
+
+
+def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest: Path) -> Captions:
+    """Draw the last image that a model got before each of its largest errors; nothing where there are no images."""
+    shown = []
+    for _, row in largest_errors(predictions).iterrows():
+        image = _read_image(ingest / f"{row['drive']}.h5", row["frame"])
+        if image is not None:
+            shown.append((row, image))
+    if not shown:
+        return {}
+    (height, width), lines = shown[0][1].shape[:2], -(-len(shown) // 2)
+    figure = Figure(figsize=(12, (6 * height / width + 0.3) * lines), layout="constrained")
+    for panel in figure.subplots(lines, 2, squeeze=False).ravel():
+        panel.set_axis_off()
+    for panel, (row, image) in zip(figure.axes, shown, strict=False):
+        panel.imshow(image)
+        angles = f"driven {row['driven_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
+        title = f"{row['drive']}, frame {row['frame']}: {angles}; {row['share']:.0%} of the squared error"
+        panel.set_title(title, fontsize="small", loc="left")
+    _save(figure, path)
+    horizon = model["line.horizon"]
+    caption = (
+        f"Largest errors of {model['model']}{f', {horizon} frames ahead' if horizon else ''}: the last image of its "
+        f"input, angles (left +), and the share of the squared error that lies within {APART_S:g} s."
+    )
+    return {path.name: caption}
+
+
+def _read_image(path: Path, number: int) -> np.ndarray | None:
+    """Read a frame's image from a file of stage ingest; None if this machine or the frame has none."""
+    if not path.is_file():
+        return None
+    with store.DriveReader(path, stage="ingest") as images:
+        row = images.row_of(number)
+        return images.row("image", row) if images["has_image"][row] else None
 
 
 def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Captions:

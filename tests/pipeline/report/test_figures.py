@@ -26,6 +26,17 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
     results = examples.load_results(tmp_path / "evaluate", ["net"])
     captions = figures.draw(tmp_path / "figures", results, tmp_path)
-    assert [*captions] == ["chain", "street", "pruning", "paths"]
-    assert [caption[:8] for caption in captions.values()] == [f"Figure {number}" for number in range(1, 5)]
+    assert [*captions] == ["chain", "street", "pruning", "paths", "errors-0"]
+    assert [caption[:8] for caption in captions.values()][:4] == [f"Figure {number}" for number in range(1, 5)]
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
+
+
+def test_the_largest_errors_are_apart_and_have_their_share() -> None:
+    rows = examples.predictions(0.0).query("drive == @examples.DRIVES[0]").assign(driven_deg=0.0)
+    table = rows.assign(model="net", elapsed_s=rows["frame"] / 10, predicted_deg=0.0)
+    table.loc[table["frame"].isin([10, 11]), "predicted_deg"] = [3.0, 1.0]
+    table.loc[table["frame"] == 25, "predicted_deg"] = -2.0
+    found = figures.largest_errors(table)
+    assert found["frame"].tolist()[:2] == [10, 25]
+    np.testing.assert_allclose(found["share"][:2], [10 / 14, 4 / 14])
+    assert len(found) == 2

@@ -85,7 +85,7 @@ def _predict(
                 drive = windows.read_drive(variant, labels, name, line["horizon"], line["motion"])
                 with frames.open_graphs(drive.graphs) as graphs:
                     predictions = [model.predict_with_sigma(graphs) for model in seeds]
-                found[name] = Case(drive, predictions, seeds[0].target.mean_rad)
+                found[name] = Case(drive, predictions, seeds[0].target)
     return {part: list(found.values()) for part, found in cases.items()}
 
 

@@ -17,7 +17,7 @@ from pipeline.base.errors import error_context
 from pipeline.base.params import SPLITS
 from pipeline.report import paper
 
-_BASELINES = ("zero", "train_mean", "persistence", "odometry", "odometry_lidar")
+_BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression", "odometry_lidar")
 _REQUIRED = {
     "model", "parameters", "edges_per_frame", "line.temporal", "test.frames", "test.nmse", "test.mae_deg",
     "test.nmse_std", "test.without_decisions.nmse", "test.baselines.zero.nmse",

@@ -8,7 +8,7 @@ with frames.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as grap
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -37,16 +37,18 @@ class Target:
     """Scale of the network's output, from the training drives: Θ = base + std · output.
 
     base is the measured angle of the window's last frame, 0 without motion; std is the standard deviation of the
-    residual Θ - base. So output 0 means the base angle. The mean of Θ is for the baseline train_mean. With uncertainty,
-    σ = std · sigma_factor · exp(second output), and the 95 % interval is ± interval_95 · σ. Both are chosen on the
-    validation drives: the highest likelihood of their errors, and the interval that contains 95 % of them, since large
-    errors are more frequent than in a normal distribution.
+    residual Θ - base. So output 0 means the base angle. The mean of Θ, and its regression coefficients on the measured
+    angles by kind of motion, are for baselines. With uncertainty, σ = std · sigma_factor · exp(second output), and the
+    95 % interval is ± interval_95 · σ. Both are chosen on the validation drives: the highest likelihood of their
+    errors, and the interval that contains 95 % of them, since large errors are more frequent than in a normal
+    distribution.
     """
 
     mean_rad: FiniteFloat
     std_rad: Annotated[FiniteFloat, Field(gt=0)]
     wheelbase_m: FiniteFloat
     min_speed_mps: FiniteFloat
+    coefficients: dict[str, FiniteFloat] = field(default_factory=dict)
     sigma_factor: FiniteFloat = 1.0
     interval_95: FiniteFloat = 1.96
 
@@ -55,11 +57,20 @@ class Target:
         steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
         residual = np.concatenate([(drive.steering_rad - drive.base_rad)[drive.valid] for drive in drives])
         std = max(float(residual.std()), 1e-6)  # 0 for a straight road
-        return cls(float(steering.mean()), std, **vars(drives[0].car))
+        coefficients = {kind: _coefficient(drives, kind) for kind in drives[0].measured_rad}
+        return cls(float(steering.mean()), std, **vars(drives[0].car), coefficients=coefficients)
 
     @property
     def car(self) -> windows.Car:
         return windows.Car(self.wheelbase_m, self.min_speed_mps)
+
+
+def _coefficient(drives: Sequence[windows.Drive], kind: str) -> float:
+    """Return the regression coefficient, without intercept, of the targets on the measured angle."""
+    known = [drive for drive in drives if kind in drive.measured_rad]
+    held = np.concatenate([drive.measured_rad[kind][drive.valid] for drive in known])
+    steering = np.concatenate([drive.steering_rad[drive.valid] for drive in known])
+    return float(np.nansum(held * steering) / max(np.nansum(held**2), 1e-12))
 
 
 class Prediction(NamedTuple):

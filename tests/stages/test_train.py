@@ -72,7 +72,15 @@ def test_a_trained_model_follows_the_bend(trained: Path) -> None:
     assert result["test"]["frames"] == 60 - 3
     best = load(trained / "train/net/best.pt")
     assert best["splits"] == SPLITS
-    assert set(best["target"]) == {"mean_rad", "std_rad", "wheelbase_m", "min_speed_mps", "sigma_factor", "interval_95"}
+    assert set(best["target"]) == {
+        "mean_rad",
+        "std_rad",
+        "wheelbase_m",
+        "min_speed_mps",
+        "coefficients",
+        "sigma_factor",
+        "interval_95",
+    }
     config = json.loads((trained / "train/net/config.json").read_text())
     assert config["best_epoch"] == best["epoch"] <= config["epochs"] == EPOCHS
     header, *rows = (trained / "train/net/curve.csv").read_text().splitlines()

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base import store
 from pipeline.report.judge import decisions, errors, paths
 from pipeline.sections.evaluate import Evaluate
-from pipeline.train.predict import Prediction
+from pipeline.train.predict import Prediction, Target
 from pipeline.train.windows import Drive
 
 
@@ -20,7 +20,7 @@ class Case:
 
     drive: Drive
     predictions: Sequence[Prediction]  # [S]
-    train_mean_rad: float
+    target: Target
 
     @cached_property
     def turns(self) -> decisions.Turns:
@@ -37,17 +37,21 @@ class Case:
 
         - zero: always straight ahead.
         - train_mean: the mean of the training targets.
+        - regression: ahead only, odometry times its regression coefficient on the training drives.
         - persistence: the last true angle before the target frame. No model gets it as input.
         - odometry: the angle measured at the last input frame, of the first of `kinds` of motion; `odometry_<kind>` for
           a second kind. NaN in a drive without measurements, for instance without scans.
         """
         angles = {
             "zero": np.zeros(len(self.drive.frame)),
-            "train_mean": np.full(len(self.drive.frame), self.train_mean_rad),
+            "train_mean": np.full(len(self.drive.frame), self.target.mean_rad),
             "persistence": self.drive.persistence_rad,
         }
-        names = [f"odometry_{kind}" if number else "odometry" for number, kind in enumerate(kinds)]
-        return angles | {name: self.drive.measured_rad[kind] for name, kind in zip(names, kinds, strict=True)}
+        for number, kind in enumerate(kinds):
+            held = angles[f"odometry_{kind}" if number else "odometry"] = self.drive.measured_rad[kind]
+            if self.drive.horizon and not number and kind in self.target.coefficients:
+                angles["regression"] = self.target.coefficients[kind] * held
+        return angles
 
     def track(self, settings: Evaluate) -> paths.Track:
         return paths.Track(

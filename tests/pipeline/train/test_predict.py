@@ -115,5 +115,7 @@ def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
     assert target.mean_rad == pytest.approx(plain.steering_rad[10:35].mean())
     assert target.std_rad == pytest.approx(plain.steering_rad[10:35].std())  # a constant base does not change it
     assert (target.wheelbase_m, target.min_speed_mps) == (2.7, 1.0)
+    held, steering = drive.measured_rad["lidar"][10:35], plain.steering_rad[10:35]
+    assert target.coefficients == {"lidar": pytest.approx(held @ steering / (held @ held))}
     drive.base_rad[:] = np.nan_to_num(drive.steering_rad) - 0.02
     assert predict.Target.from_drives([drive]).std_rad == pytest.approx(1e-6)

@@ -8,7 +8,7 @@ import pytest
 from pipeline.report.judge import by_frame, decisions
 from pipeline.report.judge.split import Case
 from pipeline.train import windows
-from pipeline.train.predict import Prediction
+from pipeline.train.predict import Prediction, Target
 from tests import artefacts
 
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
@@ -26,7 +26,7 @@ def test_a_row_per_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     turns = {NAMES[0]: np.array([4], np.int32), NAMES[1]: np.empty(0, np.int32)}
     monkeypatch.setattr(decisions, "read_turns", lambda drive: decisions.Turns(turns[drive.name], turns[drive.name]))
     predicted = [Prediction(np.full(9, 0.5)), Prediction(np.r_[np.nan, np.full(8, -0.1234567)])]
-    cases = [Case(drive, [seed], 0.0) for drive, seed in zip(drives, predicted, strict=True)]
+    cases = [Case(drive, [seed], Target(0.0, 1.0, 2.7, 1.0)) for drive, seed in zip(drives, predicted, strict=True)]
     by_frame.write_predictions(tmp_path / "new/predictions.csv", cases, 0)
     head, *rows = read(tmp_path / "new/predictions.csv")
     assert ",".join(head) == "drive,frame,time_s,speed_mps,steering_rad,predicted_rad,valid,onset,odometry_rad"

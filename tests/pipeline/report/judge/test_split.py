@@ -9,7 +9,7 @@ from pipeline.base.params import load
 from pipeline.report.judge import split
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import windows
-from pipeline.train.predict import Prediction
+from pipeline.train.predict import Prediction, Target
 from tests import artefacts
 
 PARAMS = Path(__file__).resolve().parents[4] / "params.yaml"
@@ -22,7 +22,7 @@ def drives(folder: Path, write: object = artefacts.write_graphs, horizon: int = 
 
 
 def case(drive: windows.Drive, *seeds: np.ndarray, mean: float = 0.0) -> split.Case:
-    return split.Case(drive, [Prediction(angles) for angles in seeds], mean)
+    return split.Case(drive, [Prediction(angles) for angles in seeds], Target(mean, 1.0, 2.7, 1.0, {"visual": 0.5}))
 
 
 def metrics(cases: list[split.Case]) -> dict:
@@ -79,9 +79,11 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
         baselines()["baselines"],
         windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4),
     )
-    assert list(found) == ["zero", "train_mean", "persistence", "odometry"]
+    assert list(found) == ["zero", "train_mean", "persistence", "odometry", "regression"]
     ahead = np.concatenate([drive.steering_rad[5:] - drive.steering_rad[:25] for drive in (first, second)])
     assert found["odometry"]["mse_rad2"] == pytest.approx(np.mean(ahead**2), rel=1e-4)
+    half = np.concatenate([drive.steering_rad[5:] - 0.5 * drive.steering_rad[:25] for drive in (first, second)])
+    assert found["regression"]["mse_rad2"] == pytest.approx(np.mean(half**2), rel=1e-4)
     assert found["persistence"]["mse_rad2"] == pytest.approx(np.mean(ahead**2))
     artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[1]}.h5", "lidar", second.steering_rad, np.zeros(30, bool))
     found = baselines()

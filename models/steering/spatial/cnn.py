@@ -41,8 +41,7 @@ class SteeringCNN(nn.Module):
     def forward(self, batch: ImageBatch) -> Tensor:
         """Return [B,F]. Independent of the other images in the batch."""
         maps = self.convolutions(standardise(batch.image, self.bias.dtype)).flatten(2)  # [B,8,hw]
-        # Without a last ReLU, under which all features of a seed in three became 0 for every image.
-        return (torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias).flatten(1)
+        return (torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias).relu().flatten(1)
 
 
 def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:

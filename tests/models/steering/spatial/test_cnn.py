@@ -34,7 +34,7 @@ def test_the_layers_are_those_of_the_ncp_paper(network):
             x = functional.conv2d(functional.pad(x, [margin] * 4), layer.weight, layer.bias, layer.stride).relu()
         assert x.shape == (1, 8, 5, 7)  # 33 × 50 halved three times, rounded up
         dense = [x[0, number].flatten() @ network.weight[number] + network.bias[number] for number in range(8)]
-        expected.append(torch.cat(dense))
+        expected.append(torch.cat(dense).relu())
     torch.testing.assert_close(network(batch), torch.stack(expected), **TOLERANCE)
 
 

@@ -68,9 +68,9 @@ class Target:
 def _coefficient(drives: Sequence[windows.Drive], kind: str) -> float:
     """Return the regression coefficient, without intercept, of the targets on the measured angle."""
     known = [drive for drive in drives if kind in drive.measured_rad]
-    held = np.concatenate([drive.measured_rad[kind][drive.valid] for drive in known])
+    measured = np.concatenate([drive.measured_rad[kind][drive.valid] for drive in known])
     steering = np.concatenate([drive.steering_rad[drive.valid] for drive in known])
-    return float(np.nansum(held * steering) / max(np.nansum(held**2), 1e-12))
+    return float(np.nansum(measured * steering) / max(np.nansum(measured**2), 1e-12))
 
 
 class Prediction(NamedTuple):

@@ -48,9 +48,9 @@ class Case:
             "persistence": self.drive.persistence_rad,
         }
         for number, kind in enumerate(kinds):
-            held = angles[f"odometry_{kind}" if number else "odometry"] = self.drive.measured_rad[kind]
-            if self.drive.horizon and not number and kind in self.target.coefficients:
-                angles["regression"] = self.target.coefficients[kind] * held
+            angles[f"odometry_{kind}" if number else "odometry"] = self.drive.measured_rad[kind]
+        if self.drive.horizon and kinds and kinds[0] in self.target.coefficients:
+            angles["regression"] = self.target.coefficients[kinds[0]] * angles["odometry"]
         return angles
 
     def track(self, settings: Evaluate) -> paths.Track:

@@ -59,7 +59,7 @@ class Chain:
         for frame in frames:
             frame.estimates = {kind: estimator.estimate(frame) for kind, estimator in self._estimators.items()}
             if self.odometry:
-                frame.problem, frame.road_height_m = self.odometry.problem, self.odometry.road.height_m
+                frame.problem, frame.road_height_m = self.odometry.problem, self.odometry.road.frame_height_m
             yield frame
 
 

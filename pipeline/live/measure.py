@@ -1,6 +1,7 @@
 """Measure the motion of a car from the frames of a source: a CSV file, a video, the track, and their quality."""
 
 import math
+from collections import deque
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from itertools import islice
@@ -18,7 +19,7 @@ from pipeline.live.course import add_courses
 from pipeline.live.frame_state import Course, FrameState
 from pipeline.live.results import MOTION, QUALITY, TRACK, Results, write_results
 from pipeline.live.source import ROTATE, Source
-from pipeline.motion.visual import PITCHES, Odometry
+from pipeline.motion.visual import Odometry
 from pipeline.report import drawing
 from pipeline.sections.perception import Perception
 from pipeline.train.windows import Car
@@ -27,7 +28,8 @@ SIZE = (192, 640)  # of images, as the depth network was trained
 FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 MAX_SPREAD = 0.15  # of the road's heights
-MAX_PITCHED_RAD = math.radians(20.0)  # what yaw is to a car is pitch to a camera that lies on its side
+# On its side, a camera pitches where the car turns. On KITTI's drives, pitch changes by up to 3.4 degrees in 5 s.
+MAX_PITCH_RAD, MAX_STEP_PITCH_RAD, PITCH_S = math.radians(20.0), math.radians(3.0), 5.0
 
 
 def measure(
@@ -40,17 +42,15 @@ def measure(
         max_frames: measure only these first frames; None: all.
         visible: show a progress bar.
     Raises:
-        InputError: the encoder has no network, no frame can be read, or the camera turns like one on its side.
+        InputError: the encoder has no network, no frame can be read, or the images seem to be rotated.
     """
     with closing(_first(source.frames, max_frames)) as frames:
         chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_m is not None)
         assert chain.odometry
-        measured = add_courses(prefetch(chain.run(frames), 1), car, smooth=True)
+        upright = _refuse_rotated(prefetch(chain.run(frames), 1), source.path)
+        measured = add_courses(upright, car, smooth=True)
         names, show = (MOTION, TRACK, QUALITY), {"video": video, "visible": visible}
         with write_results(measured, source, out, names, car, warm_up=1, **show) as (folder, results):
-            if (pitched_rad := chain.odometry.pitched_rad) > MAX_PITCHED_RAD:
-                pitches = f"the camera pitches by {math.degrees(pitched_rad):.0f} degrees within {PITCHES} frames"
-                raise InputError(f"{pitches}. Is it rotated by 90 degrees?", source.path, ROTATE)
             quality = _quality(results.road_heights_m, chain.odometry, source.height_m)
             store.write_json(folder / QUALITY, quality)
             _draw_track(folder / TRACK, source.name, results.courses)
@@ -60,6 +60,25 @@ def measure(
 def _first(frames: Generator[FrameState], count: int | None) -> Generator[FrameState]:
     with closing(frames):
         yield from islice(frames, count)
+
+
+def _refuse_rotated(frames: Generator[FrameState], path: Path) -> Generator[FrameState]:
+    """Yield the frames; raise InputError when pitch has changed by more than MAX_PITCH_RAD in PITCH_S.
+
+    A step counts at most MAX_STEP_PITCH_RAD, so that a single wrong one is not enough. Closes `frames`.
+    """
+    steps: deque[tuple[float, float]] = deque()  # time and pitch
+    with closing(frames):
+        for frame in frames:
+            if frame.estimate:
+                pitch_rad = math.asin(float(np.clip(frame.estimate.step.T_before[2, 1], -1, 1)))
+                steps.append((frame.time_s, min(max(pitch_rad, -MAX_STEP_PITCH_RAD), MAX_STEP_PITCH_RAD)))
+            while steps and steps[0][0] < frame.time_s - PITCH_S:
+                steps.popleft()
+            if abs(pitched_rad := sum(pitch_rad for _, pitch_rad in steps)) > MAX_PITCH_RAD:
+                pitched = f"the camera's pitch changes by {math.degrees(abs(pitched_rad)):.0f} degrees in {PITCH_S:g} s"
+                raise InputError(f"{pitched}. Is it rotated by 90 degrees?", path, ROTATE)
+            yield frame
 
 
 def _quality(road_heights_m: Sequence[float], odometry: Odometry, height_m: float | None) -> dict[str, Any]:

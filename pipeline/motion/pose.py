@@ -14,9 +14,10 @@ import numpy as np
 from pipeline.camera.geometry import project
 
 MIN_POINTS = 20
-# Minimum inlier ratios after RANSAC and after refinement. With 0.6 after it, 4.1 % of the frames of Udacity's drive,
-# whose narrow view shows little of the road, cannot be measured, with 0.4 0.8 %.
-MIN_RANSAC_INLIERS, MIN_INLIERS = 0.3, 0.4
+# Minimum inlier ratios after RANSAC and after refinement: in a queue of cars, the largest rigid motion can be theirs. A
+# motion that differs by at most SIMILAR_DEG and SIMILAR_M from the previous one needs fewer.
+MIN_RANSAC_INLIERS, MIN_INLIERS, MIN_INLIERS_SIMILAR = 0.3, 0.6, 0.4
+SIMILAR_DEG, SIMILAR_M = 1.0, 0.5
 RANSAC_PX = 2.0  # reprojection error of an inlier
 RANSAC_ITERATIONS = 100
 PIXEL_SIGMA = 0.3
@@ -24,6 +25,7 @@ CAUCHY = 2.0  # residual in sigmas at which the weight is a half
 ITERATIONS = 6
 INLIER_SIGMAS = 3.0
 MIN_DEPTH_M = 0.3  # points closer than this to the camera get no weight
+BEHIND = 1e4  # their squared Mahalanobis distance: outliers
 
 
 class Pose(NamedTuple):
@@ -40,7 +42,7 @@ class Pose(NamedTuple):
 
 
 def estimate_pose(
-    xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray, T_last: np.ndarray | None = None
+    xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray, T_before_last: np.ndarray | None = None
 ) -> Pose | None:
     """Return the motion that maps points to their pixels; None if too few are inliers or they do not constrain it.
 
@@ -49,18 +51,18 @@ def estimate_pose(
         uv: their pixels in this frame [N,2].
         K: intrinsics [3,3].
         depth_sigma: relative standard deviation of each point's depth [N].
-        T_last: the last motion [4,4], if known: a second initial value beside RANSAC's.
+        T_before_last: the T_now_before [4,4] of the previous step, a second initial value; None: unknown.
     """
     if len(xyz) < MIN_POINTS:
         return None
-    points = xyz, uv, K, depth_sigma
-    fits = [_refine(T, *points) for T in (_ransac(xyz, uv, K), T_last) if T is not None]
-    fits = [fit for fit in fits if np.isfinite(fit.cost)]
+    starts = [T for T in (_ransac(xyz, uv, K), T_before_last) if T is not None]
+    fits = [fit for T in starts if (fit := _refine(T, xyz, uv, K, depth_sigma))]
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.cost)
+    similar = T_before_last is not None and _similar(best.T, T_before_last)
     inliers = best.squared_distance < INLIER_SIGMAS**2
-    if inliers.sum() < max(MIN_POINTS, MIN_INLIERS * len(xyz)):
+    if inliers.sum() < max(MIN_POINTS, (MIN_INLIERS_SIMILAR if similar else MIN_INLIERS) * len(xyz)):
         return None
     focal = _focal_step(best.T, xyz, uv, K, best.error, best.weight * inliers[:, None, None], best.jacobian)
     return Pose(best.T, inliers, float(np.median(np.linalg.norm(best.error[inliers], axis=-1))), *focal)
@@ -80,6 +82,13 @@ def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None
     return T
 
 
+def _similar(T: np.ndarray, other: np.ndarray) -> bool:
+    import cv2
+
+    turned_rad = np.linalg.norm(cv2.Rodrigues(T[:3, :3] @ other[:3, :3].T)[0])
+    return bool(turned_rad < np.radians(SIMILAR_DEG) and np.linalg.norm(T[:3, 3] - other[:3, 3]) < SIMILAR_M)
+
+
 class _Fit(NamedTuple):
     """A refined motion [4,4] and its robust cost; at it, squared Mahalanobis distances [N], results of _linearise."""
 
@@ -91,10 +100,10 @@ class _Fit(NamedTuple):
     jacobian: np.ndarray
 
 
-def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> _Fit:
+def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> _Fit | None:
     """Return the motion of least robust cost near `T` [4,4], by Gauss-Newton steps with Cauchy's weights.
 
-    The cost is not finite if the points do not constrain it: all behind the camera, or all at one place.
+    None if the points do not constrain it: all behind the camera, or all at one place.
     """
     import cv2
 
@@ -107,11 +116,11 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
         try:
             change = -np.linalg.solve(normal, gradient)
         except np.linalg.LinAlgError:
-            return _Fit(T, np.inf, np.empty(0), error, weight, jacobian)
+            return None
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
     error, weight, jacobian = _linearise(T, xyz, uv, K, depth_sigma)
-    squared_distance = _squared_mahalanobis(error, weight)
+    squared_distance = np.where(weight.any(axis=(1, 2)), _squared_mahalanobis(error, weight), BEHIND)
     cost = float(np.log1p(squared_distance / CAUCHY**2).sum())
     return _Fit(T, cost, squared_distance, error, weight, jacobian)
 

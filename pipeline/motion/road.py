@@ -4,6 +4,7 @@ Depth networks are accurate on the road, which they learn from perspective, and 
 2011_10_03_0042, trees get a third of their distance while the road is right to a tenth.
 """
 
+import math
 from collections import deque
 
 import numpy as np
@@ -28,6 +29,8 @@ class Road:
         self._right = ((np.arange(size[1]) - K[0, 2]) / K[0, 0])[None]
         self._camera_height_m = camera_height_m
         self._heights: deque[float] = deque(maxlen=HEIGHTS)
+        self.frame_height_m = math.nan
+        """The last frame's height of the camera over the road in uncorrected depth; NaN where no road was found."""
         self._ways: deque[tuple[float, float]] = deque(maxlen=STEPS)  # metres down and ahead, of forward steps
 
     def find(self, depth_m: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, float]:
@@ -38,10 +41,11 @@ class Road:
         below = self._down - self.slope  # of the plane along the direction of travel
         height_m = depth_m * below.astype(np.float32)
         in_front = (below > 1 / PATCH_LENGTH) & (np.abs(self._right) < PATCH_HALF_WIDTH * below)
-        patch = height_m[usable & in_front]
+        patch, self.frame_height_m = height_m[usable & in_front], math.nan
         if len(patch) > MIN_VISIBLE * in_front.sum():
             median = float(np.median(patch))
             if (np.abs(patch / median - 1) < FLAT).mean() > MIN_FLAT:
+                self.frame_height_m = median
                 self._heights.append(median)
         if not self._heights:
             return np.zeros(depth_m.shape, bool), 1.0

@@ -1,7 +1,5 @@
 """Visual odometry from images and their depth: track corners, lift them to 3D, estimate the pose."""
 
-from collections import deque
-
 import numpy as np
 
 from pipeline.camera import classes
@@ -23,7 +21,6 @@ ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road ha
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
 STANDSTILL = ("the image does not move", "the camera stands")
 STANDSTILL_PX = 0.1  # the car stands if half of the corners move less
-PITCHES = 50  # steps over which pitch is summed
 
 
 class Odometry:
@@ -49,9 +46,6 @@ class Odometry:
         """Why the last step could not be measured; empty if it was."""
         self.focal = np.zeros(2)
         """Sums of :class:`Pose`'s gradient and information of the focal length."""
-        self._pitches_rad: deque[float] = deque(maxlen=PITCHES)
-        self.pitched_rad = 0.0
-        """The largest change of pitch over PITCHES measured steps: up to 0.06 on KITTI's drives."""
 
     def step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
@@ -63,18 +57,16 @@ class Odometry:
         self._T_before = step.T_before if step else None
         if step:
             self.road.add_step(step.T_before)
-            self._pitches_rad.append(float(np.arcsin(np.clip(step.T_before[2, 1], -1, 1))))
-            self.pitched_rad = max(self.pitched_rad, abs(sum(self._pitches_rad)))
         self._number, self._grey, self._points = frame.number, grey, self._lift(frame, grey)
         return step
 
     def _measure(self, grey: np.ndarray) -> Step | None:
         xyz, depth_sigma, scale = self._points
         uv_before = project(xyz, self._K)[0]
-        uv_guess, T_last = uv_before, None
+        uv_guess, T_before_last = uv_before, None
         if self._T_before is not None:  # assume constant motion
-            T_last = np.linalg.inv(self._T_before)
-            uv, z = project(transform(T_last, xyz), self._K)
+            T_before_last = np.linalg.inv(self._T_before)
+            uv, z = project(transform(T_before_last, xyz), self._K)
             uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv, uv_before)
         uv, tracked = track(self._grey, grey, self._larger(uv_before), self._larger(uv_guess))
         xyz, uv_before, uv = xyz[tracked], uv_before[tracked], self._smaller(uv[tracked])
@@ -84,7 +76,7 @@ class Odometry:
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
             self.problem = STANDSTILL[0]
             return None
-        pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked], T_last)
+        pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked], T_before_last)
         if pose is None:
             self.problem = "no common motion of the scene"
             return None

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 class InputError(Exception):
     """A fault in a file, a parameter or the machine, which the user can fix.
 
-    Rendered as ``<where>: <problem>. <fix>``. :func:`pipeline.base.console.run` prints it and exits with status 1.
+    Rendered as ``<where>: <problem>. <fix>``, without the full stop after a question mark.
+    :func:`pipeline.base.console.run` prints it and exits with status 1.
     """
 
     def __init__(self, problem: str, where: object = "", fix: str = "") -> None:

@@ -20,9 +20,9 @@ _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 CHAIN_POINTS, PRUNING_POINTS = 300, 100
 MAX_MODELS = 4  # models with a path in Figure 4
 MAX_COLUMNS = 4  # panels side by side
-ERRORS, APART_S = 6, 1.0  # frames with the largest errors, and the time around each from which no other one comes
+MAX_ERRORS, APART_S = 6, 1.0  # frames with the largest errors, and the least time between them
 FORMULA = {"bicycle": "bicycle model", "paper": "the paper's formula, which takes the steering angle as heading"}
-LARGEST = "errors"  # first part of the names of figures with the largest errors
+ERRORS = "errors"  # the figures with the largest errors are called errors-HORIZON
 Captions = dict[str, str]
 """Name of the file without suffix → caption."""
 
@@ -42,7 +42,7 @@ def draw(out: Path, results: Results, data: Path) -> Captions:
             captions |= _draw_images(out, best, steering, data)
             captions |= _draw_pruning(out, best, data / "evaluate" / best["model"] / "structure.json")
             captions |= _draw_paths(out, models[:MAX_MODELS], results)
-        captions |= _draw_errors(out / f"{LARGEST}-{horizon}", best, steering, data / "ingest")
+        captions |= _draw_errors(out / f"{ERRORS}-{horizon}", best, steering, data / "ingest")
     return captions
 
 
@@ -152,15 +152,14 @@ def _draw_pruning(out: Path, model: pd.Series, path: Path) -> Captions:
 
 def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
     """Return the rows with the largest errors, with the `share` of the squared error within APART_S of each."""
-    left = predictions.dropna(subset=["driven_deg", "predicted_deg"])
-    left = left.assign(cost=(left["predicted_deg"] - left["driven_deg"]) ** 2).query("cost > 0")
-    total = left["cost"].sum()
-    found: list[dict[str, Any]] = []
-    while len(left) and len(found) < ERRORS:
-        row = left.loc[left["cost"].idxmax()]
-        near = (left["drive"] == row["drive"]) & ((left["elapsed_s"] - row["elapsed_s"]).abs() <= APART_S)
-        found.append({**row, "share": left["cost"][near].sum() / total})
-        left = left[~near]
+    rows = predictions.dropna(subset=["driven_deg", "predicted_deg"])
+    rows = rows.assign(cost=(rows["predicted_deg"] - rows["driven_deg"]) ** 2).query("cost > 0")
+    remaining, found = rows, list[dict[str, Any]]()
+    while len(remaining) and len(found) < MAX_ERRORS:
+        row = remaining.loc[remaining["cost"].idxmax()]
+        near = (rows["drive"] == row["drive"]) & ((rows["elapsed_s"] - row["elapsed_s"]).abs() <= APART_S)
+        found.append({**row, "share": rows["cost"][near].sum() / rows["cost"].sum()})
+        remaining = remaining[~near[remaining.index]]
     return pd.DataFrame(found)
 
 
@@ -173,20 +172,21 @@ def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest
             shown.append((row, image))
     if not shown:
         return {}
+    horizon = model["line.horizon"]
+    ahead = f"{horizon} frames later " if horizon else ""
     (height, width), lines = shown[0][1].shape[:2], -(-len(shown) // 2)
     figure = Figure(figsize=(12, (6 * height / width + 0.3) * lines), layout="constrained")
     for panel in figure.subplots(lines, 2, squeeze=False).ravel():
         panel.set_axis_off()
     for panel, (row, image) in zip(figure.axes, shown, strict=False):
         panel.imshow(image)
-        angles = f"driven {row['driven_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
+        angles = f"{ahead}driven {row['driven_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
         title = f"{row['drive']}, frame {row['frame']}: {angles}; {row['share']:.0%} of the squared error"
         panel.set_title(title, fontsize="small", loc="left")
     _save(figure, path)
-    horizon = model["line.horizon"]
     caption = (
-        f"Largest errors of {model['model']}{f', {horizon} frames ahead' if horizon else ''}: the last image of its "
-        f"input, angles (left +), and the share of the squared error that lies within {APART_S:g} s."
+        f"Largest errors of {model['model']}, first seed: the last image of its input, angles (left +), and the share "
+        f"of the squared error that lies within {APART_S:g} s."
     )
     return {path.name: caption}
 
@@ -196,6 +196,8 @@ def _read_image(path: Path, number: int) -> np.ndarray | None:
     if not path.is_file():
         return None
     with store.DriveReader(path, stage="ingest") as images:
+        if number not in images.frame:
+            return None
         row = images.row_of(number)
         return images.row("image", row) if images["has_image"][row] else None
 

@@ -16,7 +16,7 @@ from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.report import plots
 from pipeline.report.dvc_files import load_curves
-from pipeline.report.figures import LARGEST
+from pipeline.report.figures import ERRORS
 from pipeline.report.results import Results
 from pipeline.report.tables import Table
 
@@ -62,7 +62,7 @@ def write_page(
     sections: dict[str, Content] = {
         "Results": tables[:1],
         **_steering(results),
-        "Largest errors": [pictures.pop(name) for name in [*pictures] if name.startswith(LARGEST)],
+        "Largest errors": [pictures.pop(name) for name in [*pictures] if name.startswith(ERRORS)],
         "Figures of the paper": [*pictures.values()],
         "Graphs in 3D": _graphs(results, data / "evaluate"),
         "Learning curves": _learning([*results.models["model"]], data / "train"),

@@ -57,20 +57,17 @@ class Target:
         steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
         residual = np.concatenate([(drive.steering_rad - drive.base_rad)[drive.valid] for drive in drives])
         std = max(float(residual.std()), 1e-6)  # 0 for a straight road
-        coefficients = {kind: _coefficient(drives, kind) for kind in drives[0].measured_rad}
+        coefficients = {}
+        for kind in [kind for kind in drives[0].measured_rad if all(kind in drive.measured_rad for drive in drives)]:
+            measured = np.concatenate([drive.measured_rad[kind][drive.valid] for drive in drives])
+            known = np.isfinite(measured)
+            if measured[known].any():
+                coefficients[kind] = float(measured[known] @ steering[known] / (measured[known] @ measured[known]))
         return cls(float(steering.mean()), std, **vars(drives[0].car), coefficients=coefficients)
 
     @property
     def car(self) -> windows.Car:
         return windows.Car(self.wheelbase_m, self.min_speed_mps)
-
-
-def _coefficient(drives: Sequence[windows.Drive], kind: str) -> float:
-    """Return the regression coefficient, without intercept, of the targets on the measured angle."""
-    known = [drive for drive in drives if kind in drive.measured_rad]
-    measured = np.concatenate([drive.measured_rad[kind][drive.valid] for drive in known])
-    steering = np.concatenate([drive.steering_rad[drive.valid] for drive in known])
-    return float(np.nansum(measured * steering) / max(np.nansum(measured**2), 1e-12))
 
 
 class Prediction(NamedTuple):

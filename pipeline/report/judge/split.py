@@ -37,10 +37,10 @@ class Case:
 
         - zero: always straight ahead.
         - train_mean: the mean of the training targets.
-        - regression: ahead only, odometry times its regression coefficient on the training drives.
         - persistence: the last true angle before the target frame. No model gets it as input.
         - odometry: the angle measured at the last input frame, of the first of `kinds` of motion; `odometry_<kind>` for
           a second kind. NaN in a drive without measurements, for instance without scans.
+        - regression: ahead only, odometry times its regression coefficient on the training drives.
         """
         angles = {
             "zero": np.zeros(len(self.drive.frame)),

@@ -37,6 +37,31 @@ def test_no_pose_from_degenerate_points(seed: int) -> None:
     assert estimate_pose(xyz, rng.uniform(0, 96, (POINTS, 2)), K, sigma) is None
 
 
+def test_half_of_the_points_are_enough_only_for_a_motion_like_the_previous_one() -> None:
+    _, xyz = street(np.random.default_rng(0))
+    forth, lorry = np.linalg.inv(pose(0, 0, 1.0)), np.linalg.inv(pose(0.1, 0.5, -1.0))
+    static = np.arange(POINTS) % 20 < 11
+    uv = np.where(static[:, None], project(transform(forth, xyz), K)[0], project(transform(lorry, xyz), K)[0])
+    sigma = np.full(POINTS, 0.1)
+    assert estimate_pose(xyz, uv, K, sigma) is None
+    assert estimate_pose(xyz, uv, K, sigma, np.linalg.inv(pose(0, 0, 3.0))) is None
+    found = estimate_pose(xyz, uv, K, sigma, np.linalg.inv(pose(0, 0, 1.2)))
+    assert found
+    np.testing.assert_allclose(found.T_now_before, forth, atol=0.01)
+
+
+@pytest.mark.parametrize("seed", [21, 23, 39])
+def test_points_behind_the_camera_are_outliers(seed: int) -> None:
+    """Otherwise, from so wrong a start, a motion past most points would fit best."""
+    rng = np.random.default_rng(seed)
+    uv, xyz = street(rng)
+    near = xyz * (rng.uniform(1, 8, POINTS) / xyz[:, 2])[:, None]
+    uv[:12] += 30.0
+    found = estimate_pose(near, uv, K, np.full(POINTS, 0.5), np.linalg.inv(pose(0, 0, 7.0)))
+    assert found
+    np.testing.assert_allclose(found.T_now_before, np.eye(4), atol=0.05)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_last_motion_is_a_start_where_most_depths_are_wrong(seed: int) -> None:
     rng = np.random.default_rng(seed)

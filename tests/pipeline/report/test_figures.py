@@ -31,12 +31,31 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
 
 
+def test_each_horizon_has_its_largest_errors_where_images_are_there(tmp_path: Path) -> None:
+    drive = examples.DRIVES[0]
+    street.write_drive(tmp_path / "ingest", drive, 9)  # of 30 frames
+    table = examples.predictions(0.01)
+    for horizon in (0, 10):
+        examples.write_model(tmp_path, examples.metrics(f"net-{horizon}", horizon=horizon), table)
+    captions = figures.draw(
+        tmp_path / "figures", examples.load_results(tmp_path / "evaluate", ["net-0", "net-10"]), tmp_path
+    )
+    assert [*captions] == ["paths"]  # the images of the largest errors, frames 7 and later, are not there
+    table.loc[table["frame"] == 8, "predicted_rad"] = 1.0
+    examples.write_model(tmp_path, examples.metrics("net-10", horizon=10), table)
+    captions = figures.draw(tmp_path / "figures", examples.load_results(tmp_path / "evaluate", ["net-10"]), tmp_path)
+    assert [*captions] == ["errors-10"]
+
+
 def test_the_largest_errors_are_apart_and_have_their_share() -> None:
-    rows = examples.predictions(0.0).query("drive == @examples.DRIVES[0]").assign(driven_deg=0.0)
-    table = rows.assign(model="net", elapsed_s=rows["frame"] / 10, predicted_deg=0.0)
-    table.loc[table["frame"].isin([10, 11]), "predicted_deg"] = [3.0, 1.0]
-    table.loc[table["frame"] == 25, "predicted_deg"] = -2.0
+    rows = examples.predictions(0.0).assign(driven_deg=0.0, predicted_deg=0.0)
+    table = rows.assign(elapsed_s=rows["frame"] / 10).reset_index(drop=True)
+    first, frame = table["drive"] == examples.DRIVES[0], table["frame"]
+    for number, error in ((10, 3.0), (15, 1.0), (25, -2.0)):
+        table.loc[first & (frame == number), "predicted_deg"] = error
+    table.loc[~first & (frame == 10), "predicted_deg"] = 2.5
     found = figures.largest_errors(table)
-    assert found["frame"].tolist()[:2] == [10, 25]
-    np.testing.assert_allclose(found["share"][:2], [10 / 14, 4 / 14])
-    assert len(found) == 2
+    assert found[["drive", "frame"]].to_numpy().tolist() == [
+        [examples.DRIVES[0], 10], [examples.DRIVES[1], 10], [examples.DRIVES[0], 25]
+    ]  # fmt: skip
+    np.testing.assert_allclose(found["share"] * 20.25, [10, 6.25, 5])  # 15 counts for both of its neighbours

@@ -71,8 +71,8 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
         if name == NAMES[0]:
             artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "lidar", drive.steering_rad)
 
-    def baselines() -> dict:
-        again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, 5)
+    def baselines(horizon: int = 5) -> dict:
+        again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, horizon)
         return metrics([case(drive, np.zeros(30)) for drive in again])
 
     found, (first, second) = (
@@ -80,6 +80,7 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
         windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4),
     )
     assert list(found) == ["zero", "train_mean", "persistence", "odometry", "regression"]
+    assert list(baselines(0)["baselines"]) == ["zero", "train_mean", "persistence", "odometry"]
     ahead = np.concatenate([drive.steering_rad[5:] - drive.steering_rad[:25] for drive in (first, second)])
     assert found["odometry"]["mse_rad2"] == pytest.approx(np.mean(ahead**2), rel=1e-4)
     half = np.concatenate([drive.steering_rad[5:] - 0.5 * drive.steering_rad[:25] for drive in (first, second)])

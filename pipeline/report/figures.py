@@ -173,20 +173,20 @@ def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest
     if not shown:
         return {}
     horizon = model["line.horizon"]
-    ahead = f"{horizon} frames later " if horizon else ""
+    ahead = f" {horizon} frames later" if horizon else ""
     (height, width), lines = shown[0][1].shape[:2], -(-len(shown) // 2)
     figure = Figure(figsize=(12, (6 * height / width + 0.3) * lines), layout="constrained")
     for panel in figure.subplots(lines, 2, squeeze=False).ravel():
         panel.set_axis_off()
     for panel, (row, image) in zip(figure.axes, shown, strict=False):
         panel.imshow(image)
-        angles = f"{ahead}driven {row['driven_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
-        title = f"{row['drive']}, frame {row['frame']}: {angles}; {row['share']:.0%} of the squared error"
+        angles = f"driven {row['driven_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
+        title = f"{row['drive']}, frame {row['frame']}: {angles}, share {row['share']:.0%}"
         panel.set_title(title, fontsize="small", loc="left")
     _save(figure, path)
     caption = (
-        f"Largest errors of {model['model']}, first seed: the last image of its input, angles (left +), and the share "
-        f"of the squared error that lies within {APART_S:g} s."
+        f"Largest errors of {model['model']}, first seed: the last image of its input, angles{ahead} (left +), and the "
+        f"share of the squared error that lies within {APART_S:g} s."
     )
     return {path.name: caption}
 

@@ -75,7 +75,7 @@ def draw(path: Path, time_s: np.ndarray, wheel_rad: np.ndarray, predicted: Mappi
     """Write a PNG of the true angle and of predictions over time, all [F]."""
     from matplotlib.figure import Figure
 
-    from pipeline.report import drawing
+    from pipeline.drawing import figure_file
 
     figure = Figure((10, 4), layout="constrained")
     axes = figure.add_subplot()
@@ -84,7 +84,7 @@ def draw(path: Path, time_s: np.ndarray, wheel_rad: np.ndarray, predicted: Mappi
         axes.plot(time_s, np.rad2deg(angle), linewidth=1, label=name)
     axes.set(xlabel="time, s", ylabel="steering wheel, deg, left +")
     axes.legend()
-    drawing.save(figure, path)
+    figure_file.save(figure, path)
 
 
 def main(

@@ -15,7 +15,8 @@ import typer
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
-from pipeline.kitti import steering_file
+from pipeline.kitti.raw import STEERING_FILE
+from pipeline.labels import steering_file
 
 
 class Part(NamedTuple):
@@ -31,9 +32,9 @@ PARTS = {"0002": Part(0, 0, 1000), "0003": Part(1000, 1000, 1200), "0004": Part(
 
 def main(drive: Annotated[Path, typer.Argument(help="the drive that steer import wrote, with --wheel")]) -> list[Path]:
     """Write the three drives, with hard links to the images, over earlier ones. Return their folders."""
-    if "_drive_0001_" not in drive.name or not (drive / steering_file.NAME).is_file():
+    if "_drive_0001_" not in drive.name or not (drive / STEERING_FILE).is_file():
         raise InputError("expected a drive 0001 with steering.csv", drive, "Import it: steer import, option --wheel")
-    angles, images = steering_file.read(drive / steering_file.NAME), sorted((drive / "image_02/data").iterdir())
+    angles, images = steering_file.read(drive / STEERING_FILE), sorted((drive / "image_02/data").iterdir())
     folders = []
     for number, part in PARTS.items():
         folder = drive.with_name(drive.name.replace("0001", number))
@@ -44,7 +45,7 @@ def main(drive: Annotated[Path, typer.Argument(help="the drive that steer import
             if part.first <= int(image.stem) < part.stop:
                 os.link(image, folder / "image_02/data" / image.name)
         labelled = {frame: angle for frame, angle in angles.items() if part.labelled <= frame < part.stop}
-        steering_file.write(folder / steering_file.NAME, labelled)
+        steering_file.write(folder / STEERING_FILE, labelled)
         folders.append(folder)
     return folders
 

@@ -43,8 +43,8 @@ def check_encoder(encoder: Encoder) -> None:
     import torch
 
     from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
-    from pipeline.encoder import precomputed
-    from pipeline.encoder.weights import check_available
+    from pipeline.perception import precomputed
+    from pipeline.perception.weights import check_available
 
     networks: dict[str, Encoder | Teacher] = {"encoder": encoder}
     if encoder.folder:

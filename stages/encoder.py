@@ -28,8 +28,8 @@ def main(
     import torch
 
     from models.encoder.unified_encoder import UnifiedEncoder
-    from pipeline.encoder import perceive
-    from pipeline.encoder.weights import fill, unfilled
+    from pipeline.perception import perceive
+    from pipeline.perception.weights import fill, unfilled
 
     splits = store.read_index(ingest, stage="ingest") if settings.epochs else {}  # fitted weights need no drive
     drives = {drive: split for drive, split in splits.items() if split in settings.splits}
@@ -73,8 +73,8 @@ def _fit(
     """
     import torch
 
-    from pipeline.encoder import fit, supervision
-    from pipeline.encoder.examples import Examples
+    from pipeline.perception import fit, supervision
+    from pipeline.perception.examples import Examples
 
     teacher = None
     if settings.teacher:
@@ -101,7 +101,7 @@ def _fit(
 
 
 def _use_precomputed(settings: Encoder, folder: Path, out: Path) -> Path:
-    from pipeline.encoder import precomputed
+    from pipeline.perception import precomputed
 
     files, fingerprint = precomputed.fingerprint(folder)
     config = {"weights": str(folder), "files": files, "fingerprint": fingerprint}

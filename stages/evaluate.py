@@ -10,8 +10,8 @@ from pipeline.base import console, store
 from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
-from pipeline.report.judge import by_frame
-from pipeline.report.judge.split import Case, inputs, metrics
+from pipeline.evaluate import by_frame
+from pipeline.evaluate.split import Case, inputs, metrics
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import frames, predict, runs, windows
 

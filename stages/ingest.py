@@ -11,7 +11,7 @@ from pipeline.base.params import load
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.geometry import scale_K
 from pipeline.camera.images import crop_to
-from pipeline.kitti import oxts, steering_file
+from pipeline.kitti import oxts
 from pipeline.kitti.ingest_file import (
     PIXELS,
     TolerantReader,
@@ -22,6 +22,7 @@ from pipeline.kitti.ingest_file import (
     put_steering,
 )
 from pipeline.kitti.raw import RawDrive, find_drives, read_scan
+from pipeline.labels import steering_file
 from pipeline.sections.ingest import Ingest
 
 _FIXES = {

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import label, label_sources
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.kitti.oxts import VL
+from pipeline.labels import label, sources
 from pipeline.motion import kinds
 from pipeline.sections.labels import Labels
 
@@ -52,7 +52,7 @@ def label_drive(drive: str, path: Path, ingest: Path, motions: Mapping[str, Path
     rule = settings.model_dump(exclude={"source"})
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
         frame, time_s = raw.frame, raw.time_s
-        labels = label_sources.read(settings.source, raw, motions, rule)
+        labels = sources.read(settings.source, raw, motions, rule)
         sideways_mps = raw["oxts"][:, VL] if settings.source == "oxts" else np.zeros(len(frame))
     with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
         label.write(file, frame, time_s, labels, settings.wheelbase_m)

@@ -13,8 +13,7 @@ from pipeline.base.executors import default_workers
 from pipeline.base.params import load
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.mount import camera_height
-from pipeline.encoder import precomputed
-from pipeline.perception import batches, depth_scale
+from pipeline.perception import batches, depth_scale, precomputed
 from pipeline.perception.batches import Batch
 from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.sections.perception import Perception
@@ -60,7 +59,7 @@ def main(
 
 
 def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:
-    from pipeline.encoder.perceive import passes
+    from pipeline.perception.perceive import passes
 
     predict, mode = _predictor(encoder, drive, settings.precision), settings.depth_scale
     params = {"perception": settings.model_dump()}
@@ -93,7 +92,7 @@ def _predictor(encoder: Path, drive: str, precision: str) -> Predict:
     if folder := precomputed.named_in(encoder):
         return lambda batch: precomputed.read_all(folder, drive, batch.frame, batch.images.shape[1:3])
 
-    from pipeline.encoder.perceive import perceive
+    from pipeline.perception.perceive import perceive
 
     network = _network(encoder)
     return lambda batch: perceive(network, batch.images, batch.K, precision)
@@ -101,7 +100,7 @@ def _predictor(encoder: Path, drive: str, precision: str) -> Predict:
 
 @cache  # one for all drives of a process
 def _network(encoder: Path) -> "UnifiedEncoder":
-    from pipeline.encoder.perceive import load
+    from pipeline.perception.perceive import load
 
     return load(encoder)
 

@@ -51,7 +51,7 @@ def _draw(
     splits: dict[str, str],
     counts: dict[str, int],
 ) -> Summary:
-    from pipeline.report import drawing, street_view
+    from pipeline.drawing import figure_file, street_view
 
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as images,
@@ -60,7 +60,7 @@ def _draw(
     ):
         numbers = street_view.evenly_spread(perceived.frame, counts[drive])
         views = [street_view.read_view(images, perceived, cloud, number) for number in numbers]
-    drawing.save(street_view.sheet(f"{drive} ({splits[drive]})", views), path, dpi=90)
+    figure_file.save(street_view.sheet(f"{drive} ({splits[drive]})", views), path, dpi=90)
     return {"drawn": numbers}
 
 

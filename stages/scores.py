@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import label_sources
 from pipeline.base import console, store
 from pipeline.base.params import SPLITS, load
 from pipeline.base.progress import track
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
-from pipeline.encoder.truth import Truth, read_truth
+from pipeline.labels import comparison, sources
 from pipeline.motion import kinds
-from pipeline.perception import motion_scores
 from pipeline.perception.scores import Scores, summary_line
+from pipeline.perception.truth import Truth, read_truth
 from pipeline.sections.labels import Labels
 
 
@@ -65,7 +64,7 @@ def main(
         content[split] = scores.report()
         print(f"scores, {split}: {summary_line(content[split])}", flush=True)
         for kind, figures in motion_scored[split].items():
-            print(f"{kind} motion, {split}: {motion_scores.summary_line(figures)}", flush=True)
+            print(f"{kind} motion, {split}: {comparison.summary_line(figures)}", flush=True)
     store.write_json(out / "metrics.json", content)
     return out
 
@@ -84,7 +83,7 @@ def _score_drive(
             scores.add_frame(depth, cls, K, truth, mode, float(perceived.attrs["camera_height_m"]))
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path / "metrics.json", {**report, "motion": motion})
-    lines = [f"{kind} motion: {motion_scores.summary_line(figures)}" for kind, figures in motion.items()]
+    lines = [f"{kind} motion: {comparison.summary_line(figures)}" for kind, figures in motion.items()]
     return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
 
 
@@ -102,11 +101,11 @@ def _score_motion(
 
     ``<kind>-wheel``: against steering angles. Only what the `drives` recorded is compared.
     """
-    errors: dict[str, list[motion_scores.Errors]] = {kind: [] for kind in motions}
+    errors: dict[str, list[comparison.Errors]] = {kind: [] for kind in motions}
     for drive in drives:
         with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
-            references = label_sources.recorded(raw)
-            labels = {kind: label_sources.read(kind, raw, motions, rule) for kind in (*motions, *references)}
+            references = sources.recorded(raw)
+            labels = {kind: sources.read(kind, raw, motions, rule) for kind in (*motions, *references)}
             rows = {"wheel": np.flatnonzero(raw["has_steering"])} if "wheel" in references else {}
             for kind, folder in motions.items():
                 with store.DriveReader(folder / f"{drive}.h5", stage="motion") as measured:
@@ -115,8 +114,8 @@ def _score_motion(
             if kind != reference:
                 name = kind if reference == "oxts" else f"{kind}-{reference}"
                 pair = labels[kind].at(rows[kind]), labels[reference].at(rows[kind])
-                errors.setdefault(name, []).append(motion_scores.errors(*pair))
-    return {kind: motion_scores.score(found) for kind, found in errors.items()}
+                errors.setdefault(name, []).append(comparison.errors(*pair))
+    return {kind: comparison.score(found) for kind, found in errors.items()}
 
 
 if __name__ == "__main__":

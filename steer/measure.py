@@ -44,10 +44,10 @@ def measure(
 
     steer measure data/town/2026_01_03/2026_01_03_drive_0001_sync --encoder data/encoder
     """
-    from pipeline.encoder.perceive import FILE
     from pipeline.live import measure as live
     from pipeline.live.results import MOTION, QUALITY, TRACK, VIDEO
     from pipeline.live.source import Clock, Lens, open_source
+    from pipeline.perception.perceive import FILE
     from pipeline.train.windows import Car
 
     output, car = Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)

@@ -7,11 +7,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-from pipeline import label
 from pipeline.base import store
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.graphs import graph_file
+from pipeline.labels import label
 from pipeline.sections.graphs import Variant
 
 WHEELBASE_M = 2.7

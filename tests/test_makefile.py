@@ -87,7 +87,7 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
         assert done.returncode == 0, done.stderr
         run = checkout / "runs" / name
         assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merged(name)
-        for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/label.py"):
+        for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/labels/label.py"):
             assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
         assert (run / "data/raw").resolve() == checkout / "data/raw"
         assert (run / "weights").resolve() == checkout / "weights"

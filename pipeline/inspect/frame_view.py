@@ -13,9 +13,9 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres
+from pipeline.drawing import figure_file, street_view
 from pipeline.graphs.cloud import Cloud, lidar_cloud
 from pipeline.inspect.drive_file import open_drive
-from pipeline.report import drawing, street_view
 
 # LiDAR (x forward, y left, z up) to camera (x right, y down, z forward), for drives without calibration.
 _CAMERA_AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)
@@ -118,7 +118,7 @@ def draw(path: Path, title: str, view: FrameView) -> None:
     if labels:
         street_view.class_legend(figure, np.concatenate(labels), columns=6 if width < 10 else 8)
     figure.suptitle(title, fontsize="medium")
-    drawing.save(figure, path)
+    figure_file.save(figure, path)
 
 
 def _draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray, edges: np.ndarray | None) -> None:

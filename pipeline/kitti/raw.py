@@ -13,11 +13,11 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.base.files import MiB, check_file
-from pipeline.kitti import steering_file
 from pipeline.kitti.calibration import Camera, cameras_in, read_camera
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
+STEERING_FILE = "steering.csv"  # beside the images: pipeline.labels.steering_file
 _LOWEST_DEG = -20.0
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
 _MOST_BYTES = 256 * MiB  # of a scan
@@ -56,7 +56,7 @@ class RawDrive:
     @property
     def steering(self) -> Path:
         """Recorded steering angles, which KITTI itself lacks."""
-        return self.folder / steering_file.NAME
+        return self.folder / STEERING_FILE
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the frames of the drive and the file with their times: frames with an oxts packet.

@@ -13,14 +13,14 @@ from pipeline.base.errors import InputError
 from pipeline.camera.frame import Camera
 from pipeline.camera.geometry import scale_K, scan_depth
 from pipeline.camera.images import Size, resized
-from pipeline.encoder import precomputed
-from pipeline.encoder.perceive import load, perceive
 from pipeline.fitting.prefetch import prefetch
 from pipeline.live.frame_state import FrameState
 from pipeline.live.source import Source
 from pipeline.motion.estimator import MotionEstimator
 from pipeline.motion.visual import Odometry
+from pipeline.perception import precomputed
 from pipeline.perception.depth_scale import DepthPostprocessor, needs_scan
+from pipeline.perception.perceive import load, perceive
 from pipeline.sections.perception import Perception
 
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.drawing import figure_file
 from pipeline.fitting.prefetch import prefetch
 from pipeline.live.chain import Chain
 from pipeline.live.course import add_courses
@@ -20,7 +21,6 @@ from pipeline.live.frame_state import Course, FrameState
 from pipeline.live.results import MOTION, QUALITY, TRACK, Results, write_results
 from pipeline.live.source import ROTATE, Source
 from pipeline.motion.visual import Odometry
-from pipeline.report import drawing
 from pipeline.sections.perception import Perception
 from pipeline.train.windows import Car
 
@@ -146,4 +146,4 @@ def _draw_track(path: Path, title: str, courses: Sequence[tuple[float, Course]])
         speed.plot(seconds, columns[:, 0], color="tab:blue")
         steering.plot(seconds, np.rad2deg(columns[:, 3]), color="tab:red")
         steering.axhline(0, color="0.8", zorder=0)
-    drawing.save(figure, path)
+    figure_file.save(figure, path)

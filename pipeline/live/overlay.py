@@ -8,8 +8,8 @@ from typing import Self
 import av
 import numpy as np
 
-from pipeline import label
 from pipeline.camera.geometry import project, scale_K
+from pipeline.labels import label
 from pipeline.live.frame_state import FrameState
 from pipeline.live.source import Source
 

@@ -15,14 +15,13 @@ import numpy as np
 import torch
 
 from models.steering.core.recurrent import NOMINAL_STEP_S
-from pipeline import label
 from pipeline.base.errors import InputError
 from pipeline.camera.frame import Camera
-from pipeline.encoder.perceive import FILE
 from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import has_pointers, neighbours, sample_frame
+from pipeline.labels import label
 from pipeline.live.chain import Chain
 from pipeline.live.course import add_courses
 from pipeline.live.frame_state import FrameState
@@ -30,6 +29,7 @@ from pipeline.live.results import STEERING, Results, write_results
 from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
 from pipeline.perception.depth_scale import needs_scan
+from pipeline.perception.perceive import FILE
 from pipeline.sections.ingest import SAMPLE
 from pipeline.train.predict import Trained, angles
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline import label
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.footage import Footage, open_footage
 from pipeline.camera.images import Size, crop_to, format_size, read_image
@@ -16,6 +15,7 @@ from pipeline.camera.intrinsics import intrinsics
 from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.labels import label
 from pipeline.live.frame_state import FrameState
 from pipeline.live.horizon import find_horizon
 from pipeline.recording.clock import open_timed, timed

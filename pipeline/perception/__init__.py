@@ -1,1 +1,1 @@
-"""Depth and classes of images: depth scale, frames of a drive, errors against ground truth; errors of motion."""
+"""Depth and classes of images: the unified encoder, its fit, the scale of depth, and errors against ground truth."""

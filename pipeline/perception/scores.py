@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.encoder.truth import Truth
 from pipeline.perception.depth_scale import ground_plane_depth, scoring_factor
+from pipeline.perception.truth import Truth
 
 if TYPE_CHECKING:
     from pipeline.sections.perception import DepthScale

@@ -14,7 +14,8 @@ from pipeline.base.atomic import exclusive, replacing
 from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
 from pipeline.camera.footage import Footage
-from pipeline.kitti import steering_file
+from pipeline.kitti.raw import STEERING_FILE
+from pipeline.labels import steering_file
 from pipeline.recording import clock, layout
 from pipeline.recording.motion_log import MotionLog, WheelLog
 
@@ -63,7 +64,7 @@ class Recording:
             if self.wheel and not angles:
                 raise InputError("no image has an angle", "--wheel", "Check its times or frames, or raise --max-gap")
             if angles:
-                steering_file.write(unfinished / steering_file.NAME, angles)
+                steering_file.write(unfinished / STEERING_FILE, angles)
             if not calibrated:
                 layout.write_calibration(folder, self.footage.size, self.K)
         summary = {

@@ -1,1 +1,1 @@
-"""Errors of predictions, and the report on them. No other stage depends on this package, so an edit trains nothing."""
+"""The report: tables, figures, and the page. No other stage depends on this package, so an edit trains nothing."""

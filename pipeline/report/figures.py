@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.camera import classes
+from pipeline.drawing import figure_file, street_view
+from pipeline.evaluate.paths import Track, segments
 from pipeline.graphs import graph
-from pipeline.report import drawing, street_view
-from pipeline.report.judge.paths import Track, segments
 from pipeline.report.results import Results
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
@@ -47,9 +47,9 @@ def draw(out: Path, results: Results, data: Path) -> Captions:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    drawing.save(figure, path.with_suffix(".png"))
+    figure_file.save(figure, path.with_suffix(".png"))
     figure.set_layout_engine("none")  # computing it again takes longer than drawing
-    drawing.save(figure, path.with_suffix(".svg"))
+    figure_file.save(figure, path.with_suffix(".svg"))
 
 
 def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path) -> Captions:

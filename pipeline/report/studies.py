@@ -12,8 +12,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pipeline.base.atomic import replacing
-from pipeline.report import drawing
-from pipeline.report.judge.errors import interval
+from pipeline.drawing import figure_file
+from pipeline.evaluate.errors import interval
 from pipeline.report.results import Results
 from pipeline.report.tables import Table, cells, with_text
 from pipeline.sections.evaluate import Evaluate
@@ -69,7 +69,7 @@ def write(results: Results, out: Path, settings: Evaluate) -> str:
     if not studies and not tested:
         return ""
     for name, rows in studies.items():
-        drawing.save(figure(STUDIES[name], rows), out / f"{name}.png")
+        figure_file.save(figure(STUDIES[name], rows), out / f"{name}.png")
     text = "\n\n".join([*(table(name, rows).markdown() for name, rows in studies.items()), *tested])
     with replacing(out / "studies.md") as unfinished:
         unfinished.write_text(f"{text}\n", encoding="utf-8")

@@ -23,7 +23,7 @@ _SIZES = ("points_per_frame", "parameters", "edges_per_frame", "edges_per_frame_
 _METRICS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless. MAE: mean absolute error. ahead: frames "
     "from the last input frame to the predicted angle. no onsets: nmse without the frames around the onset of a turn, "
-    "where the driver's choice is unknown (pipeline/report/judge/decisions.py). edges: directed kNN edges per frame "
+    "where the driver's choice is unknown (pipeline/evaluate/decisions.py). edges: directed kNN edges per frame "
     "after pruning, as in the paper. Baselines: zero and train_mean predict a constant; persistence repeats the last "
     "true angle, which no model gets; odometry repeats the angle measured from the last two images or scans; "
     "ahead, regression multiplies it by its regression coefficient on the training drives."

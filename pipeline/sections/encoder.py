@@ -10,7 +10,7 @@ from pipeline.base.params import SPLITS, Count, Rate, Section, Seed
 
 PARTS = ("backbone", "depth_head", "class_head")
 PRECOMPUTED = "precomputed"
-"""The backbone that stands for a folder of PNG files, see pipeline/encoder/precomputed.py."""
+"""The backbone that stands for a folder of PNG files, see pipeline/perception/precomputed.py."""
 WEIGHTS = Path("weights")
 """The folder of downloaded files."""
 

@@ -12,7 +12,9 @@ class Evaluate(Section):
     bootstrap_samples: Annotated[int, Field(ge=1, le=100_000)]
     bootstrap_block_frames: Count
     curvature_bins_1pm: list[Positive] = Field(min_length=1, description="edges between the bins of |curvature|")
-    path: Literal["bicycle", "paper"] = Field(description="formula that integrates a path, see pipeline/label.py")
+    path: Literal["bicycle", "paper"] = Field(
+        description="formula that integrates a path, see pipeline/labels/label.py"
+    )
     seed: Seed
 
     @field_validator("curvature_bins_1pm")

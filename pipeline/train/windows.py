@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import label
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.labels import label
 from pipeline.train import frames
 
 Batch = dict[str, np.ndarray]

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from pipeline.base.errors import InputError
-from pipeline.encoder import weights
+from pipeline.perception import weights
 from pipeline.sections import preset
 from stages import check
 

@@ -10,7 +10,7 @@ import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
-from pipeline.encoder import perceive
+from pipeline.perception import perceive
 from stages.encoder import main
 from tests import street
 

@@ -11,7 +11,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.encoder.perceive import save
+from pipeline.perception.perceive import save
 from stages.perception import main
 from tests import street
 from tests.kitti_drive import write_png

@@ -42,7 +42,7 @@ def key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]
 @pytest.mark.parametrize(
     ("file", "stages"),
     [
-        ("pipeline/label.py", {"labels", "train"}),
+        ("pipeline/labels/label.py", {"labels", "train"}),
         ("pipeline/base/store.py", {"labels", "clouds", "train"}),
         ("models/steering/spatial/gnn.py", {"train"}),  # a file that dvc.yaml names by ${item.spatial}
         ("pipeline/town/world.py", set()),

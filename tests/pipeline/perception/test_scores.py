@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from pipeline.camera import classes
-from pipeline.encoder.truth import Truth
 from pipeline.perception.depth_scale import ground_plane_depth
 from pipeline.perception.scores import (
     DEPTH_SCORES,
@@ -14,6 +13,7 @@ from pipeline.perception.scores import (
     depth_errors,
     summary_line,
 )
+from pipeline.perception.truth import Truth
 from tests import street
 
 

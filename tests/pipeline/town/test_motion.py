@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.kitti.oxts import COLUMNS
-from pipeline.label import steering_angle
+from pipeline.labels.label import steering_angle
 from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
     Body,

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.kitti.oxts import VF, WU, YAW, read_times
 from pipeline.kitti.raw import RawDrive
-from pipeline.label import steering_labels
+from pipeline.labels.label import steering_labels
 from pipeline.town.drive import Drive
 from pipeline.town.motion import Journey
 from pipeline.town.oxts import read_recording

@@ -12,7 +12,7 @@ from torch import Tensor
 from models.encoder.backbones import Parts
 from models.encoder.backbones.dinov2 import SIZES, padding
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.encoder.weights import fill
+from pipeline.perception.weights import fill
 from pipeline.sections.encoder import Weights
 
 WIDTH, LAYERS, HEADS = SIZES["vits14"]

@@ -10,10 +10,10 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.camera import classes
 from pipeline.camera.geometry import scale_K, scan_depth
 from pipeline.camera.images import read_image
-from pipeline.encoder.perceive import perceive
-from pipeline.encoder.weights import fill
 from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.perception.perceive import perceive
 from pipeline.perception.scores import depth_errors, eigen_crop
+from pipeline.perception.weights import fill
 from pipeline.sections.encoder import Weights
 
 KITTI_K = torch.tensor([[[371.8, 0, 320], [0, 369.4, 92], [0, 0, 1]]], dtype=torch.float64)

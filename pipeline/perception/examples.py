@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.encoder.truth import image_size, read_truth, training_rows
+from pipeline.perception.truth import image_size, read_truth, training_rows
 
 CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601

@@ -7,7 +7,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.geometry import rays
-from pipeline.encoder.examples import Example, Examples, mirrored, spread
+from pipeline.perception.examples import Example, Examples, mirrored, spread
 from tests import street
 
 DENSE, LIDAR, BARE, BLIND, GREY = DRIVES = [f"2026_01_01_drive_000{number}" for number in range(1, 6)]

@@ -12,8 +12,8 @@ from torch import Tensor, hub, nn
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
-from pipeline.encoder import perceive
 from pipeline.fitting import checkpoint
+from pipeline.perception import perceive
 from pipeline.sections.encoder import WeightFile, Weights
 
 TIMEOUT_S = 30  # without any data from the server

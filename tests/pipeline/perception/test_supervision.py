@@ -2,7 +2,7 @@ import pytest
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
-from pipeline.encoder.supervision import Supervision, choose, supervision
+from pipeline.perception.supervision import Supervision, choose, supervision
 from pipeline.sections.encoder import Weights
 
 SMALL, ESPNET = (UnifiedEncoder(name) for name in ("small", "espnetv2-s1"))

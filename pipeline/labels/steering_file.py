@@ -8,7 +8,6 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_columns
 
-NAME = "steering.csv"
 COLUMNS = ("frame", "steering_rad")
 LIMIT_RAD = 1.2  # of front wheels; angles of a steering wheel, 15 times as large, exceed it in a tight bend
 _EXPECTED = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"

@@ -7,8 +7,8 @@ import torch
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
-from pipeline.encoder import perceive
-from pipeline.encoder.weights import Source, fetch, fill, read_published
+from pipeline.perception import perceive
+from pipeline.perception.weights import Source, fetch, fill, read_published
 from pipeline.sections.encoder import WeightFile, Weights
 
 CONTENT = b"some weights"

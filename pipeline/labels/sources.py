@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.kitti.oxts import VF, WU
-from pipeline.label import Labels, steering_labels
+from pipeline.labels.label import Labels, steering_labels
 
 _OTHERS = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
 
@@ -29,7 +29,7 @@ def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mappi
         source: a value of ``labels.source``.
         raw: the drive's ingest file.
         motions: kind of measured motion → its folder.
-        rule: keyword arguments of :func:`pipeline.label.steering_labels`.
+        rule: keyword arguments of :func:`pipeline.labels.label.steering_labels`.
 
     Raises InputError if the drive lacks the source.
     """

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import store
-from pipeline.report.judge import decisions, errors, paths
+from pipeline.evaluate import decisions, errors, paths
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train.predict import Prediction, Target
 from pipeline.train.windows import Drive

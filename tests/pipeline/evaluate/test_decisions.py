@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.report.judge import decisions
+from pipeline.evaluate import decisions
 from pipeline.train import windows
 from tests import artefacts
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pipeline.report.judge import errors
+from pipeline.evaluate import errors
 from pipeline.sections.evaluate import Evaluate
 
 

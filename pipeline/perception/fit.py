@@ -14,9 +14,9 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera import classes
-from pipeline.encoder.examples import Examples, augment
 from pipeline.fitting import checkpoint
 from pipeline.fitting.steps import warm_up_cosine
+from pipeline.perception.examples import Examples, augment
 
 KIND = "unified encoder in fitting"
 WARM_UP = 0.15  # share of the steps with a rising learning rate

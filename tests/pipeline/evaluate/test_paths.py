@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import label
+from pipeline.evaluate.paths import Track, drift, segments
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive
-from pipeline.report.judge.paths import Track, drift, segments
+from pipeline.labels import label
 
 STEPS = 101  # 10 m/s for 10 s
 TIME_S = np.arange(STEPS) / 10

@@ -5,7 +5,7 @@ without a prediction, the predicted path restarts at the true one.
 
 The speed and angle of a frame describe the step that ends there: in KITTI, the rates in oxts lag half a step behind the
 poses. With this convention, paths of true angles stay within 1 m per 100 m of the recorded track in 23 of 30 drives;
-with rates that apply until the next frame, in 12 (tests/pipeline/report/judge/test_paths.py).
+with rates that apply until the next frame, in 12 (tests/pipeline/evaluate/test_paths.py).
 """
 
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline import label
+from pipeline.labels import label
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.base.atomic import replacing
-from pipeline.report.judge.split import Case
+from pipeline.evaluate.split import Case
 from pipeline.train import frames
 from pipeline.train.windows import Drive
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.label import Labels
+from pipeline.labels.label import Labels
 
 
 class Errors(NamedTuple):

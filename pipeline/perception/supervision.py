@@ -10,9 +10,9 @@ from torch import nn
 from models.encoder.ground_depth import GroundDepth
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError, error_context
-from pipeline.encoder.examples import Classify
-from pipeline.encoder.perceive import perceive
-from pipeline.encoder.weights import Source, fill, unfilled
+from pipeline.perception.examples import Classify
+from pipeline.perception.perceive import perceive
+from pipeline.perception.weights import Source, fill, unfilled
 from pipeline.sections import encoder as section
 from pipeline.sections.encoder import Weights
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from pipeline.base.params import load
-from pipeline.report.judge import split
+from pipeline.evaluate import split
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import windows
 from pipeline.train.predict import Prediction, Target
 from tests import artefacts
 
-PARAMS = Path(__file__).resolve().parents[4] / "params.yaml"
+PARAMS = Path(__file__).resolve().parents[3] / "params.yaml"
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.report.judge import by_frame, decisions
-from pipeline.report.judge.split import Case
+from pipeline.evaluate import by_frame, decisions
+from pipeline.evaluate.split import Case
 from pipeline.train import windows
 from pipeline.train.predict import Prediction, Target
 from tests import artefacts

@@ -7,7 +7,7 @@ import torch
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.camera import classes
-from pipeline.encoder.perceive import load, passes, perceive, read, save
+from pipeline.perception.perceive import load, passes, perceive, read, save
 from tests import street
 
 

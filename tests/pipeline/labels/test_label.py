@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pipeline import label
+from pipeline.labels import label
 
 L = 2.7
 

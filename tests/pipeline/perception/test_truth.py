@@ -4,7 +4,7 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.camera import classes
-from pipeline.encoder.truth import read_truth, visible
+from pipeline.perception.truth import read_truth, visible
 from tests import street
 
 DRIVE = "2026_01_01_drive_0001"

@@ -1,1 +1,0 @@
-"""Weights, fit and inference of the unified encoder."""

@@ -1,0 +1,1 @@
+"""Steering labels: the bicycle model, sources of labels, recorded angles, and their comparison."""

@@ -1,27 +1,28 @@
-"""dvc.yaml says of each stage what its code says: nothing that it needs is missing, little else makes it run again."""
+"""dvc.yaml agrees with the code: a stage depends on every file that it imports, and on little else."""
 
 import ast
 import re
 from pathlib import Path
 from typing import Any, get_args
 
+import grimp
 import pytest
 import yaml
 
 from pipeline.base import resume
 from pipeline.sections.graphs import Variant
-from tests import imports
 
 CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
 NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
-# What a stage depends on without importing it, because it depends on the room; each is named once.
-ROOMS = {"pipeline/base", "pipeline/camera"}  # small and still: what a file is, what a pixel is
+IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
+# Files that a stage depends on without importing them, because dvc.yaml lists the package; each is named once.
+WHOLE_PACKAGES = {"pipeline/base", "pipeline/camera"}  # small, and they rarely change
 BEYOND: dict[str, set[str]] = {
-    "check": {"pipeline", "models"},  # it takes seconds, and is to find faults wherever they are
-    "town": {"pipeline/kitti/ingest_file.py"},  # the sample is rendered again
-    "scores": {"models/encoder"},  # flat ground; other networks make another perception anyway
-    # These make another training anyway.
+    "check": {"pipeline", "models"},  # takes seconds, and finds faults anywhere
+    "town": {"pipeline/kitti/ingest_file.py"},  # an edit renders the sample again
+    "scores": {"models/encoder"},  # needed for flat ground; an edit of another network reruns perception anyway
+    # An edit of these reruns training anyway.
     "evaluate": {
         *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment")),
         "pipeline/fitting",
@@ -30,7 +31,7 @@ BEYOND: dict[str, set[str]] = {
 
 
 def _files(dep: str) -> set[Path]:
-    """Return the source files that a dep covers, without __init__.py that only name a package."""
+    """Return the source files that a dep covers, without an __init__.py that holds only a docstring."""
     for name, folder in NETWORKS.items():
         if name in dep:
             return _files(folder)
@@ -41,8 +42,24 @@ def _files(dep: str) -> set[Path]:
 
 
 def _is_empty(path: Path) -> bool:
-    """A package's __init__.py that only names it."""
+    """Return whether the file is an __init__.py that holds only a docstring."""
     return path.name == "__init__.py" and len(ast.parse((resume.ROOT / path).read_text()).body) <= 1
+
+
+def _imported(*modules: str) -> set[Path]:
+    """Return the source files that modules import, directly or not, themselves included.
+
+    Imports inside functions count, and so do the __init__.py of parent packages.
+    """
+    found, queue = set[str](), [*modules]
+    while queue:
+        module = queue.pop()
+        if module not in found and module in IMPORTS.modules:
+            found.add(module)
+            queue += [module.rpartition(".")[0], *IMPORTS.find_modules_directly_imported_by(module)]
+    paths = [Path(*module.split(".")) for module in found]
+    files = {path / "__init__.py" if (resume.ROOT / path).is_dir() else path.with_suffix(".py") for path in paths}
+    return {file for file in files if not _is_empty(file)}
 
 
 def test_one_name_four_places() -> None:
@@ -61,12 +78,12 @@ def test_what_a_stage_imports_is_covered_and_little_else(name: str) -> None:
     if any(network in dep for network in NETWORKS for dep in STAGES[name]["deps"]):
         folders = [*NETWORKS.values(), "models/steering/core/cell"]
         modules += [".".join(file.with_suffix("").parts) for folder in folders for file in _files(folder)]
-    imported = {path for path in imports.import_closure(*modules) if not _is_empty(path)}
+    imported = _imported(*modules)
     covered = {path for dep in _code(name) for path in _files(dep)}
     assert imported <= covered
     for beyond in BEYOND.get(name, set()):
-        assert _files(beyond) & (covered - imported), f"{beyond} is no longer beyond {name}"
-    assert covered - imported <= {path for dep in BEYOND.get(name, set()) | ROOMS for path in _files(dep)}
+        assert _files(beyond) & (covered - imported), f"{beyond} adds no file to {name}"
+    assert covered - imported <= {path for dep in BEYOND.get(name, set()) | WHOLE_PACKAGES for path in _files(dep)}
 
 
 def test_a_network_is_a_dependency_by_its_name() -> None:
@@ -78,14 +95,13 @@ def test_a_network_is_a_dependency_by_its_name() -> None:
 
 @pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in sorted(_files(folder))], ids=str)
 def test_a_network_imports_only_code_that_dvc_tracks_for_it(network: Path) -> None:
-    imported = set(imports.import_closure(".".join(network.with_suffix("").parts)))
     tracked = {network, Path("pipeline/camera/classes.py"), *_files("models/steering/core")}
-    assert {path for path in imported if not _is_empty(path)} <= tracked
+    assert _imported(".".join(network.with_suffix("").parts)) <= tracked
 
 
 @pytest.mark.parametrize("name", STAGES)
 def test_deps_on_data_are_exactly_outs(name: str) -> None:
-    """A dep on a folder that merely holds outs trains on nothing. Report, which gathers, may."""
+    """Depending on a parent folder of outputs would miss the order of stages. Only report, which collects, may."""
     outs = {out for stage in STAGES.values() for out in _outs(stage)}
     sources = {f"data/{source}" for source in get_args(Variant.model_fields["source"].annotation)}
     for dep in STAGES[name]["deps"]:

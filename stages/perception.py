@@ -12,6 +12,7 @@ from pipeline.base import console, progress, store
 from pipeline.base.executors import default_workers
 from pipeline.base.params import load
 from pipeline.base.runner import Summary, run_over_drives
+from pipeline.camera.images import to_units
 from pipeline.camera.mount import camera_height
 from pipeline.perception import batches, depth_scale, precomputed
 from pipeline.perception.batches import Batch
@@ -82,7 +83,7 @@ def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: 
             for batch, depth, cls in results:
                 postprocess = postprocess or DepthPostprocessor(settings, batch.K, camera_height_m)
                 frames = zip(depth, cls, batch.scans_m, strict=True)
-                file.append("depth_m", np.stack([postprocess(*frame) for frame in frames]))
+                file.append("depth_m", to_units(np.stack([postprocess(*frame) for frame in frames])))
                 file.append("cls", cls)
                 progress.advance(len(cls))
     return {"frames": len(with_image)}

@@ -79,8 +79,8 @@ def _score_drive(
     ):
         count, mode = len(perceived.frame), perceived.params["perception"]["depth_scale"]
         K = source["K"] if count else np.eye(3)  # a drive without images has no camera
-        for depth, cls, truth in _read(source, perceived):
-            scores.add_frame(depth, cls, K, truth, mode, float(perceived.attrs["camera_height_m"]))
+        for depth_m, cls, truth in _read(source, perceived):
+            scores.add_frame(depth_m, cls, K, truth, mode, float(perceived.attrs["camera_height_m"]))
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path / "metrics.json", {**report, "motion": motion})
     lines = [f"{kind} motion: {comparison.summary_line(figures)}" for kind, figures in motion.items()]
@@ -88,10 +88,10 @@ def _score_drive(
 
 
 def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[tuple[np.ndarray, np.ndarray, Truth]]:
-    """Yield depth [H,W] in the stored unit, trainIds [H,W] and ground truth of each frame with an image."""
+    """Yield depth [H,W], trainIds [H,W] and ground truth of each frame with an image."""
     for row, number in enumerate(track(perceived.frame)):
-        depth, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
-        yield depth, cls, read_truth(source, source.row_of(number))
+        depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
+        yield depth_m, cls, read_truth(source, source.row_of(number))
 
 
 def _score_motion(

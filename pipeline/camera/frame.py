@@ -14,7 +14,7 @@ class Frame:
     number: int  # KITTI's, or counted from 0
     time_s: float  # since the start of the drive
     image: np.ndarray | None = None  # RGB uint8 [H,W,3], at the size of depth and classes
-    depth: np.ndarray | None = None  # uint16 [H,W], as stored: images.to_metres
+    depth_m: np.ndarray | None = None  # [H,W] metres, rounded as in the file of stage perception; 0: none
     cls: np.ndarray | None = None  # trainIds uint8 [H,W]
     scan: np.ndarray | None = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
 

@@ -14,7 +14,6 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
 from pipeline.camera.frame import Camera, Frame
-from pipeline.camera.images import to_metres
 
 if TYPE_CHECKING:
     from pipeline.sections.clouds import Clouds
@@ -31,9 +30,9 @@ def stored_cloud(frame: Frame, kind: str, camera: Camera, drive: str, settings: 
     `kind`: pseudo, for a frame with depth and classes, or lidar, for a frame with a scan of a calibrated sensor.
     """
     if kind == "pseudo":
-        assert frame.depth is not None
+        assert frame.depth_m is not None
         assert frame.cls is not None
-        cloud = pseudo_cloud(to_metres(frame.depth), frame.cls, camera.K, settings.max_depth_m)
+        cloud = pseudo_cloud(frame.depth_m, frame.cls, camera.K, settings.max_depth_m)
     else:
         assert frame.scan is not None
         assert camera.T_cam_velo is not None

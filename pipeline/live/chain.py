@@ -12,7 +12,7 @@ import torch
 from pipeline.base.errors import InputError
 from pipeline.camera.frame import Camera
 from pipeline.camera.geometry import scale_K, scan_depth
-from pipeline.camera.images import Size, resized
+from pipeline.camera.images import Size, resized, rounded_as_stored
 from pipeline.fitting.prefetch import prefetch
 from pipeline.live.frame_state import FrameState
 from pipeline.live.source import Source
@@ -52,7 +52,7 @@ class Chain:
         for frame in frames:
             frame.image = resized(frame.source_image, self.camera.size)
             if self._encoder:
-                frame.depth, frame.cls = self._encoder.run(frame.image, frame.scan)
+                frame.depth_m, frame.cls = self._encoder.run(frame.image, frame.scan)
             yield frame
 
     def _measure(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
@@ -64,7 +64,7 @@ class Chain:
 
 
 class EncoderRunner:
-    """Predicts depth and classes of one drive's images, in order, as stage perception stores them."""
+    """Predicts depth and classes of one drive's images, in order, equal to those that stage perception stores."""
 
     def __init__(self, encoder: Path, settings: Perception, camera: Camera) -> None:
         """Load the encoder of the folder `encoder`, usually data/encoder. Raises InputError if it has no network."""
@@ -75,10 +75,10 @@ class EncoderRunner:
         self._postprocess = DepthPostprocessor(settings, camera.K, camera.height_m)
 
     def run(self, image: np.ndarray, scan: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return stored depth uint16 [H,W] and trainIds uint8 [H,W] of an image RGB uint8 [H,W,3]."""
+        """Return depth [H,W] in metres, rounded as in a file, and trainIds uint8 [H,W] of an image uint8 [H,W,3]."""
         camera = self._camera
         (depth,), (cls,) = perceive(self._network, image[None], camera.K, self._settings.precision)
         scan_m = None
         if needs_scan(self._settings.depth_scale) and scan is not None and camera.T_cam_velo is not None:
             scan_m = scan_depth(scan, camera.T_cam_velo, camera.K, camera.size)
-        return self._postprocess(depth, cls, scan_m), cls
+        return rounded_as_stored(self._postprocess(depth, cls, scan_m)), cls

@@ -30,7 +30,7 @@ def add_courses(frames: Generator[FrameState], car: Car, smooth: bool) -> Genera
     reach_s = REACH * max(YAW_SIGMA_S, SPEED_SIGMA_S) if smooth else 0.0
     with closing(frames):
         for frame in frames:
-            frame.depth = frame.cls = frame.scan = None  # not needed any more
+            frame.depth_m = frame.cls = frame.scan = None  # not needed any more
             recent.append(frame)
             while waiting < len(recent) and recent[waiting].time_s <= frame.time_s - reach_s:
                 yield track.add(recent[waiting], recent)

@@ -5,7 +5,6 @@ import numpy as np
 from pipeline.camera import classes
 from pipeline.camera.frame import Frame
 from pipeline.camera.geometry import project, transform
-from pipeline.camera.images import to_metres
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step, is_standstill, plausible
@@ -93,9 +92,9 @@ class Odometry:
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
-        assert frame.depth is not None
+        assert frame.depth_m is not None
         assert frame.cls is not None
-        depth_m = to_metres(frame.depth).astype(np.float32)
+        depth_m = frame.depth_m.astype(np.float32)
         usable = _usable_pixels(depth_m, frame.cls, self._max_depth_m)
         road, scale = self.road.find(depth_m, usable)
         corners = Corners(grey)

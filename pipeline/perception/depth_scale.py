@@ -1,7 +1,7 @@
-"""Scale the network's depth to metres, by setting ``perception.depth_scale``, and convert it to stored depth.
+"""Scale the network's depth to metres, by setting ``perception.depth_scale``.
 
 ``metric``: the network predicts metres. ``camera_height``: the camera's height over the road determines the scale.
-``lidar_median``: the frame's LiDAR scan does. ``none``: stored depth has an unknown unit.
+``lidar_median``: the frame's LiDAR scan does. ``none``: the unit of depth stays unknown.
 """
 
 from typing import TYPE_CHECKING
@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.geometry import back_project, rays
-from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
+from pipeline.camera.images import DEPTH_UNITS_PER_M
 
 if TYPE_CHECKING:
     from pipeline.sections.perception import DepthScale, Perception
@@ -28,13 +28,13 @@ def stored_unit(mode: "DepthScale") -> str:
     return f"1/{DEPTH_UNITS_PER_M} {'of an unknown unit' if mode == 'none' else 'm'}"
 
 
-def scoring_factor(mode: "DepthScale", depth: np.ndarray, truth_m: np.ndarray) -> float:
-    """Return the factor from stored depth [H,W] to metres for comparison with ground truth [H,W], 0 = unknown."""
-    return (median_ratio(depth, truth_m) or 1.0) if mode == "none" else 1.0
+def scoring_factor(mode: "DepthScale", depth_m: np.ndarray, truth_m: np.ndarray) -> float:
+    """Return the factor that makes predicted depth [H,W] comparable with ground truth [H,W]: 1 if its unit is known."""
+    return (median_ratio(depth_m, truth_m) or 1.0) if mode == "none" else 1.0
 
 
 class DepthPostprocessor:
-    """Converts the network's depth to stored depth for one drive; frames come in order."""
+    """Scales the network's depth to metres for one drive; frames come in order."""
 
     def __init__(self, settings: "Perception", K: np.ndarray, camera_height_m: float) -> None:
         """`K` [3,3] at the size of the depth; the camera's height is over the road."""
@@ -42,7 +42,7 @@ class DepthPostprocessor:
         self._factor = 0.0  # no depth before the first frame with a known scale
 
     def __call__(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> np.ndarray:
-        """Return the stored depth of a frame, uint16 [H,W], 0 in the sky; see :func:`pipeline.camera.images.to_units`.
+        """Return the depth of a frame in metres, float32 [H,W], 0 in the sky.
 
         Args:
             depth: float32 [H,W] in the network's unit; overwritten.
@@ -53,7 +53,7 @@ class DepthPostprocessor:
         np.multiply(depth, self._factor, out=depth)
         if self._settings.reach:
             limit_traffic_depth(depth, cls, self._K, self._camera_height_m, self._settings.reach)
-        return to_units(np.where(cls == classes.SKY, 0, depth))
+        return np.where(cls == classes.SKY, np.float32(0), depth)
 
     def _estimate(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> float | None:
         """Return the factor to metres; None if it cannot be estimated from this frame."""

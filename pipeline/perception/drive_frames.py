@@ -13,6 +13,7 @@ from pipeline.base.progress import track
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.frame import Camera, Frame
+from pipeline.camera.images import to_metres
 
 LIDAR = "lidar"  # the kind of motion and of clouds that is made from scans; other kinds are made from images
 
@@ -48,7 +49,7 @@ class DriveFrames:
                 frame.scan = self._ingest.rows("lidar", ptr[raw_row], ptr[raw_row + 1])
             elif row is not None:
                 frame.image = self._ingest.row("image", raw_row)
-                frame.depth = self._perception.row("depth_m", row)
+                frame.depth_m = to_metres(self._perception.row("depth_m", row))
             yield frame
 
 

@@ -86,7 +86,7 @@ class Scores:
 
     def add_frame(
         self,
-        depth: np.ndarray,
+        depth_m: np.ndarray,
         cls: np.ndarray,
         K: np.ndarray,
         truth: Truth,
@@ -96,7 +96,7 @@ class Scores:
         """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.
 
         Args:
-            depth: as stored [H,W], 0 = none.
+            depth_m: predicted [H,W], 0 = none.
             cls: trainIds [H,W].
             K: intrinsics [3,3].
             truth: ground truth of the same frame.
@@ -104,9 +104,9 @@ class Scores:
             camera_height_m: over the ground.
         """
         if truth.depth_source:
-            flat_m = np.where(depth > 0, ground_plane_depth(cls, K, camera_height_m), 0)
-            depth_m = depth * scoring_factor(mode, depth, truth.depth_m)
-            self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
+            flat_m = np.where(depth_m > 0, ground_plane_depth(cls, K, camera_height_m), 0)
+            factor = scoring_factor(mode, depth_m, truth.depth_m)
+            self.add_depth(f"depth_{truth.depth_source}", factor * depth_m, truth.depth_m)
             self.add_depth(f"ground_plane_{truth.depth_source}", flat_m, truth.depth_m)
         if truth.has_cls:
             self.add_classes(cls, truth.cls)

@@ -28,10 +28,10 @@ class FlatGround:
     def __init__(self, encoder: Path, settings: object, camera: chain.Camera) -> None:
         down = rays(camera.K, camera.size)[..., self.down]
         depth_m = np.minimum(30, camera.height_m / np.maximum(down, 1e-3))
-        self._depth, self._cls = (256 * depth_m).astype(np.uint16), np.full(camera.size, 255, np.uint8)
+        self._depth_m, self._cls = depth_m, np.full(camera.size, 255, np.uint8)
 
     def run(self, image: np.ndarray, scan: None) -> tuple[np.ndarray, np.ndarray]:
-        return self._depth, self._cls
+        return self._depth_m, self._cls
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import pytest
 
 from pipeline.camera import classes
 from pipeline.camera.frame import Frame
-from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.motion import step, visual
 from tests import rendered_street as street
@@ -17,7 +16,7 @@ DT_S = 0.1
 
 def views(*poses: np.ndarray) -> list[Frame]:
     images = (street.view(pose) for pose in poses)
-    return [Frame(i, i * DT_S, image, to_units(depth_m), cls) for i, (image, depth_m, cls) in enumerate(images)]
+    return [Frame(i, i * DT_S, image, depth_m, cls) for i, (image, depth_m, cls) in enumerate(images)]
 
 
 def measured(frames: list[Frame], camera_height_m: float | None = CAMERA_HEIGHT_M) -> list[step.Step | None]:
@@ -36,9 +35,9 @@ def rescaled(frames: list[Frame], road: float, elsewhere: float) -> list[Frame]:
     """Return frames whose depth is wrong by these factors."""
     factors = [np.where(frame.cls == classes.ROAD, road, elsewhere) for frame in frames]
     return [
-        replace(frame, depth=(frame.depth * factor).astype(np.uint16))
+        replace(frame, depth_m=frame.depth_m * factor)
         for frame, factor in zip(frames, factors, strict=True)
-        if frame.depth is not None
+        if frame.depth_m is not None
     ]
 
 
@@ -72,9 +71,9 @@ def test_traffic_is_excluded_by_its_class() -> None:
     texture = np.random.default_rng(0).integers(0, 255, (70, 200, 1), dtype=np.uint8)
     for frame in frames:
         assert frame.image is not None
-        assert frame.depth is not None
+        assert frame.depth_m is not None
         assert frame.cls is not None
-        frame.image[bus], frame.depth[bus], frame.cls[bus] = texture, 8 * DEPTH_UNITS_PER_M, classes.BUS
+        frame.image[bus], frame.depth_m[bus], frame.cls[bus] = texture, 8.0, classes.BUS
     assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.05)
     for frame in frames:
         assert frame.cls is not None

@@ -2,9 +2,13 @@
 
 import json
 import os
+import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -69,18 +73,26 @@ def check(folder: Path) -> Project:
 
 
 def running_command(folder: Path) -> str:
-    """Return the command of a DVC process that runs a stage here; empty if there is none.
+    """Return the command of a DVC process that runs a stage here; empty if none is running.
 
-    To ask DVC for its status then would compete for its locks, which can end the run.
+    Running `dvc status` now could fail the run, because both need the lock.
     """
     try:
-        writers = json.loads((folder / ".dvc" / "tmp" / "rwlock").read_text())["write"].values()
-        for writer in writers:
-            os.kill(writer["pid"], 0)  # sends no signal; raises if the process has ended
-            return str(writer["cmd"])
+        writers = [*json.loads((folder / ".dvc" / "tmp" / "rwlock").read_text())["write"].values()]
+        commands = [str(writer["cmd"]) for writer in writers if _is_running(writer["pid"])]
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        pass
-    return ""
+        return ""
+    return next(iter(commands), "")
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)  # sends no signal; raises if the process has ended
+    except PermissionError:  # a process of another user
+        return True
+    except (OSError, OverflowError):
+        return False
+    return True
 
 
 def due_stages(folder: Path) -> dict[str, str]:
@@ -88,33 +100,40 @@ def due_stages(folder: Path) -> dict[str, str]:
 
     Stages that depend on a stage that is due are due as well.
     """
-    from dvc.exceptions import DvcException
-    from dvc.repo import Repo
-    from networkx import ancestors, topological_sort
-
-    try:
-        with Repo(str(folder)) as repo:
-            graph = repo.index.graph
-            names = {stage: stage.addressing.rpartition(":")[2] for stage in graph}
-            reasons = {address.rpartition(":")[2]: _reason(parts) for address, parts in repo.status().items()}
-            for stage in [stage for stage in graph if names[stage] in reasons]:
-                if not any(dep.hash_info for dep in stage.deps):
-                    reasons[names[stage]] = "has not run here"
-                for later in ancestors(graph, stage):  # an edge points from a stage to its inputs
-                    reasons.setdefault(names[later], f"needs {names[stage]}")
-            order = [names[stage] for stage in topological_sort(graph)][::-1]
-    except DvcException as error:
-        problem = f"dvc status failed: {' '.join(str(error).split()).rstrip('.')}"
-        raise InputError(problem, folder, "See: dvc status") from error
-    return {name: reasons[name] for name in order if name in reasons}
+    status = json.loads(_dvc(folder, "status", "--json"))
+    if not status:
+        return {}
+    inputs: dict[str, list[str]] = {}
+    for name, later in re.findall(r'^"(.+?)"(?: -> "(.+)")?;$', _dvc(folder, "dag", "--dot"), re.MULTILINE):
+        inputs.setdefault(later or name, []).extend([name] if later else [])
+    lock = read_lock(folder)
+    due: dict[str, str] = {}
+    for stage in TopologicalSorter(inputs).static_order():
+        if stage in status:
+            due[stage] = _reason(status[stage]) if stage in lock else "has not run here"
+        elif changed := next((name for name in inputs[stage] if name in due), ""):
+            due[stage] = due[changed] if due[changed].startswith("needs ") else f"needs {changed}"
+    return due
 
 
-def _reason(parts: list[Any]) -> str:
+def _dvc(folder: Path, *command: str) -> str:
+    """Return what a command of DVC prints. Raises InputError if it fails."""
+    environment = os.environ | {"DVC_NO_ANALYTICS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "dvc", *command], cwd=folder, env=environment, capture_output=True, text=True
+    )
+    if done.returncode:
+        reason = " ".join(done.stderr.split()).removeprefix("ERROR: ").rstrip(".")[:200]
+        raise InputError(f"dvc {command[0]} failed: {reason}", folder, f"See: dvc {command[0]}")
+    return done.stdout
+
+
+def _reason(changes: list[Any]) -> str:
     """Return what `dvc status` lists for one stage as text, at most three names of each kind of change."""
-    changes = [change for part in parts for change in (part.items() if isinstance(part, dict) else [(str(part), [])])]
+    kinds = [kind for change in changes for kind in (change.items() if isinstance(change, dict) else [(change, [])])]
     return "; ".join(
         f"{kind}: {', '.join([*names][:3])}{', …' if len(names) > 3 else ''}" if names else kind
-        for kind, names in changes
+        for kind, names in kinds
     )
 
 

@@ -1,5 +1,6 @@
 """Origin of an artefact by dvc.lock, and the stages that DVC would run."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -68,7 +69,6 @@ def test_stage_and_its_inputs(finished: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:_NoneStep:DeprecationWarning")  # DVC's own, in pygtrie
 def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
     assert project.due_stages(copy) == {}
     (copy / "labels.py").write_text("edited")
@@ -80,3 +80,30 @@ def test_due_stages_in_the_order_of_the_run(copy: Path) -> None:
     (copy / "dvc.yaml").write_text("stages: [")
     with pytest.raises(InputError, match="dvc status failed"):
         project.due_stages(copy)
+
+
+def test_a_running_writer_is_found_behind_dead_ones(tmp_path: Path) -> None:
+    with subprocess.Popen(["true"]) as ended:
+        pass
+    lock = tmp_path / ".dvc/tmp/rwlock"
+    lock.parent.mkdir(parents=True)
+
+    def running(*processes: int) -> str:
+        writers = {f"data/{number}": {"pid": pid, "cmd": f"repro {pid}"} for number, pid in enumerate(processes)}
+        lock.write_text(json.dumps({"write": writers, "read": {}}))
+        return project.running_command(tmp_path)
+
+    assert running(ended.pid) == ""
+    assert running(ended.pid, 10**30, os.getpid()) == f"repro {os.getpid()}"
+    lock.write_text("{")
+    assert project.running_command(tmp_path) == ""
+
+
+def test_a_process_of_another_user_is_running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(process: int, signal: int) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "kill", refuse)
+    (tmp_path / ".dvc/tmp").mkdir(parents=True)
+    (tmp_path / ".dvc/tmp/rwlock").write_text('{"write": {"data": {"pid": 1, "cmd": "repro"}}}')
+    assert project.running_command(tmp_path) == "repro"

@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import PER_DRIVE, DriveReader
-from pipeline.inspect.drive_file import open_drive, read_errors
+from pipeline.inspect.artefact import damage_as_input_error, flatten, open_drive
 
 Column = Mapping[int, Any]
 _NO_FRAME = -1
@@ -140,23 +140,9 @@ def _columns(path: Path) -> Iterator[Mapping[str, Column]]:
     else:
         from pipeline.fitting import checkpoint
 
-        with read_errors(path):
+        with damage_as_input_error(path):
             content = json.loads(path.read_text(encoding="utf-8")) if path.suffix == ".json" else checkpoint.load(path)
         yield _leaves(content)
-
-
-def flatten(value: Any, key: str = "") -> dict[str, Any]:
-    """Return dotted key → leaf of nested mappings and lists; a tensor is one leaf, as an array."""
-    if hasattr(value, "detach"):  # a tensor; torch is not imported for JSON
-        value = value.detach().cpu()
-        return {key: (value.float() if str(value.dtype) == "torch.bfloat16" else value).numpy()}
-    if isinstance(value, Mapping) and value:
-        parts = {f"{key}.{name}" if key else str(name): inner for name, inner in value.items()}
-    elif isinstance(value, list | tuple) and value:
-        parts = {f"{key}[{number}]": inner for number, inner in enumerate(value)}
-    else:
-        return {key: value}
-    return {name: leaf for part, inner in parts.items() for name, leaf in flatten(inner, part).items()}
 
 
 def _leaves(value: Any) -> dict[str, Column]:

@@ -15,7 +15,7 @@ from pipeline.camera import classes
 from pipeline.camera.images import to_metres
 from pipeline.drawing import figure_file, street_view
 from pipeline.graphs.cloud import Cloud, lidar_cloud
-from pipeline.inspect.drive_file import open_drive
+from pipeline.inspect.artefact import open_drive
 
 # LiDAR (x forward, y left, z up) to camera (x right, y down, z forward), for drives without calibration.
 _CAMERA_AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)

@@ -15,7 +15,7 @@ from typing import Any
 from pipeline.base.errors import InputError
 from pipeline.base.files import read_yaml
 from pipeline.base.params import entries, load, load_entry
-from pipeline.inspect.drive_file import read_errors
+from pipeline.inspect.artefact import damage_as_input_error
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
 from pipeline.sections.models import Model
@@ -152,7 +152,7 @@ def read_lock(project: Path) -> Stages:
     if not lock.is_file():
         return {}
     fix = "Restore it: git checkout dvc.lock. Or delete it, then run: dvc repro"
-    with read_errors(lock, fix):
+    with damage_as_input_error(lock, fix):
         stages = read_yaml(lock)["stages"]
         for stage in stages.values():
             _paths(stage, "deps"), _paths(stage, "outs")

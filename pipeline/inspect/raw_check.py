@@ -13,7 +13,7 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import default_workers
 from pipeline.base.files import check_file
 from pipeline.camera.images import read_pixels
-from pipeline.inspect.drive_file import gaps, spans
+from pipeline.inspect.artefact import format_spans, gaps
 from pipeline.kitti.calibration import cameras_in, read_camera
 from pipeline.kitti.oxts import read_row, read_times
 from pipeline.kitti.raw import RawDrive, read_scan
@@ -144,7 +144,7 @@ def _check_frames(frames: list[int], first: int, last: int, exists: bool) -> tup
         return ["no files, archive not extracted" if exists else "folder is missing"], []
     missing = gaps(frames, first, last)
     count, expected = sum(stop - start + 1 for start, stop in missing), last - first + 1
-    texts = [f"{count} of {expected} frames are missing: {spans(missing)}"] if missing else []
+    texts = [f"{count} of {expected} frames are missing: {format_spans(missing)}"] if missing else []
     return (texts, []) if count > _PARTLY * expected else ([], texts)
 
 
@@ -159,7 +159,7 @@ def _damaged_files(paths: dict[int, Path], read: Callable[[Path], object]) -> li
             frames.setdefault(problem, []).append(frame)
         except OSError as error:
             frames.setdefault(f"cannot be read ({error.strerror})", []).append(frame)
-    kinds = [f"frame {spans([(n, n) for n in numbers])} {problem}" for problem, numbers in frames.items()]
+    kinds = [f"frame {format_spans([(n, n) for n in numbers])} {problem}" for problem, numbers in frames.items()]
     more = sum(len(numbers) for numbers in [*frames.values()][_MAX_PROBLEMS:])
     return kinds[:_MAX_PROBLEMS] + ([f"{more} more files are damaged"] if more else [])
 

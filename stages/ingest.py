@@ -9,13 +9,11 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.runner import Summary, run_over_drives
-from pipeline.camera.geometry import scale_K
-from pipeline.camera.images import crop_to
+from pipeline.camera.camera import write_camera
 from pipeline.kitti import oxts
 from pipeline.kitti.ingest_file import (
     PIXELS,
     TolerantReader,
-    put_camera,
     put_motion,
     put_pixels,
     put_scans,
@@ -99,15 +97,16 @@ def _ingest(
     """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image."""
     raw, params = RawDrive(folders[drive]), {"ingest": settings.model_dump(exclude={"drives"})}
     scans = raw.scans if settings.lidar else {}
-    camera = raw.camera(settings.cameras)
+    number = raw.camera_number(settings.cameras)
+    camera = None if number is None else raw.camera(number)
     if scans and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         raise InputError(problem, raw.calibration, "Extract the date's calibration archive, or set ingest.lidar: false")
-    images = {"image": raw.images(camera.number), "depth": raw.truth_depth, "cls": raw.truth_cls} if camera else {}
+    images = {} if number is None else {"image": raw.images(number), "depth": raw.truth_depth, "cls": raw.truth_cls}
     images = {name: files for name, files in images.items() if files}
     reader = TolerantReader(tolerant=settings.on_damaged == "skip", passes=2 + len(images))
 
-    numbers, times = raw.timeline(camera.number if camera else None)
+    numbers, times = raw.timeline(number)
     packets = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers))
     if not packets and (raw.oxts or not numbers or raw.oxts_times.parent.is_dir()):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
@@ -118,13 +117,13 @@ def _ingest(
     with store.DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
         file.attrs |= attributes[drive]
         counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
-        file.attrs["camera"] = camera.number if camera else -1
+        file.attrs["camera"] = -1 if number is None else number
         put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
         if raw.steering.is_file():
             counts["steering"] = put_steering(file, frames, steering_file.read(raw.steering))
         if camera:
-            crop = crop_to(camera.size, settings.image_size, camera.K)
-            put_camera(file, scale_K(crop.K(camera.K), crop.size, settings.image_size), camera.T_cam_velo)
+            crop = camera.crop_to(settings.image_size)
+            write_camera(file, camera.cropped(crop).scaled(settings.image_size))
         for name, pixels in PIXELS.items():
             arrays = None
             if camera and name in images:
@@ -134,7 +133,7 @@ def _ingest(
         counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
     others = (set(images.get("image", {})) | set(scans)) - set(numbers)
     return counts | {
-        "camera": camera.number if camera else None,
+        "camera": number,
         "left_out": len(others),
         "damaged": dict(reader.damaged),
     }

@@ -50,7 +50,7 @@ def import_recording(
     steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
     steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
     """
-    from pipeline.camera.intrinsics import intrinsics
+    from pipeline.camera.intrinsics import pinhole
     from pipeline.recording import clock, layout
     from pipeline.recording.motion_log import read_motion, read_wheel
     from pipeline.recording.recording import Recording
@@ -64,13 +64,13 @@ def import_recording(
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
     footage, times_s = clock.open_timed(source, fps, times)
-    matrix = intrinsics(footage.size, calib=calib, fov_deg=fov, K=K)
-    recording = Recording(footage, matrix, times_s, log, angles, max_gap)
+    camera = pinhole(footage.size, calib=calib, fov_deg=fov, K=K)
+    recording = Recording(footage, camera, times_s, log, angles, max_gap)
     recording.check_overlap()
     summary = recording.write(out, drive, force=force, visible=output.visible)
     for line in _lines(summary):
         output.line(line)
-    output.result(summary | {"K": matrix.tolist()})
+    output.result(summary | {"K": camera.K.tolist()})
 
 
 def _check_paths(*paths: Path | None) -> None:

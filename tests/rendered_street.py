@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.camera.geometry import rays, scale_K
+from pipeline.camera.camera import Camera
+from pipeline.camera.geometry import rays
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 
 SIZE, FINER = (96, 320), 2
@@ -34,7 +35,8 @@ def view(T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     The world's frame is that of a camera at the beginning of the street, which leads along z.
     """
     fine = SIZE[0] * FINER, SIZE[1] * FINER
-    grey, *_ = _render(T_world_cam, scale_K(K, SIZE, fine), fine)  # aliases of a coarse image would not move as it does
+    K_fine = Camera(K, SIZE).scaled(fine).K
+    grey, *_ = _render(T_world_cam, K_fine, fine)  # aliases of a coarse image would not move as it does
     image = cv2.resize(grey, SIZE[::-1], interpolation=cv2.INTER_AREA).astype(np.uint8)
     _, depth, which, sky = _render(T_world_cam, K, SIZE)
     cls = np.where(sky, classes.SKY, np.where(which == 0, classes.ROAD, classes.BUILDING)).astype(np.uint8)

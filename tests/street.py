@@ -6,10 +6,11 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera, write_camera
 from pipeline.camera.geometry import back_project, rays
 from pipeline.camera.images import to_units
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
+from pipeline.kitti.ingest_file import put_motion, put_pixels, put_scans
 from pipeline.kitti.oxts import make_rows
 
 SIZE = (32, 64)
@@ -46,7 +47,7 @@ def write_drive(
     }
     with store.DriveWriter(folder / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
         put_motion(file, np.arange(frames), np.arange(frames) / 10, make_rows(frames, vf=8.0))
-        put_camera(file, K, T_CAM_VELO if lidar else None)
+        write_camera(file, Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None))
         for name, arrays in pixels.items():
             put_pixels(file, name, frames, SIZE, None if arrays is None else enumerate(arrays))
         put_scans(file, frames, ((row, scan(depth)) for row, (_, depth, _) in enumerate(scenes) if lidar))

@@ -24,7 +24,7 @@ from pipeline.base.resume import ROOT, file_hash
 from pipeline.camera.images import read_image
 from pipeline.fitting import checkpoint
 from pipeline.kitti import oxts
-from pipeline.kitti.calibration import read_camera
+from pipeline.kitti.calibration import read_calibration
 from pipeline.kitti.raw import find_drives, read_scan
 from pipeline.sections import preset
 from pipeline.sections.graphs import Variant
@@ -70,7 +70,7 @@ FILES: dict[str, tuple[Path, bytes | None, Callable[[Path], object]]] = {
         b"\x89PNG\r\n\x1a\n" + bytes(20),
         partial(read_image, size=(375, 1242), new_size=(96, 320)),
     ),
-    "calibration_missing": (RAW.parent, None, partial(read_camera, number=2)),
+    "calibration_missing": (RAW.parent, None, partial(read_calibration, number=2)),
     "raw_drive_missing": (RAW.parent / "2026_01_01_drive_0002_sync/oxts", b"", find_drive),
     "checkpoint_damaged": (Path("best.pt"), b"PK\x03\x04" + bytes(100), checkpoint.load),
     "hashed_file_missing": (LABELS, None, file_hash),

@@ -1,10 +1,8 @@
-"""One frame of a drive, and the camera that recorded it: what per-frame functions of the stages take."""
+"""One frame of a drive, the input of the stages' per-frame functions."""
 
 from dataclasses import dataclass
 
 import numpy as np
-
-from pipeline.camera.images import Size
 
 
 @dataclass
@@ -17,13 +15,3 @@ class Frame:
     depth_m: np.ndarray | None = None  # [H,W] metres, rounded as in the file of stage perception; 0: none
     cls: np.ndarray | None = None  # trainIds uint8 [H,W]
     scan: np.ndarray | None = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A rectified pinhole camera at the size of depth and classes."""
-
-    size: Size  # (H, W)
-    K: np.ndarray  # [3,3] for that size
-    T_cam_velo: np.ndarray | None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
-    height_m: float  # over the road

@@ -7,20 +7,6 @@ frame b to frame a. Pixel (u, v) = (column, row); integer coordinates are pixel 
 import numpy as np
 
 
-def scale_K(K: np.ndarray, size: tuple[int, int], new_size: tuple[int, int]) -> np.ndarray:
-    """Return the intrinsics [3,3] after resizing an image from `size` (H, W) to `new_size`.
-
-    Resizing maps the left edge -0.5 to -0.5, so centres move: ``u' = s (u + 0.5) - 0.5``.
-    """
-    sy, sx = new_size[0] / size[0], new_size[1] / size[1]
-    scaled = K.astype(np.float64).copy()
-    scaled[0] *= sx
-    scaled[1] *= sy
-    scaled[0, 2] = sx * (K[0, 2] + 0.5) - 0.5
-    scaled[1, 2] = sy * (K[1, 2] + 0.5) - 0.5
-    return scaled
-
-
 def rays(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return K⁻¹[u,v,1]ᵀ for each pixel, float64 [H,W,3]; the third component is 1."""
     v, u = np.mgrid[: size[0], : size[1]].astype(np.float64)

@@ -18,7 +18,6 @@ DEPTH_UNITS_PER_M = 256  # of stored depth, as in KITTI's depth benchmark; 0: no
 MAX_UNITS = np.iinfo(np.uint16).max
 _PNG, _PNG_END, _JPEG = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82", b"\xff\xd8"
 _MOST_BYTES = 256 * MiB  # of an image file
-SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
 
 
 class Crop(NamedTuple):
@@ -35,33 +34,6 @@ class Crop(NamedTuple):
     def pixels(self, image: np.ndarray) -> np.ndarray:
         """Return the part of an image [H,W,…]."""
         return np.ascontiguousarray(image[self.rows, self.columns])
-
-    def K(self, K: np.ndarray) -> np.ndarray:
-        """Return the intrinsics [3,3] of the part."""
-        shift = np.zeros((3, 3))
-        shift[:2, 2] = self.columns.start, self.rows.start
-        return K - shift
-
-
-def crop_to(size: Size, aspect: Size, K: np.ndarray, horizon: float | None = None) -> Crop:
-    """Return the largest part of images of `size` (H, W) with the aspect ratio of `aspect` (H, W).
-
-    Its centre is the principal point of `K` [3,3], or the row `horizon` if given, as far as the image reaches. An image
-    whose aspect ratio differs by at most SAME_SHAPE is used completely.
-    """
-    height, width = size
-    ratio = height * aspect[1] / (width * aspect[0])
-    if max(ratio, 1 / ratio) <= 1 + SAME_SHAPE:
-        return Crop(slice(0, height), slice(0, width))
-    if ratio > 1:
-        centre = K[1, 2] if horizon is None else horizon
-        return Crop(_around(centre, round(height / ratio), height), slice(0, width))
-    return Crop(slice(0, height), _around(K[0, 2], round(width * ratio), width))
-
-
-def _around(centre: float, length: int, limit: int) -> slice:
-    start = min(max(round(centre + 0.5 - length / 2), 0), limit - length)
-    return slice(start, start + length)
 
 
 def to_metres(units: np.ndarray) -> np.ndarray:
@@ -98,7 +70,7 @@ def read_image(path: Path, size: Size, new_size: Size, crop: Crop | None = None)
 
 
 def resized(image: np.ndarray, size: Size) -> np.ndarray:
-    """Resize an image uint8 [H,W,3]. :func:`pipeline.camera.geometry.scale_K` gives the new intrinsics."""
+    """Resize an image uint8 [H,W,3]. `Camera.scaled` gives the new intrinsics."""
     import cv2
 
     height, width = image.shape[:2]
@@ -123,7 +95,7 @@ def _nearest(pixels: np.ndarray, new_size: Size) -> np.ndarray:
     """Resize by picking pixels: the mean of two depths or class numbers lies on neither surface."""
     import cv2
 
-    # EXACT picks by pixel centres, as geometry.scale_K assumes; plain INTER_NEAREST is off by half a pixel.
+    # EXACT picks by pixel centres, as Camera.scaled assumes; plain INTER_NEAREST is off by half a pixel.
     return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
-from pipeline.camera.geometry import scale_K
+from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size, format_size
 
 WAYS = "--calib FILE (a KITTI calib_cam_to_cam.txt), --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
@@ -20,10 +20,8 @@ _FARTHEST_M = 100.0  # of a camera from the reference camera
 _TOLERANCE = 1e-3  # of a rotation written as text
 
 
-def intrinsics(
-    size: Size, *, calib: Path | None = None, fov_deg: float | None = None, K: str | None = None
-) -> np.ndarray:
-    """Return the intrinsics [3,3] in pixels for images of `size` (H, W); pass exactly one of the others.
+def pinhole(size: Size, *, calib: Path | None = None, fov_deg: float | None = None, K: str | None = None) -> Camera:
+    """Return the camera of images of `size` (H, W); pass exactly one of the others.
 
     Args:
         calib: a file like KITTI's ``calib_cam_to_cam.txt``; a rectified camera of another size is scaled.
@@ -37,10 +35,10 @@ def intrinsics(
         raise InputError(f"expected one source of camera intrinsics, got {len(given)}", fix=f"Pass one of {WAYS}")
     if calib is not None:
         return _from_file(calib, size)
-    return _from_angle(fov_deg, size) if fov_deg is not None else _from_numbers(str(K), size)
+    return Camera(_from_angle(fov_deg, size) if fov_deg is not None else _from_numbers(str(K), size), size)
 
 
-def _from_file(path: Path, size: Size) -> np.ndarray:
+def _from_file(path: Path, size: Size) -> Camera:
     with error_context(fix="Pass a KITTI calib_cam_to_cam.txt with P_rect and S_rect of a camera to --calib"):
         entries = read_entries(path)
         number = next((number for number in _CAMERAS if f"P_rect_{number:02d}" in entries), _CAMERAS[0])
@@ -53,7 +51,7 @@ def _from_file(path: Path, size: Size) -> np.ndarray:
             path,
             "Pass the calibration of the cropped images, or --K",
         )
-    return scale_K(P[:, :3], calib_size, size)
+    return Camera(P[:, :3], calib_size).scaled(size)
 
 
 def _from_angle(fov_deg: float, size: Size) -> np.ndarray:

@@ -13,7 +13,8 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
-from pipeline.camera.frame import Camera, Frame
+from pipeline.camera.camera import Camera
+from pipeline.camera.frame import Frame
 
 if TYPE_CHECKING:
     from pipeline.sections.clouds import Clouds

@@ -14,7 +14,7 @@ from pipeline.base.executors import default_workers
 from pipeline.base.files import check_file
 from pipeline.camera.images import read_pixels
 from pipeline.inspect.artefact import format_spans, gaps
-from pipeline.kitti.calibration import cameras_in, read_camera
+from pipeline.kitti.calibration import cameras_in, read_calibration
 from pipeline.kitti.oxts import read_row, read_times
 from pipeline.kitti.raw import RawDrive, read_scan
 
@@ -188,4 +188,4 @@ def _check_calibration(date: Path, cameras: Sequence[int], scans: bool) -> None:
     for camera in cameras:
         if camera not in cameras_in(date):
             raise InputError(f"has no camera {camera}", date / "calib_cam_to_cam.txt")
-        read_camera(date, camera)
+        read_calibration(date, camera)

@@ -3,29 +3,17 @@
 pykitti's ``raw`` class is not used: it needs all four cameras.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import InputError, error_context
+from pipeline.camera.camera import Camera
 from pipeline.camera.intrinsics import matrix, projection, read_entries, rotation
+from pipeline.camera.mount import height_over_ground
 
 _EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
 _FARTHEST_M = 20.0  # between LiDAR and camera
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A rectified camera. Frame: x right, y down, z forward; origin at its own projection centre."""
-
-    number: int
-    size: tuple[int, int]
-    """(H, W) pixels."""
-    K: np.ndarray
-    """[3,3]"""
-    T_cam_velo: np.ndarray | None
-    """[4,4]; None without ``calib_velo_to_cam.txt``."""
 
 
 def cameras_in(folder: Path) -> list[int]:
@@ -36,15 +24,15 @@ def cameras_in(folder: Path) -> list[int]:
     return [number for number in range(4) if f"P_rect_{number:02d}" in entries]
 
 
-def read_camera(folder: Path, number: int) -> Camera:
-    """Read camera `number` from a date folder's calibration files. Raises InputError for missing or wrong entries."""
+def read_calibration(folder: Path, number: int) -> Camera:
+    """Read camera `number` from a date folder's files. Raises InputError for missing or wrong entries."""
     path, velo = folder / "calib_cam_to_cam.txt", folder / "calib_velo_to_cam.txt"
     with error_context(fix=_EXTRACT):
         entries = read_entries(path)
         P, size = projection(entries, number, path)
         K = P[:, :3]
         if not velo.exists():
-            return Camera(number, size, K, None)
+            return Camera(K, size)
         # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this camera. All three
         # components count: with x alone (as in pykitti) depths are off by t_z, 3 mm.
         shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
@@ -53,7 +41,8 @@ def read_camera(folder: Path, number: int) -> Camera:
         t = matrix(entries, "T", (3,), velo)
         if np.abs(t).max() > _FARTHEST_M:
             raise InputError(f"T puts the LiDAR {np.abs(t).max():g} m away from the camera", velo)
-        return Camera(number, size, K, shift @ rectify @ _rigid(rotation(entries, "R", velo), t))
+        T_cam_velo = shift @ rectify @ _rigid(rotation(entries, "R", velo), t)
+        return Camera(K, size, height_over_ground(T_cam_velo), T_cam_velo)
 
 
 def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -53,13 +53,6 @@ def put_steering(file: DriveWriter, frames: Iterable[int], steering_rad: Mapping
     return sum(angle is not None for angle in recorded)
 
 
-def put_camera(file: DriveWriter, K: np.ndarray, T_cam_velo: np.ndarray | None) -> None:
-    """Write the intrinsics [3,3] for the stored image size, and T_cam_velo [4,4] if the LiDAR is calibrated."""
-    file.put("K", K, "pixels")
-    if T_cam_velo is not None:
-        file.put("T_cam_velo", T_cam_velo, "m")
-
-
 def put_pixels(file: DriveWriter, name: str, frames: int, size: Size, rows: Rows | None) -> int:
     """Write dataset `name` of :data:`PIXELS` and ``has_<name>`` [F]; return the number of rows.
 

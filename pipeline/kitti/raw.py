@@ -13,7 +13,8 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.base.files import MiB, check_file
-from pipeline.kitti.calibration import Camera, cameras_in, read_camera
+from pipeline.camera.camera import Camera
+from pipeline.kitti.calibration import cameras_in, read_calibration
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
@@ -40,14 +41,15 @@ class RawDrive:
     def images(self, camera: int) -> dict[int, Path]:
         return _frames(self.folder / f"image_{camera:02d}" / "data", ".png")
 
-    def camera(self, choices: Sequence[int]) -> Camera | None:
-        """Return the first camera of `choices` with images; without images, the first that is calibrated, or None.
-
-        Raises InputError if the camera with images is not calibrated.
-        """
+    def camera_number(self, choices: Sequence[int]) -> int | None:
+        """Return the first camera of `choices` with images; without images, the first that is calibrated, or None."""
         numbers = [number for number in choices if self.images(number)]
         numbers = numbers or [number for number in choices if number in cameras_in(self.calibration)]
-        return read_camera(self.calibration, numbers[0]) if numbers else None
+        return numbers[0] if numbers else None
+
+    def camera(self, number: int) -> Camera:
+        """Return a calibrated camera. Raises InputError."""
+        return read_calibration(self.calibration, number)
 
     @property
     def oxts_times(self) -> Path:

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from pipeline.base.errors import InputError
-from pipeline.camera.frame import Camera
-from pipeline.camera.geometry import scale_K, scan_depth
+from pipeline.camera.camera import Camera
+from pipeline.camera.geometry import scan_depth
 from pipeline.camera.images import Size, resized, rounded_as_stored
 from pipeline.fitting.prefetch import prefetch
 from pipeline.live.frame_state import FrameState
@@ -37,7 +37,7 @@ class Chain:
             settings: of perception.
             road_scale: correct depth by the camera's height.
         """
-        self.camera = Camera(size, scale_K(source.K, source.size, size), source.T_cam_velo, source.camera_height_m)
+        self.camera = source.camera.scaled(size)
         self._encoder = EncoderRunner(encoder, settings, self.camera) if encoder else None
         self._estimators = {kind: MotionEstimator(kind, self.camera, road_scale=road_scale) for kind in kinds}
         odometries = (estimator.odometry for estimator in self._estimators.values())

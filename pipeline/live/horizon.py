@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pipeline.camera.geometry import scale_K
+from pipeline.camera.camera import Camera
 from pipeline.motion.tracks import Corners, track
 
 WIDTH = 640  # px, of the images that are tracked
@@ -15,26 +15,25 @@ RANSAC_PX = 0.7
 MIN_PAIRS = 8
 
 
-def find_horizon(pairs: Iterable[tuple[np.ndarray, np.ndarray]], K: np.ndarray) -> float | None:
+def find_horizon(pairs: Iterable[tuple[np.ndarray, np.ndarray]], camera: Camera) -> float | None:
     """Return the image row of the direction of travel, the median over pairs; None if too few pairs show one.
 
-    `pairs` of consecutive images RGB uint8 [H,W,3] with intrinsics `K` [3,3]. The row depends little on the focal
-    length. A camera on a car travels along the road, so this row is the road's horizon.
+    `pairs` of consecutive images RGB uint8 [H,W,3] of `camera`. The row depends little on the focal length. A camera
+    on a car travels along the road, so this row is the road's horizon.
     """
-    rows = [row for before, now in pairs if (row := _row(before, now, K)) is not None]
+    rows = [row for before, now in pairs if (row := _row(before, now, camera)) is not None]
     return float(np.median(rows)) if len(rows) >= MIN_PAIRS else None
 
 
-def _row(before: np.ndarray, now: np.ndarray, K: np.ndarray) -> float | None:
+def _row(before: np.ndarray, now: np.ndarray, camera: Camera) -> float | None:
     import cv2
 
-    size = before.shape[0], before.shape[1]
-    small = round(size[0] * WIDTH / size[1]), WIDTH
+    small = round(camera.size[0] * WIDTH / camera.size[1]), WIDTH
     first, second = (
         cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), small[::-1], interpolation=cv2.INTER_AREA)
         for image in (before, now)
     )
-    K = scale_K(K, size, small)
+    K = camera.scaled(small).K
     uv = Corners(np.asarray(first)).best(np.ones(small, bool), CELL, MIN_QUALITY)
     uv_now, tracked = track(np.asarray(first), np.asarray(second), uv, uv)
     uv, uv_now = uv[tracked].astype(np.float64), uv_now[tracked].astype(np.float64)
@@ -48,4 +47,4 @@ def _row(before: np.ndarray, now: np.ndarray, K: np.ndarray) -> float | None:
     if abs(ahead) < 0.9:  # of a unit vector: not a car's motion
         return None
     row = K[1, 2] + K[1, 1] * down / ahead
-    return float((row + 0.5) * size[0] / small[0] - 0.5)
+    return float((row + 0.5) * camera.size[0] / small[0] - 0.5)

@@ -45,13 +45,15 @@ def measure(
         InputError: the encoder has no network, no frame can be read, or the images seem to be rotated.
     """
     with closing(_first(source.frames, max_frames)) as frames:
-        chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_m is not None)
+        chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_known)
         assert chain.odometry
         upright = _refuse_rotated(prefetch(chain.run(frames), 1), source.path)
         measured = add_courses(upright, car, smooth=True)
         names, show = (MOTION, TRACK, QUALITY), {"video": video, "visible": visible}
         with write_results(measured, source, out, names, car, warm_up=1, **show) as (folder, results):
-            quality = _quality(results.road_heights_m, chain.odometry, source.height_m)
+            quality = _quality(
+                results.road_heights_m, chain.odometry, source.camera.height_m if source.height_known else None
+            )
             store.write_json(folder / QUALITY, quality)
             _draw_track(folder / TRACK, source.name, results.courses)
     return results, quality

@@ -8,7 +8,7 @@ from typing import Self
 import av
 import numpy as np
 
-from pipeline.camera.geometry import project, scale_K
+from pipeline.camera.geometry import project
 from pipeline.labels import label
 from pipeline.live.frame_state import FrameState
 from pipeline.live.source import Source
@@ -27,10 +27,9 @@ class Overlay:
 
     def __init__(self, path: Path, source: Source, wheelbase_m: float, *, predicts: bool = True) -> None:
         """Open the video for the images of `source`; without `predicts`, it shows the measured path."""
-        scale = min(1.0, MAX_WIDTH / source.size[1])
-        height, width = self._size = tuple(max(2, int(side * scale) // 2 * 2) for side in source.size)  # even for 4:2:0
-        self._K = scale_K(source.K, source.size, (height, width))
-        self._height_m, self._slope = source.camera_height_m, source.slope
+        scale = min(1.0, MAX_WIDTH / source.camera.size[1])
+        height, width = (max(2, int(side * scale) // 2 * 2) for side in source.camera.size)  # even for 4:2:0
+        self._camera, self._slope = source.camera.scaled((height, width)), source.slope
         self._wheelbase_m, self._predicts = wheelbase_m, predicts
         self._file = av.open(str(path), "w", format="mp4", options=CONTAINER)
         self._stream = self._file.add_stream("libx264", rate=Fraction(source.fps).limit_denominator(1001))
@@ -42,7 +41,7 @@ class Overlay:
         """Draw the next frame: its path in green, with lines at ±σ if predicted; the driven path, if known, in red."""
         import cv2
 
-        resized = cv2.resize(frame.source_image, self._size[::-1], interpolation=cv2.INTER_AREA)
+        resized = cv2.resize(frame.source_image, self._camera.size[::-1], interpolation=cv2.INTER_AREA)
         image = np.asarray(resized, np.uint8)
         measured_rad = frame.course.steering_rad if frame.course else None
         angle_rad = frame.predicted_rad if self._predicts else measured_rad
@@ -77,9 +76,9 @@ class Overlay:
         sides = []
         for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
             ground = centre + offset_m * left
-            down = self._height_m + self._slope * ground[:, 0]
+            down = self._camera.height_m + self._slope * ground[:, 0]
             xyz = np.stack([-ground[:, 1], down, ground[:, 0]], axis=1)
-            uv, z = project(xyz, self._K)
+            uv, z = project(xyz, self._camera.K)
             sides.append(np.rint(uv[z > 1.0]).astype(np.int32))
         if filled:
             shade = image.copy()

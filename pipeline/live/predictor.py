@@ -16,7 +16,7 @@ import torch
 
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError
-from pipeline.camera.frame import Camera
+from pipeline.camera.camera import Camera
 from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
@@ -56,7 +56,7 @@ def differences(model: Trained, source: Source, fitted_focal: float | None) -> l
         texts.append("it was fitted to the rendered sample alone, so expect wrong angles on real streets")
     if card and abs(source.fps / card.fps - 1) > TOLERANCE:
         texts.append(f"it was fitted to {card.fps:.1f} frames/s, got {source.fps:.1f}")
-    focal = source.K[0, 0] / source.size[1]
+    focal = source.camera.K[0, 0] / source.camera.size[1]
     if fitted_focal and abs(focal / fitted_focal - 1) > TOLERANCE:
         texts.append(f"it was fitted to a focal length of {fitted_focal:.2f} image widths, got {focal:.2f}")
     return [f"warning: model {model.name}: {text}" for text in texts]

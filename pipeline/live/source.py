@@ -2,17 +2,18 @@
 
 import time
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.camera.camera import Camera
 from pipeline.camera.footage import Footage, open_footage
-from pipeline.camera.images import Size, crop_to, format_size, read_image
-from pipeline.camera.intrinsics import intrinsics
-from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height
+from pipeline.camera.images import Size, format_size, read_image
+from pipeline.camera.intrinsics import pinhole
+from pipeline.camera.mount import camera_height
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.labels import label
@@ -34,25 +35,18 @@ class Source:
 
     path: Path
     name: str  # of the drive; random draws depend on it
-    size: Size  # (H, W) of the images
-    K: np.ndarray  # [3,3] for that size
+    camera: Camera  # of the images; height_m is KITTI's unless height_known
     frames: Generator[FrameState]
     count: int | None  # number of frames, if known
     fps: float
-    T_cam_velo: np.ndarray | None = None  # [4,4]; None without LiDAR calibration
     has_scans: bool = False
     notes: list[str] = field(default_factory=list)  # for the user; grows while frames are read
     slope: float = 0.0  # of the road, metres down per metre ahead of the camera
-    height_m: float | None = None  # of the camera over the road; None: unknown
-
-    @property
-    def camera_height_m(self) -> float:
-        """The camera's height over the road; KITTI's if it is unknown."""
-        return self.height_m or CAMERA_HEIGHT_M
+    height_known: bool = False  # of the camera over the road
 
 
 class Lens(NamedTuple):
-    """One of three ways to give a camera's intrinsics: see :func:`pipeline.camera.intrinsics.intrinsics`."""
+    """One of three ways to give a camera's intrinsics: see :func:`pipeline.camera.intrinsics.pinhole`."""
 
     calib: Path | None = None
     fov_deg: float | None = None
@@ -103,19 +97,23 @@ def open_source(
         raise InputError(f"no images of camera {wanted}", path, "Extract image_02 of the drive")
     else:
         source = _open_footage(path, lens, aspect, clock, level)
-    source.height_m = height_m or source.height_m
-    if min(source.size) < MIN_SIDE:
-        height, width = source.size
+    if height_m is not None:
+        source.camera, source.height_known = replace(source.camera, height_m=height_m), True
+    elif source.height_known:
+        camera_height(source.camera.T_cam_velo)  # raises InputError if it is implausible
+    if min(source.camera.size) < MIN_SIDE:
+        height, width = source.camera.size
         raise InputError(f"images are too small (got {width} x {height} px after cropping, at least {MIN_SIDE})", path)
     return source
 
 
 def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car) -> Source:
-    camera = drive.camera(cameras)
-    assert camera is not None  # since it has images
-    crop = crop_to(camera.size, aspect, camera.K)
-    images = drive.images(camera.number)
-    stamped, stamps = drive.timeline(camera.number)
+    camera_number = drive.camera_number(cameras)
+    assert camera_number is not None  # since it has images
+    camera = drive.camera(camera_number)
+    crop = camera.crop_to(aspect)
+    images = drive.images(camera_number)
+    stamped, stamps = drive.timeline(camera_number)
     numbers = [number for number in images if number in stamped]
     if not numbers:
         raise InputError("no image has an oxts packet of the same number", drive.folder, "Extract the drive again")
@@ -139,15 +137,13 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
     return Source(
         path=path,
         name=drive.folder.name.removesuffix("_sync"),
-        size=crop.size,
-        K=crop.K(camera.K),
+        camera=camera.cropped(crop),
         frames=frames(),
         count=len(numbers),
         fps=float(fps),
-        T_cam_velo=camera.T_cam_velo,
         has_scans=bool(drive.scans) and camera.T_cam_velo is not None,
         notes=notes,
-        height_m=camera_height(camera.T_cam_velo),  # KITTI's without a LiDAR calibration
+        height_known=True,  # KITTI's without a LiDAR calibration
     )
 
 
@@ -165,14 +161,14 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
     if footage.size[0] > footage.size[1]:
         sizes = f"images are taller than wide ({format_size(footage.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, ROTATE)
-    K = intrinsics(footage.size, **lens._asdict())
+    camera = pinhole(footage.size, **lens._asdict())
     notes, horizon = [], None
     if times_s is None and next(iter(footage.frames())).time_s is None:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
         footage = open_footage(path, DEFAULT_FPS)
-    if not level and (horizon := find_horizon(_some_pairs(footage), K)) is None:
+    if not level and (horizon := find_horizon(_some_pairs(footage), camera)) is None:
         notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
-    crop = crop_to(footage.size, aspect, K, None if horizon is None else horizon + BELOW * footage.size[1])
+    crop = camera.crop_to(aspect, None if horizon is None else horizon + BELOW * footage.size[1])
 
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()
@@ -180,9 +176,8 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
             yield FrameState(image.number, time_s, source_image=crop.pixels(image.image), started_s=started_s)
             started_s = time.perf_counter()
 
-    source = Source(
-        path, path.stem, crop.size, crop.K(K), frames(), footage.count, footage.fps or DEFAULT_FPS, notes=notes
-    )
+    fps = footage.fps or DEFAULT_FPS
+    source = Source(path, path.stem, camera.cropped(crop), frames(), footage.count, fps, notes=notes)
     if times_s is not None and len(times_s) > 1:
         source.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
     if crop.size != footage.size:
@@ -190,7 +185,7 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
         part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"
         notes.append(f"images are cropped to {part}, the shape of the training images")
     if horizon is not None:
-        source.slope = (horizon - K[1, 2]) / K[1, 1]
+        source.slope = (horizon - camera.K[1, 2]) / camera.K[1, 1]
         notes.append(f"horizon: row {horizon:.0f} of {footage.size[0]}")
     return source
 

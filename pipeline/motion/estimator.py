@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.store import DriveWriter
-from pipeline.camera.frame import Camera, Frame
+from pipeline.camera.camera import Camera
+from pipeline.camera.frame import Frame
 from pipeline.motion import lidar, visual
 from pipeline.motion.step import Step, StepClock, rates
 

@@ -118,7 +118,7 @@ class Odometry:
         """Return a mask [H,W] at the size of the enlarged images."""
         return mask.repeat(self._enlarged, axis=0).repeat(self._enlarged, axis=1)
 
-    # As in geometry.scale_K, the image's edge is fixed, not the centre of its first pixel.
+    # As in Camera.scaled, the image's edge is fixed, not the centre of its first pixel.
     def _larger(self, uv: np.ndarray) -> np.ndarray:
         return ((uv + 0.5) * self._enlarged - 0.5).astype(np.float32)
 

@@ -12,7 +12,8 @@ from pipeline.base.params import Section
 from pipeline.base.progress import track
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.camera.frame import Camera, Frame
+from pipeline.camera.camera import read_camera
+from pipeline.camera.frame import Frame
 from pipeline.camera.images import to_metres
 
 LIDAR = "lidar"  # the kind of motion and of clouds that is made from scans; other kinds are made from images
@@ -27,14 +28,7 @@ class DriveFrames:
         source, rows = (perception, slice(None)) if self._scan_rows is None else (ingest, self._scan_rows)
         self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
         self.time_s = source.time_s[rows]  # float64 [F]
-        # A drive without images and scans has no camera, one without LiDAR no T_cam_velo.
-        has_K, has_lidar = "K" in ingest, "T_cam_velo" in ingest
-        self.camera = Camera(
-            perception.shape("cls")[1:],  # type: ignore[arg-type]
-            ingest["K"] if has_K else np.eye(3),
-            ingest["T_cam_velo"] if has_lidar else None,
-            float(perception.attrs["camera_height_m"]),
-        )
+        self.camera = read_camera(ingest, float(perception.attrs["camera_height_m"]))
 
     def __iter__(self) -> Generator[Frame]:
         """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""

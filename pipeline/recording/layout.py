@@ -10,9 +10,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import Drive
-from pipeline.camera.images import Size, format_size, write_png
+from pipeline.camera.camera import Camera
+from pipeline.camera.images import format_size, write_png
 from pipeline.camera.intrinsics import write_entries
-from pipeline.kitti.calibration import read_camera
+from pipeline.kitti.calibration import read_calibration
 from pipeline.kitti.oxts import (
     GRAVITY_MPS2,
     LONGEST_STEP_S,
@@ -113,36 +114,37 @@ def packets(rates: Rates, time_s: np.ndarray) -> np.ndarray:
     return make_rows(len(at), **level, ax=forward, ay=left, az=GRAVITY_MPS2)[1:]
 
 
-def check_calibration(folder: Path, size: Size, K: np.ndarray, force: bool) -> bool:
+def check_calibration(folder: Path, camera: Camera, force: bool) -> bool:
     """Return whether the date folder of the drive at `folder` already has this calibration.
 
     Raises InputError if it has the calibration of another camera; with `force`, only if other drives share it.
     """
     if not (folder.parent / _FILE).is_file():
         return False
-    camera = read_camera(folder.parent, CAMERA)
-    if camera.size == size and np.allclose(camera.K, K, rtol=0, atol=_SAME_PX):
+    stored = read_calibration(folder.parent, CAMERA)
+    if stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
         return True
     others = sorted(other.name for other in folder.parent.glob("*_sync") if other != folder)
     if force and not others:
         return False
     raise InputError(
-        f"date has the calibration of another camera, {_describe(camera.size, camera.K)} (this one: "
-        f"{_describe(size, K)}; {f'used by {others[0]}' if others else '--force replaces it'})",
+        f"date has the calibration of another camera, {_describe(stored)} (this one: "
+        f"{_describe(camera)}; {f'used by {others[0]}' if others else '--force replaces it'})",
         folder.parent,
         "Pass --drive another date: all drives of a date share the calibration",
     )
 
 
-def write_calibration(folder: Path, size: Size, K: np.ndarray) -> None:
+def write_calibration(folder: Path, camera: Camera) -> None:
     """Write calib_cam_to_cam.txt into the date folder of the drive at `folder`."""
     entries = {
-        f"S_rect_{CAMERA:02d}": np.array(size[::-1], float),
+        f"S_rect_{CAMERA:02d}": np.array(camera.size[::-1], float),
         "R_rect_00": np.eye(3),
-        f"P_rect_{CAMERA:02d}": np.column_stack([K, np.zeros(3)]),
+        f"P_rect_{CAMERA:02d}": np.column_stack([camera.K, np.zeros(3)]),
     }
     write_entries(folder.parent / _FILE, entries)
 
 
-def _describe(size: Size, K: np.ndarray) -> str:
-    return f"{format_size(size)}, focal length {K[0, 0]:.2f}, centre {K[0, 2]:.1f}, {K[1, 2]:.1f}"
+def _describe(camera: Camera) -> str:
+    K = camera.K
+    return f"{format_size(camera.size)}, focal length {K[0, 0]:.2f}, centre {K[0, 2]:.1f}, {K[1, 2]:.1f}"

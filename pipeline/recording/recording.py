@@ -13,6 +13,7 @@ from tqdm import tqdm
 from pipeline.base.atomic import exclusive, replacing
 from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
+from pipeline.camera.camera import Camera
 from pipeline.camera.footage import Footage
 from pipeline.kitti.raw import STEERING_FILE
 from pipeline.labels import steering_file
@@ -25,7 +26,7 @@ class Recording:
     """Images, and what was logged while they were taken."""
 
     footage: Footage
-    K: np.ndarray  # intrinsics [3,3] in pixels
+    camera: Camera  # of the images
     times_s: np.ndarray | None  # of the images; None: their own
     motion: MotionLog | None
     wheel: WheelLog | None
@@ -55,7 +56,7 @@ class Recording:
         # One lock per date, as its drives share a calibration.
         with exclusive(folder.parent, root / ".import" / drive[:10]), replacing(folder) as unfinished:
             layout.check_absent(folder, force)
-            calibrated = layout.check_calibration(folder, self.footage.size, self.K, force)
+            calibrated = layout.check_calibration(folder, self.camera, force)
             time_s, usable = self._write_images(unfinished, visible)
             if self.motion:
                 layout.write_packets(unfinished, self.motion.rates, time_s, usable)
@@ -66,7 +67,7 @@ class Recording:
             if angles:
                 steering_file.write(unfinished / STEERING_FILE, angles)
             if not calibrated:
-                layout.write_calibration(folder, self.footage.size, self.K)
+                layout.write_calibration(folder, self.camera)
         summary = {
             "drive": drive,
             "folder": str(folder),

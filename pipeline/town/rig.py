@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.camera.camera import Camera
 from pipeline.camera.intrinsics import write_entries
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
 from pipeline.town.route import IMU_HEIGHT_M
@@ -48,9 +49,9 @@ class Rig:
     T_velo_imu: np.ndarray  # [4,4]
 
     @property
-    def K(self) -> np.ndarray:
-        """Intrinsics [3,3] of the left colour camera."""
-        return self.P_rect[2][:, :3]
+    def camera(self) -> Camera:
+        """The left colour camera, without its pose."""
+        return Camera(self.P_rect[2][:, :3], self.size)
 
     @property
     def T_cam2_imu(self) -> np.ndarray:

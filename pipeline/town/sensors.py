@@ -22,7 +22,7 @@ class Camera:
 
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
-        forward = geometry.rays(rig.K, rig.size).reshape(-1, 3).T
+        forward = geometry.rays(rig.camera.K, rig.size).reshape(-1, 3).T
         self._z_per_m = (1 / np.linalg.norm(forward, axis=0)).astype(np.float32)  # depth along the axis per distance
         self._directions = (forward * self._z_per_m).astype(np.float32)
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
-from pipeline.camera.geometry import scale_K
+from pipeline.camera.camera import Camera
 from stages import ingest
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params
 
@@ -48,7 +48,7 @@ def test_complete_drive(tmp_path: Path) -> None:
             start, stop = file["lidar_ptr"][frame : frame + 2]
             np.testing.assert_array_equal(file.rows("lidar", start, stop), points)
         K = np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]])
-        np.testing.assert_allclose(file["K"], scale_K(K, SIZE, NEW))
+        np.testing.assert_allclose(file["K"], Camera(K, SIZE).scaled(NEW).K)
         assert file["T_cam_velo"].shape == (4, 4)
         for name in ("image", "lidar", "depth", "cls"):
             np.testing.assert_array_equal(file[f"has_{name}"], [1, 1, 1, 1])
@@ -85,7 +85,7 @@ def test_images_of_another_shape_are_cropped_around_the_optical_axis(tmp_path: P
         cls = cv2.imread(str(folder / "truth/cls/0000000001.png"), cv2.IMREAD_UNCHANGED)[rows]
         assert file["cls"][1][0, 0] == cls[0, 0]
         K = np.array([[50, 0, 31.3], [0, 50, 22.2 - 12], [0, 0, 1]])
-        np.testing.assert_allclose(file["K"], scale_K(K, (21, 64), (32, 96)))
+        np.testing.assert_allclose(file["K"], Camera(K, (21, 64)).scaled((32, 96)).K)
 
 
 def test_drive_without_oxts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,8 +7,9 @@ import pytest
 import yaml
 
 from pipeline.base import store
+from pipeline.camera.camera import Camera, write_camera
 from pipeline.camera.images import to_units
-from pipeline.kitti.ingest_file import put_camera, put_motion, put_pixels, put_scans
+from pipeline.kitti.ingest_file import put_motion, put_pixels, put_scans
 from pipeline.kitti.oxts import make_rows
 from pipeline.sections.perception import Perception
 from stages import motion
@@ -27,7 +28,7 @@ def write_drive(root: Path, drive: str, poses: list[np.ndarray], *, images: bool
     with store.DriveWriter(root / "ingest" / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
         put_motion(file, NUMBERS, NUMBERS / 10, make_rows(frames, vf=99.0, wu=9.0))  # wrong: must not be read
         if images or scans:
-            put_camera(file, street.K, T_CAM_VELO if scans else None)
+            write_camera(file, Camera(street.K, street.SIZE, T_cam_velo=T_CAM_VELO if scans else None))
         put_pixels(file, "image", frames, street.SIZE, enumerate(image for image, *_ in views))
         clouds = [scan(row, pose, world()).scan for row, pose in enumerate(poses) if scans]
         put_scans(file, frames, ((row, np.pad(points, [(0, 0), (0, 1)])) for row, points in enumerate(clouds)))

@@ -60,7 +60,7 @@ def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     out = town.main(out=tmp_path / "town", params=params, workers=1)
     raw = find_drives(out, DRIVES)
     assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]
-    focal = [camera.K[0, 0] for camera in (raw[drive].camera([2]) for drive in DRIVES) if camera]
+    focal = [raw[drive].camera(2).K[0, 0] for drive in DRIVES]
     assert focal[0] == focal[1] < focal[2]
     assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
     assert "drive_0001: 2 frames" in capsys.readouterr().out
@@ -95,5 +95,5 @@ def test_replay_copies_recorded_packets_up_to_the_split_s_limit(
         assert list(rendered[drive].images(2)) == list(rendered[drive].oxts) == list(range(3, last + 1))
         for frame, path in rendered[drive].oxts.items():
             assert path.read_bytes() == recorded[drive].oxts[frame].read_bytes()
-        assert rendered[drive].camera([2]) is not None
+        assert rendered[drive].camera_number([2]) == 2
     assert "drive_0001: 5 frames, 2.4 m" in capsys.readouterr().out

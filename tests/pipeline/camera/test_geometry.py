@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipeline.camera.geometry import back_project, depth_image, project, rays, scale_K
+from pipeline.camera.camera import Camera
+from pipeline.camera.geometry import back_project, depth_image, project, rays
 
 K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
 SIZE = (40, 64)
@@ -46,12 +47,12 @@ def test_points_behind_have_no_pixel() -> None:
 
 def test_scaled_camera_projects_to_the_scaled_position() -> None:
     """A pixel covers [u - 1/2, u + 1/2], so edges scale and centres do not."""
-    new_size = (20, 16)
+    camera, new_size = Camera(K, SIZE), (20, 16)
     xyz = np.random.default_rng(0).uniform([-3, -2, 5], [3, 2, 20], (100, 3))
-    old, new = project(xyz, K)[0], project(xyz, scale_K(K, SIZE, new_size))[0]
+    old, new = project(xyz, K)[0], project(xyz, camera.scaled(new_size).K)[0]
     np.testing.assert_allclose((new + 0.5) / new_size[::-1], (old + 0.5) / SIZE[::-1])
-    np.testing.assert_allclose(scale_K(scale_K(K, SIZE, new_size), new_size, SIZE), K)
-    np.testing.assert_array_equal(scale_K(K, SIZE, SIZE), K)
+    np.testing.assert_allclose(camera.scaled(new_size).scaled(SIZE).K, K)
+    np.testing.assert_array_equal(camera.scaled(SIZE).K, K)
 
 
 def test_depth_image_keeps_the_nearest_point() -> None:

@@ -1,4 +1,4 @@
-"""Resizing: pixels move as scale_K computes, depth and classes are never mixed; damaged files are refused."""
+"""Resizing: pixels move as Camera.scaled computes, depth and classes are never mixed; damaged files are refused."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DamagedFile
-from pipeline.camera.geometry import scale_K
+from pipeline.camera.camera import Camera
 from pipeline.camera.images import read_classes, read_depth, read_image, read_pixels, write_png
 
 SIZE, SMALL = (60, 120), (20, 30)
@@ -20,8 +20,8 @@ def ramps() -> np.ndarray:
 
 
 def original_coordinates() -> np.ndarray:
-    """Return the coordinates of each pixel of the resized image in the original, from scale_K."""
-    back = np.linalg.inv(scale_K(np.eye(3), SIZE, SMALL))
+    """Return the coordinates of each pixel of the resized image in the original, from Camera.scaled."""
+    back = np.linalg.inv(Camera(np.eye(3), SIZE).scaled(SMALL).K)
     v, u = np.mgrid[: SMALL[0], : SMALL[1]]
     return (np.stack([u, v, np.ones_like(u)], axis=-1) @ back.T)[..., :2]
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.camera.geometry import rays, scale_K
-from pipeline.camera.intrinsics import intrinsics
-from pipeline.kitti.calibration import read_camera
+from pipeline.camera.geometry import rays
+from pipeline.camera.intrinsics import pinhole
+from pipeline.kitti.calibration import read_calibration
 from tests.kitti_drive import SIZE, write_calibration
 
 
 def test_field_of_view_spans_the_edges() -> None:
-    K = intrinsics((480, 640), fov_deg=90)
+    K = pinhole((480, 640), fov_deg=90).K
     left, right = np.linalg.inv(K) @ [-0.5, 0, 1], np.linalg.inv(K) @ [639.5, 0, 1]  # half a pixel beyond the centres
     assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
     middle = rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
@@ -24,24 +24,24 @@ def test_field_of_view_spans_the_edges() -> None:
 def test_calibration_file_as_ingest_reads_it(tmp_path: Path) -> None:
     calib = tmp_path / "calib_cam_to_cam.txt"
     write_calibration(tmp_path)
-    K = read_camera(tmp_path, 2).K
-    np.testing.assert_array_equal(intrinsics(SIZE, calib=calib), K)
+    camera = read_calibration(tmp_path, 2)
+    np.testing.assert_array_equal(pinhole(SIZE, calib=calib).K, camera.K)
     half = (SIZE[0] // 2, SIZE[1] // 2)
-    np.testing.assert_array_equal(intrinsics(half, calib=calib), scale_K(K, SIZE, half))
+    np.testing.assert_array_equal(pinhole(half, calib=calib).K, camera.scaled(half).K)
     with pytest.raises(InputError, match="aspect ratio"):
-        intrinsics((40, 64), calib=calib)
+        pinhole((40, 64), calib=calib)
     for name, problem in (("calib_velo_to_cam.txt", "no entry P_rect_02"), ("nothing.txt", "missing")):
         with pytest.raises(InputError, match=problem) as raised:
-            intrinsics(SIZE, calib=tmp_path / name)
+            pinhole(SIZE, calib=tmp_path / name)
         assert (raised.value.where, "--calib" in raised.value.fix) == (str(tmp_path / name), True)
     write_calibration(tmp_path, [0])
-    assert intrinsics(SIZE, calib=calib)[0, 0] == 50
+    assert pinhole(SIZE, calib=calib).K[0, 0] == 50
 
 
 @pytest.mark.parametrize("fov_deg", [0, 180, float("nan"), -90])
 def test_implausible_angles(fov_deg: float) -> None:
     with pytest.raises(InputError) as raised:
-        intrinsics((48, 64), fov_deg=fov_deg)
+        pinhole((48, 64), fov_deg=fov_deg)
     assert raised.value.where == "--fov"
 
 
@@ -51,12 +51,12 @@ def test_implausible_angles(fov_deg: float) -> None:
 )  # fmt: skip
 def test_implausible_numbers(K: str) -> None:
     with pytest.raises(InputError) as raised:
-        intrinsics((48, 64), K=K)
+        pinhole((48, 64), K=K)
     assert raised.value.where == "--K"
 
 
 @pytest.mark.parametrize("given", [{}, {"fov_deg": 90, "K": "1,1,1,1"}])
 def test_exactly_one_source(given: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"got {len(given)}") as raised:
-        intrinsics((48, 64), **given)
+        pinhole((48, 64), **given)
     assert all(option in raised.value.fix for option in ("--calib", "--fov", "--K"))

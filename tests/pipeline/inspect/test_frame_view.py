@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.camera.camera import Camera, write_camera
 from pipeline.camera.images import to_units
 from pipeline.inspect import frame_view
 from pipeline.kitti import ingest_file
@@ -44,7 +45,7 @@ def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
     image, cls = rng.integers(0, 256, (20, 30, 3), np.uint8), rng.integers(0, 19, (20, 30), np.uint8)
     with DriveWriter(path, stage="ingest", drive=DRIVE, params={}) as file:
         ingest_file.put_motion(file, FRAMES, FRAMES * 0.1, make_rows(3))
-        ingest_file.put_camera(file, np.array([[20, 0, 15], [0, 20, 10], [0, 0, 1]], float), None)
+        write_camera(file, Camera(np.array([[20, 0, 15], [0, 20, 10], [0, 0, 1]], float), (20, 30)))
         ingest_file.put_pixels(file, "image", 3, (20, 30), [(1, image)])
         ingest_file.put_pixels(file, "depth", 3, (20, 30), [(1, to_units(np.full((20, 30), 7.0)))])
         ingest_file.put_pixels(file, "cls", 3, (20, 30), [(1, cls)])

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import project, transform
-from pipeline.kitti.calibration import read_camera
+from pipeline.kitti.calibration import read_calibration
 from tests.kitti_drive import write_calibration
 
 
@@ -21,7 +21,7 @@ def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
     reference = (xyz @ R.reshape(3, 3).T + T) @ R_rect.reshape(3, 3).T
     expected = np.column_stack([reference, np.ones(50)]) @ P.reshape(3, 4).T
 
-    camera = read_camera(tmp_path, 2)
+    camera = read_calibration(tmp_path, 2)
     assert camera.T_cam_velo is not None
     uv, z = project(transform(camera.T_cam_velo, xyz), camera.K)
     np.testing.assert_allclose(z, expected[:, 2], rtol=1e-9)
@@ -44,7 +44,7 @@ def test_damaged_calibration(tmp_path: Path, old: str, new: str, problem: str) -
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError, match=problem) as raised:
-        read_camera(tmp_path, 2)
+        read_calibration(tmp_path, 2)
     assert raised.value.where.startswith(str(path))
     assert raised.value.fix
 
@@ -54,7 +54,7 @@ def test_real_calibration_agrees_with_pykitti(real_kitti: Path) -> None:
     import pykitti
 
     theirs = pykitti.raw(str(real_kitti), "2011_09_26", "0052").calib
-    ours = read_camera(real_kitti / "2011_09_26", 2)
+    ours = read_calibration(real_kitti / "2011_09_26", 2)
     assert ours.T_cam_velo is not None
     np.testing.assert_allclose(ours.K, theirs.K_cam2, rtol=1e-12)
     np.testing.assert_allclose(ours.T_cam_velo[:3, :3], theirs.T_cam2_velo[:3, :3], atol=1e-12)

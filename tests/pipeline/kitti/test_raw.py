@@ -87,8 +87,7 @@ def test_pipes_and_devices_are_refused(tmp_path: Path, read: Callable[[Path], np
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
     """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is only close."""
     raw = RawDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
-    camera = raw.camera([2])
-    assert camera is not None
+    camera = raw.camera(2)
     assert camera.T_cam_velo is not None
     png = real_kitti / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
     expected = read_pixels(png) / 256

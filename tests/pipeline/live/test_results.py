@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.camera.camera import Camera
 from pipeline.live.frame_state import FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.results import STEERING, UNFINISHED, VIDEO, result_folder
@@ -29,7 +30,7 @@ def frames(count: int) -> list[FrameState]:
 
 def overlay(path: Path) -> Overlay:
     K = np.array([[200.0, 0, 160], [0, 200, 40], [0, 0, 1]])
-    return Overlay(path, Source(path, "drive", SIZE, K, iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
+    return Overlay(path, Source(path, "drive", Camera(K, SIZE), iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
 
 
 def decoded(path: Path) -> int:

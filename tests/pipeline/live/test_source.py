@@ -32,8 +32,8 @@ def test_images_are_cropped_around_the_optical_axis(
     (frame,) = source.frames
     rows, columns = expected
     np.testing.assert_array_equal(frame.source_image, image[rows, columns, ::-1])
-    assert source.size == frame.source_image.shape[:2]
-    np.testing.assert_allclose(source.K[:2, 2], [axis[0] - columns.start, axis[1] - rows.start])
+    assert source.camera.size == frame.source_image.shape[:2]
+    np.testing.assert_allclose(source.camera.K[:2, 2], [axis[0] - columns.start, axis[1] - rows.start])
     assert frame.driven_rad is None
 
 

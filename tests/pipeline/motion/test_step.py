@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from pipeline.camera.frame import Camera, Frame
+from pipeline.camera.camera import Camera
+from pipeline.camera.frame import Frame
 from pipeline.motion import lidar, step
 from pipeline.motion.estimator import MotionEstimator
 from tests import rendered_street as street
@@ -50,7 +51,7 @@ def test_frames_without_a_scan_do_not_count_for_the_duration_of_lidar_steps(monk
     one_metre = np.eye(4)
     one_metre[2, 3] = 1.0
     monkeypatch.setattr(lidar.Odometry, "step", lambda *_: step.Step(one_metre, 500, 0.01))
-    estimator = MotionEstimator("lidar", Camera((4, 4), np.eye(3), None, 1.65), road_scale=True)
+    estimator = MotionEstimator("lidar", Camera(np.eye(3), (4, 4)), road_scale=True)
     times, with_scan = [0.0, 0.1, 0.2, 0.29, 0.41, 0.5], [0, 1, 4, 5]
     estimates = [
         estimator.estimate(Frame(number, time_s, scan=SCAN if number in with_scan else None))

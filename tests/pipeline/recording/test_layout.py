@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.camera.camera import Camera
 from pipeline.camera.images import read_pixels
-from pipeline.kitti.calibration import read_camera
+from pipeline.kitti.calibration import read_calibration
 from pipeline.kitti.oxts import COLUMNS, EARTH_RADIUS_M, VF, WU, YAW, read_row, read_times
 from pipeline.kitti.raw import RawDrive
 from pipeline.recording.layout import (
@@ -53,13 +54,13 @@ def test_files_are_numbered(tmp_path: Path, threads: int) -> None:
 
 def test_calibration_round_trip(tmp_path: Path) -> None:
     folder = drive_folder(tmp_path, DRIVE)
-    assert not check_calibration(folder, SIZE, K, force=False)
-    write_calibration(folder, SIZE, K)
-    camera = read_camera(folder.parent, 2)
+    assert not check_calibration(folder, Camera(K, SIZE), force=False)
+    write_calibration(folder, Camera(K, SIZE))
+    camera = read_calibration(folder.parent, 2)
     assert (camera.size, camera.T_cam_velo) == (SIZE, None)
     np.testing.assert_allclose(camera.K, K, rtol=1e-12)
     write_full_calibration(folder.parent)
-    assert check_calibration(folder, SIZE, read_camera(folder.parent, 2).K, force=False)
+    assert check_calibration(folder, read_calibration(folder.parent, 2), force=False)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.camera.geometry import transform
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
-from pipeline.kitti.calibration import cameras_in, read_camera
+from pipeline.kitti.calibration import cameras_in, read_calibration
 from pipeline.town.rig import make_rig, rotation, write_calibration
 from pipeline.town.route import IMU_HEIGHT_M
 
@@ -17,9 +17,9 @@ def test_calibration_files_describe_the_rig(tmp_path: Path, date: str) -> None:
     rig = make_rig((188, 621), date)
     write_calibration(rig, tmp_path / date)
     assert cameras_in(tmp_path / date) == [0, 1, 2, 3]
-    camera = read_camera(tmp_path / date, 2)
+    camera = read_calibration(tmp_path / date, 2)
     assert camera.size == (188, 621)
-    np.testing.assert_allclose(camera.K, rig.K, atol=1e-9)
+    np.testing.assert_allclose(camera.K, rig.camera.K, atol=1e-9)
     assert camera.T_cam_velo is not None
     np.testing.assert_allclose(camera.T_cam_velo @ rig.T_velo_imu, rig.T_cam2_imu, atol=1e-9)
     np.testing.assert_allclose(camera.T_cam_velo[:3, :3] @ camera.T_cam_velo[:3, :3].T, np.eye(3), atol=1e-9)
@@ -33,7 +33,7 @@ def test_sensors_are_placed_as_on_kittis_car() -> None:
     assert abs(scanner[2] + IMU_HEIGHT_M - SCANNER_HEIGHT_M) < 0.02
     ahead, left, up = rig.T_cam2_imu[:3, :3].T
     np.testing.assert_allclose([ahead[2], left[0], up[1]], [1, -1, -1], atol=1e-3)  # z forward, x right, y down
-    np.testing.assert_allclose(rig.K[0, 0], 360.8)
+    np.testing.assert_allclose(rig.camera.K[0, 0], 360.8)
     np.testing.assert_allclose(rig.P_rect[2][0, 3], 44.9 / 2, atol=0.1)
 
 

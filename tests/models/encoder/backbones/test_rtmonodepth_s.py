@@ -8,7 +8,8 @@ from torch import Tensor
 from models.encoder.backbones.rtmonodepth_s import SIZE, rtmonodepth_s
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.camera import classes
-from pipeline.camera.geometry import scale_K, scan_depth
+from pipeline.camera.camera import Camera
+from pipeline.camera.geometry import scan_depth
 from pipeline.camera.images import read_image
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.perception.perceive import perceive
@@ -51,7 +52,7 @@ def test_depth_grows_with_the_focal_length() -> None:
 def test_an_image_of_any_size_is_resized_to_the_training_size(size: tuple[int, int]) -> None:
     model = unified()
     image = torch.rand(2, 3, *size)
-    K = torch.from_numpy(scale_K(KITTI_K[0].numpy(), SIZE, size)).expand(2, 3, 3)
+    K = torch.from_numpy(Camera(KITTI_K[0].numpy(), SIZE).scaled(size).K).expand(2, 3, 3)
     depth, logits = predict(model, image, K)
     assert depth.shape == (2, *size)
     assert logits.shape == (2, classes.COUNT, *size)
@@ -68,12 +69,13 @@ def test_published_weights_give_metric_depth_of_real_streets(real_half: Path, re
     fill(model, "rtmonodepth-s", Weights.model_validate(files))
     for drive, most in {"2011_09_26_drive_0005": 0.13, "2011_10_03_drive_0042": 0.17}.items():
         raw = RawDrive(real_half / drive[:10] / f"{drive}_sync")
-        camera = raw.camera([2, 0])
-        assert camera is not None
-        K = scale_K(camera.K, camera.size, SIZE)
+        number = raw.camera_number([2, 0])
+        assert number is not None
+        camera = raw.camera(number)
+        K = camera.scaled(SIZE).K
         errors, ratios = [], []
         for frame in list(raw.scans)[::10]:
-            image = read_image(raw.images(camera.number)[frame], camera.size, SIZE)
+            image = read_image(raw.images(number)[frame], camera.size, SIZE)
             depth = perceive(model, image[None], K)[0][0]
             truth = scan_depth(read_scan(raw.scans[frame]), camera.T_cam_velo, K, SIZE)
             found = depth_errors(eigen_crop(depth), eigen_crop(truth))

@@ -1,0 +1,79 @@
+"""The pinhole camera of a drive or a video: intrinsics, image size, height over the road, pose of the LiDAR."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.camera.images import Crop, Size
+from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height
+
+SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A rectified camera. Frame: x right, y down, z forward; the origin is the projection centre."""
+
+    K: np.ndarray  # [3,3] pixels, of images of this size
+    size: Size  # (H, W)
+    height_m: float = CAMERA_HEIGHT_M  # over the road
+    T_cam_velo: np.ndarray | None = None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
+
+    def scaled(self, size: Size) -> "Camera":
+        """Return the camera after resizing its images to `size` (H, W).
+
+        Resizing maps the left edge -0.5 to -0.5, so centres move: ``u' = s (u + 0.5) - 0.5``.
+        """
+        sy, sx = size[0] / self.size[0], size[1] / self.size[1]
+        K = self.K.astype(np.float64).copy()
+        K[0] *= sx
+        K[1] *= sy
+        K[0, 2] = sx * (self.K[0, 2] + 0.5) - 0.5
+        K[1, 2] = sy * (self.K[1, 2] + 0.5) - 0.5
+        return replace(self, K=K, size=size)
+
+    def cropped(self, crop: Crop) -> "Camera":
+        """Return the camera after cropping its images."""
+        shift = np.zeros((3, 3))
+        shift[:2, 2] = crop.columns.start, crop.rows.start
+        return replace(self, K=self.K - shift, size=crop.size)
+
+    def crop_to(self, aspect: Size, horizon: float | None = None) -> Crop:
+        """Return the largest part of the images with the aspect ratio of `aspect` (H, W).
+
+        Its centre is the principal point, or the row `horizon` if given, as far as the image reaches. An image whose
+        aspect ratio differs by at most SAME_SHAPE is used completely.
+        """
+        height, width = self.size
+        ratio = height * aspect[1] / (width * aspect[0])
+        if max(ratio, 1 / ratio) <= 1 + SAME_SHAPE:
+            return Crop(slice(0, height), slice(0, width))
+        if ratio > 1:
+            centre = self.K[1, 2] if horizon is None else horizon
+            return Crop(_around(centre, round(height / ratio), height), slice(0, width))
+        return Crop(slice(0, height), _around(self.K[0, 2], round(width * ratio), width))
+
+
+def _around(centre: float, length: int, limit: int) -> slice:
+    start = min(max(round(centre + 0.5 - length / 2), 0), limit - length)
+    return slice(start, start + length)
+
+
+def write_camera(file: DriveWriter, camera: Camera) -> None:
+    """Write intrinsics, and T_cam_velo if the LiDAR is calibrated, to an ingest file."""
+    file.put("K", camera.K, "pixels")
+    if camera.T_cam_velo is not None:
+        file.put("T_cam_velo", camera.T_cam_velo, "m")
+
+
+def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
+    """Return the camera of an ingest file's images; its K is the identity in a drive without images and scans.
+
+    Args:
+        height_m: over the road; None: from the calibration. Raises InputError if that is implausible.
+    """
+    has_K, has_lidar = "K" in file, "T_cam_velo" in file
+    K, T_cam_velo = file["K"] if has_K else np.eye(3), file["T_cam_velo"] if has_lidar else None
+    height, width = file.shape("image")[1:3]
+    return Camera(K, (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)

@@ -10,6 +10,7 @@ import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
+from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.live.chain import Chain
 from pipeline.live.frame_state import FrameState
@@ -41,8 +42,7 @@ def test_depth_and_classes_equal_those_of_the_stage(tmp_path: Path, mode: str) -
         store.DriveReader(tmp_path / "ingest" / f"{DRIVE}.h5", stage="ingest") as raw,
         store.DriveReader(tmp_path / "perception" / f"{DRIVE}.h5", stage="perception") as stored,
     ):
-        source = Source(Path("street"), DRIVE, street.SIZE, street.K, frames(raw), FRAMES, 10.0, street.T_CAM_VELO)
-        source.height_m = 1.65
+        source = Source(Path("street"), DRIVE, read_camera(raw, 1.65), frames(raw), FRAMES, 10.0)
         chain = Chain(source, street.SIZE, tmp_path / "encoder", {"visual"}, Perception(**settings), road_scale=True)
         results = list(chain.run(source.frames))
         assert len(results) == FRAMES

@@ -1,10 +1,13 @@
 """The results of a run: a CSV file, a video, counts, and the folder in which they appear when it succeeds."""
 
 import csv
+import os
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -20,6 +23,8 @@ from pipeline.train.windows import Car
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"
 TRACK, QUALITY = "track.png", "quality.json"
+PREDICTED_FILES, MEASURED_FILES = (STEERING, VIDEO), (MOTION, TRACK, QUALITY, VIDEO)
+FILES = {*PREDICTED_FILES, *MEASURED_FILES}
 UNFINISHED = ".unfinished"
 MEASURED = (
     "valid", "speed_mps", "yaw_rate_radps", "curvature_1pm", "measured_rad", "x_m", "y_m", "heading_rad", "points",
@@ -36,7 +41,49 @@ COLUMNS = {
 }
 """Angles in rad, left positive, empty if unknown: `predicted` for `horizon` frames later, `sigma` its
 standard deviation, the others for the frame."""
+FIRST_COLUMNS = "drive,frame,time_s,"
+LINE_S = 30.0  # between lines of progress without a terminal
 RECENT = 2000  # frames that latency quantiles are computed from
+
+
+def check_out(out: Path, names: Sequence[str], source: Path | None = None) -> None:
+    """Raise InputError if results `names` in `out` would replace or remove a file that this program did not write.
+
+    Raises it also if they would replace the `source`.
+    """
+    folder, fix = out / UNFINISHED, "Pass another folder: --out"
+    if os.path.lexists(out) and not out.is_dir():
+        raise InputError("expected a folder, got a file or a broken link", out, fix)
+    if os.path.lexists(folder) and (folder.is_symlink() or not folder.is_dir()):
+        raise InputError("expected a folder, got a file or a link", folder, fix)
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if not _is_leftover(path):
+            raise InputError("expected only files of an interrupted run here", path, "Move it to another folder")
+    earlier = [name for name in COLUMNS if _is_result(out / name)]
+    for name in names:
+        path = out / name
+        written = name in earlier if name in COLUMNS else earlier and path.is_file() and not path.is_symlink()
+        if os.path.lexists(path) and not written:
+            raise InputError("steer did not write this file, so it is not replaced", path, fix)
+        if source and os.path.realpath(source) in (os.path.realpath(path), os.path.realpath(folder / name)):
+            raise InputError("the results would replace the source", source, fix)
+
+
+def _is_result(path: Path) -> bool:
+    """Return whether a path is a CSV file that this program wrote."""
+    if path.is_symlink() or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(FIRST_COLUMNS)) == FIRST_COLUMNS.encode()
+
+
+def _is_leftover(path: Path) -> bool:
+    """Return whether a path in .unfinished has the name of a result or of a temporary folder of one."""
+    if path.is_symlink():
+        return False
+    if path.is_dir():
+        return any(fnmatch(path.name, f".{name}.????????.tmp") for name in FILES)
+    return path.is_file() and path.name in FILES
 
 
 @contextmanager
@@ -44,11 +91,13 @@ def result_folder(out: Path, *names: str) -> Iterator[Path]:
     """Yield ``out/.unfinished`` for new results `names`; they replace those in `out` when the block succeeds.
 
     After an error, an interrupt or a kill they stay in ``out/.unfinished`` until the next run, and `out` is unchanged.
-    Raises InputError if another process writes to `out`.
+    Raises InputError if another process writes to `out`, and as :func:`check_out`.
     """
     folder = out / UNFINISHED
+    check_out(out, names)
     with exclusive(out, folder):
-        for name in names:
+        check_out(out, names)
+        for name in FILES:
             (folder / name).unlink(missing_ok=True)
         yield folder
         for name in names:
@@ -56,7 +105,8 @@ def result_folder(out: Path, *names: str) -> Iterator[Path]:
                 (folder / name).replace(out / name)
             else:
                 (out / name).unlink(missing_ok=True)  # an earlier run's, which does not belong to these results
-        folder.rmdir()
+        with suppress(OSError):  # another program may have put a file there
+            folder.rmdir()
 
 
 class Results:
@@ -149,6 +199,7 @@ def write_results(
             overlay = Overlay(folder / VIDEO, source, car.wheelbase_m, predicts=names[0] == STEERING)
             stack.enter_context(overlay)
         bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if visible else True))
+        printed_s = time.perf_counter()
         for frame in stack.enter_context(closing(frames)):
             results.add(frame)
             if overlay:
@@ -156,6 +207,9 @@ def write_results(
             bar.update()
             if results.frames % 20 == 0:
                 bar.set_postfix_str(results.speed())
+            if visible and bar.disable and time.perf_counter() - printed_s > LINE_S:  # the output is not a terminal
+                printed_s = time.perf_counter()
+                print(f"{results.frames} of {source.count or 'unknown'} frames; {results.speed()}", file=sys.stderr)
         if not results.frames:
             raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
         yield folder, results

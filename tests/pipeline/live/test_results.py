@@ -13,7 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.live.frame_state import FrameState
 from pipeline.live.overlay import Overlay
-from pipeline.live.results import STEERING, UNFINISHED, VIDEO, result_folder
+from pipeline.live.results import MOTION, STEERING, TRACK, UNFINISHED, VIDEO, check_out, result_folder
 from pipeline.live.source import Source
 
 SIZE, FPS = (96, 320), 10.0
@@ -38,24 +38,77 @@ def decoded(path: Path) -> int:
         return sum(1 for _ in file.decode(video=0))
 
 
-def write(out: Path, text: str) -> None:
+HEADER = "drive,frame,time_s,predicted_rad\n"
+
+
+def write(out: Path, rows: str) -> None:
     with result_folder(out, STEERING, VIDEO) as folder:
-        (folder / STEERING).write_text(text)
-        if text == "fail":
+        (folder / STEERING).write_text(HEADER + rows)
+        if rows == "fail":
             raise RuntimeError
 
 
 def test_results_replace_earlier_ones_only_on_success(tmp_path: Path) -> None:
+    write(tmp_path, "earlier")
     (tmp_path / VIDEO).write_text("earlier")
     write(tmp_path, "first")
-    assert (tmp_path / STEERING).read_text() == "first"
+    assert (tmp_path / STEERING).read_text() == HEADER + "first"
     assert not (tmp_path / VIDEO).exists()  # of another run
     with pytest.raises(RuntimeError):
         write(tmp_path, "fail")
-    assert (tmp_path / STEERING).read_text() == "first"
-    assert (tmp_path / UNFINISHED / STEERING).read_text() == "fail"
+    assert (tmp_path / STEERING).read_text() == HEADER + "first"
+    assert (tmp_path / UNFINISHED / STEERING).read_text() == HEADER + "fail"
     with result_folder(tmp_path, STEERING, VIDEO), pytest.raises(InputError, match="another process"):
         write(tmp_path, "second")
+
+
+def test_leftovers_of_a_killed_run_of_another_verb_are_removed(tmp_path: Path) -> None:
+    killed = tmp_path / UNFINISHED / f".{TRACK}.abcd1234.tmp/{TRACK}"
+    killed.parent.mkdir(parents=True)
+    for path in (killed, tmp_path / UNFINISHED / MOTION, tmp_path / UNFINISHED / VIDEO):
+        path.touch()
+    write(tmp_path, "first")
+    assert {path.name for path in tmp_path.iterdir()} == {STEERING, f"{UNFINISHED}.lock"}
+
+
+@pytest.mark.parametrize(
+    "name", [VIDEO, STEERING, UNFINISHED, f"{UNFINISHED}/notes.txt", f"{UNFINISHED}/{VIDEO}", f"{STEERING}/notes.txt"]
+)
+@pytest.mark.parametrize("linked", [False, True])
+def test_files_that_this_program_did_not_write_are_refused_and_kept(tmp_path: Path, name: str, linked: bool) -> None:
+    out, precious = tmp_path / "out", tmp_path / "precious"
+    precious.mkdir()
+    path = out / name
+    path.parent.mkdir(parents=True)
+    if linked:
+        path.symlink_to(precious)
+    elif name == f"{UNFINISHED}/{VIDEO}":
+        (path / "notes.txt").mkdir(parents=True)
+    else:
+        path.write_text("frame,wheel_rad\n")
+    (precious / STEERING).write_text("precious")
+    for refusing in (lambda: check_out(out, (STEERING, VIDEO)), lambda: write(out, "first")):
+        with pytest.raises(InputError, match=f"out/{name.removesuffix('/notes.txt')}"):
+            refusing()
+    assert path.is_symlink() or path.is_dir() or path.read_text() == "frame,wheel_rad\n"
+    assert (precious / STEERING).read_text() == "precious"
+
+
+def test_the_source_is_not_replaced_by_its_results(tmp_path: Path) -> None:
+    write(tmp_path, "earlier")
+    for folder in (tmp_path, tmp_path / UNFINISHED):
+        folder.mkdir(exist_ok=True)
+        (folder / VIDEO).touch()
+        with pytest.raises(InputError, match="--out"):
+            check_out(tmp_path, (STEERING, VIDEO), folder / VIDEO)
+
+
+def test_a_file_that_appears_during_the_run_is_kept(tmp_path: Path) -> None:
+    with result_folder(tmp_path, STEERING) as folder:
+        (folder / STEERING).write_text(HEADER)
+        (folder / "notes.txt").touch()
+    assert (tmp_path / STEERING).exists()
+    assert (folder / "notes.txt").exists()
 
 
 def test_a_full_disk_is_an_error(tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""Command line for users of a trained model: steer predict, import, show, diff, doctor, export."""
+"""The command line: steer predict, measure, import, show, diff, doctor and export."""

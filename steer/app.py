@@ -1,6 +1,7 @@
 """The command `steer`. Large imports are inside functions, so that help is quick."""
 
 from collections.abc import Callable
+from typing import Annotated
 
 import typer
 
@@ -16,17 +17,33 @@ app = typer.Typer(
 )
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"steer {version('semantic-steering')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None: ...
+
+
 def _add(name: str, command: Callable[..., object], after_stop: str, needs_arguments: bool = True) -> None:
     app.command(name, no_args_is_help=needs_arguments)(guarded(command, after_stop))
 
 
-_add("predict", predict.predict, "the frames so far are in .unfinished of the output folder")
-_add("measure", measure.measure, "the frames so far are in .unfinished of the output folder")
-_add("import", import_recording.import_recording, "no drive was written, repeat the command")
-_add("show", artefacts.show, "files that were written are complete")
-_add("diff", artefacts.diff, "nothing was written")
-_add("doctor", doctor.doctor, "nothing was written", needs_arguments=False)
-_add("export", artefacts.export, "nothing was written")
+_add("predict", predict.predict, "The frames so far are in .unfinished of the output folder")
+_add("measure", measure.measure, "The frames so far are in .unfinished of the output folder")
+_add("import", import_recording.import_recording, "No drive was written; repeat the command")
+_add("show", artefacts.show, "Files that were written are complete")
+_add("diff", artefacts.diff, "Nothing was written")
+_add("doctor", doctor.doctor, "Nothing was written", needs_arguments=False)
+_add("export", artefacts.export, "Nothing was written")
 
 if __name__ == "__main__":
     app(prog_name="steer")

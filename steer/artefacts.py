@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from steer.options import Debug, Json, Output, Quiet
+from pipeline.base.errors import InputError
+from steer import options
 
 DIFFERENT = 3  # exit status; 1 is an error, 2 a wrong option
 _MAX_LINES = 20  # per file
@@ -15,9 +16,9 @@ def show(
     path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="an artefact of a stage")],
     frame: Annotated[int | None, typer.Option(min=0, help="show this frame only, and draw it")] = None,
     out: Annotated[Path | None, typer.Option(help="name of the PNG; default NAME-frame-N.png")] = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
-    debug: Debug = False,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    debug: options.Debug = False,
 ) -> None:
     """Describe an artefact of any stage, and the stage that wrote it; or draw one of its frames.
 
@@ -29,7 +30,7 @@ def show(
     """
     from pipeline.inspect import artefact, project
 
-    output = Output(quiet, as_json)
+    output = options.Output(quiet, as_json)
     if frame is not None or out:
         output.result(_show_frame(path, frame, out, output))
         return
@@ -40,10 +41,12 @@ def show(
     output.result(content | {"origin": origin})
 
 
-def _show_frame(path: Path, frame: int | None, out: Path | None, output: Output) -> dict[str, Any]:
+def _show_frame(path: Path, frame: int | None, out: Path | None, output: options.Output) -> dict[str, Any]:
     """Print a frame's numbers, draw it, and return what was written."""
     from pipeline.inspect import frame_view
 
+    if out and (out.suffix.lower() != ".png" or out.is_dir()):
+        raise InputError(f"expected the name of a PNG file, got {out}", "--out")
     view = frame_view.read(path, frame)
     title = f"{Path(*path.absolute().parts[-3:])}, frame {view.frame}"
     content: dict[str, Any] = {"path": str(path), "frame": view.frame, **view.values}
@@ -59,11 +62,11 @@ def diff(
     a: Annotated[Path, typer.Argument(metavar="A", help="a file or folder of any stage")],
     b: Annotated[Path, typer.Argument(metavar="B", help="another one of the same kind")],
     tolerance: Annotated[
-        float, typer.Option(min=0, help="numbers that differ by at most this are equal, in the dataset's unit")
+        float, options.number(0, None, "numbers that differ by at most this are equal, in the dataset's unit")
     ] = 0.0,
-    quiet: Quiet = False,
-    as_json: Json = False,
-    debug: Debug = False,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    debug: options.Debug = False,
 ) -> None:
     """Compare two artefacts and print what differs: dataset, first frame, number of frames, largest difference.
 
@@ -79,7 +82,7 @@ def diff(
 
     from pipeline.inspect import diff as artefacts
 
-    output = Output(quiet, as_json)
+    output = options.Output(quiet, as_json)
     files = artefacts.pairs(a, b)
     different, found = 0, []
     hidden = not output.console.is_terminal
@@ -103,10 +106,10 @@ def export(
     model: Annotated[Path, typer.Argument(help="folder of a trained model, for instance data/train/sa-gnn-ncp")],
     out: Annotated[Path, typer.Option(help="folder for the files; new, empty or an earlier export")],
     graphs: Annotated[Path, typer.Option(help="folder of the graph variants, for verification")] = Path("data/graphs"),
-    tolerance: Annotated[float, typer.Option(min=0, help="largest difference of features and outputs")] = 1e-4,
-    quiet: Quiet = False,
-    as_json: Json = False,
-    debug: Debug = False,
+    tolerance: Annotated[float, options.number(0, None, "largest difference of features and outputs")] = 1e-4,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    debug: options.Debug = False,
 ) -> None:
     """Write a model's spatial and recurrent part as .pt2 files (torch.export), verified on real frames.
 
@@ -119,7 +122,7 @@ def export(
     from pipeline.live.export import export as write
     from pipeline.train.predict import load
 
-    output = Output(quiet, as_json)
+    output = options.Output(quiet, as_json)
     trained = load(model, "cpu")
     manifest = write(trained, graphs / trained.line["input"], out, tolerance)
     for part, difference in manifest["largest_difference"].items():

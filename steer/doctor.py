@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from steer.options import Debug, Json, Output, Quiet
+from steer import options
 
 if TYPE_CHECKING:
     from pipeline.inspect.project import Project
@@ -20,9 +20,9 @@ def doctor(
         Path | None, typer.Argument(metavar="KITTI_ROOT", help="a KITTI raw folder; default: the project's data/raw")
     ] = None,
     deep: Annotated[bool, typer.Option("--deep", help="decode every image and scan: takes minutes")] = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
-    debug: Debug = False,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    debug: options.Debug = False,
 ) -> None:
     """Check which drives are missing, partly extracted or damaged, and which stages have to run.
 
@@ -36,7 +36,7 @@ def doctor(
     from pipeline.base.errors import InputError
     from pipeline.inspect import project, raw_check
 
-    output = Output(quiet, as_json)
+    output = options.Output(quiet, as_json)
     folder = project.project_root(Path.cwd())
     if root is None and folder is None:
         fix = "Run from the project's folder, or pass a KITTI raw folder: steer doctor KITTI_ROOT"
@@ -87,7 +87,7 @@ def _missing_drives(
 
 
 def _print(
-    output: Output, drives: "Sequence[DriveCheck]", project: "Project | None", lists: dict[str, list[str]]
+    output: options.Output, drives: "Sequence[DriveCheck]", project: "Project | None", lists: dict[str, list[str]]
 ) -> None:
     names = dict.fromkeys(name for one in drives for name in one.files)
     if drives:

@@ -1,4 +1,4 @@
-"""steer import: convert a recording of one's own to a drive in KITTI raw's layout, which all stages read."""
+"""steer import: convert your own recording to a drive in KITTI raw's layout, which all stages read."""
 
 import os
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.base.errors import InputError
-from steer.options import Debug, Json, Output, Quiet
+from steer import options
 
 
 def import_recording(
@@ -21,20 +21,22 @@ def import_recording(
         Path | None, typer.Option(help="CSV with wheel_rad (steering wheel, left +), and time_s or frame")
     ] = None,
     steering_ratio: Annotated[
-        float | None, typer.Option(help="angle of the steering wheel / angle of the front wheels, 1 to 50")
+        float | None, options.number(1, 50, "angle of the steering wheel / angle of the front wheels")
     ] = None,
     out: Annotated[Path, typer.Option(help="root in KITTI raw's layout; ingest reads data/raw")] = Path("data/raw"),
-    calib: Annotated[Path | None, typer.Option(help="intrinsics: a KITTI calib_cam_to_cam.txt")] = None,
-    fov: Annotated[float | None, typer.Option(help="intrinsics: horizontal field of view, degrees")] = None,
-    K: Annotated[str | None, typer.Option("--K", help="intrinsics: fx,fy,cx,cy in pixels")] = None,
-    times: Annotated[Path | None, typer.Option(help="times of the images: seconds, one per line")] = None,
-    fps: Annotated[float | None, typer.Option(help="times of the images: images per second, 0.01 to 1000")] = None,
-    offset: Annotated[float, typer.Option(help="seconds to add to the times of motion and wheel")] = 0.0,
-    max_gap: Annotated[float, typer.Option(help="longest interval between samples to interpolate over, s")] = 2.0,
+    calib: options.Calib = None,
+    fov: options.Fov = None,
+    k: options.K = None,
+    times: options.Times = None,
+    fps: options.Fps = None,
+    offset: Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")] = 0.0,
+    max_gap: Annotated[
+        float, options.number(0, 3600, "longest interval between samples to interpolate over, seconds")
+    ] = 2.0,
     force: Annotated[bool, typer.Option("--force", help="replace an existing drive")] = False,
-    quiet: Quiet = False,
-    as_json: Json = False,
-    debug: Debug = False,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    debug: options.Debug = False,
 ) -> None:
     """Convert a video, or a folder of images, to a drive in KITTI raw's layout.
 
@@ -55,16 +57,16 @@ def import_recording(
     from pipeline.recording.motion_log import read_motion, read_wheel
     from pipeline.recording.recording import Recording
 
-    output = Output(quiet, as_json)
+    output = options.Output(quiet, as_json)
     _check_paths(source, motion, wheel, out, calib, times)
-    _check_numbers(fps, offset, max_gap, steering_ratio)
     if (wheel is None) != (steering_ratio is None):
-        raise InputError("expected both of --wheel and --steering-ratio", fix="A ratio of 1 takes front wheels' angles")
+        fix = "Use 1 if the log holds angles of the front wheels"
+        raise InputError("--wheel and --steering-ratio need each other", fix=fix)
     layout.check_absent(layout.drive_folder(out, drive), force)
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
     footage, times_s = clock.open_timed(source, fps, times)
-    camera = pinhole(footage.size, calib=calib, fov_deg=fov, K=K)
+    camera = pinhole(footage.size, calib=calib, fov_deg=fov, K=k)
     recording = Recording(footage, camera, times_s, log, angles, max_gap)
     recording.check_overlap()
     summary = recording.write(out, drive, force=force, visible=output.visible)
@@ -80,17 +82,6 @@ def _check_paths(*paths: Path | None) -> None:
             str(path).encode()
         except UnicodeEncodeError:
             raise InputError("name is not valid UTF-8", repr(os.fsencode(str(path))), "Rename it") from None
-
-
-def _check_numbers(fps: float | None, offset: float, max_gap: float, steering_ratio: float | None) -> None:
-    for option, value, lowest, highest in (
-        ("--fps", fps, 0.01, 1000),
-        ("--offset", offset, -1e10, 1e10),
-        ("--max-gap", max_gap, 0, 3600),
-        ("--steering-ratio", steering_ratio, 1, 50),
-    ):
-        if value is not None and not lowest <= value <= highest:  # also NaN
-            raise InputError(f"expected {lowest:g} to {highest:g}, got {value:g}", option)
 
 
 def _lines(summary: dict[str, Any]) -> Iterator[str]:

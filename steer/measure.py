@@ -6,32 +6,32 @@ from typing import Annotated
 import typer
 
 from pipeline.base.errors import InputError
-from steer.options import Calib, CameraHeight, Debug, Fov, Fps, Json, K, Output, Quiet, SourcePath, Times, Video
+from steer import options
 
 CAMERAS = (2, 0, 3, 1)  # of a KITTI drive, the first one with images
 MIN_SPEED_MPS = 1.0  # below, the steering angle is noise
 
 
 def measure(
-    source: SourcePath,
+    source: options.SourcePath,
     out: Annotated[Path, typer.Option(help="folder for motion.csv, track.png, quality.json, overlay.mp4")] = Path(
         "out"
     ),
-    fov: Fov = None,
-    k: K = None,
-    calib: Calib = None,
-    fps: Fps = None,
-    times: Times = None,
-    camera_height: CameraHeight = None,
-    wheelbase: Annotated[float, typer.Option(min=0.5, max=20, help="of the car, metres")] = 2.7,
+    fov: options.Fov = None,
+    k: options.K = None,
+    calib: options.Calib = None,
+    fps: options.Fps = None,
+    times: options.Times = None,
+    camera_height: options.CameraHeight = None,
+    wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
     max_frames: Annotated[int | None, typer.Option(min=2, help="measure only these first frames")] = None,
-    video: Video = True,
+    video: options.Video = True,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street makes the default")] = Path(
         "weights/street"
     ),
-    quiet: Quiet = False,
-    as_json: Json = False,
-    debug: Debug = False,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    debug: options.Debug = False,
 ) -> None:
     """Measure speed, yaw rate, curvature, steering angle and track of a video, by visual odometry.
 
@@ -45,20 +45,21 @@ def measure(
     steer measure data/town/2026_01_03/2026_01_03_drive_0001_sync --encoder data/encoder
     """
     from pipeline.live import measure as live
-    from pipeline.live.results import MOTION, QUALITY, TRACK, VIDEO
+    from pipeline.live.results import MEASURED_FILES, check_out
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.perception.perceive import FILE
     from pipeline.train.windows import Car
 
-    output, car = Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
+    output, car = options.Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
+    check_out(out, MEASURED_FILES, source)
     clock, lens = Clock(fps, times), Lens(calib, fov, k)
     frames = open_source(source, CAMERAS, lens, live.SIZE, False, car, clock, camera_height, level=False)
     results, quality = live.measure(frames, encoder, car, out, max_frames, video=video, visible=output.visible)
     for line in (*results.lines(frames.notes), *quality["remarks"]):
         output.line(line)
-    files = [str(out / name) for name in (MOTION, TRACK, QUALITY, *([VIDEO] if video else []))]
+    files = [str(path) for name in MEASURED_FILES if (path := out / name).exists()]
     output.line(f"{results.valid} of {results.frames} frames measured, {results.summary()['hz']:.1f} frames/s")
     output.line(", ".join(files))
     content = {"source": frames.name, **results.summary(), "problems": results.problems, "notes": frames.notes}

@@ -1,6 +1,8 @@
 """Options that several commands share, and their output: text for people, or one JSON object."""
 
 import json
+import math
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,16 +10,29 @@ from typing import Annotated, Any
 
 import typer
 
+
+def number(lowest: float, highest: float | None, help: str) -> Any:
+    """Return an option for numbers from `lowest` to `highest`, or without an upper limit. Typer accepts NaN."""
+
+    def finite(value: float | None) -> float | None:
+        if value is not None and not math.isfinite(value):
+            raise typer.BadParameter(f"{value} is not a finite number.")
+        return value
+
+    return typer.Option(min=lowest, max=highest, callback=finite, help=help)
+
+
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 Json = Annotated[bool, typer.Option("--json", help="print the result as one JSON object, and nothing else")]
 Debug = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
+# Of predict, measure and import. A KITTI drive has its own intrinsics and times.
 SourcePath = Annotated[Path, typer.Argument(help="folder of a KITTI drive, folder of images, or video")]
-Fov = Annotated[float | None, typer.Option(help="horizontal field of view in degrees, unless a KITTI drive")]
-K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="or the intrinsics in pixels")]
-Calib = Annotated[Path | None, typer.Option(help="or a calib_cam_to_cam.txt")]
-Fps = Annotated[float | None, typer.Option(min=0.01, max=1000, help="images per second; default: a video's own times")]
-Times = Annotated[Path | None, typer.Option(help="or the images' times: seconds, one per line")]
-CameraHeight = Annotated[float | None, typer.Option(min=0.3, max=5, help="of the camera over the road, metres")]
+Fov = Annotated[float | None, typer.Option(help="intrinsics: horizontal field of view, degrees")]
+K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics: in pixels")]
+Calib = Annotated[Path | None, typer.Option(help="intrinsics: a KITTI calib_cam_to_cam.txt")]
+Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; default: a video's own times")]
+Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
+CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 _PIPE_WIDTH = 200  # columns where the output is not a terminal
 
@@ -28,6 +43,8 @@ class Output:
     def __init__(self, quiet: bool = False, as_json: bool = False) -> None:
         from rich.console import Console  # not imported for help
 
+        if sys.stdout is None or sys.stdout.closed:  # by the shell: >&-
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123  # until the process ends
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # names that are not UTF-8
         self.visible = not (quiet or as_json)
         """Whether text and progress bars are shown."""

@@ -6,25 +6,25 @@ from typing import Annotated
 import typer
 
 from pipeline.base.errors import InputError
-from steer.options import Calib, CameraHeight, Debug, Fov, Fps, Json, K, Output, Quiet, SourcePath, Times, Video
+from steer import options
 
 
 def predict(
-    source: SourcePath,
+    source: options.SourcePath,
     model: Annotated[Path, typer.Option(help="folder of a trained model")] = Path("data/train/sa-gnn-ncp"),
     out: Annotated[Path, typer.Option(help="folder for steering.csv and overlay.mp4")] = Path("out"),
-    fov: Fov = None,
-    k: K = None,
-    calib: Calib = None,
-    fps: Fps = None,
-    times: Times = None,
-    camera_height: CameraHeight = None,
-    video: Video = True,
+    fov: options.Fov = None,
+    k: options.K = None,
+    calib: options.Calib = None,
+    fps: options.Fps = None,
+    times: options.Times = None,
+    camera_height: options.CameraHeight = None,
+    video: options.Video = True,
     encoder: Annotated[Path | None, typer.Option(help="default: data/encoder beside the model's data/train")] = None,
     params: Annotated[Path | None, typer.Option(help="default: the params.yaml beside that data")] = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
-    debug: Debug = False,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+    debug: options.Debug = False,
 ) -> None:
     """Predict the steering angle of every frame, and write out/steering.csv and a video.
 
@@ -38,11 +38,13 @@ def predict(
     steer predict street.mp4 --fov 65 --model data/train/motion
     """
     from pipeline.live import predictor, settings
-    from pipeline.live.results import STEERING, VIDEO
+    from pipeline.live.results import PREDICTED_FILES, STEERING, VIDEO, check_out
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.train.predict import load
 
-    output, trained = Output(quiet, as_json), load(model)
+    output = options.Output(quiet, as_json)
+    check_out(out, PREDICTED_FILES, source)
+    trained = load(model)
     data = _data_folder(model, encoder, params)
     sections = settings.read(params or data.parent / "params.yaml", trained.line["input"], data)
     scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras

@@ -28,6 +28,31 @@ def test_help_of_each_verb_has_an_example() -> None:
         assert f"steer {verb} " in text.replace(f"steer {verb} [OPTIONS]", "")
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "measure here --camera-height nan",
+        "measure here --wheelbase nan",
+        "measure here --fps nan",
+        "measure here --max-frames 1",
+        "predict here --fps inf",
+        "import here --drive 2027_03_31_drive_0001 --offset nan",
+        "import here --drive 2027_03_31_drive_0001 --max-gap -1",
+        "import here --drive 2027_03_31_drive_0001 --steering-ratio 0.5",
+        "diff here there --tolerance nan",
+        "export here --out there --tolerance inf",
+    ],
+)
+def test_numbers_out_of_range_are_refused(command: str) -> None:
+    result = CliRunner().invoke(app, command.split())
+    assert result.exit_code == 2
+    assert f"Invalid value for '{command.split()[-2]}'" in result.output
+
+
+def test_version() -> None:
+    assert CliRunner().invoke(app, ["--version"]).stdout.startswith("steer 0.")
+
+
 def test_error_is_one_line_and_debug_shows_the_traceback(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "steer.app", "show", str(tmp_path / "none")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.base import store
 from pipeline.camera import classes
-from pipeline.report import street_view
+from pipeline.drawing import figure_file, street_view
+from pipeline.inspect import frame_view
 
-DOCS = Path(__file__).resolve().parent
 ROWS = (  # kind, drive, caption, frames
     ("pseudo", "2011_09_26_drive_0005", "from the image", (20, 65, 110)),
     ("lidar", "2011_09_26_drive_0005", "LiDAR, coloured by the image's classes", (20, 65, 110)),
@@ -26,18 +25,19 @@ def main(data: Path = Path("data")) -> None:
     """Draw a row of clouds for each entry of ROWS, without KITTI's images: their licence is non-commercial."""
     figure = Figure(figsize=(10, 15), layout="constrained")
     all_cls = []
-    for strip, (kind, drive, what, frames) in zip(figure.subfigures(len(ROWS)), ROWS, strict=True):
-        strip.suptitle(f"{drive}, {what}", fontsize="medium")
-        with store.DriveReader(data / f"clouds/{kind}/{drive}.h5", stage="clouds") as file:
-            for panel, frame in zip(strip.subplots(1, len(frames)), frames, strict=True):
-                start, stop = file.rows("ptr", file.row_of(frame), file.row_of(frame) + 2)
-                xyz, cls = file.rows("xyz", start, stop), file.rows("cls", start, stop)
-                shown = cls != classes.VOID  # points outside of the image have no class
-                street_view.draw_cloud(panel, xyz[shown], cls[shown])
-                panel.set_title(f"frame {frame}", fontsize="small", loc="left")
-                all_cls.append(cls)
+    for strip, (kind, drive, caption, frames) in zip(figure.subfigures(len(ROWS)), ROWS, strict=True):
+        strip.suptitle(f"{drive}, {caption}", fontsize="medium")
+        for panel, frame in zip(strip.subplots(1, len(frames)), frames, strict=True):
+            view, _ = frame_view.read(data / f"clouds/{kind}/{drive}.h5", frame)
+            assert view.xyz is not None
+            assert view.points_cls is not None
+            known = view.points_cls != classes.VOID  # points outside of the image have no class
+            street_view.draw_points(panel, view.xyz[known], view.points_cls[known])
+            street_view.look_ahead(panel)
+            panel.set_title(f"frame {frame}", fontsize="small", loc="left")
+            all_cls.append(view.points_cls)
     street_view.class_legend(figure, np.concatenate(all_cls), columns=8)
-    figure.savefig(DOCS / "real_clouds.png", dpi=80, metadata={"Software": None})
+    figure_file.save(figure, Path(__file__).with_name("real_clouds.png"), dpi=80)
 
 
 if __name__ == "__main__":

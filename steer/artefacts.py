@@ -47,10 +47,10 @@ def _show_frame(path: Path, frame: int | None, out: Path | None, output: options
 
     if out and (out.suffix.lower() != ".png" or out.is_dir()):
         raise InputError(f"expected the name of a PNG file, got {out}", "--out")
-    view = frame_view.read(path, frame)
+    view, numbers = frame_view.read(path, frame)
     title = f"{Path(*path.absolute().parts[-3:])}, frame {view.frame}"
-    content: dict[str, Any] = {"path": str(path), "frame": view.frame, **view.values}
-    if out or view.drawable:
+    content: dict[str, Any] = {"path": str(path), "frame": view.frame, **numbers}
+    if out or frame_view.is_drawable(view):
         picture = out or Path(f"{path.absolute().stem}-frame-{view.frame}.png")
         frame_view.draw(picture, title, view)
         content["picture"] = str(picture)

@@ -1,11 +1,13 @@
-"""Draw the perception of a frame (the paper's Figure 2): image, depth, classes, and cloud from above."""
+"""Draw a frame: its image, depth and classes beside its cloud or graph from above (the paper's Figures 1 and 2)."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -18,15 +20,28 @@ NEAR_M, FAR_M = 4.0, 80.0  # ends of the depth scale; depth beyond them has the 
 LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # area shown from above
 
 
-class View(NamedTuple):
-    """The image of a frame with its perception."""
+@dataclass(frozen=True)
+class View:
+    """A frame's data; None if it has none."""
 
     frame: int  # KITTI frame number
-    rgb: np.ndarray  # uint8 [H,W,3]
-    depth_m: np.ndarray  # [H,W], 0 where there is none
-    cls: np.ndarray  # trainIds [H,W]
-    xyz: np.ndarray  # [P,3] in metres, camera frame
-    points_cls: np.ndarray  # trainIds [P]
+    rgb: np.ndarray | None = None  # uint8 [H,W,3]
+    depth_m: np.ndarray | None = None  # [H,W], 0 where it is invalid
+    cls: np.ndarray | None = None  # trainIds [H,W]
+    xyz: np.ndarray | None = None  # [P,3] in metres, camera frame
+    points_cls: np.ndarray | None = None  # trainIds [P], if there are points
+    edges: np.ndarray | None = None  # rows of `xyz`, [E,2], each undirected edge once
+
+    def images(self) -> dict[str, np.ndarray]:
+        """Return title → pixels of image, depth and classes."""
+        depth = None if self.depth_m is None else colourise_depth(self.depth_m)
+        cls = None if self.cls is None else classes.colourise(self.cls)
+        images = {f"frame {self.frame}": self.rgb, "depth": depth, "classes": cls}
+        return {title: pixels for title, pixels in images.items() if pixels is not None}
+
+    def all_classes(self) -> np.ndarray:
+        """Return the trainIds of all pixels and points."""
+        return np.concatenate([cls.ravel() for cls in (self.cls, self.points_cls, np.empty(0, int)) if cls is not None])
 
 
 def evenly_spread(frames: np.ndarray, count: int) -> list[int]:
@@ -58,36 +73,35 @@ def depth_scale() -> ScalarMappable:
 
 
 def colourise_depth(depth_m: np.ndarray) -> np.ndarray:
-    """Return depth in metres [H,W] as uint8 RGBA [H,W,4]; transparent where there is none (0)."""
+    """Return depth in metres [H,W] as uint8 RGBA [H,W,4]; transparent where it is invalid (0)."""
     return np.asarray(depth_scale().to_rgba(np.ma.masked_equal(depth_m, 0), bytes=True))
 
 
-def draw_depth(panel: Axes, depth_m: np.ndarray) -> None:
-    """Draw depth [H,W] in metres in the colours of :func:`depth_scale`."""
-    panel.imshow(colourise_depth(depth_m), interpolation="nearest")
+def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> None:
+    """Draw pixels without axes, with a title in a `style`."""
+    panel.imshow(pixels, interpolation="nearest")
+    panel.set_title(title, **style)
+    panel.set_axis_off()
 
 
-def draw_images(panels: Sequence[Axes], view: View, titles: Sequence[str], **style: Any) -> None:
-    """Draw image, depth and classes in three panels without axes, each with a title of some `style`."""
-    panels[0].imshow(view.rgb)
-    draw_depth(panels[1], view.depth_m)
-    panels[2].imshow(classes.colourise(view.cls), interpolation="nearest")
-    for panel, title in zip(panels, titles, strict=True):
-        panel.set_title(title, **style)
-        panel.set_axis_off()
+def draw_points(panel: Axes, xyz: np.ndarray, cls: np.ndarray, edges: np.ndarray | None = None) -> None:
+    """Draw points [P,3] of the camera frame from above, in the colours of their classes [P]; high points on top.
 
-
-def draw_cloud(panel: Axes, xyz: np.ndarray, cls: np.ndarray) -> None:
-    """Draw points [P,3] of the camera frame from above, in the colours of their classes [P]; high points on top."""
+    Edges [E,2] are rows of `xyz`. With edges, the dots of a small graph are larger.
+    """
+    if edges is not None:
+        lines = [*xyz[edges][..., [0, 2]]]
+        panel.add_collection(LineCollection(lines, colors="0.7", linewidths=0.6, zorder=0, rasterized=len(xyz) > 1000))
     order = np.argsort(-xyz[:, 1], kind="stable")  # y points down
+    size = 1.0 if edges is None else float(np.clip(12_000 / max(len(xyz), 1), 1, 12))
     colours = classes.colourise(cls[order]) / 255
-    panel.scatter(xyz[order, 0], xyz[order, 2], s=1, c=colours, linewidths=0, rasterized=True)
-    look_from_above(panel)
+    panel.scatter(xyz[order, 0], xyz[order, 2], s=size, c=colours, linewidths=0, rasterized=len(xyz) > 1000)
+    panel.set(xlabel="x in m", ylabel="z in m", aspect="equal")
 
 
-def look_from_above(panel: Axes) -> None:
-    """Set a panel's axes to the area ahead of the camera, in metres."""
-    panel.set(xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M), aspect="equal", xlabel="x in m", ylabel="z in m")
+def look_ahead(panel: Axes) -> None:
+    """Limit a panel's axes to the area ahead of the camera."""
+    panel.set(xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M))
 
 
 def class_legend(figure: Figure, cls: np.ndarray, columns: int) -> None:
@@ -99,19 +113,30 @@ def class_legend(figure: Figure, cls: np.ndarray, columns: int) -> None:
 
 def sheet(title: str, views: Sequence[View]) -> Figure:
     """Draw views one below the other, with the depth scale and the names of the classes."""
-    figure = Figure(figsize=(10, 1.2 + 4.9 * len(views)), layout="constrained")
-    grid = figure.add_gridspec(3 * len(views), 2, width_ratios=[5, 4])
+    with_images, with_points = (
+        any(parts) for parts in zip(*((v.images(), v.xyz is not None) for v in views), strict=True)
+    )
+    ratios = [5] * with_images + [4] * with_points
+    figure = Figure(figsize=(10 if len(ratios) == 2 else 7, 1.2 + 4.9 * len(views)), layout="constrained")
+    grid = figure.add_gridspec(3 * len(views), len(ratios), width_ratios=ratios)
+    style = {"fontsize": "small", "loc": "left"}
     for row, view in enumerate(views):
-        left = [figure.add_subplot(grid[3 * row + i, 0]) for i in range(3)]
-        draw_images(left, view, (f"frame {view.frame}", "depth", "classes"), fontsize="small", loc="left")
-        above = figure.add_subplot(grid[3 * row : 3 * row + 3, 1])
-        draw_cloud(above, view.xyz, view.points_cls)
-        above.set_title(f"cloud from above: {len(view.xyz):,} points", fontsize="small", loc="left")
-        scale = figure.colorbar(
-            depth_scale(), ax=left, location="left", shrink=0.3, format="%d m", ticks=[NEAR_M, 10, 20, FAR_M]
-        )
-        scale.ax.tick_params(labelsize="x-small")
-        scale.minorticks_off()
-    class_legend(figure, np.stack([view.cls for view in views]), columns=8)
+        left = []
+        for number, (name, pixels) in enumerate(view.images().items(), start=3 * row):
+            left.append(figure.add_subplot(grid[number, 0]))
+            draw_image(left[-1], pixels, name, **style)
+        if view.depth_m is not None:
+            ticks = [NEAR_M, 10, 20, FAR_M]
+            scale = figure.colorbar(depth_scale(), ax=left, location="left", shrink=0.3, format="%d m", ticks=ticks)
+            scale.ax.tick_params(labelsize="x-small")
+            scale.minorticks_off()
+        if view.xyz is not None and view.points_cls is not None:
+            above = figure.add_subplot(grid[3 * row : 3 * row + 3, -1])
+            draw_points(above, view.xyz, view.points_cls, view.edges)
+            look_ahead(above)
+            name, edges = ("cloud", "") if view.edges is None else ("graph", f", {len(view.edges):,} edges")
+            void = "; black: no class" if (view.points_cls == classes.VOID).any() else ""
+            above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
+    class_legend(figure, np.concatenate([view.all_classes() for view in views]), columns=8 if len(ratios) == 2 else 5)
     figure.suptitle(title)
     return figure

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.evaluate.split import Case
+from pipeline.graphs.graph import edge_pairs
 from pipeline.train import frames
 from pipeline.train.windows import Drive
 
@@ -71,8 +72,8 @@ def _graph(graphs: frames.Graphs, row: int) -> dict[str, Any]:
     near = np.sort(np.argsort(np.linalg.norm(xyz, axis=1), kind="stable")[:MAX_POINTS])
     number = np.full(len(xyz), -1)
     number[near] = np.arange(len(near))
-    edges = number[np.stack([np.repeat(np.arange(len(xyz)), degree), indices], axis=1)]
-    edges = edges[(edges[:, 0] >= 0) & (edges[:, 0] < edges[:, 1])]
+    edges = number[edge_pairs(degree, indices)]  # `near` is ascending, so the smaller end stays first
+    edges = edges[(edges >= 0).all(axis=1)]
     return {
         "frame": int(graphs.frame[row]),
         "points": len(xyz),

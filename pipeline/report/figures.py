@@ -6,15 +6,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from pipeline.base import store
-from pipeline.camera import classes
 from pipeline.drawing import figure_file, street_view
 from pipeline.evaluate.paths import Track, segments
 from pipeline.graphs import graph
-from pipeline.report.results import Results
+from pipeline.report.results import Results, steering_lines
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 CHAIN_POINTS, PRUNING_POINTS = 300, 100
@@ -91,23 +89,29 @@ def _draw_chain(path: Path, model: pd.Series, view: street_view.View, steering: 
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
     titles = ("image", "depth from the image", "classes from the image")
-    street_view.draw_images([panels[key] for key in "abc"], view, titles)
-    street_view.draw_cloud(panels["d"], view.xyz, view.points_cls)
+    for key, pixels, title in zip("abc", view.images().values(), titles, strict=True):
+        street_view.draw_image(panels[key], pixels, title)
+    assert view.xyz is not None
+    assert view.points_cls is not None
+    street_view.draw_points(panels["d"], view.xyz, view.points_cls)
     panels["d"].set_title(f"cloud from above: {len(view.xyz):,} points")
     keep = model["variant.keep_inter_class"]
     pruned = _draw_graph(panels["e"], view.xyz, view.points_cls, CHAIN_POINTS, model["variant.k"], keep)
-    street_view.look_from_above(panels["e"])
     edges = f"{pruned.edges_knn:,} edges, pruned to {pruned.edges_kept:,}"
     panels["e"].set_title(f"graph of {len(pruned.degree)} points: {edges}")
-    time_s, panel = steering["elapsed_s"], panels["f"]
-    panel.plot(time_s, steering["driven_deg"], color="0.15", linewidth=2.5, label="driven")
-    panel.plot(time_s, steering["odometry_deg"], color="tab:orange", linestyle="--", label="odometry")
-    panel.plot(time_s, steering["predicted_deg"], color="tab:blue", label="predicted")
-    panel.axvline(time_s[steering["frame"] == view.frame].iloc[0], color="0.7", linewidth=1)
+    for key in "de":
+        street_view.look_ahead(panels[key])
+    panel = panels["f"]
+    styles = {"driven": ("0.15", "-", 2.5), "odometry": ("tab:orange", "--", 1.5)}
+    for name, line in steering_lines(steering).items():
+        colour, dash, width = styles.get(name, ("tab:blue", "-", 1.5))
+        label = name if name in styles else "predicted"
+        panel.plot(line["elapsed_s"], line["deg"], color=colour, linestyle=dash, linewidth=width, label=label)
+    panel.axvline(steering["elapsed_s"][steering["frame"] == view.frame].iloc[0], color="0.7", linewidth=1)
     panel.set(xlabel="time in s", title="steering in deg, left +; grey: this frame")
     panel.margins(x=0)
     panel.legend(frameon=False)
-    street_view.class_legend(figure, np.concatenate([view.cls.ravel(), view.points_cls]), columns=10)
+    street_view.class_legend(figure, view.all_classes(), columns=10)
     _save(figure, path)
 
 
@@ -116,14 +120,10 @@ def _draw_graph(
 ) -> graph.Graph:
     """Draw and return the graph of at most `points` points of a cloud xyz [P,3] with trainIds [P], from above."""
     rows = np.sort(np.random.default_rng(0).choice(len(xyz), min(points, len(xyz)), replace=False))
-    above, cls = xyz[rows][:, [0, 2]], cls[rows]
-    drawn = graph.build(xyz[rows], cls, k, keep_inter_class, np.random.default_rng(0))
-    source = np.repeat(np.arange(len(above)), drawn.degree)
-    lines = np.stack([above[source], above[drawn.indices.astype(np.int64)]], axis=1)
-    panel.add_collection(LineCollection([*lines], colors="0.7", linewidths=0.7, zorder=1))
-    colours = classes.colourise(cls) / 255
-    panel.scatter(above[:, 0], above[:, 1], c=colours, s=24, zorder=2, edgecolors="white", linewidths=0.4)
-    return drawn
+    xyz, cls = xyz[rows], cls[rows]
+    built = graph.build(xyz, cls, k, keep_inter_class, np.random.default_rng(0))
+    street_view.draw_points(panel, xyz, cls, graph.edge_pairs(built.degree, built.indices))
+    return built
 
 
 def _draw_pruning(out: Path, model: pd.Series, path: Path) -> Captions:
@@ -136,14 +136,14 @@ def _draw_pruning(out: Path, model: pd.Series, path: Path) -> Captions:
     title, keep = f"{drive}, frame {structure['frame']}", model["variant.keep_inter_class"]
     figure = Figure(figsize=(10, 5.4), layout="constrained")
     for panel, (name, share) in zip(figure.subplots(1, 2), (("before", 1.0), ("after", keep)), strict=True):
-        drawn = _draw_graph(panel, xyz, cls, PRUNING_POINTS, model["variant.k"], share)
-        panel.set_title(f"{name} pruning: {drawn.edges_kept} edges", fontsize="medium")
-        panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", adjustable="datalim")
+        built = _draw_graph(panel, xyz, cls, PRUNING_POINTS, model["variant.k"], share)
+        panel.set_title(f"{name} pruning: {built.edges_kept} edges", fontsize="medium")
+        panel.set_adjustable("datalim")
     street_view.class_legend(figure, cls, columns=8)
     figure.suptitle(title)
     _save(figure, out / "pruning")
     caption = (
-        f"Figure 3. {title}, sampled to {len(drawn.degree)} points: the graph of {model['variant.k']} nearest "
+        f"Figure 3. {title}, sampled to {len(built.degree)} points: the graph of {model['variant.k']} nearest "
         f"neighbours before and after pruning of edges between classes to {keep:.0%}. Edges are directed, as in the "
         "paper and in all tables."
     )

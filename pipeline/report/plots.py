@@ -9,7 +9,7 @@ import pandas as pd
 
 from pipeline.camera import classes
 from pipeline.graphs import graph
-from pipeline.report.results import columns_below
+from pipeline.report.results import columns_below, steering_lines
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
 FIXED = {"driven": "#1b2027", "odometry": "#e08e0b", "zero": "#9aa3ad"}
@@ -21,22 +21,20 @@ Plot = dict[str, Any]
 
 def over_time(predictions: pd.DataFrame) -> Plot:
     """Plot driven steering, odometry and the predictions of each model over the time of one drive."""
-    truth = predictions.drop_duplicates("frame").sort_values("frame")
-    rows = {"driven": truth, "odometry": truth} | dict([*predictions.groupby("model", sort=False)])
-    lines: dict[str, dict[str, Any]] = {"driven": {"line": {"width": 3}}, "odometry": {"line": {"dash": "dash"}}}
+    lines = steering_lines(predictions)
+    special: dict[str, dict[str, Any]] = {"driven": {"line": {"width": 3}}, "odometry": {"line": {"dash": "dash"}}}
     traces = []
-    for name, style in _styles(rows).items():
-        own, deg = rows[name], f"{name}_deg" if name in lines else "predicted_deg"
-        if own[deg].notna().any():  # without motion, there is no odometry
-            hover = {"text": own["frame"].tolist(), "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}"}
-            traces.append(style | _points(own, "elapsed_s", deg) | hover | {"mode": "lines"} | lines.get(name, {}))
-        if name not in lines and own["sigma_deg"].notna().any():
-            known = own.dropna(subset="sigma_deg")
-            edges = [known.assign(edge=known["predicted_deg"] + side * known["sigma_deg"]) for side in (1, -1)]
-            band = _points(pd.concat([edges[0], edges[1][::-1]]), "elapsed_s", "edge")
+    for name, style in _styles(lines).items():
+        rows = lines[name]
+        hover = {"text": rows["frame"].tolist(), "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}"}
+        traces.append(style | _points(rows, "elapsed_s", "deg") | hover | {"mode": "lines"} | special.get(name, {}))
+        band = rows.dropna(subset="sigma_deg")
+        if name not in special and len(band):
+            edges = [band.assign(edge=band["deg"] + side * band["sigma_deg"]) for side in (1, -1)]
+            outline = _points(pd.concat([edges[0], edges[1][::-1]]), "elapsed_s", "edge")
             fill = {"fill": "toself", "mode": "none", "fillcolor": f"{style['marker']['color']}26", "hoverinfo": "skip"}
-            traces.append(style | band | fill | {"name": f"{name} ± σ"})
-    slider = {"visible": bool(truth["elapsed_s"].max() > SLIDER_S)}
+            traces.append(style | outline | fill | {"name": f"{name} ± σ"})
+    slider = {"visible": bool(predictions["elapsed_s"].max() > SLIDER_S)}
     return _plot(traces, 400, xaxis={**_title("time in s"), "rangeslider": slider}, yaxis=_title(_STEERING))
 
 
@@ -93,8 +91,8 @@ def graph_3d(structure: Mapping[str, Any], k: int) -> Plot:
         red, green, blue = classes.COLOURS[number] if number < classes.COUNT else (0, 0, 0)
         marker = {"size": 3, "color": f"rgb({red},{green},{blue})"}
         traces.append(_points(place[cls == number], *"xyz") | {"name": name, "mode": "markers", "marker": marker})
-    first, second = graph.undirected(graph.nearest(xyz, k)).nonzero()
-    unpruned = np.stack([first, second], axis=1)[first < second]
+    built = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
+    unpruned = graph.edge_pairs(built.degree, built.indices)
     pruned = np.array(structure["edges"], np.int64).reshape(-1, 2)
     lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
     for when, pairs in (("before", unpruned), ("after", pruned)):

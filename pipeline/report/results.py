@@ -65,6 +65,17 @@ def load_results(evaluate: Path, models: Sequence[str]) -> Results:
     return Results(metrics, predictions)
 
 
+def steering_lines(predictions: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return the lines of a drive's plot over time: name → rows with elapsed_s, frame, deg, and sigma_deg of models.
+
+    The names are driven, odometry if it was measured, and the models.
+    """
+    truth = predictions.drop_duplicates("frame").sort_values("frame")
+    lines = {name: truth.assign(deg=truth[f"{name}_deg"]) for name in ("driven", "odometry")}
+    models = {name: rows.assign(deg=rows["predicted_deg"]) for name, rows in predictions.groupby("model", sort=False)}
+    return {name: rows for name, rows in (lines | models).items() if rows["deg"].notna().any()}
+
+
 def columns_below(metrics: Iterable[str], prefix: str, name: str) -> dict[str, str]:
     """Return key → column for the columns ``<prefix>.<key>.<name>``: a test drive or a range of curvature each."""
     prefix, suffix = f"{prefix}.", f".{name}"

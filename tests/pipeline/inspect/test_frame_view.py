@@ -24,20 +24,18 @@ def graphs(tmp_path: Path) -> Path:
 
 
 def test_graph_has_each_edge_once(graphs: Path) -> None:
-    view = frame_view.read(graphs, 4)
-    assert view.cloud is not None
+    view, numbers = frame_view.read(graphs, 4)
     assert view.edges is not None
     with DriveReader(graphs, stage="graphs") as file:
         xyz, degree = file["xyz"][40:80], file["degree"][40:80]
         start, stop = file["indices_ptr"][1:3]
         indices = file["indices"][start:stop]
-    np.testing.assert_array_equal(view.cloud[0], xyz)
+    np.testing.assert_array_equal(view.xyz, xyz)
     both = {(a, b) for a, row in enumerate(np.split(indices, np.cumsum(degree)[:-1])) for b in row.tolist()}
-    number = {tuple(point): index for index, point in enumerate(xyz.tolist())}
-    drawn = [(number[tuple(a)], number[tuple(b)]) for a, b in view.edges.tolist()]
-    assert len(drawn) == len(set(drawn)) == len(both) / 2
-    assert {*drawn, *((b, a) for a, b in drawn)} == both
-    assert view.values["edges_knn"] == 240
+    edges = [(a, b) for a, b in view.edges.tolist()]
+    assert len(edges) == len(set(edges)) == len(both) / 2
+    assert {*edges, *((b, a) for a, b in edges)} == both
+    assert numbers["edges_knn"] == 240
 
 
 def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
@@ -50,10 +48,9 @@ def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
         ingest_file.put_pixels(file, "depth", 3, (20, 30), [(1, to_units(np.full((20, 30), 7.0)))])
         ingest_file.put_pixels(file, "cls", 3, (20, 30), [(1, cls)])
         ingest_file.put_scans(file, 3, [(1, np.array([[10, 2, -1.7, 0.5]], np.float32))])
-    view = frame_view.read(path, 4)
+    view, _ = frame_view.read(path, 4)
     np.testing.assert_array_equal(view.rgb, image)
     np.testing.assert_array_equal(view.depth_m, np.full((20, 30), 7.0))
     np.testing.assert_array_equal(view.cls, cls)
-    assert view.cloud is not None
-    np.testing.assert_allclose(view.cloud[0], [[-2, 1.7, 10]], atol=1e-6)
-    assert not frame_view.read(path, 3).drawable
+    np.testing.assert_allclose(view.xyz, [[-2, 1.7, 10]], atol=1e-6)
+    assert not frame_view.is_drawable(frame_view.read(path, 3)[0])

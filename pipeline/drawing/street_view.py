@@ -119,7 +119,7 @@ def sheet(title: str, views: Sequence[View]) -> Figure:
     ratios = [5] * with_images + [4] * with_points
     figure = Figure(figsize=(10 if len(ratios) == 2 else 7, 1.2 + 4.9 * len(views)), layout="constrained")
     grid = figure.add_gridspec(3 * len(views), len(ratios), width_ratios=ratios)
-    style = {"fontsize": "small", "loc": "left"}
+    style: dict[str, Any] = {"fontsize": "small", "loc": "left"}
     for row, view in enumerate(views):
         left = []
         for number, (name, pixels) in enumerate(view.images().items(), start=3 * row):

@@ -6,6 +6,7 @@ import sys
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from pipeline.base.atomic import replacing
@@ -59,17 +60,11 @@ def load(path: Path) -> Any:
     from numpy._core.multiarray import scalar
 
     # DINOv2's published depth heads have numpy numbers beside the tensors, pickled under numpy 1's name.
-    numbers: list[Any] = [
-        (scalar, "numpy.core.multiarray.scalar"),
-        scalar,
-        np.dtype,
-        np.dtypes.Float64DType,
-        np.dtypes.Int64DType,
-    ]
-
-    if not path.is_file():
-        raise InputError("file is missing", path)
+    numpy1_scalar = (scalar, "numpy.core.multiarray.scalar")
+    numbers: list[Any] = [numpy1_scalar, scalar, np.dtype, np.dtypes.Float64DType, np.dtypes.Int64DType]
     try:
+        if not path.is_file():
+            raise InputError("file is missing", path)
         _check_archive(path)
         with torch.serialization.safe_globals(numbers):
             return torch.load(path, weights_only=True, map_location="cpu")
@@ -94,24 +89,25 @@ def _check_archive(path: Path) -> None:
         raise InputError(f"file is damaged: wrong checksum of {damaged}", path)
 
 
+def is_state(value: Any) -> bool:
+    """Return whether `value` is a dict of tensors by name."""
+    return isinstance(value, Mapping) and all(
+        isinstance(name, str) and hasattr(tensor, "isfinite") for name, tensor in value.items()
+    )
+
+
 def load_state(module: Any, state: Mapping[str, Any], path: Path) -> None:
     """Copy tensors into a torch module.
 
-    Raises InputError unless all names and shapes agree and all numbers are finite.
+    Raises InputError unless all names and shapes agree and all numbers are finite. The module is of no use then.
     """
-    own = module.state_dict()
-    for name in sorted(own.keys() | set(map(str, state))):
-        if name not in state:
-            fault = f"{name} is missing"
-        elif name not in own:
-            fault = f"{name} is not in the network"
-        elif not hasattr(state[name], "isfinite"):
-            fault = f"{name} is {type(state[name]).__name__}, expected a tensor"
-        elif state[name].shape != own[name].shape:
-            fault = f"{name} has shape {list(state[name].shape)}, expected {list(own[name].shape)}"
-        elif not state[name].isfinite().all():
-            fault = f"{name} has numbers that are not finite"
-        else:
-            continue
-        raise InputError(f"file does not match the network: {fault}", path)
-    module.load_state_dict(state, strict=True)
+    if not is_state(state):
+        raise InputError("expected a state dict, tensors by name", path)
+    try:
+        module.load_state_dict(state, strict=True)
+    except RuntimeError as error:
+        difference = str(error).splitlines()[-1].strip()
+        raise InputError(f"file does not match the network: {shorten(difference, 200)}", path) from error
+    for name, tensor in state.items():
+        if not tensor.isfinite().all():
+            raise InputError(f"{name} has numbers that are not finite", path)

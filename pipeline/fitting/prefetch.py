@@ -14,31 +14,24 @@ _END = object()
 def prefetch(items: Generator[T], ahead: int = 2) -> Generator[T]:
     """Yield the items of a generator in order; one thread computes up to `ahead` of them in advance.
 
-    This helps where an item waits for a disk or for a library that releases Python's lock, as HDF5 and torch do. An
-    error in `items` is raised in place of the item. Closing this generator ends the thread and closes `items`.
+    This helps where an item waits for a disk or for a library that releases Python's lock, as HDF5 and torch do. Errors
+    and closing as in :func:`side_by_side`.
     """
-    with closing(items), ThreadPoolExecutor(1, "prefetch") as pool:
-        ready = deque(pool.submit(next, items, _END) for _ in range(ahead))
-        try:
-            while (item := ready.popleft().result()) is not _END:
-                ready.append(pool.submit(next, items, _END))
-                yield item  # type: ignore[misc]  # _END is not an item
-        finally:
-            for later in ready:
-                later.cancel()
+    return side_by_side(lambda item: item, items, 1, ahead)
 
 
 def side_by_side(
-    work: Callable[[T], R], items: Generator[T], threads: int, *, start: Callable[[], object] | None = None
+    work: Callable[[T], R],
+    items: Generator[T],
+    threads: int,
+    ahead: int,
+    start: Callable[[], object] | None = None,
 ) -> Generator[R]:
     """Yield ``work(item)`` of each item, in order; `threads` threads work, and one more computes the items.
 
-    Besides the result at the caller, at most `threads` + 1 items or results exist. An error in `items` or `work` is
-    raised in place of the result. Closing this generator waits for work in progress, ends the threads and closes
-    `items`.
-
-    Args:
-        start: called once in each working thread.
+    Besides the result at the caller, at most `ahead` items or results exist. An error in `items` or `work` is raised in
+    place of the result. Closing this generator waits for work in progress, ends the threads and closes `items`. `start`
+    is called once in each working thread.
     """
 
     def work_on(item: Future[Any]) -> Any:
@@ -53,7 +46,7 @@ def side_by_side(
         ThreadPoolExecutor(1, "prefetch-items") as reader,
         ThreadPoolExecutor(threads, "prefetch-work", initializer=start) as pool,
     ):
-        ready = deque(submit() for _ in range(threads + 1))
+        ready = deque(submit() for _ in range(ahead))
         try:
             while (result := ready.popleft().result()) is not _END:
                 ready.append(submit())

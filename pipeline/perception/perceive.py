@@ -43,16 +43,9 @@ def save(folder: Path, backbone: str, state: Mapping[str, Tensor]) -> None:
 def read(path: Path) -> Saved:
     """Read a file of :func:`save`. Raises InputError if it is missing, damaged, or of another kind."""
     content = checkpoint.read(path, KIND)
-    if not isinstance(content.get("backbone"), str) or not is_state(content.get("net")):
+    if not isinstance(content.get("backbone"), str) or not checkpoint.is_state(content.get("net")):
         raise InputError("expected the backbone's name and the network's tensors", path)
     return Saved(content["backbone"], content["net"])
-
-
-def is_state(value: Any) -> bool:
-    """Return whether `value` is a dict of tensors by name."""
-    return isinstance(value, dict) and all(
-        isinstance(name, str) and isinstance(tensor, Tensor) for name, tensor in value.items()
-    )
 
 
 def load(folder: Path) -> UnifiedEncoder:
@@ -109,7 +102,7 @@ def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:
     side = 1 if torch.cuda.is_available() else min(threads, default_workers())  # STEER_WORKERS limits memory
     alone()
     try:
-        with closing(side_by_side(forward, batches, side, start=alone)) as results:
+        with closing(side_by_side(forward, batches, side, side + 1, alone)) as results:
             yield from results
     finally:
         torch.set_num_threads(threads)

@@ -96,7 +96,7 @@ def read_published(path: Path) -> dict[str, Tensor]:
         state = next((content[key] for key in WRAPPERS if isinstance(content.get(key), dict)), content)
         # Monodepth2's files hold the image size beside the tensors.
         tensors = {name: value for name, value in state.items() if not isinstance(value, int | float)}
-        if tensors and perceive.is_state(tensors):
+        if tensors and checkpoint.is_state(tensors):
             return tensors
     raise InputError("expected a state dict, tensors by name", path)
 

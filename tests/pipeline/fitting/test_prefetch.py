@@ -48,7 +48,7 @@ def by_one(items: Generator[int]) -> Generator[int]:
 
 
 def by_three(items: Generator[int]) -> Generator[int]:
-    return side_by_side(lambda number: number, items, threads=3)
+    return side_by_side(lambda number: number, items, threads=3, ahead=4)
 
 
 both = pytest.mark.parametrize("ahead", [by_one, by_three])
@@ -74,7 +74,7 @@ def test_results_come_in_the_order_of_items_whichever_is_ready_first() -> None:
             later.set()
         return number**2
 
-    assert list(side_by_side(work, Source(9).items(), threads=3)) == [number**2 for number in range(9)]
+    assert list(side_by_side(work, Source(9).items(), threads=3, ahead=4)) == [number**2 for number in range(9)]
 
 
 @both

@@ -18,7 +18,7 @@ from models.steering.core.batch import GraphBatch
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs import cloud
-from pipeline.motion import kinds
+from pipeline.motion import motion_file
 from pipeline.train import frames
 from stages import graphs
 
@@ -129,7 +129,7 @@ def recorded(kitti: Path, folder: Path, points: int = POINTS) -> Street:
     with store.DriveWriter(folder / SOURCE / f"{drive}.h5", stage="clouds", drive=drive, params={}) as file:
         cloud.write(file, frame, frame * 0.1, (_read(path, points) for path in scans[drive][:FRAMES]))
     store.write_index(folder / SOURCE, {drive: "train"})
-    kinds.write(folder / "motion", [])
+    motion_file.write_index(folder / "motion", [])
     variant = {"source": SOURCE, "points": points, "k": K, "keep_inter_class": KEEP_INTER_CLASS}
     params = folder / "params.yaml"
     params.write_text(yaml.safe_dump({"graphs": {VARIANT: variant}}), encoding="utf-8")

@@ -14,7 +14,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load_entry
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.graphs import accumulate, cloud, graph_file
-from pipeline.motion import kinds
+from pipeline.motion import motion_file
 from pipeline.sections.graphs import Variant
 
 
@@ -32,7 +32,7 @@ def main(
     variant = load_entry(Variant, "graphs", name, params)
     source, stage = data / variant.source, variant.source.split("/")[0]
     splits = store.read_index(source, stage=stage)
-    motion = kinds.read(data / "motion")
+    motion = motion_file.read_index(data / "motion")
     if variant.accumulate and variant.accumulate.motion not in motion:
         raise InputError(
             f"accumulate.motion = {variant.accumulate.motion!r}, but {data / 'motion'} has only {', '.join(motion)}",
@@ -69,7 +69,7 @@ def _write(drive: str, path: Path, *, source: Path, motion: Mapping[str, Path], 
     with store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": variant.model_dump()}) as file:
         frame, counts = write(drive, file, source / f"{drive}.h5", motion, variant)
         for kind, folder in motion.items():
-            with store.DriveReader(folder / f"{drive}.h5", stage="motion") as measured:
+            with motion_file.open_motion(folder, drive) as measured:
                 graph_file.put_motion(file, kind, frame, measured)
     return counts
 
@@ -93,7 +93,7 @@ def _clouds(
     T_before, accumulator = {}, None
     if variant.accumulate:
         accumulator = accumulate.Accumulator(variant.accumulate.frames)
-        with store.DriveReader(motion[variant.accumulate.motion] / f"{drive}.h5", stage="motion") as measured:
+        with motion_file.open_motion(motion[variant.accumulate.motion], drive) as measured:
             T_before = accumulate.read_steps(measured, variant.source)
     for number, (start, stop) in zip(progress.track(clouds.frame), pairwise(clouds["ptr"]), strict=True):
         own = clouds.rows("xyz", start, stop), clouds.rows("cls", start, stop)

@@ -11,7 +11,7 @@ from pipeline.base.params import load
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.kitti.oxts import VL
 from pipeline.labels import label, sources
-from pipeline.motion import kinds
+from pipeline.motion import motion_file
 from pipeline.sections.labels import Labels
 
 
@@ -27,7 +27,7 @@ def main(
     """
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
-    motions = {} if settings.source == "oxts" else kinds.read(motion)
+    motions = {} if settings.source == "oxts" else motion_file.read_index(motion)
 
     summaries = run_over_drives(
         partial(label_drive, ingest=ingest, motions=motions, settings=settings),

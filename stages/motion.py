@@ -8,7 +8,8 @@ from typing import get_args
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.runner import Summary
-from pipeline.motion import estimator, kinds
+from pipeline.motion import motion_file
+from pipeline.motion.estimator import MotionEstimator
 from pipeline.perception.drive_frames import DriveFrames, run_over_kinds
 from pipeline.sections.motion import Kind, Motion
 
@@ -45,14 +46,14 @@ def main(
             print(f"{kind}: no motion measured in {', '.join(without)}")
     for obsolete in set(get_args(Kind)) - set(settings.kinds):  # written by an earlier run
         shutil.rmtree(out / obsolete, ignore_errors=True)
-    kinds.write(out, settings.kinds)
+    motion_file.write_index(out, settings.kinds)
     return out
 
 
 def _write(kind: str, drive: str, frames: DriveFrames, file: store.DriveWriter, *, settings: Motion) -> Summary:
-    measured = estimator.MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
+    measured = MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
     estimates = (measured.estimate(frame) for frame in frames)
-    valid = estimator.write(file, kind, frames.frame, frames.time_s, estimates)
+    valid = motion_file.write(file, kind, frames.frame, frames.time_s, estimates)
     return {"frames": len(frames.frame), "valid": valid}
 
 

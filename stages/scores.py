@@ -14,7 +14,7 @@ from pipeline.base.progress import track
 from pipeline.base.runner import Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
-from pipeline.motion import kinds
+from pipeline.motion import motion_file
 from pipeline.perception.scores import Scores, summary_line
 from pipeline.perception.truth import Truth, read_truth
 from pipeline.sections.labels import Labels
@@ -36,7 +36,7 @@ def main(
     labels = load(Labels, params)
     rule = {"wheelbase_m": labels.wheelbase_m, "min_speed_mps": labels.min_speed_mps, "standstill": "invalid"}
     splits = store.read_index(perception, stage="perception")
-    motions = kinds.read(motion)
+    motions = motion_file.read_index(motion)
 
     score_motion = partial(_score_motion, ingest=ingest, motions=motions, rule=rule)
     summaries = run_over_drives(
@@ -108,7 +108,7 @@ def _score_motion(
             labels = {kind: sources.read(kind, raw, motions, rule) for kind in (*motions, *references)}
             rows = {"wheel": np.flatnonzero(raw["has_steering"])} if "wheel" in references else {}
             for kind, folder in motions.items():
-                with store.DriveReader(folder / f"{drive}.h5", stage="motion") as measured:
+                with motion_file.open_motion(folder, drive, raw.frame) as measured:
                     rows[kind] = np.searchsorted(raw.frame, measured.frame)
         for reference, kind in product(references, rows):
             if kind != reference:

@@ -10,6 +10,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.kitti.oxts import VF, WU
 from pipeline.labels.label import Labels, steering_labels
+from pipeline.motion.motion_file import open_motion
 
 _OTHERS = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
 
@@ -57,7 +58,7 @@ def _rates(source: str, raw: DriveReader, motions: Mapping[str, Path]) -> tuple[
     if source:
         if source not in motions:
             raise InputError(f"motion.kinds has only {', '.join(motions)}", f"labels.source: {source}")
-        with DriveReader(motions[source] / f"{raw.drive}.h5", stage="motion") as motion:
+        with open_motion(motions[source], raw.drive, raw.frame) as motion:
             rows = np.searchsorted(raw.frame, motion.frame)
             both = np.stack([motion["speed_mps"], motion["yaw_rate_radps"]]).astype(np.float64)
             rates[:, rows] = np.where(motion["valid"].astype(bool), both, np.nan)

@@ -11,7 +11,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import DEPTH_UNITS_PER_M
 from pipeline.graphs import cloud
-from pipeline.motion import kinds
+from pipeline.motion import motion_file
 from stages import clouds, graphs
 from tests import street
 
@@ -34,7 +34,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store.write_index(folder / "ingest", SPLITS)
     store.write_index(folder / "perception", SPLITS)
     run_clouds(folder, folder / "clouds")
-    kinds.write(folder / "motion", [])
+    motion_file.write_index(folder / "motion", [])
     return folder
 
 
@@ -108,7 +108,7 @@ def write_motion(folder: Path, frame: list[int], valid: list[int]) -> None:
             file.put("T_before", T_before)
             file.put("scale", np.ones(len(frame), np.float32))
     store.write_index(folder, SPLITS)
-    kinds.write(folder.parent, [folder.name])
+    motion_file.write_index(folder.parent, [folder.name])
 
 
 def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import tarfile
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
 from pipeline.kitti.ingest_file import put_motion, put_steering
 from pipeline.kitti.oxts import make_rows
-from pipeline.motion import kinds
+from pipeline.motion import motion_file
 from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
 
@@ -87,7 +88,7 @@ def recorded(tmp_path: Path) -> Path:
         write_motion(tmp_path / "motion", "visual", drive, {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5)})
     write_index(tmp_path / "ingest", DRIVES)
     write_index(tmp_path / "motion/visual", DRIVES)
-    kinds.write(tmp_path / "motion", ["visual"])
+    motion_file.write_index(tmp_path / "motion", ["visual"])
     return tmp_path
 
 
@@ -109,6 +110,27 @@ def test_recorded_angles_are_valid_unless_the_car_is_known_to_be_slow(recorded: 
     np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5])
     np.testing.assert_array_equal(with_oxts["valid"], [1, 0, 0, 1])
     np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10])
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "problem"),
+    [
+        ("speed_mps", [0, 1e6, 5], r"speed_mps reaches 1e\+06"),
+        ("yaw_rate_radps", [0, np.nan, 0], "finite"),
+        ("speed_mps", np.ones((3, 2)), r"shape \(3, 2\)"),
+        ("valid", None, "no dataset 'valid'"),
+        ("frame", [5, 6, 99], "frame 99, which the drive lacks"),
+        ("T_before", np.zeros((3, 4, 4)), "T_before is not a rigid transform"),
+    ],
+)
+def test_a_forged_motion_file_is_refused(recorded: Path, name: str, values: Any, problem: str) -> None:
+    with h5py.File(recorded / f"motion/visual/{FIRST}.h5", "r+") as file:
+        if name in file:
+            del file[name]
+        if values is not None:
+            file[name] = values
+    with pytest.raises(InputError, match=problem):
+        run(recorded, source="visual")
 
 
 def test_a_source_that_a_drive_lacks(recorded: Path) -> None:

@@ -97,7 +97,7 @@ def test_a_part_is_filled_from_its_file_and_only_if_all_tensors_match() -> None:
     assert all(torch.equal(tensor, state[name]) for name, tensor in model.backbone.state_dict().items())
     assert all(torch.equal(tensor, before[name]) for name, tensor in model.depth_head.state_dict().items())
     torch.save(state | {"extra": torch.zeros(1)}, "bad.pth")
-    with pytest.raises(InputError, match='Unexpected key.* "extra"') as raised:
+    with pytest.raises(InputError, match=r'Unexpected key.* "extra"') as raised:
         fill(model, "espnetv2-s1", Weights.model_validate({"backbone": "bad.pth"}))
     assert (raised.value.where, raised.value.fix) == ("backbone: bad.pth", "Name another file")
     with pytest.raises(InputError) as raised:

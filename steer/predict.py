@@ -1,5 +1,6 @@
 """steer predict: predict the steering angle of a drive, a folder of images or a video, frame by frame."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -66,7 +67,7 @@ def predict(
 
 def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path:
     """Return the data folder of a model: data/train/<model>, or a folder of a seed or fold below it."""
-    for parent in model.resolve().parents[:2]:
+    for parent in Path(os.path.realpath(model)).parents[:2]:
         if parent.name == "train":
             return parent.parent
     if encoder is None or params is None:

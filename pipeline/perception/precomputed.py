@@ -3,10 +3,10 @@
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, model_validator
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
@@ -26,12 +26,18 @@ class Config(BaseModel):
     backbone: str
     weights: Any
 
+    @model_validator(mode="after")
+    def _names_a_folder(self) -> Self:
+        if self.backbone == "precomputed" and not isinstance(self.weights, str):
+            raise ValueError("expected a folder in weights")
+        return self
+
 
 def named_in(encoder: Path) -> Path | None:
     """Return the folder of precomputed files that config.json in folder `encoder` names; None for a network."""
     config = encoder / "config.json"
     content = store.read_json(config, stage="encoder", form=Config) if config.is_file() else {}
-    return Path(str(content["weights"])) if content.get("backbone") == "precomputed" else None
+    return Path(content["weights"]) if content.get("backbone") == "precomputed" else None
 
 
 def find(folder: Path) -> list[Path]:

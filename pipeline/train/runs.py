@@ -5,6 +5,7 @@ per test drive, trained on the other test drives and evaluated on this one. `oth
 share the training drives' world, and would select the epoch.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,7 @@ def check_pair(best: Path) -> None:
 
 def model_name(folder: Path) -> str:
     """Return the model's name, from the folder of one of its runs."""
-    own = folder.resolve()
-    while own.name.startswith((_SEED, _FOLD)):
-        own = own.parent
-    return own.name
+    folder = Path(os.path.realpath(folder))  # unlike resolve(), a symlink loop is no error
+    while folder.name.startswith((_SEED, _FOLD)):
+        folder = folder.parent
+    return folder.name

@@ -98,6 +98,13 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path: Path) -> None:
         _, depth, cls = street.scene(frame)
         np.testing.assert_array_equal(content["cls"][row], cls)
         np.testing.assert_array_equal(content["depth_m"][row], np.rint(depth * 256))
+    store.write_json(tmp_path / "encoder" / "config.json", {"backbone": "precomputed", "weights": ["made"]})
+    with pytest.raises(InputError, match="expected a folder in weights"):
+        run(tmp_path, "forged")
+
+
+def test_an_error_of_a_file_ends_all_threads(tmp_path: Path) -> None:
+    write_precomputed(tmp_path, 1.0)
     (tmp_path / "made" / DENSE / "cls" / "0000000004.png").unlink()
     with pytest.raises(InputError, match=r"cls/0000000004\.png") as caught:  # a traceback keeps generators
         run(tmp_path, "again", batch=1)

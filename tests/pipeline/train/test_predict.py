@@ -89,6 +89,12 @@ def test_output_zero_is_the_measured_angle(tmp_path: Path) -> None:
             assert steering_rad[finite] == pytest.approx(STEERING[finite] + 0.12 * output, abs=1e-6)
 
 
+def test_a_symlink_loop_is_no_model(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(InputError, match="no trained model"):
+        predict.load(tmp_path / "loop")
+
+
 def test_folder_of_a_model(tmp_path: Path) -> None:
     folder = write_model(tmp_path / "train/net")
     model = predict.load(str(folder), device="cpu")

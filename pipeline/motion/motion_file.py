@@ -100,5 +100,5 @@ def _fault(file: DriveReader, among: np.ndarray | None) -> str:
             return "T_before is not a rigid transform [4,4] for each frame"
     if "scale" in file and (file["scale"] <= 0).any():
         return "scale is not positive"
-    unknown = np.setdiff1d(file.frame, among) if among is not None else []
+    unknown = np.setdiff1d(file.frame, file.frame if among is None else among)
     return f"has frame {unknown[0]}, which the drive lacks" if len(unknown) else ""

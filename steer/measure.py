@@ -44,11 +44,11 @@ def measure(
 
     steer measure data/town/2026_01_03/2026_01_03_drive_0001_sync --encoder data/encoder
     """
+    from pipeline.labels.label import Car
     from pipeline.live import measure as live
     from pipeline.live.results import MEASURED_FILES, check_out
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.perception.perceive import FILE
-    from pipeline.train.windows import Car
 
     output, car = options.Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
     if not (encoder / FILE).is_file():

@@ -4,6 +4,7 @@ Signs: yaw rate and steering angle are positive to the left. The speed v is oxts
 surface, and the yaw rate ψ̇ the corresponding ``wu``.
 """
 
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,6 +17,14 @@ REVERSING_MPS = -0.5
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
+
+
+@dataclass(frozen=True)
+class Car:
+    """Parameters of the steering angle, from section labels."""
+
+    wheelbase_m: float
+    min_speed_mps: float
 
 
 class Labels(NamedTuple):

@@ -14,7 +14,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import scan_depth
 from pipeline.camera.images import Size, resized, rounded_as_stored
 from pipeline.fitting.prefetch import prefetch
-from pipeline.live.frame_state import FrameState
+from pipeline.live.course import FrameState
 from pipeline.live.source import Source
 from pipeline.motion.estimator import MotionEstimator
 from pipeline.motion.visual import Odometry

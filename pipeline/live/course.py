@@ -1,19 +1,58 @@
-"""The car's course from measured motion: rates, curvature, steering angle, and the track, frame by frame."""
+"""A frame of a stream, and the car's course up to it: rates, curvature, steering angle, and the track."""
 
 import math
 from collections import deque
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-from pipeline.live.frame_state import Course, FrameState
+import numpy as np
+
+from pipeline.camera.frame import Frame
+from pipeline.labels.label import Car
+from pipeline.motion.estimator import Estimate
 from pipeline.motion.visual import STANDSTILL
-from pipeline.train.windows import Car
 
 # Standard deviations of Gaussian means. A driver turns the wheel in a second, and a car changes its speed more slowly;
 # a speed from one pair of images has much more noise than a yaw rate.
 YAW_SIGMA_S, SPEED_SIGMA_S = 0.2, 0.5
 REACH = 2.0  # sigmas on both sides
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
+
+
+class Course(NamedTuple):
+    """Measured motion of the car, left and forward positive, and its pose relative to the first frame."""
+
+    speed_mps: float
+    yaw_rate_radps: float
+    curvature_1pm: float | None  # None below the minimum speed
+    steering_rad: float | None
+    x_m: float  # ahead
+    y_m: float  # to the left
+    heading_rad: float
+
+
+@dataclass
+class FrameState(Frame):
+    """A frame of a source, and the results of the steps for it."""
+
+    source_image: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # RGB uint8, at the source's size
+    started_s: float = 0.0  # time.perf_counter() before the frame was read
+    driven_rad: float | None = None  # ground truth from oxts, where the source has it
+    estimates: dict[str, Estimate | None] = field(default_factory=dict)  # by kind of motion
+    problem: str = ""  # why no visual motion could be measured
+    road_height_m: float = math.nan  # of the camera over the road, by the encoder's depth
+    course: Course | None = None
+    arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, as in pipeline.train.frames
+    predicted_rad: float | None = None  # None until the first complete window
+    sigma_rad: float | None = None  # of the prediction, by models with uncertainty
+    latency_s: float = 0.0  # from `started_s` to the prediction
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Visual motion, or from scans where only these are used."""
+        return self.estimates.get("visual", self.estimates.get("lidar"))
 
 
 def add_courses(frames: Generator[FrameState], car: Car, smooth: bool) -> Generator[FrameState]:
@@ -54,9 +93,9 @@ class _Track:
     def add(self, frame: FrameState, around: Iterable[FrameState]) -> FrameState:
         """Add the course to the next frame, with means over the frames `around` it."""
         if frame.estimate:
-            known = [(other.time_s - frame.time_s, other.estimate) for other in around if other.estimate]
-            self._yaw_rate_radps = _mean([(s, one.yaw_rate_radps) for s, one in known], YAW_SIGMA_S)
-            self._speed_mps = _mean([(s, one.speed_mps) for s, one in known], SPEED_SIGMA_S)
+            measured = [(near.time_s - frame.time_s, near.estimate) for near in around if near.estimate]
+            self._yaw_rate_radps = _mean([(s, estimate.yaw_rate_radps) for s, estimate in measured], YAW_SIGMA_S)
+            self._speed_mps = _mean([(s, estimate.speed_mps) for s, estimate in measured], SPEED_SIGMA_S)
             self._measured_s = frame.time_s
         elif frame.problem in STANDSTILL or frame.time_s - self._measured_s > BRIDGED_S:
             self._yaw_rate_radps = self._speed_mps = 0.0

@@ -13,16 +13,14 @@ from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.drawing import figure_file
 from pipeline.fitting.prefetch import prefetch
+from pipeline.labels.label import Car
 from pipeline.live.chain import Chain
-from pipeline.live.course import add_courses
-from pipeline.live.frame_state import Course, FrameState
-from pipeline.live.results import MOTION, QUALITY, TRACK, Results, write_results
+from pipeline.live.course import Course, FrameState, add_courses
+from pipeline.live.results import MEASURED_FILES, MOTION, QUALITY, TRACK, Results, result_folder, write_frames
 from pipeline.live.source import ROTATE, Source
 from pipeline.motion.visual import Odometry
 from pipeline.sections.perception import Perception
-from pipeline.train.windows import Car
 
 SIZE = (192, 640)  # of images, as the depth network was trained
 FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
@@ -44,18 +42,17 @@ def measure(
     Raises:
         InputError: the encoder has no network, no frame can be read, or the images seem to be rotated.
     """
-    with closing(_first(source.frames, max_frames)) as frames:
-        chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_known)
-        assert chain.odometry
-        upright = _refuse_rotated(prefetch(chain.run(frames), 1), source.path)
-        measured = add_courses(upright, car, smooth=True)
-        names, show = (MOTION, TRACK, QUALITY), {"video": video, "visible": visible}
-        with write_results(measured, source, out, names, car, warm_up=1, **show) as (folder, results):
-            quality = _quality(
-                results.road_heights_m, chain.odometry, source.camera.height_m if source.height_known else None
-            )
-            store.write_json(folder / QUALITY, quality)
-            _draw_track(folder / TRACK, source.name, results.courses)
+    height_m = source.camera.height_m if source.height_known else None
+    chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_known)
+    assert chain.odometry
+    with closing(_first(source.frames, max_frames)) as frames, result_folder(out, *MEASURED_FILES) as folder:
+        perceived_and_tracked = chain.run(frames)
+        upright = _refuse_rotated(prefetch(perceived_and_tracked, 1), source.path)
+        courses = add_courses(upright, car, smooth=True)
+        results = write_frames(courses, folder / MOTION, source, car, warm_up=1, video=video, visible=visible)
+        quality = _quality(results.road_heights_m, chain.odometry, height_m)
+        store.write_json(folder / QUALITY, quality)
+        _draw_track(folder / TRACK, source.name, results.courses)
     return results, quality
 
 
@@ -104,7 +101,7 @@ def _quality(road_heights_m: Sequence[float], odometry: Odometry, height_m: floa
 
 
 def _remarks(summary: dict[str, Any]) -> list[str]:
-    """Return what a user should know before using the numbers."""
+    """Return warnings about the scale and the focal length, or why there are none."""
     height_m, road_m, spread = (summary[key] for key in ("camera_height_m", "road_height_m", "road_height_spread"))
     if road_m is None or summary["road_frames"] < MIN_ROAD:
         scale = f"road found in {summary['road_frames']:.0%} of the frames: speed and curvature are uncertain"
@@ -148,4 +145,4 @@ def _draw_track(path: Path, title: str, courses: Sequence[tuple[float, Course]])
         speed.plot(seconds, columns[:, 0], color="tab:blue")
         steering.plot(seconds, np.rad2deg(columns[:, 3]), color="tab:red")
         steering.axhline(0, color="0.8", zorder=0)
-    figure_file.save(figure, path)
+    figure.savefig(path, dpi=110, metadata={"Software": None})  # without the version of matplotlib

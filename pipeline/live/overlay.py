@@ -9,8 +9,7 @@ import av
 import numpy as np
 
 from pipeline.camera.geometry import project
-from pipeline.labels import label
-from pipeline.live.frame_state import FrameState
+from pipeline.live.course import FrameState
 from pipeline.live.source import Source
 
 PREDICTED, DRIVEN = (0, 200, 60), (230, 40, 30)  # RGB
@@ -65,20 +64,18 @@ class Overlay:
         self._file.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
 
     def _draw_path(self, image: np.ndarray, steering_rad: float, colour: tuple[int, int, int], *, filled: bool) -> None:
-        """Draw the path of the rear wheels on a flat road for a constant steering angle."""
+        """Draw the path of the rear wheels on a plane road for a constant steering angle, an arc."""
         import cv2
 
-        steps = int(MAX_DISTANCE_M / STEP_M)
-        steering, speed_mps, time_s = np.full(steps, steering_rad), np.ones(steps), np.arange(steps) * STEP_M
-        centre = label.path(steering, speed_mps, time_s, wheelbase_m=self._wheelbase_m)
-        direction = np.gradient(centre, axis=0)
-        left = np.stack([-direction[:, 1], direction[:, 0]], axis=1) / np.linalg.norm(direction, axis=1)[:, None]
+        way_m = np.arange(0, MAX_DISTANCE_M, STEP_M)
+        heading_rad = way_m * np.tan(steering_rad) / self._wheelbase_m
+        chord_m = way_m * np.sinc(heading_rad / 2 / np.pi)
         sides = []
         for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
-            ground = centre + offset_m * left
-            down = self._camera.height_m + self._slope * ground[:, 0]
-            xyz = np.stack([-ground[:, 1], down, ground[:, 0]], axis=1)
-            uv, z = project(xyz, self._camera.K)
+            ahead = chord_m * np.cos(heading_rad / 2) - offset_m * np.sin(heading_rad)
+            left = chord_m * np.sin(heading_rad / 2) + offset_m * np.cos(heading_rad)
+            down = self._camera.height_m + self._slope * ahead
+            uv, z = project(np.stack([-left, down, ahead], axis=1), self._camera.K)
             sides.append(np.rint(uv[z > 1.0]).astype(np.int32))
         if filled:
             shade = image.copy()

@@ -23,9 +23,8 @@ from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import has_pointers, neighbours, sample_frame
 from pipeline.labels import label
 from pipeline.live.chain import Chain
-from pipeline.live.course import add_courses
-from pipeline.live.frame_state import FrameState
-from pipeline.live.results import STEERING, Results, write_results
+from pipeline.live.course import FrameState, add_courses
+from pipeline.live.results import PREDICTED_FILES, STEERING, Results, result_folder, write_frames
 from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
 from pipeline.perception.depth_scale import needs_scan
@@ -91,9 +90,9 @@ def predict(
         chain = Chain(source, size, encoder if perceives else None, kinds, settings.perception, road_scale)
         predicted = Predictor(model, settings, source, chain.camera).run(chain.run(frames))
         courses = add_courses(predicted, car, smooth=False)
-        show = {"video": video, "visible": visible}
-        with write_results(courses, source, out, (STEERING,), car, warm_up=model.window, **show) as (_, results):
-            return results
+        with result_folder(out, *PREDICTED_FILES) as folder:
+            show = {"video": video, "visible": visible}
+            return write_frames(courses, folder / STEERING, source, car, warm_up=model.window, **show)
 
 
 class Predictor:

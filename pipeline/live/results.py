@@ -16,10 +16,10 @@ from tqdm import tqdm
 
 from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
-from pipeline.live.frame_state import Course, FrameState
+from pipeline.labels.label import Car
+from pipeline.live.course import Course, FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.source import Source
-from pipeline.train.windows import Car
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"
 TRACK, QUALITY = "track.png", "quality.json"
@@ -170,33 +170,21 @@ class Results:
             yield f"motion measured in {self.valid} of {self.frames} frames; not measured: {reasons}"
 
 
-@contextmanager
-def write_results(
-    frames: Generator[FrameState],
-    source: Source,
-    out: Path,
-    names: tuple[str, ...],
-    car: Car,
-    *,
-    warm_up: int,
-    video: bool,
-    visible: bool,
-) -> Iterator[tuple[Path, Results]]:
-    """Write `frames` to the CSV file names[0] and a video; yield the folder for further files `names`, and the results.
+def write_frames(
+    frames: Generator[FrameState], path: Path, source: Source, car: Car, *, warm_up: int, video: bool, visible: bool
+) -> Results:
+    """Write `frames` of `source` to the CSV file `path`, and a video beside it; closes `frames`.
 
     Args:
-        frames: of `source`, with their results.
-        out: all files replace those in it when the block succeeds: :func:`result_folder`.
-        visible: show a progress bar.
+        visible: show a progress bar, or without a terminal a line every LINE_S.
     Raises:
         InputError: there is no frame.
     """
     with ExitStack() as stack:
-        folder = stack.enter_context(result_folder(out, *names, VIDEO))
-        file = stack.enter_context((folder / names[0]).open("w", newline="", encoding="utf-8"))
-        results, overlay = Results(file, source.name, warm_up, COLUMNS[names[0]]), None
+        file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
+        results, overlay = Results(file, source.name, warm_up, COLUMNS[path.name]), None
         if video:
-            overlay = Overlay(folder / VIDEO, source, car.wheelbase_m, predicts=names[0] == STEERING)
+            overlay = Overlay(path.with_name(VIDEO), source, car.wheelbase_m, predicts=path.name == STEERING)
             stack.enter_context(overlay)
         bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if visible else True))
         printed_s = time.perf_counter()
@@ -207,12 +195,12 @@ def write_results(
             bar.update()
             if results.frames % 20 == 0:
                 bar.set_postfix_str(results.speed())
-            if visible and bar.disable and time.perf_counter() - printed_s > LINE_S:  # the output is not a terminal
+            if visible and bar.disable and time.perf_counter() - printed_s > LINE_S:
                 printed_s = time.perf_counter()
-                print(f"{results.frames} of {source.count or 'unknown'} frames; {results.speed()}", file=sys.stderr)
-        if not results.frames:
-            raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
-        yield folder, results
+                print(f"{results.frames} of {source.count or '?'} frames, {results.speed()}", file=sys.stderr)
+    if not results.frames:
+        raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
+    return results
 
 
 def _measured(frame: FrameState) -> list[str]:

@@ -17,10 +17,10 @@ from pipeline.camera.mount import camera_height
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.labels import label
-from pipeline.live.frame_state import FrameState
+from pipeline.labels.label import Car
+from pipeline.live.course import FrameState
 from pipeline.live.horizon import find_horizon
 from pipeline.recording.clock import open_timed, timed
-from pipeline.train.windows import Car
 
 DEFAULT_FPS = 10.0  # KITTI's
 BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are

@@ -18,6 +18,7 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 from pipeline.base.errors import InputError, error_context
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
+from pipeline.labels import label
 from pipeline.sections.models import Model, resolve
 from pipeline.train import frames, runs, windows
 from pipeline.train.distributed import World
@@ -66,8 +67,8 @@ class Target:
         return cls(float(steering.mean()), std, **vars(drives[0].car), coefficients=coefficients)
 
     @property
-    def car(self) -> windows.Car:
-        return windows.Car(self.wheelbase_m, self.min_speed_mps)
+    def car(self) -> label.Car:
+        return label.Car(self.wheelbase_m, self.min_speed_mps)
 
 
 class Prediction(NamedTuple):

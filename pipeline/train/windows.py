@@ -31,23 +31,6 @@ measured. The first two change sign under mirroring."""
 
 
 @dataclass(frozen=True)
-class Car:
-    """Parameters of the steering angle, from section labels."""
-
-    wheelbase_m: float
-    min_speed_mps: float
-
-    @classmethod
-    def from_labels(cls, labels: store.DriveReader) -> "Car":
-        section = labels.params["labels"]
-        return cls(section["wheelbase_m"], section["min_speed_mps"])
-
-    def measured_angle(self, motion: frames.Motion) -> np.ndarray:
-        """Return the steering angle of measured motion, float64 [G] rad; the last valid one where nothing is valid."""
-        return label.measured_angle(*motion, self.wheelbase_m, self.min_speed_mps)
-
-
-@dataclass(frozen=True)
 class Timeline:
     """Times and motion of a graph file's G frames, by row."""
 
@@ -60,7 +43,7 @@ class Timeline:
     motion: np.ndarray | None  # float32 [G,4], columns MOTION; None without motion
 
     @classmethod
-    def read(cls, graphs: frames.Graphs, motion: str = "none", car: Car | None = None) -> "Timeline":
+    def read(cls, graphs: frames.Graphs, motion: str = "none", car: label.Car | None = None) -> "Timeline":
         """Read the times of an open graph file, and motion of kind `motion` of a `car`.
 
         Raises InputError if the file has no motion of this kind.
@@ -74,7 +57,7 @@ class Timeline:
         if motion != "none":
             assert car is not None, "the steering angle needs a wheelbase"
             measured = graphs.motion(motion)
-            base_rad = car.measured_angle(measured)
+            base_rad = label.measured_angle(*measured, **vars(car))
             columns = np.stack([base_rad, *measured], axis=1).astype(np.float32)
         return cls(graphs.path, graphs.frame, graphs.time_s, dt_s.astype(np.float32), runs, base_rad, columns)
 
@@ -96,7 +79,7 @@ class Drive(Timeline):
     empty: bool  # no frame has a point
     labels: Path
     horizon: int
-    car: Car
+    car: label.Car
     steering_rad: np.ndarray  # float64, NaN without a label
     curvature_1pm: np.ndarray  # float64, NaN without a label
     valid: np.ndarray  # bool; False without a label
@@ -166,7 +149,8 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
             raise InputError(f"no label for frame {missing[0]} of {graphs}", labels, "Make both again: dvc repro")
         here = np.array([row_of[int(number)] for number in file.frame], np.int64)
         ahead = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
-        steering_rad, valid, car = truth["steering_rad"], truth["valid"].astype(bool), Car.from_labels(truth)
+        steering_rad, valid, section = truth["steering_rad"], truth["valid"].astype(bool), truth.params["labels"]
+        car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
         measured = {kind: file.motion(kind).valid.any() for kind in file.motions}
         if valid[here].any() and not measured.get(motion, True):
             raise InputError(
@@ -187,7 +171,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
             speed_mps=truth["speed_mps"][here],
             persistence_rad=_hold(steering_rad[here], valid[here], own=horizon > 0),
             measured_rad={
-                kind: car.measured_angle(file.motion(kind)) if any_valid else np.full(len(here), np.nan)
+                kind: label.measured_angle(*file.motion(kind), **vars(car)) if any_valid else np.full(len(here), np.nan)
                 for kind, any_valid in measured.items()
             },
         )

@@ -13,7 +13,7 @@ from pipeline.base import store
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.live.chain import Chain
-from pipeline.live.frame_state import FrameState
+from pipeline.live.course import FrameState
 from pipeline.live.source import Source
 from pipeline.perception.perceive import save
 from pipeline.sections.perception import Perception

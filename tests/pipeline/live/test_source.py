@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.labels.label import Car
 from pipeline.live.source import Lens, Source, open_source
-from pipeline.train.windows import Car
 from tests import kitti_drive
 
 

@@ -1,14 +1,15 @@
 """Stage clouds: lift images and scans into semantic point clouds, data/clouds/{pseudo,lidar}/<drive>.h5."""
 
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.params import load
-from pipeline.base.runner import Summary
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.graphs import cloud
-from pipeline.perception.drive_frames import DriveFrames, run_over_kinds
+from pipeline.perception.drive_frames import open_frames
 from pipeline.sections.clouds import Clouds
 
 KINDS = ("pseudo", "lidar")
@@ -27,32 +28,37 @@ def main(
     """
     settings = load(Clouds, params)
     splits = store.read_index(ingest, stage="ingest")
-    summaries = run_over_kinds(
-        "clouds",
-        partial(_write, settings=settings),
-        KINDS,
-        list(splits),
-        settings,
-        ingest=ingest,
-        perception=perception,
-        out=out,
-        workers=workers,
-        describe="{frames} frames, {points} points".format_map,
-    )
-    for kind, drives in summaries.items():
-        fix = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or check the inputs: steer show {perception}"
-        with error_context(f"{params}: clouds/{kind}", fix):
-            cloud.check_not_empty(drives, splits)
-        store.write_index(out / kind, splits)
-        without = [drive for drive, summary in drives.items() if not summary["frames"]]
-        if without:
-            print(f"{kind}: no {'scans' if kind == 'lidar' else 'images'} in {', '.join(without)}, so no clouds")
+    jobs = [
+        Job(
+            f"{kind}/{drive}",
+            out / kind / f"{drive}.h5",
+            [ingest / f"{drive}.h5", perception / f"{drive}.h5"],
+            partial(_write, kind=kind, drive=drive, ingest=ingest, perception=perception, settings=settings),
+        )
+        for kind, drive in product(KINDS, splits)
+    ]
+    with run_over_drives(
+        "clouds", settings, jobs, out, "{frames} frames, {points} points".format_map, workers=workers
+    ) as made:
+        for kind in KINDS:
+            counts = {drive: made[f"{kind}/{drive}"] for drive in splits}
+            fix = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or check the inputs: steer show {perception}"
+            with error_context(f"{params}: clouds/{kind}", fix):
+                cloud.check_not_empty(counts, splits)
+            store.write_index(out / kind, splits)
+            without = [drive for drive, count in counts.items() if not count["frames"]]
+            if without:
+                print(f"{kind}: no {'scans' if kind == 'lidar' else 'images'} in {', '.join(without)}, so no clouds")
     return out
 
 
-def _write(kind: str, drive: str, frames: DriveFrames, file: store.DriveWriter, *, settings: Clouds) -> Summary:
-    clouds = (cloud.stored_cloud(frame, kind, frames.camera, drive, settings) for frame in frames)
-    return cloud.write(file, frames.frame, frames.time_s, clouds)
+def _write(path: Path, *, kind: str, drive: str, ingest: Path, perception: Path, settings: Clouds) -> Summary:
+    with (
+        open_frames(ingest, perception, drive, kind) as frames,
+        store.DriveWriter(path, stage="clouds", drive=drive, params={"clouds": settings.model_dump()}) as file,
+    ):
+        clouds = (cloud.stored_cloud(frame, kind, frames.camera, drive, settings) for frame in frames)
+        return cloud.write(file, frames.frame, frames.time_s, clouds)
 
 
 if __name__ == "__main__":

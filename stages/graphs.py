@@ -9,10 +9,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from pipeline.base import console, progress, store
-from pipeline.base.errors import InputError, error_context
+from pipeline.base import console, store
+from pipeline.base.errors import InputError, error_context, named_frames
 from pipeline.base.params import load_entry
-from pipeline.base.runner import Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.graphs import accumulate, cloud, graph_file
 from pipeline.motion import motion_file
 from pipeline.sections.graphs import Variant
@@ -40,23 +40,28 @@ def main(
             "Add it to motion.kinds and run dvc repro, or choose another kind",
         )
 
-    summaries = run_over_drives(
-        partial(_write, source=source, motion=motion, variant=variant),
-        list(splits),
-        out=out / name,
-        stage="graphs",
-        settings={**variant.model_dump(mode="json"), "motion": list(motion)},
-        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (source, *motion.values())],
-        pending=out.parent / ".resume" / f"{out.name}-{name}",
-        frames=lambda drive: store.frame_count(source / f"{drive}.h5", stage=stage),
+    jobs = [
+        Job(
+            drive,
+            out / name / f"{drive}.h5",
+            [folder / f"{drive}.h5" for folder in (source, *motion.values())],
+            partial(_write, drive=drive, source=source, motion=motion, variant=variant),
+        )
+        for drive in splits
+    ]
+    with run_over_drives(
+        f"graphs@{name}",
+        {**variant.model_dump(mode="json"), "motion": list(motion)},
+        jobs,
+        out / name,
+        _describe,
         workers=workers,
-        describe=lambda summary: ", ".join(f"{number} {what}" for what, number in summary.items()),
-    )
-    if variant.kind != "image":
-        crop = variant.crop_m and f"Widen crop_m = {list(variant.crop_m)}: left, near, right, far in metres"
-        with error_context(f"{params}: graphs.{name}", crop or f"Repeat: dvc repro --force --single-item {stage}"):
-            cloud.check_not_empty(summaries, splits)
-    store.write_index(out / name, splits)
+    ) as summaries:
+        if variant.kind != "image":
+            crop = variant.crop_m and f"Widen crop_m = {list(variant.crop_m)}: left, near, right, far in metres"
+            with error_context(f"{params}: graphs.{name}", crop or f"Repeat: dvc repro --force --single-item {stage}"):
+                cloud.check_not_empty(summaries, splits)
+        store.write_index(out / name, splits)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("edges_knn", "edges_kept"))
     without = [drive for drive, summary in summaries.items() if not summary["frames"]]
     share = f", {after / before:.0%} of {before} kNN edges kept" if before else ""
@@ -64,7 +69,11 @@ def main(
     return out / name
 
 
-def _write(drive: str, path: Path, *, source: Path, motion: Mapping[str, Path], variant: Variant) -> Summary:
+def _describe(summary: Summary) -> str:
+    return ", ".join(f"{number} {name}" for name, number in summary.items())
+
+
+def _write(path: Path, *, drive: str, source: Path, motion: Mapping[str, Path], variant: Variant) -> Summary:
     write = _write_images if variant.kind == "image" else _write_points
     with store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": variant.model_dump()}) as file:
         frame, counts = write(drive, file, source / f"{drive}.h5", motion, variant)
@@ -95,7 +104,7 @@ def _clouds(
         accumulator = accumulate.Accumulator(variant.accumulate.frames)
         with motion_file.open_motion(motion[variant.accumulate.motion], drive) as measured:
             T_before = accumulate.read_steps(measured, variant.source)
-    for number, (start, stop) in zip(progress.track(clouds.frame), pairwise(clouds["ptr"]), strict=True):
+    for number, (start, stop) in zip(named_frames(clouds.frame), pairwise(clouds["ptr"]), strict=True):
         own = clouds.rows("xyz", start, stop), clouds.rows("cls", start, stop)
         yield int(number), accumulator.add(int(number), own, T_before.get(int(number))) if accumulator else own
 
@@ -106,7 +115,7 @@ def _write_images(
     with store.DriveReader(source, stage="ingest") as raw:
         with_image = np.flatnonzero(raw["has_image"])
         frame = raw.frame[with_image]
-        images = (raw.row("image", int(row)) for row, _ in zip(with_image, progress.track(frame), strict=True))
+        images = (raw.row("image", int(row)) for row, _ in zip(with_image, named_frames(frame), strict=True))
         height, width = raw.shape("image")[1:3]
         return frame, graph_file.write_images(file, frame, raw.time_s[with_image], images, (height, width))
 

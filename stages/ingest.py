@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.runner import Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.camera.camera import write_camera
 from pipeline.kitti import oxts
 from pipeline.kitti.ingest_file import (
@@ -50,30 +50,29 @@ def main(
         drives |= find_drives(root, names) if names else {}
     if settings.source == "both":
         _check_names([drive for drive in splits if sources[drive] == "town"], raw)
-    attributes = {
-        drive: {"split": splits[drive], "source": sources[drive], "fingerprint": files.fingerprint(settings.cameras)}
+    frames = {
+        drive: len(files.oxts) or max(len(files.images(number)) for number in settings.cameras)
         for drive, files in drives.items()
     }
-
-    summaries = run_over_drives(
-        partial(
-            _ingest,
-            folders={drive: files.folder for drive, files in drives.items()},
-            attributes=attributes,
-            settings=settings,
-        ),
-        list(splits),
-        out=out,
-        stage="ingest",
-        settings=settings.model_dump(mode="json", exclude={"drives"}),
-        inputs=lambda drive: [*attributes[drive].values(), drives[drive].changes(settings.cameras)],
-        frames=lambda drive: len(drives[drive].oxts) or max(len(drives[drive].images(n)) for n in settings.cameras),
-        workers=workers,
-        describe=describe,
-    )
-    store.write_index(out, splits)
+    jobs = []
+    for drive in sorted(splits, key=frames.__getitem__, reverse=True):
+        files = drives[drive]
+        fingerprint = files.fingerprint(settings.cameras)
+        attributes = {"split": splits[drive], "source": sources[drive], "fingerprint": fingerprint}
+        jobs.append(
+            Job(
+                drive,
+                out / f"{drive}.h5",
+                [*attributes.values(), files.changes(settings.cameras)],
+                partial(_ingest, drive=drive, folder=files.folder, attributes=attributes, settings=settings),
+            )
+        )
+    with run_over_drives(
+        "ingest", settings.model_dump(mode="json", exclude={"drives"}), jobs, out, _describe, workers=workers
+    ) as summaries:
+        store.write_index(out, splits)
     for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
-        lacking = [drive for drive, summary in summaries.items() if not summary[name]]
+        lacking = [drive for drive in splits if not summaries[drive][name]]
         if lacking:
             print(f"no {plural}: {'all drives' if len(lacking) == len(splits) else ', '.join(lacking)}")
     return out
@@ -91,11 +90,9 @@ def _check_names(drives: list[str], raw: Path) -> None:
             )
 
 
-def _ingest(
-    drive: str, path: Path, *, folders: dict[str, Path], attributes: dict[str, dict[str, str]], settings: Ingest
-) -> Summary:
+def _ingest(path: Path, *, drive: str, folder: Path, attributes: dict[str, str], settings: Ingest) -> Summary:
     """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image."""
-    raw, params = RawDrive(folders[drive]), {"ingest": settings.model_dump(exclude={"drives"})}
+    raw, params = RawDrive(folder), {"ingest": settings.model_dump(exclude={"drives"})}
     scans = raw.scans if settings.lidar else {}
     number = raw.camera_number(settings.cameras)
     camera = None if number is None else raw.camera(number)
@@ -104,7 +101,7 @@ def _ingest(
         raise InputError(problem, raw.calibration, "Extract the date's calibration archive, or set ingest.lidar: false")
     images = {} if number is None else {"image": raw.images(number), "depth": raw.truth_depth, "cls": raw.truth_cls}
     images = {name: files for name, files in images.items() if files}
-    reader = TolerantReader(tolerant=settings.on_damaged == "skip", passes=2 + len(images))
+    reader = TolerantReader(tolerant=settings.on_damaged == "skip")
 
     numbers, times = raw.timeline(number)
     packets = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers))
@@ -115,7 +112,7 @@ def _ingest(
     rows = list(packets or range(len(numbers)))
     frames, time_s = [numbers[row] for row in rows], oxts.read_times(times, numbers)[rows]
     with store.DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
-        file.attrs |= attributes[drive]
+        file.attrs |= attributes
         counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
         file.attrs["camera"] = -1 if number is None else number
         put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
@@ -139,7 +136,7 @@ def _ingest(
     }
 
 
-def describe(summary: Summary) -> str:
+def _describe(summary: Summary) -> str:
     """Return the text for a drive's line in the log."""
     text = "{frames} frames, {image} images, {lidar} scans".format_map(summary)
     if summary["image"]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base import console, store
 from pipeline.base.params import load
-from pipeline.base.runner import Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.kitti.oxts import VL
 from pipeline.labels import label, sources
 from pipeline.motion import motion_file
@@ -29,25 +29,26 @@ def main(
     splits = store.read_index(ingest, stage="ingest")
     motions = {} if settings.source == "oxts" else motion_file.read_index(motion)
 
-    summaries = run_over_drives(
-        partial(label_drive, ingest=ingest, motions=motions, settings=settings),
-        list(splits),
-        out=out,
-        stage="labels",
-        settings=settings.model_dump(mode="json"),
-        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, *motions.values())],
-        workers=1,  # less work than starting a process
-        describe=describe,
-    )
-    store.write_json(out / "summary.json", summaries)
-    store.write_index(out, splits)
+    jobs = [
+        Job(
+            drive,
+            out / f"{drive}.h5",
+            [folder / f"{drive}.h5" for folder in (ingest, *motions.values())],
+            partial(_label, drive=drive, ingest=ingest, motions=motions, settings=settings),
+        )
+        for drive in splits
+    ]
+    # One worker, as this is less work than starting a process.
+    with run_over_drives("labels", settings, jobs, out, _describe, workers=1) as summaries:
+        store.write_json(out / "summary.json", summaries)
+        store.write_index(out, splits)
     suspect = [drive for drive, summary in summaries.items() if summary["sideways_frames"]]
     if suspect:
         print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")
     return out
 
 
-def label_drive(drive: str, path: Path, ingest: Path, motions: Mapping[str, Path], settings: Labels) -> Summary:
+def _label(path: Path, *, drive: str, ingest: Path, motions: Mapping[str, Path], settings: Labels) -> Summary:
     """Write one drive's labels and return their plausibility statistics."""
     rule = settings.model_dump(exclude={"source"})
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
@@ -59,7 +60,7 @@ def label_drive(drive: str, path: Path, ingest: Path, motions: Mapping[str, Path
     return label.plausibility(labels, sideways_mps, time_s)
 
 
-def describe(summary: Summary) -> str:
+def _describe(summary: Summary) -> str:
     """Return the text for a drive's line in the log."""
     text = "{frames} frames, {valid_share:.0%} valid".format_map(summary)
     if summary["valid_share"]:

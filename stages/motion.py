@@ -2,15 +2,16 @@
 
 import shutil
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import get_args
 
 from pipeline.base import console, store
 from pipeline.base.params import load
-from pipeline.base.runner import Summary
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.motion import motion_file
 from pipeline.motion.estimator import MotionEstimator
-from pipeline.perception.drive_frames import DriveFrames, run_over_kinds
+from pipeline.perception.drive_frames import open_frames
 from pipeline.sections.motion import Kind, Motion
 
 
@@ -27,34 +28,38 @@ def main(
     """
     settings = load(Motion, params)
     splits = store.read_index(perception, stage="perception")
-    summaries = run_over_kinds(
-        "motion",
-        partial(_write, settings=settings),
-        settings.kinds,
-        list(splits),
-        settings,
-        ingest=ingest,
-        perception=perception,
-        out=out,
-        workers=workers,
-        describe="{frames} frames, {valid} measured".format_map,
-    )
-    for kind, drives in summaries.items():
-        store.write_index(out / kind, splits)
-        without = [drive for drive, summary in drives.items() if not summary["valid"]]
-        if without:
-            print(f"{kind}: no motion measured in {', '.join(without)}")
-    for obsolete in set(get_args(Kind)) - set(settings.kinds):  # written by an earlier run
-        shutil.rmtree(out / obsolete, ignore_errors=True)
-    motion_file.write_index(out, settings.kinds)
+    jobs = [
+        Job(
+            f"{kind}/{drive}",
+            out / kind / f"{drive}.h5",
+            [ingest / f"{drive}.h5", perception / f"{drive}.h5"],
+            partial(_write, kind=kind, drive=drive, ingest=ingest, perception=perception, settings=settings),
+        )
+        for kind, drive in product(settings.kinds, splits)
+    ]
+    with run_over_drives(
+        "motion", settings, jobs, out, "{frames} frames, {valid} measured".format_map, workers=workers
+    ) as made:
+        for kind in settings.kinds:
+            store.write_index(out / kind, splits)
+            without = [drive for drive in splits if not made[f"{kind}/{drive}"]["valid"]]
+            if without:
+                print(f"{kind}: no motion measured in {', '.join(without)}")
+        for obsolete in set(get_args(Kind)) - set(settings.kinds):  # written by an earlier run
+            shutil.rmtree(out / obsolete, ignore_errors=True)
+        motion_file.write_index(out, settings.kinds)
     return out
 
 
-def _write(kind: str, drive: str, frames: DriveFrames, file: store.DriveWriter, *, settings: Motion) -> Summary:
-    measured = MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
-    estimates = (measured.estimate(frame) for frame in frames)
-    valid = motion_file.write(file, kind, frames.frame, frames.time_s, estimates)
-    return {"frames": len(frames.frame), "valid": valid}
+def _write(path: Path, *, kind: str, drive: str, ingest: Path, perception: Path, settings: Motion) -> Summary:
+    with (
+        open_frames(ingest, perception, drive, kind) as frames,
+        store.DriveWriter(path, stage="motion", drive=drive, params={"motion": settings.model_dump()}) as file,
+    ):
+        motion = MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
+        estimates = (motion.estimate(frame) for frame in frames)
+        valid = motion_file.write(file, kind, frames.frame, frames.time_s, estimates)
+        return {"frames": len(frames.frame), "valid": valid}
 
 
 if __name__ == "__main__":

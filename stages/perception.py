@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base import console, progress, store
+from pipeline.base import console, store
 from pipeline.base.executors import default_workers
 from pipeline.base.params import load
-from pipeline.base.runner import Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.camera.images import to_units
 from pipeline.camera.mount import camera_height
 from pipeline.perception import batches, depth_scale, precomputed
@@ -40,26 +40,26 @@ def main(
     splits = store.read_index(ingest, stage="ingest")
     _predictor(encoder, "", settings.precision)  # report a bad checkpoint once, not from each worker
     weights = encoder / ("config.json" if precomputed.named_in(encoder) else "encoder.pt")
-    summaries = run_over_drives(
-        partial(_perceive, ingest=ingest, encoder=encoder, settings=settings),
-        list(splits),
-        out=out,
-        stage="perception",
-        settings=settings.model_dump(mode="json"),
-        inputs=lambda drive: [ingest / f"{drive}.h5", weights],
-        frames=lambda drive: store.frame_count(ingest / f"{drive}.h5", stage="ingest"),
-        # Two processes keep a GPU busy: one reads and writes while the other encodes.
-        workers=min(2, workers or default_workers()) if torch.cuda.is_available() else workers,
-        describe="{frames} frames".format_map,
-    )
-    store.write_index(out, splits)
+    jobs = [
+        Job(
+            drive,
+            out / f"{drive}.h5",
+            [ingest / f"{drive}.h5", weights],
+            partial(_perceive, drive=drive, ingest=ingest, encoder=encoder, settings=settings),
+        )
+        for drive in splits
+    ]
+    if torch.cuda.is_available():  # two processes keep a GPU busy: one reads and writes while the other encodes
+        workers = min(2, workers or default_workers())
+    with run_over_drives("perception", settings, jobs, out, "{frames} frames".format_map, workers=workers) as summaries:
+        store.write_index(out, splits)
     without = [drive for drive, summary in summaries.items() if not summary["frames"]]
     if without:
         print(f"no images in {', '.join(without)}, so no depth and classes", flush=True)
     return out
 
 
-def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: Perception) -> Summary:
+def _perceive(path: Path, *, drive: str, ingest: Path, encoder: Path, settings: Perception) -> Summary:
     from pipeline.perception.perceive import passes
 
     predict, mode = _predictor(encoder, drive, settings.precision), settings.depth_scale
@@ -85,7 +85,6 @@ def _perceive(drive: str, path: Path, *, ingest: Path, encoder: Path, settings: 
                 frames = zip(depth, cls, batch.scans_m, strict=True)
                 file.append("depth_m", to_units(np.stack([postprocess(*frame) for frame in frames])))
                 file.append("cls", cls)
-                progress.advance(len(cls))
     return {"frames": len(with_image)}
 
 

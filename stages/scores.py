@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import console, store
+from pipeline.base.errors import named_frames
 from pipeline.base.params import SPLITS, load
-from pipeline.base.progress import track
-from pipeline.base.runner import Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
 from pipeline.motion import motion_file
@@ -39,38 +39,42 @@ def main(
     motions = motion_file.read_index(motion)
 
     score_motion = partial(_score_motion, ingest=ingest, motions=motions, rule=rule)
-    summaries = run_over_drives(
-        partial(_score_drive, ingest=ingest, perception=perception, score_motion=score_motion),
-        list(splits),
-        out=out,
-        stage="scores",
-        settings={"motion": list(motions), **rule},
-        inputs=lambda drive: [folder / f"{drive}.h5" for folder in (ingest, perception, *motions.values())],
+    jobs = [
+        Job(
+            drive,
+            out / drive,
+            [folder / f"{drive}.h5" for folder in (ingest, perception, *motions.values())],
+            partial(_score_drive, drive=drive, ingest=ingest, perception=perception, score_motion=score_motion),
+        )
+        for drive in splits
+    ]
+    with run_over_drives(
+        "scores",
+        {"motion": list(motions), **rule},
+        jobs,
+        out,
+        "{frames} frames, {line}".format_map,
         workers=workers,
-        target=lambda drive: out / drive,
-        frames=lambda drive: store.frame_count(perception / f"{drive}.h5", stage="perception"),
-        describe="{frames} frames, {line}".format_map,
-    )
-    motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
-    kinds_scored = dict.fromkeys(kind for figures in motion_scored.values() for kind in figures)
-    content: dict[str, Any] = {
-        "motion": {kind: {split: motion_scored[split].get(kind) for split in SPLITS} for kind in kinds_scored}
-    }
-    for split in SPLITS:
-        drives = store.drives_in(splits, split)
-        scores = Scores()
-        for drive in drives:
-            scores.add_sums(summaries[drive]["sums"])
-        content[split] = scores.report()
-        print(f"scores, {split}: {summary_line(content[split])}", flush=True)
-        for kind, figures in motion_scored[split].items():
-            print(f"{kind} motion, {split}: {comparison.summary_line(figures)}", flush=True)
-    store.write_json(out / "metrics.json", content)
+    ) as summaries:
+        motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
+        kinds_scored = dict.fromkeys(kind for scores in motion_scored.values() for kind in scores)
+        content: dict[str, Any] = {
+            "motion": {kind: {split: motion_scored[split].get(kind) for split in SPLITS} for kind in kinds_scored}
+        }
+        for split in SPLITS:
+            scores = Scores()
+            for drive in store.drives_in(splits, split):
+                scores.add_sums(summaries[drive]["sums"])
+            content[split] = scores.report()
+            print(f"scores, {split}: {summary_line(content[split])}", flush=True)
+            for kind, motion_scores in motion_scored[split].items():
+                print(f"{kind} motion, {split}: {comparison.summary_line(motion_scores)}", flush=True)
+        store.write_json(out / "metrics.json", content)
     return out
 
 
 def _score_drive(
-    drive: str, path: Path, *, ingest: Path, perception: Path, score_motion: "partial[dict[str, Any]]"
+    path: Path, *, drive: str, ingest: Path, perception: Path, score_motion: "partial[dict[str, Any]]"
 ) -> Summary:
     scores = Scores()
     with (
@@ -83,13 +87,13 @@ def _score_drive(
             scores.add_frame(depth_m, cls, K, truth, mode, float(perceived.attrs["camera_height_m"]))
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path / "metrics.json", {**report, "motion": motion})
-    lines = [f"{kind} motion: {comparison.summary_line(figures)}" for kind, figures in motion.items()]
+    lines = [f"{kind} motion: {comparison.summary_line(scores)}" for kind, scores in motion.items()]
     return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
 
 
 def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[tuple[np.ndarray, np.ndarray, Truth]]:
     """Yield depth [H,W], trainIds [H,W] and ground truth of each frame with an image."""
-    for row, number in enumerate(track(perceived.frame)):
+    for row, number in enumerate(named_frames(perceived.frame)):
         depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
         yield depth_m, cls, read_truth(source, source.row_of(number))
 
@@ -115,7 +119,7 @@ def _score_motion(
                 name = kind if reference == "oxts" else f"{kind}-{reference}"
                 pair = labels[kind].at(rows[kind]), labels[reference].at(rows[kind])
                 errors.setdefault(name, []).append(comparison.errors(*pair))
-    return {kind: comparison.score(found) for kind, found in errors.items()}
+    return {kind: comparison.score(errors_of_kind) for kind, errors_of_kind in errors.items()}
 
 
 if __name__ == "__main__":

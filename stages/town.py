@@ -10,7 +10,7 @@ from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.runner import Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.town import Town
@@ -35,23 +35,26 @@ def main(out: Path = Path("data/town"), params: Path = Path("params.yaml"), work
         if folder.is_dir() and not (folder / "truth").is_dir():
             raise InputError("folder holds a drive that is not rendered", folder, "Pass another --out, or move it")
     recorded = _find_recorded(settings, list(limits))
-
-    run_over_drives(
-        partial(
-            render, limits=limits, recorded={drive: raw.folder for drive, raw in recorded.items()}, settings=settings
-        ),
-        list(limits),
-        out=out,
-        stage="town",
-        settings=settings.model_dump(mode="json"),
-        inputs=lambda drive: [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
-        frames=lambda drive: min(limits[drive], len(recorded[drive].oxts)) if recorded else limits[drive],
-        workers=workers,
-        target=folders.__getitem__,
-        describe="{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²".format_map,
-    )
-    for date in {folder.parent for folder in folders.values()}:
-        write_calibration(make_rig(settings.image_size, date.name), date)
+    frames = {drive: min(limits[drive], len(recorded[drive].oxts) if recorded else limits[drive]) for drive in limits}
+    jobs = [
+        Job(
+            drive,
+            folders[drive],
+            [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
+            partial(
+                _render,
+                drive=drive,
+                frames=limits[drive],
+                recorded=recorded[drive].folder if recorded else None,
+                settings=settings,
+            ),
+        )
+        for drive in sorted(limits, key=frames.__getitem__, reverse=True)
+    ]
+    text = "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²"
+    with run_over_drives("town", settings, jobs, out, text.format_map, workers=workers):
+        for date in {folder.parent for folder in folders.values()}:
+            write_calibration(make_rig(settings.image_size, date.name), date)
     return out
 
 
@@ -65,15 +68,14 @@ def _find_recorded(settings: Town, drives: list[str]) -> dict[str, RawDrive]:
     return find_drives(root, drives)
 
 
-def render(drive: str, path: Path, *, limits: dict[str, int], recorded: dict[str, Path], settings: Town) -> Summary:
-    """Write a drive's folder to `path`."""
+def _render(path: Path, *, drive: str, frames: int, recorded: Path | None, settings: Town) -> Summary:
     rendered = Drive(
         drive,
-        frames=limits[drive],
+        frames=frames,
         size=settings.image_size,
         scan_rays=settings.scan_rays,
         seed=settings.seed,
-        recorded=RawDrive(recorded[drive]) if recorded else None,
+        recorded=RawDrive(recorded) if recorded else None,
     )
     with replacing(path) as folder:
         rendered.write(folder)

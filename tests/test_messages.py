@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.base import console, executors, runner, store
 from pipeline.base.atomic import exclusive
-from pipeline.base.errors import DamagedFile
+from pipeline.base.errors import DamagedFile, named_frames
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import ROOT, file_hash
 from pipeline.camera.images import read_image
@@ -130,14 +130,16 @@ def scheduler_not_running() -> None:
     list(runner.run_jobs(str, ["a", "b"]))
 
 
-def fail(drive: str, path: Path) -> dict[str, object]:
-    for _ in runner.progress.track([42]):
+def fail(path: Path) -> dict[str, object]:
+    for _ in named_frames([42]):
         raise DamagedFile("the file is cut short", RAW / "image_02/data/0000000042.png", "Extract it again")
     return {}
 
 
 def frame_damaged() -> None:
-    runner.run_over_drives(fail, [DRIVE], out=Path("data/ingest"), stage="ingest", settings={}, inputs=list, workers=1)
+    out = Path("data/ingest")
+    with runner.run_over_drives("ingest", {}, [runner.Job(DRIVE, out / f"{DRIVE}.h5", [], fail)], out, workers=1):
+        pass
 
 
 def worker_died() -> None:

@@ -17,6 +17,7 @@ from pipeline.base.errors import InputError
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, the user's quota, the limit on one file
 _LEFTOVER = re.compile(r"\.(?P<name>.+)\.\w{8}\.tmp")  # mkdtemp's eight characters
 _OLD = ".old"
+_OTHER_PATH = "Pass another path, or move it away"
 # Of network file systems, for instance Lustre without -o flock, or NFS without its lock daemon.
 _UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
 
@@ -25,16 +26,24 @@ _UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a unique temporary path beside `path`, which replaces `path` when the block ends without error.
 
-    The block creates a file or a folder there. The temporary path is ``.NAME.????????.tmp/NAME``, so that two processes
-    that write the same path do not collide, the suffix still gives the format, and a glob for ``*.h5`` does not match.
-    An OSError that names the temporary path, or a full disk that names none, names `path`.
+    The block creates a file or a folder there. A file replaces only a regular file, and a folder only a folder; the
+    caller checks that the earlier folder is its own. Anything else at `path` raises InputError and stays.
+
+    The temporary path is ``.NAME.????????.tmp/NAME``, so that two processes that write the same path do not collide,
+    the suffix still gives the format, and a glob for ``*.h5`` does not match. An OSError that names the temporary path,
+    or a full disk that names none, names `path`.
     """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError("expected a regular file or folder, got a device, pipe or socket", path, _OTHER_PATH)
     path.parent.mkdir(parents=True, exist_ok=True)
     # A folder of its own, as a file from mkstemp is unreadable for other users.
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
     tmp = folder / path.name
     try:
         yield tmp
+        if path.exists() and tmp.exists() and path.is_dir() != tmp.is_dir():
+            expected, got = ("file", "folder") if path.is_dir() else ("folder", "file")
+            raise InputError(f"expected a {expected} to replace, got a {got}", path, _OTHER_PATH)
         if path.is_dir() and not path.is_symlink():
             _swap(tmp, path, folder / f"{path.name}{_OLD}")
         else:
@@ -51,15 +60,15 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed processes left of :func:`replacing` directly in `folder`.
+    """Remove temporary files of killed processes, see :func:`replacing`, directly in `folder`.
 
     Call it under the folder's lock, :func:`exclusive`.
     """
     for path in folder.glob(".*.tmp"):
         match = _LEFTOVER.fullmatch(path.name)
         if match and path.is_dir() and not path.is_symlink():
-            own = {match["name"], match["name"] + _OLD}
-            if {content.name for content in path.iterdir()} <= own:
+            expected = {match["name"], match["name"] + _OLD}
+            if {content.name for content in path.iterdir()} <= expected:
                 shutil.rmtree(path, ignore_errors=True)
 
 
@@ -73,15 +82,24 @@ def _swap(new: Path, path: Path, old: Path) -> None:
         raise
 
 
+def pending_folder(out: Path, *, entry: bool = False) -> Path:
+    """Return where finished parts of the stage folder `out` wait for the next run, outside of all DVC outputs.
+
+    ``data/.resume/labels`` for ``data/labels``; of an `entry`, ``data/.resume/train-gnn`` for ``data/train/gnn``.
+    """
+    if entry:
+        return out.parent.with_name(".resume") / f"{out.parent.name}-{out.name}"
+    return out.with_name(".resume") / out.name
+
+
 @contextmanager
 def exclusive(out: Path, pending: Path) -> Iterator[None]:
-    """Hold the write lock of the stage folder `out`, and remove what killed runs left half-written.
+    """Hold the write lock of the stage folder `out`, and remove temporary files of killed runs.
 
     Args:
         out: where results go, for instance ``data/train/gnn``.
-        pending: where finished parts wait for the next run, for instance ``data/.resume/train-gnn``; created if
-            missing. The lock is the file ``<pending>.lock``, outside of what DVC tracks. The system releases it when
-            this process dies.
+        pending: :func:`pending_folder`; created if missing. The lock is the file ``<pending>.lock``. The system
+            releases it when this process dies.
 
     Raises InputError if another process holds the lock.
     """
@@ -121,11 +139,11 @@ class Sink(io.FileIO):
         self._error: OSError | None = None
 
     def write(self, data: Any) -> int:
-        left = memoryview(data).cast("B")
-        size = len(left)
+        rest = memoryview(data).cast("B")
+        size = len(rest)
         try:
-            while left:  # the system may write a part only
-                left = left[super().write(left) :]
+            while rest:  # the system may write a part only
+                rest = rest[super().write(rest) :]
         except OSError as error:
             self._record(error)
         return size

@@ -1,6 +1,6 @@
 """Errors shown to the user as one line, without a traceback."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 
@@ -38,11 +38,30 @@ def error_context(where: object = "", fix: str = "") -> Iterator[None]:
         raise kind(inner.problem, ": ".join(places), inner.fix or fix) from error
 
 
+_frame: int | None = None
+
+
+def named_frames(numbers: Iterable[int]) -> Iterator[int]:
+    """Yield frame numbers; an error before the next one is requested names the frame, by :func:`take_frame`."""
+    global _frame
+    for number in numbers:
+        _frame = int(number)
+        yield number
+    _frame = None
+
+
+def take_frame() -> int | None:
+    """Return the frame that :func:`named_frames` yielded last, once; None outside of it."""
+    global _frame
+    frame, _frame = _frame, None
+    return frame
+
+
 def closest(name: str, options: Sequence[str]) -> str:
     """Return a clause for an error message: the options most similar to `name`, or all of them."""
     import difflib
 
-    near = difflib.get_close_matches(name, options, n=3, cutoff=0.6)
-    if near:
-        return f"did you mean {' or '.join(near)}?"
+    similar = difflib.get_close_matches(name, options, n=3, cutoff=0.6)
+    if similar:
+        return f"did you mean {' or '.join(similar)}?"
     return f"known: {', '.join(options) if options else 'none'}"

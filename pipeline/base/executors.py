@@ -14,11 +14,10 @@ from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExec
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib.metadata import version
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pipeline.base import progress, resume
+from pipeline.base import resume
 from pipeline.base.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
 
 SCHEDULER = "STEER_SCHEDULER"
 CONNECT_S = 5
+_DIGITS = 4  # of STEER_WORKERS
 # Their versions determine the bytes.
 LIBRARIES = ("numpy", "scipy", "torch", "opencv-python-headless", "open3d", "h5py", "hdf5plugin")
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
@@ -33,11 +33,10 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class Pool(NamedTuple):
-    """An executor; a function that returns how many jobs it can run at once; one that reports frames done."""
+    """An executor, and a function that returns how many jobs it can run at once."""
 
     executor: Executor
     capacity: Callable[[], int]
-    report: Callable[[], object] = int
 
 
 def default_workers() -> int:
@@ -45,20 +44,19 @@ def default_workers() -> int:
     text = os.environ.get("STEER_WORKERS", "")
     if not text:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"expected a number of processes, at least 1 (got {text!r})", "STEER_WORKERS")
+    if not (text.isdecimal() and len(text) <= _DIGITS and int(text)):
+        got = text if len(text) <= 80 else f"{text[:80]}…"
+        raise InputError(f"expected a number of processes, 1 to {10**_DIGITS - 1} (got {got!r})", "STEER_WORKERS")
     return int(text)
 
 
 @contextmanager
-def executor(workers: int | None, jobs: int, counter: Callable[[int], object], threads: int | None) -> Iterator[Pool]:
+def executor(workers: int | None, jobs: int, threads: int | None) -> Iterator[Pool]:
     """Yield an executor.
 
     Args:
         workers: processes; None: :func:`default_workers`. With a Dask cluster, its workers instead, unless 1.
         jobs: how many there are; no more processes are started.
-        counter: called with numbers of frames as they are done: in this process as
-            :func:`pipeline.base.progress.advance` is called, for local workers by :attr:`Pool.report`, for Dask never.
         threads: of each process, also if there is only one; None: the cores are divided among the processes.
     """
     if workers is not None and workers < 1:
@@ -68,14 +66,10 @@ def executor(workers: int | None, jobs: int, counter: Callable[[int], object], t
         with _dask(address) as pool:
             yield pool
     elif count == 1 and threads is None:
-        progress.report_to(counter)
-        try:
-            yield Pool(SerialExecutor(), lambda: 1)
-        finally:
-            progress.report_to(None)
+        yield Pool(SerialExecutor(), lambda: 1)
     else:
-        with _processes(count, threads or max(1, default_workers() // count), counter) as pool:
-            yield pool
+        with _Processes(count, threads or max(1, default_workers() // count)) as processes:
+            yield Pool(processes, lambda: count)
 
 
 class SerialExecutor(Executor):
@@ -93,8 +87,8 @@ class SerialExecutor(Executor):
 class _Processes(ProcessPoolExecutor):
     """Worker processes, started as calls are submitted, with OMP_NUM_THREADS set and Ctrl-C left to this process."""
 
-    def __init__(self, workers: int, threads: int, frames: "Synchronized[int]") -> None:
-        super().__init__(workers, _SPAWN, _start_worker, (threads, frames))
+    def __init__(self, workers: int, threads: int) -> None:
+        super().__init__(workers, _SPAWN, _start_worker, (threads,))
         self._threads = threads
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -108,35 +102,16 @@ class _Processes(ProcessPoolExecutor):
             os.environ |= {} if old_threads is None else {"OMP_NUM_THREADS": old_threads}
             signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
 
-
-@contextmanager
-def _processes(workers: int, threads: int, counter: Callable[[int], object]) -> Iterator[Pool]:
-    frames = _SPAWN.Value("q", 0)
-
-    def report() -> None:
-        with frames.get_lock():
-            counter(frames.value)
-            frames.value = 0
-
-    with _Processes(workers, threads, frames) as processes:
-        try:
-            yield Pool(processes, lambda: workers, report)
-            report()
-        except BaseException:  # for instance Ctrl-C; else the pool waits for the jobs in progress
+    def __exit__(self, kind: type[BaseException] | None, *error: Any) -> bool | None:
+        if kind:  # for instance Ctrl-C; else the pool waits for the jobs in progress
             for child in multiprocessing.active_children():
                 child.terminate()
-            raise
+        return super().__exit__(kind, *error)
 
 
-def _start_worker(threads: int, frames: "Synchronized[int]") -> None:
-    """Limit a worker's threads, count its frames, and end it when its parent ends."""
-
-    def count(done: int) -> None:
-        with frames.get_lock():
-            frames.value += done
-
+def _start_worker(threads: int) -> None:
+    """Limit a worker's threads, and end it when its parent ends."""
     threading.Thread(target=_exit_with_parent, daemon=True).start()
-    progress.report_to(count)
     _limit_threads(threads)
 
 
@@ -201,7 +176,7 @@ class _Cluster(Executor):
 
 @cache
 def _environment() -> dict[str, str]:
-    """Return what determines the bytes that a process writes, as it was when this process first asked."""
+    """Return the versions of Python, libraries and code, which determine all bytes, cached at the first call."""
     versions = {name: version(name) for name in LIBRARIES}
     return {"Python": platform.python_version(), **versions, "code of the project": resume.code_hash()}
 

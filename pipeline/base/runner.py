@@ -1,26 +1,27 @@
-"""Run a function over drives in parallel, with progress and resume.
+"""Make drives in parallel, with progress and resume.
 
 DVC deletes a stage's outputs before it runs the stage. So finished drives wait in ``data/.resume/<stage>/`` under a key
-that hashes everything that determines them, and are moved into the stage's folder when all are done.
+that hashes everything that determines them, until the stage's folder is complete.
 """
 
 import json
+import os
 import shutil
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from functools import partial
+from contextlib import contextmanager
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+from pydantic import BaseModel
 from tqdm import tqdm
 
-from pipeline.base import progress
-from pipeline.base.atomic import exclusive, replacing, sweep
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.atomic import exclusive, pending_folder, replacing, sweep
+from pipeline.base.errors import InputError, error_context, take_frame
 from pipeline.base.executors import executor
 from pipeline.base.files import size_of
 from pipeline.base.resume import stage_key
@@ -28,70 +29,74 @@ from pipeline.base.store import indexed, write_json
 
 J = TypeVar("J")
 Summary = dict[str, Any]
-Work = Callable[[str, Path], Summary]
-_POLL_S = 0.5  # how often frames are counted, and new workers of a cluster looked for
+Work = Callable[[Path], Summary]
+_POLL_S = 0.5  # how often new workers of a cluster are looked for
 
 
+class Job(NamedTuple):
+    """One drive of a stage.
+
+    Attributes:
+        drive: its name in messages, unique in the stage.
+        target: final path of its file or folder.
+        inputs: files and strings. With the code and the stage's settings, they determine the content.
+        work: picklable. Writes the file or folder to a path in one step and returns a JSON-able summary.
+    """
+
+    drive: str
+    target: Path
+    inputs: Sequence[Path | str]
+    work: Work
+
+
+@contextmanager
 def run_over_drives(
-    work: Work,
-    drives: Sequence[str],
-    *,
-    out: Path,
     stage: str,
-    settings: Mapping[str, Any],
-    inputs: Callable[[str], Sequence[Path | str]],
-    workers: int | None = None,
-    pending: Path | None = None,
-    target: Callable[[str], Path] | None = None,
-    frames: Callable[[str], int] | None = None,
+    settings: BaseModel | Mapping[str, Any],
+    jobs: Sequence[Job],
+    out: Path,
     describe: Callable[[Summary], str] = str,
-) -> dict[str, Summary]:
-    """Call ``work(drive, path)`` for each of `drives` in parallel, and leave each drive's file in `out`.
+    workers: int | None = None,
+) -> Iterator[dict[str, Summary]]:
+    """Make all drives, then yield drive → summary in the order of `jobs`, holding the lock of the stage's folder `out`.
+
+    The block writes the stage's other files, for instance its index, and removes obsolete ones. Finished drives are
+    kept for the next run until the block ends without error, so that a kill or an error loses none of them.
 
     Args:
-        work: picklable. Writes the drive's file or folder to `path` in one step and returns a JSON-able summary.
-        out: the stage's folder, for instance ``data/clouds/pseudo``.
-        stage, settings: name in ``dvc.yaml``, and JSON-able; with the code and `inputs` they determine a drive's
-            file: :func:`pipeline.base.resume.stage_key`.
-        inputs: drive → files whose contents, and strings which, determine its file.
+        stage: its name in ``dvc.yaml``; ``graphs@NAME`` for an entry, whose `out` is a folder in the stage's folder.
+        settings: a section, or JSON-able; part of :func:`pipeline.base.resume.stage_key`.
+        jobs: the largest files as inputs start first; otherwise in their order.
+        describe: a drive's summary → text for the log.
         workers: processes; None: :func:`pipeline.base.executors.default_workers`. 1: this process, otherwise the
             workers of a Dask cluster if there is one. Never changes a result.
-        pending: where finished drives wait; default ``.resume/<name of out>`` beside `out`. Never inside a DVC output.
-        target: drive → final path of its file or folder; default ``out/<drive>.h5``.
-        frames: drive → how many frames `work` counts with :mod:`pipeline.base.progress`; the longest drive starts
-            first. Default: one each.
-        describe: a drive's summary → text for the log.
 
-    Files in `out` of drives that its ``index.json`` names and `drives` does not are removed. Returns drive → summary,
-    in the order of `drives`. Raises InputError if another process writes the same folder; the first error of a worker
-    after the drives in progress are done. What is finished is kept for the next run.
+    Files of drives that the earlier ``index.json`` names and `jobs` does not are removed. Raises InputError if another
+    process writes the same folder; the first error of a worker after the drives in progress are done.
     """
-    pending = pending or out.parent / ".resume" / out.name
-    targets = {drive: target(drive) if target else out / f"{drive}.h5" for drive in drives}
+    settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
+    name, _, entry = stage.partition("@")
+    pending = pending_folder(out, entry=bool(entry))
     with exclusive(out, pending):
-        keys = {drive: stage_key(stage, {"drive": drive, **settings}, inputs(drive)) for drive in drives}
-        paths = {
-            drive: pending / f"{drive.replace('/', '-')}-{keys[drive]}{path.suffix}" for drive, path in targets.items()
-        }
-        todo = [drive for drive, path in paths.items() if not path.exists() or not _sidecar(path).is_file()]
-        if len(todo) < len(drives):
-            print(f"{len(drives) - len(todo)} of {len(drives)} drives kept from the run before", flush=True)
-        counts = {drive: frames(drive) if frames else 1 for drive in drives}
-        done = sum(counts.values()) - sum(counts[drive] for drive in todo)
-        todo.sort(key=counts.__getitem__, reverse=True)
-        unit = " frames" if frames else " drives"
-        with tqdm(total=sum(counts.values()), initial=done, unit=unit, disable=not sys.stderr.isatty()) as bar:
-            jobs = [(drive, paths[drive]) for drive in todo]
-            make = partial(_run, work=work)
-            for job, result in run_jobs(make, jobs, workers=workers, counter=bar.update, name=itemgetter(0)):
-                done += counts[job[0]]
-                bar.update(max(0, done - bar.n))  # a cluster does not count frames
-                tqdm.write(_log_line(job, result, describe), file=sys.stdout)
+        keys = [stage_key(name, {"drive": job.drive, **settings}, job.inputs) for job in jobs]
+        paths = [
+            pending / f"{job.drive.replace('/', '-')}-{key}{job.target.suffix}"
+            for job, key in zip(jobs, keys, strict=True)
+        ]
+        todo = [(job, path) for job, path in zip(jobs, paths, strict=True) if _read_summary(path) is None]
+        kept = len(jobs) - len(todo)
+        if kept:
+            print(f"{kept} of {len(jobs)} drives kept from the run before", flush=True)
+        todo.sort(key=lambda item: _input_bytes(item[0]), reverse=True)
+        tasks = [(job.drive, path, job.work) for job, path in todo]
+        with tqdm(total=len(jobs), initial=kept, unit=" drives", disable=not sys.stderr.isatty()) as bar:
+            for (drive, path, _), result in run_jobs(_make, tasks, workers=workers, name=itemgetter(0)):
+                bar.update()
+                tqdm.write(_log_line(drive, path, describe, *result), file=sys.stdout)
                 sys.stdout.flush()
-        summaries = {drive: json.loads(_sidecar(path).read_text(encoding="utf-8")) for drive, path in paths.items()}
-        _publish({paths[drive]: path for drive, path in targets.items()}, out)
+        _publish(jobs, paths, out)
+        yield {job.drive: _read_summary(path) or {} for job, path in zip(jobs, paths, strict=True)}
         shutil.rmtree(pending)
-    return summaries
 
 
 def run_jobs(
@@ -100,7 +105,6 @@ def run_jobs(
     *,
     workers: int | None = None,
     threads: int | None = None,
-    counter: Callable[[int], object] = lambda frames: None,
     name: Callable[[J], str] = str,
 ) -> Iterator[tuple[J, Any]]:
     """Yield each job with the result of ``work(job)`` as they finish, in parallel.
@@ -108,8 +112,7 @@ def run_jobs(
     Args:
         workers: as in :func:`run_over_drives`.
         threads: of each process, in which case none runs in this process; None: the cores are divided among them.
-        counter: called with numbers of frames as they are done.
-        name: job → how an error names it.
+        name: job → its name in errors.
 
     Raises the first error after the jobs in progress are done; no other job is started.
     """
@@ -118,7 +121,7 @@ def run_jobs(
     failures: list[BaseException] = []
     running: dict[Future[Any], J] = {}
     waiting = deque(jobs)
-    with executor(workers, len(jobs), counter, threads) as pool:
+    with executor(workers, len(jobs), threads) as pool:
         while running or (waiting and not failures):
             # No more than can run at once, so that after a failure there is nothing to cancel.
             while waiting and not failures and len(running) < pool.capacity():
@@ -127,40 +130,43 @@ def run_jobs(
                     running[pool.executor.submit(work, job)] = job
                 except BrokenExecutor:
                     failures.append(_worker_died([name(job) for job in (*running.values(), job)]))
-            finished = wait(running, _POLL_S, FIRST_COMPLETED).done
-            pool.report()
-            for future in finished:
+            for future in wait(running, _POLL_S, FIRST_COMPLETED).done:
                 failure = future.exception()
                 if failure is None:
                     yield running[future], future.result()
                 else:  # whatever it is, the jobs in progress are worth finishing
                     died = isinstance(failure, BrokenExecutor) or type(failure).__name__ == "KilledWorker"  # of Dask
-                    near = [name(job) for job in running.values()]
-                    failures.append(_worker_died(near) if died else failure)
+                    names = [name(job) for job in running.values()]
+                    failures.append(_worker_died(names) if died else failure)
                 del running[future]
         if failures:
             raise failures[0]
 
 
-def _log_line(job: tuple[str, Path], result: tuple[Summary, float], describe: Callable[[Summary], str]) -> str:
-    (drive, path), (summary, seconds) = job, result
+def _input_bytes(job: Job) -> int:
+    return sum(path.stat().st_size for path in job.inputs if isinstance(path, Path))
+
+
+def _log_line(drive: str, path: Path, describe: Callable[[Summary], str], summary: Summary, seconds: float) -> str:
     rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
     return f"{drive}: {describe(summary)}, {size_of(path) / 1e6:.1f} MB, {seconds:.1f} s{rate}"
 
 
-def _worker_died(jobs: Sequence[str]) -> InputError:
+def _worker_died(drives: Sequence[str]) -> InputError:
     fix = "Use fewer workers (STEER_WORKERS=1) or repeat the command: finished drives are kept"
-    return InputError("a worker process died (out of memory?)", f"at or near {', '.join(jobs)}", fix)
+    return InputError("a worker process died (out of memory?)", f"at or near {', '.join(drives)}", fix)
 
 
-def _run(job: tuple[str, Path], work: Work) -> tuple[Summary, float]:
-    """Make one drive's file with its summary beside it; an error names the drive and, where known, the frame."""
-    drive, path = job
+def _make(item: tuple[str, Path, Work]) -> tuple[Summary, float]:
+    """Make one drive, and its summary beside it; an error names the drive and, where known, the frame."""
+    drive, path, work = item
     start = time.perf_counter()
+    for leftover in (path, _sidecar(path)):  # damaged, or from a kill between the two
+        _remove(leftover)
     try:
-        summary = work(drive, path)
+        summary = work(path)
     except Exception as error:
-        frame = progress.take_frame()
+        frame = take_frame()
         where = drive if frame is None else f"{drive} frame {frame}"
         if isinstance(error, InputError):
             with error_context(where):
@@ -171,21 +177,49 @@ def _run(job: tuple[str, Path], work: Work) -> tuple[Summary, float]:
     return summary, time.perf_counter() - start
 
 
-def _publish(targets: Mapping[Path, Path], out: Path) -> None:
-    """Move finished files and folders to their final paths, and remove those of drives that are no longer listed."""
+def _publish(jobs: Sequence[Job], paths: Sequence[Path], out: Path) -> None:
+    """Give finished files and folders their final paths, too, and remove drives that are no longer listed."""
     out.mkdir(parents=True, exist_ok=True)
-    for folder in {target.parent for target in targets.values()}:
+    targets = {job.target for job in jobs}
+    for folder in {target.parent for target in targets}:
         sweep(folder)
-    for path, target in targets.items():
-        with replacing(target) as tmp:
-            shutil.move(path, tmp)  # copies, if the stage's folder is a link to another disk
+    for job, path in zip(jobs, paths, strict=True):
+        with replacing(job.target) as tmp:
+            if path.is_dir():
+                shutil.copytree(path, tmp, copy_function=_link)
+            else:
+                _link(path, tmp)
     # Earlier files may still be there (persist in dvc.yaml, or no DVC).
-    kinds = {(target.parent, target.suffix) for target in targets.values()}
+    kinds = {(target.parent, target.suffix) for target in targets}
     earlier = {folder / f"{drive}{suffix}" for folder, suffix in kinds for drive in indexed(folder)}
-    for stale in earlier.difference(targets.values()):
+    for stale in earlier - targets:
         if stale.is_file():
             stale.unlink()
 
 
+def _link(path: str | Path, target: str | Path) -> None:
+    """Give a file a second name; copy it to another disk, and where there are no hard links."""
+    try:
+        os.link(path, target)
+    except OSError:
+        shutil.copyfile(path, target)
+
+
 def _sidecar(path: Path) -> Path:
     return path.with_name(f"{path.name}.json")
+
+
+def _read_summary(path: Path) -> Summary | None:
+    """Return the summary beside a finished file or folder; None if one of the two is missing or damaged."""
+    try:
+        summary = json.loads(_sidecar(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return summary if isinstance(summary, dict) and path.exists() else None
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

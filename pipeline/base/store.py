@@ -272,9 +272,9 @@ class DriveReader:
 
 
 def frame_count(path: Path, *, stage: str) -> int:
-    """Return the number of frames in a drive's file; of stage ingest, of those with an image."""
+    """Return the number of frames in a drive's file."""
     with DriveReader(path, stage=stage) as file:
-        return int(file["has_image"].sum()) if stage == "ingest" else len(file.frame)
+        return len(file.frame)
 
 
 def _stage_of(path: Path) -> str:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base import progress
 from pipeline.base.errors import DamagedFile, error_context
 from pipeline.base.store import DriveWriter
 from pipeline.camera.classes import VOID
@@ -84,9 +83,8 @@ def put_scans(file: DriveWriter, frames: int, rows: Rows) -> int:
 class TolerantReader:
     """Read files of single frames. A damaged file is an error or, if `tolerant`, skipped and counted by kind."""
 
-    def __init__(self, tolerant: bool, passes: int = 1) -> None:
-        """`passes`: calls of :meth:`each` per drive; a frame counts as progress once every `passes` frames."""
-        self._tolerant, self._passes, self._visited = tolerant, passes, 0
+    def __init__(self, tolerant: bool) -> None:
+        self._tolerant = tolerant
         self.damaged: Counter[str] = Counter()
 
     def each(
@@ -107,6 +105,3 @@ class TolerantReader:
                 array = None
             if array is not None:
                 yield index, array
-            self._visited += 1
-            if self._visited % self._passes == 0:
-                progress.advance(1)

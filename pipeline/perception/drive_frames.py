@@ -1,17 +1,13 @@
 """Frames of one drive from the files of stages ingest and perception, matched by frame number."""
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from pipeline.base.params import Section
-from pipeline.base.progress import track
-from pipeline.base.runner import Summary, run_over_drives
-from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.errors import named_frames
+from pipeline.base.store import DriveReader
 from pipeline.camera.camera import read_camera
 from pipeline.camera.frame import Frame
 from pipeline.camera.images import to_metres
@@ -35,7 +31,7 @@ class DriveFrames:
         image_row = {int(number): row for row, number in enumerate(self._perception.frame)}
         ingest_row = {int(number): row for row, number in enumerate(self._ingest.frame)}
         ptr = self._ingest["lidar_ptr"] if self._scan_rows is not None else np.zeros(0, np.int64)
-        for number, time_s in zip(track(self.frame.tolist()), self.time_s.tolist(), strict=True):
+        for number, time_s in zip(named_frames(self.frame.tolist()), self.time_s.tolist(), strict=True):
             frame, raw_row, row = Frame(number, time_s), ingest_row[number], image_row.get(number)
             if row is not None:
                 frame.cls = self._perception.row("cls", row)
@@ -55,53 +51,3 @@ def open_frames(ingest: Path, perception: Path, drive: str, kind: str) -> Iterat
         DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
         yield DriveFrames(raw, perceived, kind)
-
-
-Write = Callable[[str, str, DriveFrames, DriveWriter], Summary]
-"""Kind, drive, its frames, its open file → summary. Picklable."""
-
-
-def run_over_kinds(
-    stage: str,
-    write: Write,
-    kinds: Sequence[str],
-    drives: Sequence[str],
-    settings: Section,
-    *,
-    ingest: Path,
-    perception: Path,
-    out: Path,
-    workers: int | None,
-    describe: Callable[[Summary], str],
-) -> dict[str, dict[str, Summary]]:
-    """Write out/<kind>/<drive>.h5 for all kinds and drives in one parallel run. Returns kind → drive → summary."""
-
-    summaries = run_over_drives(
-        partial(_write, stage=stage, write=write, params={stage: settings.model_dump()}, folders=(ingest, perception)),
-        [f"{kind}/{drive}" for kind in kinds for drive in drives],
-        out=out,
-        stage=stage,
-        settings=settings.model_dump(mode="json"),
-        inputs=lambda name: [folder / f"{Path(name).name}.h5" for folder in (ingest, perception)],
-        frames=partial(_count, folders=(ingest, perception)),
-        workers=workers,
-        describe=describe,
-    )
-    return {kind: {drive: summaries[f"{kind}/{drive}"] for drive in drives} for kind in kinds}
-
-
-def _write(
-    name: str, path: Path, *, stage: str, write: Write, params: Mapping[str, Any], folders: tuple[Path, Path]
-) -> Summary:
-    kind, drive = name.split("/")
-    with (
-        open_frames(*folders, drive, kind) as frames,
-        DriveWriter(path, stage=stage, drive=drive, params=params) as file,
-    ):
-        return write(kind, drive, frames, file)
-
-
-def _count(name: str, folders: tuple[Path, Path]) -> int:
-    kind, drive = name.split("/")
-    with open_frames(*folders, drive, kind) as frames:
-        return len(frames.frame)

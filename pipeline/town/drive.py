@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.base import progress
+from pipeline.base.errors import named_frames
 from pipeline.camera.images import write_png
 from pipeline.kitti.raw import RawDrive
 from pipeline.town.character import QUARTERS, draw_character
@@ -80,7 +80,7 @@ class Drive:
             folder.mkdir(parents=True)
         for sensor in SENSORS:
             (path / sensor / "timestamps.txt").write_bytes(self._recording.timestamps)
-        for i, number in enumerate(progress.track(self._recording.packets)):
+        for i, number in enumerate(named_frames(self._recording.packets)):
             self._world.set_traffic([vehicle.at(i) for vehicle in self._traffic if vehicle.visible[i]])
             pose, png = self._journey.pose(i), f"{number:010d}.png"
             rgb, depth, cls = self._camera.take(self._world, self._light, pose)

@@ -10,7 +10,7 @@ from tests.pipeline.base import toy_stage
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "trouble").mkdir()
-    (tmp_path / "input").write_text("1")
+    toy_stage.write_inputs(tmp_path)
     return tmp_path
 
 
@@ -18,6 +18,6 @@ def folder(tmp_path: Path) -> Path:
 def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The files that one process writes."""
     folder = tmp_path_factory.mktemp("serial")
-    (folder / "input").write_text("1")
+    toy_stage.write_inputs(folder)
     toy_stage.main(folder, workers=1)
     return toy_stage.outputs(folder)

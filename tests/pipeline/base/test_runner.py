@@ -2,17 +2,21 @@
 
 import errno
 import os
+import shutil
 import signal
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pipeline.base import runner
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.runner import Job, run_over_drives
 from pipeline.base.store import write_index
 from tests.kitti_drive import contents
+from tests.kitti_drive import write as write_file
 from tests.pipeline.base import toy_stage
 from tests.pipeline.base.toy_stage import DRIVES, alive, calls, end_trouble, outputs, start, trouble, wait_for, waiting
 
@@ -53,8 +57,8 @@ def test_an_error_names_drive_and_frame_and_keeps_finished_drives(
     assert outputs(folder) == expected
     printed = capsys.readouterr()
     assert "of 4 drives kept from the run before" in printed.out
-    assert "14/14" in printed.err.split("\r")[-1], "the bar counts kept frames, too"
-    assert " 0/14" not in printed.err
+    assert "4/4" in printed.err.split("\r")[-1], "the bar counts kept drives, too"
+    assert " 0/4" not in printed.err
 
 
 @pytest.mark.slow
@@ -86,11 +90,15 @@ def test_a_full_disk_names_the_file_and_leaves_no_temporary_one(folder: Path, ex
 
 def write(drive: str, path: Path) -> dict[str, Any]:
     path.write_text(drive)
-    return {}
+    return {"drive": drive}
 
 
-def run(out: Path, **options: Any) -> None:
-    runner.run_over_drives(write, DRIVES, out=out, stage="labels", settings={}, inputs=list, workers=1, **options)
+def run(out: Path, target: str = "{}.h5", stage: str = "labels", interrupt: bool = False) -> None:
+    jobs = [Job(drive, out / target.format(drive), [], partial(write, drive)) for drive in DRIVES]
+    with run_over_drives(stage, {}, jobs, out, workers=1) as summaries:
+        assert summaries == {drive: {"drive": drive} for drive in DRIVES}
+        if interrupt:
+            raise KeyboardInterrupt
 
 
 def test_only_files_of_drives_of_an_earlier_index_are_removed(tmp_path: Path) -> None:
@@ -106,10 +114,35 @@ def test_only_files_of_drives_of_an_earlier_index_are_removed(tmp_path: Path) ->
     assert contents(out) == {f"{drive}.h5": drive.encode() for drive in DRIVES} | own | {"index.json": index}
     assert (tmp_path / "data/outside.h5").exists()
     (out / "index.json").write_text('{"drives": [7]}')
-    run(out, target=lambda drive: out / "more" / drive / "result.json", pending=tmp_path / "waiting")
+    run(out, "more/{}/result.json", stage="graphs@stage")
     assert (out / "more/b/result.json").read_text() == "b", "a summary beside a .json file does not replace it"
     assert (out / "a.h5").exists()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "waiting.lock"]
+    assert [path.name for path in (tmp_path / ".resume").iterdir()] == ["data-stage.lock"]
+
+
+def replace_by_folder(path: Path) -> None:
+    path.unlink()
+    write_file(path / "file", "content")
+
+
+@pytest.mark.parametrize(
+    ("file", "damage"),
+    [
+        ("b-*.h5.json", lambda path: path.write_text("{")),
+        ("b-*.h5.json", lambda path: path.write_text("[]")),
+        ("b-*.h5.json", lambda path: path.write_bytes(b"\xff")),
+        ("b-*.h5.json", replace_by_folder),
+        ("b-*.h5", Path.unlink),
+    ],
+)
+def test_a_damaged_kept_drive_is_made_again(tmp_path: Path, file: str, damage: Callable[[Path], object]) -> None:
+    out = tmp_path / "data/stage"
+    with pytest.raises(KeyboardInterrupt):
+        run(out, interrupt=True)
+    (path,) = (tmp_path / "data/.resume/stage").glob(file)
+    damage(path)
+    run(out)
+    assert contents(out) == {f"{drive}.h5": drive.encode() for drive in DRIVES}
 
 
 def test_the_stage_folder_may_be_a_link_to_another_file_system(tmp_path: Path, tmp_path_factory: Any) -> None:
@@ -155,3 +188,21 @@ def test_a_killed_run_resumes_and_leaves_no_process(
     toy_stage.main(folder, workers=1)
     assert "b" not in calls(folder)
     assert outputs(folder) == expected
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_kill_before_the_index_keeps_all_drives(folder: Path, expected: dict[str, bytes], workers: int) -> None:
+    trouble(folder, index="wait")
+    with start(folder, "--workers", str(workers)) as process:
+        waiting(folder, ["index"])
+        with pytest.raises(InputError, match="another process"):
+            toy_stage.main(folder)
+        process.kill()
+    assert outputs(folder).keys() == expected.keys() - {"index.json"}
+    assert calls(folder) == DRIVES
+    end_trouble(folder)
+    shutil.rmtree(folder / "data/toy")  # as DVC does
+    toy_stage.main(folder, workers=1)
+    assert calls(folder) == []
+    assert outputs(folder) == expected
+    assert [path.name for path in (folder / "data/.resume").iterdir()] == ["toy.lock"]

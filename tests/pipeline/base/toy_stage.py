@@ -1,4 +1,7 @@
-"""A stage of arithmetic on four drives. A file ``trouble/<drive>`` makes it fail, wait or die at a frame."""
+"""A stage of arithmetic on four drives.
+
+A file ``trouble/<drive>`` makes it fail, wait or die at a frame, ``trouble/index`` before the stage's index.
+"""
 
 import os
 import resource
@@ -6,17 +9,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base import progress
-from pipeline.base.errors import DamagedFile
+from pipeline.base import store
+from pipeline.base.errors import DamagedFile, named_frames
 from pipeline.base.resume import ROOT
-from pipeline.base.runner import run_over_drives
+from pipeline.base.runner import Job, run_over_drives
 from pipeline.base.store import DriveWriter
 from tests.kitti_drive import contents
 
@@ -25,13 +28,13 @@ DRIVES = list(FRAMES)
 BAD_FRAME = 2
 
 
-def work(drive: str, path: Path, folder: Path, k: int) -> dict[str, Any]:
+def work(drive: str, folder: Path, k: int, path: Path) -> dict[str, Any]:
     with (folder / "calls").open("a") as calls:
         calls.write(f"{drive} {os.getpid()} {os.environ.get('OMP_NUM_THREADS')}\n")
     rng = np.random.default_rng(len(drive))
     with DriveWriter(path, stage="labels", drive=drive, params={"k": k}) as file:
         file.put("frame", np.arange(FRAMES[drive], dtype=np.int32))
-        for frame in progress.track(range(FRAMES[drive])):
+        for frame in named_frames(range(FRAMES[drive])):
             if frame == BAD_FRAME:
                 _trouble(folder / "trouble" / drive)
             file.append("xyz", rng.normal(size=(3000, 3)).astype(np.float32) * k)
@@ -57,17 +60,22 @@ def _trouble(path: Path) -> None:
 
 
 def main(folder: Path, k: int = 2, workers: int | None = None) -> dict[str, Any]:
-    return run_over_drives(
-        partial(work, folder=folder, k=k),
-        DRIVES,
-        out=folder / "data/toy",
-        stage="labels",
-        settings={"k": k},
-        inputs=lambda drive: [folder / "input"],
-        workers=workers,
-        frames=FRAMES.__getitem__,
-        describe=lambda summary: f"{summary['frames']} frames",
-    )
+    out = folder / "data/toy"
+    jobs = [
+        Job(drive, out / f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k))
+        for drive in DRIVES
+    ]
+    with run_over_drives("labels", {"k": k}, jobs, out, "{frames} frames".format_map, workers) as summaries:
+        _trouble(folder / "trouble/index")
+        store.write_index(out, dict.fromkeys(DRIVES, "train"))
+    return summaries
+
+
+def write_inputs(folder: Path) -> None:
+    """Write a file for each drive, as large as the drive has frames."""
+    (folder / "input").mkdir()
+    for drive, frames in FRAMES.items():
+        (folder / "input" / drive).write_bytes(bytes(frames))
 
 
 def outputs(folder: Path) -> dict[str, bytes]:
@@ -110,7 +118,7 @@ def _default_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored if the tests run in the background
 
 
-def waiting(folder: Path, drives: str) -> list[int]:
+def waiting(folder: Path, drives: Sequence[str]) -> list[int]:
     """Wait until these drives have begun to wait; return the ids of their processes."""
     paths = [folder / f"trouble/{drive} waits" for drive in drives]
     wait_for(lambda: all(path.exists() and path.read_text() for path in paths))

@@ -2,19 +2,35 @@
 
 import math
 import re
+import weakref
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.images import Size, format_size, read_pixels
 
+if TYPE_CHECKING:
+    from av.container import InputContainer
+
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _SMALLEST_PX = 16  # of a side
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
+# Playlists, scripts and session descriptions open other files and sockets: no format but containers and streams of
+# frames, and no protocol, since the opened file is the only one to read.
+_WITHOUT_TIMES = ("h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu")
+_CONTAINERS = ("mov", "mp4", "matroska", "webm", "avi", "mpegts", "mpeg", "ivf", "ogg", "flv", "asf", "yuv4mpegpipe")
+_OPTIONS = {
+    "format_whitelist": ",".join((*_CONTAINERS, *_WITHOUT_TIMES)),
+    "protocol_whitelist": "none",
+    "enable_drefs": "0",  # references of MOV files to other files
+    "use_absolute_path": "0",
+}
+_Timed = tuple[float | None, np.ndarray]
 
 
 class Image(NamedTuple):
@@ -35,10 +51,19 @@ class ImageFolder:
     fps: float | None
     times_s: list[float] | None = None
     """Seconds since the first image, if the names are timestamps and `fps` is None."""
+    untimed_from: int | None = None  # as of a Video
 
     @property
     def count(self) -> int:
         return len(self.files)
+
+    @property
+    def has_times(self) -> bool:
+        return self.fps is not None or self.times_s is not None
+
+    def set_rate(self, fps: float) -> None:
+        """Use `fps` images per second, for images without times."""
+        self.fps = fps
 
     def frames(self) -> Iterator[Image]:
         """Read the images one by one. Raises DamagedFile; InputError if the size differs from the first image's."""
@@ -51,7 +76,7 @@ class ImageFolder:
             yield Image(index, time_s if self.fps is None else index / self.fps, image)
 
 
-class Clock:
+class _Times:
     """Times of frames since the first: the file's timestamps while they increase, then the frame rate."""
 
     def __init__(self, path: Path, fps: float | None, fixed_fps: bool) -> None:
@@ -60,7 +85,7 @@ class Clock:
         self.last_s, self._first_s, self._untimed_s = -math.inf, 0.0, 0.0
 
     def time_s(self, index: int, timestamp_s: float | None) -> float:
-        """Return the time of frame `index`, which the file puts at `timestamp_s`. Raises DamagedFile."""
+        """Return the time of frame `index`, whose timestamp in the file is `timestamp_s`. Raises DamagedFile."""
         if index == 0:
             self._first_s = timestamp_s or 0.0
         since_s = -math.inf if timestamp_s is None else timestamp_s - self._first_s
@@ -74,34 +99,53 @@ class Clock:
         return since_s
 
 
-@dataclass
 class Video:
-    """A video file. `count` is the number of frames in its header, which may be an estimate; None if absent."""
+    """A video file, opened once: a second pass over the frames rewinds the open file.
 
-    path: Path
-    size: Size
-    fps: float | None
-    count: int | None
-    fixed_fps: bool
-    """Whether times follow from `fps` and not from the file's timestamps."""
-    untimed_from: int | None = field(default=None, init=False)
-    """The frame from which :meth:`frames` used `fps`, because the file's timestamps did not increase."""
+    ``size`` is (H, W). ``fps`` is None if unknown. ``count`` is the number of frames in the header, which may be an
+    estimate, or None. ``untimed_from`` is the frame from which :meth:`frames` used ``fps``, because the file's
+    timestamps did not increase, or None. ``has_times``: whether frames have times.
+    """
+
+    def __init__(self, path: Path, fps: float | None) -> None:
+        """Read the header and the first frame; `fps` replaces the file's timestamps. Raises DamagedFile."""
+        self.path, self._fixed_fps = path, fps is not None
+        self.untimed_from: int | None = None
+        self._file = path.open("rb")  # FFmpeg would take some names for addresses or patterns
+        weakref.finalize(self, self._file.close)
+        container = self._open()
+        # FFmpeg assumes 25 frames per second for a stream without a container.
+        without_times = container.format.name in _WITHOUT_TIMES
+        self.has_times = self._fixed_fps or not without_times
+        self.fps = fps or (_frame_rate(container) if self.has_times else None)
+        self.count = None if without_times else _frame_count(container)
+        frames = self._decode(container)
+        first = next(frames, None)
+        if first is None:
+            raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
+        self.size: Size = (first[1].shape[0], first[1].shape[1])
+        self._unread: Iterator[_Timed] | None = chain([first], frames)
 
     def frames(self) -> Iterator[Image]:
-        """Yield the frames one by one, rotated as the file's display matrix demands.
+        """Yield the frames one by one, rotated as the file's display matrix demands. One pass at a time.
 
-        Raises DamagedFile if a frame cannot be decoded, frames are missing at the end, or times are unknown;
-        InputError if the size changes.
+        Raises DamagedFile if a frame cannot be decoded, frames are missing at the end, or timestamps and frame rate
+        are missing; InputError if the size changes.
         """
-        clock, index = Clock(self.path, self.fps, self.fixed_fps), -1
-        for index, (timestamp_s, image) in enumerate(_decode(self.path)):
+        decoded, self._unread = self._unread or self._decode(self._open()), None
+        times, index = _Times(self.path, self.fps, self._fixed_fps), -1
+        for index, (timestamp_s, image) in enumerate(decoded):
             if image.shape[:2] != self.size:
                 sizes = f"{format_size(image.shape)} pixels (expected {format_size(self.size)}, as the first frame)"
                 raise InputError(f"frame {index} has {sizes}", self.path, "Cut the video where its size changes")
-            time_s = clock.time_s(index, timestamp_s)
-            self.untimed_from = None if self.fixed_fps else clock.untimed_from
+            time_s = times.time_s(index, timestamp_s) if self.has_times else None
+            self.untimed_from = None if self._fixed_fps else times.untimed_from
             yield Image(index, time_s, image)
-        self._check_end(index + 1, clock.last_s)
+        self._check_end(index + 1, times.last_s)
+
+    def set_rate(self, fps: float) -> None:
+        """Use `fps` frames per second, for a stream without times."""
+        self.fps, self._fixed_fps, self.has_times = fps, True, True
 
     def _check_end(self, frames: int, last_s: float) -> None:
         """Raise DamagedFile if frames are missing by number and by time; one of the two may be an estimate."""
@@ -113,6 +157,55 @@ class Video:
                 f"ends after {frames} of {self.count} frames", self.path, _CONVERT.format(name=self.path.name)
             )
 
+    def _open(self) -> "InputContainer":
+        """Read the header, from the start of the file. Raises DamagedFile without a video stream."""
+        import av
+
+        self._file.seek(0)
+        try:
+            container = av.open(self._file, "r", options=_OPTIONS, metadata_errors="replace")
+        except (av.FFmpegError, OSError) as error:
+            problem = "cannot be opened as a video (expected a container like MP4, MOV, Matroska, AVI or MPEG)"
+            raise DamagedFile(problem, self.path, _CONVERT.format(name=self.path.name)) from error
+        if not container.streams.video:
+            raise DamagedFile("file has no video stream", self.path)
+        return container
+
+    def _decode(self, container: "InputContainer") -> Iterator[_Timed]:
+        """Yield timestamp in seconds and RGB uint8 [H,W,3] of each frame. Raises DamagedFile."""
+        import av
+
+        decoded = 0
+        try:
+            with container:
+                stream = container.streams.video[0]
+                stream.thread_type = "AUTO"
+                for frame in container.decode(stream):
+                    image = frame.to_ndarray(format="rgb24")
+                    yield frame.time, np.ascontiguousarray(np.rot90(image, frame.rotation // 90))
+                    decoded += 1
+        except (av.FFmpegError, OSError) as error:
+            where = f"after {decoded} frames" if decoded else "as a video"
+            raise DamagedFile(f"cannot be decoded {where}", self.path, _CONVERT.format(name=self.path.name)) from error
+
+
+def _frame_rate(container: "InputContainer") -> float | None:
+    stream = container.streams.video[0]
+    rate = stream.average_rate or stream.guessed_rate
+    return float(rate) if rate else None
+
+
+def _frame_count(container: "InputContainer") -> int | None:
+    """Return the number of frames by the header, or by duration and frame rate; None if unknown."""
+    import av
+
+    count, duration, fps = container.streams.video[0].frames, container.duration or 0, _frame_rate(container)
+    if "matroska" in container.format.name:  # its duration is the time of the end
+        duration -= container.start_time or 0
+    if not count and duration > 0 and fps:
+        count = round(duration / av.time_base * fps)
+    return count or None
+
 
 Footage = ImageFolder | Video
 
@@ -121,14 +214,14 @@ def open_footage(path: Path, fps: float | None = None) -> Footage:
     """Open a video file or a folder of images.
 
     Args:
-        fps: frames per second; replaces timestamps of a video, and timestamps in ns as names of images. Times of images
-            with other names are unknown without it.
+        fps: frames per second; replaces timestamps of a video, and timestamps in ns as names of images. Without it,
+            images with other names and raw streams, such as .h264 and .mjpeg files, have no times.
 
     Raises InputError if there are no images or they are too small, DamagedFile if the first cannot be decoded.
     """
     if not (path.is_dir() or path.is_file()):
         raise InputError("path is missing or not a regular file", path, "Pass a video, or a folder of images")
-    footage = _open_folder(path, fps) if path.is_dir() else _open_video(path, fps)
+    footage = _open_folder(path, fps) if path.is_dir() else Video(path, fps)
     if min(footage.size) < _SMALLEST_PX:
         sizes = f"{format_size(footage.size)} pixels (expected at least {_SMALLEST_PX} x {_SMALLEST_PX})"
         raise InputError(f"images are too small: {sizes}", path)
@@ -162,41 +255,3 @@ def _order(path: Path) -> tuple[list[int | str], str]:
     """Return a sort key that puts img_9 before img_10."""
     parts = re.split(r"(\d+)", path.stem)
     return [int(part) if odd % 2 else part for odd, part in enumerate(parts)], path.name
-
-
-def _open_video(path: Path, fps: float | None = None) -> Video:
-    """Read a video's header and first frame; `fps` replaces its timestamps. Raises DamagedFile."""
-    import av
-
-    first = next(_decode(path), None)
-    if first is None:
-        raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
-    with path.open("rb") as file, av.open(file, "r") as container:
-        stream = container.streams.video[0]
-        rate = stream.average_rate or stream.guessed_rate
-        own_fps = float(rate) if rate else None
-        count = stream.frames
-        if not count and container.duration and own_fps:
-            count = round(container.duration / av.time_base * own_fps)
-    return Video(path, first[1].shape[:2], fps or own_fps, count or None, fixed_fps=fps is not None)
-
-
-def _decode(path: Path) -> Iterator[tuple[float | None, np.ndarray]]:
-    """Yield timestamp in seconds and RGB uint8 [H,W,3] of each frame. Raises DamagedFile."""
-    import av
-
-    decoded = 0
-    with path.open("rb") as file:  # FFmpeg would take some names for addresses or patterns
-        try:
-            with av.open(file, "r") as container:
-                if not container.streams.video:
-                    raise DamagedFile("file has no video stream", path)
-                stream = container.streams.video[0]
-                stream.thread_type = "AUTO"
-                for frame in container.decode(stream):
-                    image = frame.to_ndarray(format="rgb24")
-                    yield frame.time, np.ascontiguousarray(np.rot90(image, frame.rotation // 90))
-                    decoded += 1
-        except (av.FFmpegError, OSError) as error:
-            where = f"after {decoded} frames" if decoded else "as a video"
-            raise DamagedFile(f"cannot be decoded {where}", path, _CONVERT.format(name=path.name)) from error

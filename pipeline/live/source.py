@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera
-from pipeline.camera.footage import Footage, open_footage
+from pipeline.camera.footage import Footage
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.camera.intrinsics import pinhole
 from pipeline.camera.mount import camera_height
@@ -163,9 +163,9 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
         raise InputError(sizes, path, ROTATE)
     camera = pinhole(footage.size, **lens._asdict())
     notes, horizon = [], None
-    if times_s is None and next(iter(footage.frames())).time_s is None:
+    if times_s is None and not footage.has_times:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
-        footage = open_footage(path, DEFAULT_FPS)
+        footage.set_rate(DEFAULT_FPS)
     if not level and (horizon := find_horizon(_some_pairs(footage), camera)) is None:
         notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
     crop = camera.crop_to(aspect, None if horizon is None else horizon + BELOW * footage.size[1])

@@ -76,7 +76,7 @@ class Recording:
             "size": list(self.footage.size),
             "first_s": float(time_s[usable][0]),
             "last_s": float(time_s[usable][-1]),
-            "untimed_from": getattr(self.footage, "untimed_from", None),
+            "untimed_from": self.footage.untimed_from,
             "motion": self.motion.source if self.motion else None,
             "steering_angles": len(angles),
         }

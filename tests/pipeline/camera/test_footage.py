@@ -1,8 +1,11 @@
 """Folders of images: order, formats, sizes. Videos: frames, times, and faults of files."""
 
 import os
+import socket
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -102,3 +105,77 @@ def test_truncated_video_yields_what_it_has_and_fails(tmp_path: Path, kind: str)
         numbers.extend(frame.number for frame in frames)
     assert raised.value.where == str(path)
     assert 5 < len(numbers) < 35
+
+
+def write_stream(path: Path, frames: int = 30, fps: int = 10, start_s: float = 0.0, codec: str = "libx264") -> Path:
+    """Write a video with PyAV, whose first frame is at `start_s`."""
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream(codec, rate=fps)
+        stream.height, stream.width, stream.pix_fmt = *SIZE, "yuv420p"
+        for number, image in enumerate(pictures(frames)):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame.pts, frame.time_base = round((number / fps + start_s) * 1000), Fraction(1, 1000)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    return path
+
+
+def test_a_raw_stream_has_no_times(tmp_path: Path) -> None:
+    """FFmpeg assumes 25 frames per second."""
+    path = write_stream(tmp_path / "a.h264")
+    video = open_footage(path)
+    assert (video.has_times, video.fps, video.count) == (False, None, None)
+    assert [frame.time_s for frame in video.frames()] == [None] * 30
+    assert [frame.time_s for frame in open_footage(path, fps=10).frames()][-1] == pytest.approx(2.9)
+
+
+@pytest.mark.parametrize("start_s", [0.0, 5.0])
+def test_the_duration_counts_from_the_first_frame(tmp_path: Path, start_s: float) -> None:
+    path = write_stream(tmp_path / "a.mkv", start_s=start_s)
+    video = open_footage(path)
+    assert [frame.time_s for frame in video.frames()] == pytest.approx(np.arange(30) / 10, abs=2e-3)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(DamagedFile):
+        list(open_footage(path).frames())
+
+
+def test_a_video_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened, demuxed, path_open, av_open = [], [], Path.open, av.open
+    monkeypatch.setattr(Path, "open", lambda path, *args: opened.append(path) or path_open(path, *args))
+    monkeypatch.setattr(av, "open", lambda *args, **options: demuxed.append(args) or av_open(*args, **options))
+    video = open_footage(write_video(tmp_path / "a.mp4", pictures(12)))
+    assert [frame.number for frame in video.frames()] == [*range(12)]
+    assert (len(opened), len(demuxed)) == (1, 1)
+    assert next(video.frames()).number == 0  # rewinds the open file, as the search for the horizon does
+    assert (len(opened), len(demuxed)) == (1, 2)
+
+
+SDP = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video {port} RTP/AVP 96\n"
+PLAYLIST = "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{source}\n#EXT-X-ENDLIST\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.mp4", SDP + "a=rtpmap:96 H264/90000\n"),
+        ("a.sdp", SDP + "a=rtpmap:96 H264/90000\n"),
+        ("a.m3u8", PLAYLIST.replace("{source}", "http://127.0.0.1:{port}/a.ts")),
+        ("b.m3u8", PLAYLIST.replace("{source}", "{folder}/real.mp4")),
+        ("a.ffconcat", "ffconcat version 1.0\nfile 'http://127.0.0.1:{port}/a.mp4'\n"),
+        ("b.ffconcat", "ffconcat version 1.0\nfile 'real.mp4'\n"),
+        ("a.mov", "RTSPtextrtsp://127.0.0.1:{port}/a\n"),
+        ("b.mov", "\0\0\0\x14ftypqt  \0\0\0\0qt  " + PLAYLIST.replace("{source}", "http://127.0.0.1:{port}/a.ts")),
+        ("a.mpd", "<MPD><Period><BaseURL>http://127.0.0.1:{port}/a.mp4</BaseURL></Period></MPD>"),
+    ],
+)
+def test_texts_that_name_other_sources_are_refused(tmp_path: Path, name: str, text: str) -> None:
+    write_video(tmp_path / "real.mp4", pictures(3))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port, path = server.getsockname()[1], tmp_path / name
+        path.write_text(text.format(port=port, folder=tmp_path))
+        with pytest.raises(DamagedFile, match="cannot be opened as a video") as raised:
+            list(open_footage(path).frames())
+        assert "\n" not in str(raised.value)
+        server.settimeout(0)
+        with pytest.raises(BlockingIOError):
+            server.accept()

@@ -11,6 +11,7 @@ from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
 from pipeline.evaluate import by_frame
+from pipeline.evaluate.schema import Metrics
 from pipeline.evaluate.split import Case, inputs, metrics
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import frames, predict, runs, windows
@@ -54,7 +55,7 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
         **inputs(tested),
         **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
     }
-    store.write_json(out / "metrics.json", result)
+    store.write_json(out / "metrics.json", Metrics.model_validate(result).model_dump(exclude_unset=True))
     for number, folder in enumerate(runs.folders(out, seeds).values()):
         by_frame.write_predictions(folder / "predictions.csv", cases["test"], number)
     by_frame.write_structure(out / "structure.json", tested)

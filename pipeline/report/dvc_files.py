@@ -62,6 +62,7 @@ def load_curves(model: Path) -> dict[str, pd.DataFrame]:
     for path in sorted(model.rglob("curve.csv")):
         with error_context(path, fix=f"Recreate it: dvc repro --force --single-item train@{model.name}"):
             table = pd.read_csv(path, usecols=_LEARNING, dtype=str)
+            table.astype(float)  # raises ValueError
         curves[".".join([model.name, *path.relative_to(model).parts[:-1]])] = table[_LEARNING]
     return curves
 

@@ -12,7 +12,7 @@ from pipeline.base import store
 from pipeline.drawing import figure_file, street_view
 from pipeline.evaluate.paths import Track, segments
 from pipeline.graphs import graph
-from pipeline.report.results import Results, steering_lines
+from pipeline.report.results import Results, load_structures, steering_lines
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 CHAIN_POINTS, PRUNING_POINTS = 300, 100
@@ -38,7 +38,7 @@ def draw(out: Path, results: Results, data: Path) -> Captions:
         steering = results.first_seed([best["model"]])
         if horizon == 0:
             captions |= _draw_images(out, best, steering, data)
-            captions |= _draw_pruning(out, best, data / "evaluate" / best["model"] / "structure.json")
+            captions |= _draw_pruning(out, best, data / "evaluate")
             captions |= _draw_paths(out, models[:MAX_MODELS], results)
         captions |= _draw_errors(out / f"{ERRORS}-{horizon}", best, steering, data / "ingest")
     return captions
@@ -126,14 +126,14 @@ def _draw_graph(
     return built
 
 
-def _draw_pruning(out: Path, model: pd.Series, path: Path) -> Captions:
+def _draw_pruning(out: Path, model: pd.Series, evaluate: Path) -> Captions:
     """Draw the kNN graph of the first frame in structure.json, before and after pruning."""
-    structures = store.read_json(path, stage=f"evaluate@{model['model']}") if path.is_file() else {}
+    structures = load_structures(evaluate / model["model"])
     if not structures:
         return {}
     drive, structure = next(iter(structures.items()))
-    xyz, cls = np.array(structure["xyz_m"], np.float32), np.array(structure["cls"], np.uint8)
-    title, keep = f"{drive}, frame {structure['frame']}", model["variant.keep_inter_class"]
+    xyz, cls = np.array(structure.xyz_m, np.float32), np.array(structure.cls, np.uint8)
+    title, keep = f"{drive}, frame {structure.frame}", model["variant.keep_inter_class"]
     figure = Figure(figsize=(10, 5.4), layout="constrained")
     for panel, (name, share) in zip(figure.subplots(1, 2), (("before", 1.0), ("after", keep)), strict=True):
         built = _draw_graph(panel, xyz, cls, PRUNING_POINTS, model["variant.k"], share)

@@ -11,13 +11,12 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.report import plots
 from pipeline.report.dvc_files import load_curves
 from pipeline.report.figures import ERRORS
-from pipeline.report.results import Results
+from pipeline.report.results import Results, load_structures
 from pipeline.report.tables import Table
 
 JPEG_QUALITY = 82
@@ -102,15 +101,13 @@ def _steering(results: Results) -> dict[str, Content]:
 
 def _graphs(results: Results, evaluate: Path) -> Content:
     for _, row in results.models.iterrows():
-        path = evaluate / row["model"] / "structure.json"
-        graphs = store.read_json(path, stage=f"evaluate@{row['model']}") if path.is_file() else {}
-        if graphs:
+        if graphs := load_structures(evaluate / row["model"]):
             text = (
                 f"Input of {row['model']} where each test drive bends most. Turn with the mouse; the legend shows and "
                 "hides classes, and edges before and after semantic pruning."
             )
-            captions = [f"{drive}, frame {each['frame']}: {each['points']:,} points" for drive, each in graphs.items()]
-            figures = [plots.graph_3d(each, row["variant.k"]) for each in graphs.values()]
+            captions = [f"{drive}, frame {graph.frame}: {graph.points:,} points" for drive, graph in graphs.items()]
+            figures = [plots.graph_3d(graph, row["variant.k"]) for graph in graphs.values()]
             return [text, *map(Plot, captions, figures)]
     return []
 

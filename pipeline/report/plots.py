@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.camera import classes
+from pipeline.evaluate.schema import Structure
 from pipeline.graphs import graph
 from pipeline.report.results import columns_below, steering_lines
 
@@ -78,12 +79,12 @@ def learning(curves: Mapping[str, pd.DataFrame]) -> Plot:
     return _plot(traces, 400, xaxis=_title("epoch"), yaxis=error)
 
 
-def graph_3d(structure: Mapping[str, Any], k: int) -> Plot:
+def graph_3d(structure: Structure, k: int) -> Plot:
     """Plot one drive's entry of structure.json: points in the colours of their classes, edges before and after pruning.
 
     Axes: right, ahead, up, in metres of the camera frame; `k` nearest neighbours before pruning.
     """
-    xyz, cls = np.array(structure["xyz_m"], np.float32).reshape(-1, 3), np.array(structure["cls"], np.uint8)
+    xyz, cls = np.array(structure.xyz_m, np.float32).reshape(-1, 3), np.array(structure.cls, np.uint8)
     place = pd.DataFrame(np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1), columns=[*"xyz"]).astype(float).round(3)
     traces: list[dict[str, Any]] = []
     for number in np.unique(cls):
@@ -93,7 +94,7 @@ def graph_3d(structure: Mapping[str, Any], k: int) -> Plot:
         traces.append(_points(place[cls == number], *"xyz") | {"name": name, "mode": "markers", "marker": marker})
     built = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
     unpruned = graph.edge_pairs(built.degree, built.indices)
-    pruned = np.array(structure["edges"], np.int64).reshape(-1, 2)
+    pruned = np.array(structure.edges, np.int64).reshape(-1, 2)
     lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
     for when, pairs in (("before", unpruned), ("after", pruned)):
         ends = np.insert(pairs, 2, len(place), axis=1).ravel()  # a row without a point: a gap after each edge

@@ -1,6 +1,6 @@
-"""Load what stage evaluate wrote for all models: one table of metrics and one of predictions.
+"""Load the outputs of stage evaluate of all models: one table of metrics and one of predictions.
 
-They feed everything in the report: tables, page, figures, and the files that DVC reads.
+All report outputs are made from these.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,15 +13,12 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base import store
-from pipeline.base.errors import error_context
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import SPLITS
+from pipeline.evaluate.schema import Metrics, Structure, Structures
 from pipeline.report import paper
 
 _BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression", "odometry_lidar")
-_REQUIRED = {
-    "model", "parameters", "edges_per_frame", "line.temporal", "test.frames", "test.nmse", "test.mae_deg",
-    "test.nmse_std", "test.without_decisions.nmse", "test.baselines.zero.nmse",
-}  # fmt: skip
 _TYPES = {
     "drive": str, "frame": int, "time_s": float, "speed_mps": float, "steering_rad": float, "predicted_rad": float,
     "valid": int, "onset": int, "odometry_rad": float, "sigma_rad": float,
@@ -87,21 +84,17 @@ def columns_below(metrics: Iterable[str], prefix: str, name: str) -> dict[str, s
 def _load_metrics(folder: Path) -> dict[str, Any]:
     """Return the row of a model's metrics.json."""
     path = folder / "metrics.json"
-    content = store.read_json(path, stage=f"evaluate@{folder.name}")
-    with error_context(path, fix=_fix(folder.name)):
-        try:
-            for scores in filter(None, (content[split] for split in SPLITS)):
-                scores["nmse_low"], scores["nmse_high"] = scores["nmse_ci95"]
-                scores["by_curvature"] = {
-                    _range(part): {"rmse_deg": None, "baselines": {"zero": part.pop("zero", {})}, **part}
-                    for part in scores["by_curvature"]
-                }
-            network = paper.name(content["line"] | {"accumulate": content["variant"].get("accumulate")})
-            row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
-            if lacking := sorted(_REQUIRED - row.keys()):
-                raise KeyError(lacking[0])
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"incomplete ({error!r})") from error
+    content = store.read_json(path, stage=f"evaluate@{folder.name}", form=Metrics)
+    if content["model"] != folder.name:
+        raise InputError(f"expected model {folder.name}, got {content['model']}", path, _fix(folder.name))
+    for scores in filter(None, (content[split] for split in SPLITS)):
+        scores["nmse_low"], scores["nmse_high"] = scores["nmse_ci95"]
+        scores["by_curvature"] = {
+            _range(part): {"rmse_deg": None, "baselines": {"zero": part.pop("zero", {})}, **part}
+            for part in scores["by_curvature"]
+        }
+    network = paper.name(content["line"] | {"accumulate": content["variant"].get("accumulate")})
+    row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
     published = paper.PAPER[network] if network else None
     return row | {
         "seeds": len(row["seeds"]),
@@ -110,6 +103,15 @@ def _load_metrics(folder: Path) -> dict[str, Any]:
         "paper.test_mse": published and published.test_mse,
         "baseline": False,
     }
+
+
+def load_structures(folder: Path) -> dict[str, Structure]:
+    """Load the graphs in a model's structure.json: drive → graph; none if there is no file."""
+    path = folder / "structure.json"
+    if not path.is_file():
+        return {}
+    content = store.read_json(path, stage=f"evaluate@{folder.name}", form=Structures)
+    return {drive: Structure(**graph) for drive, graph in content.items()}
 
 
 def _range(part: Mapping[str, Any]) -> str:
@@ -135,13 +137,14 @@ def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
         table = pd.read_csv(path, dtype=_TYPES, keep_default_na=False, na_values=[""])
         table["sigma_rad"] = table.get("sigma_rad", np.nan)  # of models with uncertainty
         table = table[[*_TYPES]]
+        if table.duplicated(["drive", "frame"]).any() or np.isinf(table.select_dtypes(float)).any(axis=None):
+            raise ValueError("expected finite numbers, and one row per drive and frame")
     table.insert(0, "model", folder.name)
     table.insert(1, "run", ".".join(path.parent.relative_to(folder).parts))
     table["elapsed_s"] = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
     rad = {"driven": table["steering_rad"].where(table["valid"] == 1)}
     rad |= {name: table[f"{name}_rad"] for name in ("predicted", "odometry", "sigma")}
-    table = table.assign(**{f"{name}_deg": np.rad2deg(angles) for name, angles in rad.items()})
-    return table
+    return table.assign(**{f"{name}_deg": np.rad2deg(angles) for name, angles in rad.items()})
 
 
 def _fix(model: str) -> str:

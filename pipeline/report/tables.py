@@ -117,11 +117,12 @@ def steering_tables(results: Results) -> list[Table]:
         by_drive = {drive: (column, ".3f") for drive, column in drives.items()}
         tables.append(Table("nmse by test drive", cells(rows, start | by_drive)))
     bins = columns_below(rows, "test.by_curvature", "rmse_deg")
-    rows = rows[rows[[*bins.values()]].notna().any(axis=1)]
-    counts = ", ".join(str(rows.iloc[0][f"test.by_curvature.{name}.frames"]) for name in bins)
-    note = f"RMSE in degrees by |curvature| of the road; {counts} frames for {rows.iloc[0]['model']}."
-    by_bin = {f"{name} 1/m": (column, ".2f") for name, column in bins.items()}
-    tables.append(Table("RMSE by curvature", cells(rows, start | by_bin), note))
+    binned = rows[rows[[*bins.values()]].notna().any(axis=1)]
+    if len(binned):
+        counts = ", ".join(str(binned.iloc[0][f"test.by_curvature.{name}.frames"]) for name in bins)
+        note = f"RMSE in degrees by |curvature| of the road; {counts} frames for {binned.iloc[0]['model']}."
+        by_bin = {f"{name} 1/m": (column, ".2f") for name, column in bins.items()}
+        tables.append(Table("RMSE by curvature", cells(binned, start | by_bin), note))
     if "test.uncertainty.nll" in rows:
         columns = {
             "model": ("model", ""), "NLL": ("test.uncertainty.nll", ".3f"),

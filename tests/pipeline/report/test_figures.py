@@ -22,7 +22,8 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
     table = examples.predictions(0.01).query("drive == @drive and frame < 9")
     examples.write_model(tmp_path, examples.metrics("net"), table)
     rng = np.random.default_rng(0)
-    graph = {"frame": 5, "xyz_m": rng.uniform(-9, 9, (60, 3)).tolist(), "cls": [0] * 30 + [2] * 30}
+    xyz_m = rng.uniform(-9, 9, (60, 3)).tolist()
+    graph = {"frame": 5, "points": 60, "xyz_m": xyz_m, "cls": [0] * 30 + [2] * 30, "edges": []}
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
     results = examples.load_results(tmp_path / "evaluate", ["net"])
     captions = figures.draw(tmp_path / "figures", results, tmp_path)

@@ -1,14 +1,16 @@
 """Metrics and predictions of all models: order of the rows, baselines, networks of the paper, the story."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.report import paper
-from pipeline.report.results import load_results
+from pipeline.report.results import load_results, load_structures
 from pipeline.report.story import sentences
 from tests.pipeline.report import examples
 
@@ -53,23 +55,58 @@ def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None
     np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([0.061, 0.101, 0.201]))
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "problem"),
-    [
-        ("metrics.json", "{", "JSON"),
-        ("metrics.json", '{"train": null, "val": null, "test": {"nmse": 1}}', "nmse_ci95"),
-        ("predictions.csv", '{head}\na,0,0.0,8.0,0.1,"0.2', "EOF"),
-    ],
-)
-def test_a_damaged_file_is_one_error(tmp_path: Path, name: str, text: str | bytes, problem: str) -> None:
-    examples.write_model(tmp_path, examples.metrics("net"))
-    head = ",".join(examples.predictions(0.0).columns)
-    content = text if isinstance(text, bytes) else text.replace("{head}", head).encode()
-    (tmp_path / "evaluate/net" / name).write_bytes(content)
+def check_error(data: Path, name: str, problem: str) -> None:
     with pytest.raises(InputError, match=problem) as raised:
-        load_results(tmp_path / "evaluate", ["net"])
+        load_results(data / "evaluate", ["net"])
     assert f"net/{name}" in str(raised.value)
     assert "dvc repro --force --single-item evaluate@net" in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "problem"),
+    [
+        (["model"], "../../other", "expected model net"),
+        (["line"], [], "line"),
+        (["line", "horizon"], "10", "line.horizon"),
+        (["seeds"], [], "seeds"),
+        (["parameters"], True, "parameters"),
+        (["variant", "k"], -1, "variant.k"),
+        (["test"], None, "test"),
+        (["test", "nmse"], float("nan"), "test.nmse"),
+        (["test", "nmse_ci95"], [0.1], "nmse_ci95"),
+        (["test", "by_curvature"], {}, "by_curvature"),
+        (["test", "by_drive", examples.DRIVES[0]], 3, "by_drive"),
+        (["val"], {"nmse": 0.3}, "val.frames"),
+        (["extra"], 1, "extra"),
+    ],
+)
+def test_a_forged_metrics_file_is_one_error(tmp_path: Path, keys: list[str], value: Any, problem: str) -> None:
+    content = inner = examples.metrics("net")
+    for key in keys[:-1]:
+        inner = inner[key]
+    inner[keys[-1]] = value
+    (tmp_path / "evaluate/net").mkdir(parents=True)
+    (tmp_path / "evaluate/net/metrics.json").write_text(json.dumps(content))
+    check_error(tmp_path, "metrics.json", problem)
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [('a,0,0.0,8.0,0.1,"0.2', "EOF"), ("a,0,0,8,0.1,inf,1,0,0\n", "finite"), ("a,0,0,8,0,0,1,0,0\n" * 2, "one row")],
+)
+def test_a_damaged_table_of_predictions_is_one_error(tmp_path: Path, rows: str, problem: str) -> None:
+    examples.write_model(tmp_path, examples.metrics("net"))
+    head = ",".join(examples.predictions(0.0).columns)
+    (tmp_path / "evaluate/net/predictions.csv").write_text(f"{head}\n{rows}")
+    check_error(tmp_path, "predictions.csv", problem)
+
+
+def test_a_forged_structure_is_one_error(tmp_path: Path) -> None:
+    graph = {"frame": 1, "points": 2, "xyz_m": [[0, 0, 1], [1, 0, 1]], "cls": [0, 0], "edges": [[0, 2]]}
+    store.write_json(tmp_path / "net/structure.json", {"drive": graph})
+    with pytest.raises(InputError, match=r"structure\.json: .*do not fit"):
+        load_structures(tmp_path / "net")
 
 
 SEMANTIC = {

@@ -4,21 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.base.params import Count, Fraction, Positive, Rate, Section, Seed
-
-
-class Noise(Section):
-    """Simulated perception errors, in training only, drawn per run of consecutive frames. 0 switches one off."""
-
-    depth_scale: Annotated[float, Field(ge=0, le=1, description="relative error of depth")] = 0.0
-    depth_waves: Annotated[
-        float, Field(ge=0, le=0.5, description="relative error of depth that varies over the view in waves")
-    ] = 0.0
-    speed: Annotated[float, Field(ge=0, le=1, description="relative error of measured speed")] = 0.0
-    confused: Annotated[Fraction, Field(description="probability that part of a class becomes a similar class")] = 0.0
-    missing: Annotated[Fraction, Field(description="probability that a class becomes void")] = 0.0
-    dropped: Annotated[float, Field(ge=0, lt=1, description="maximum share of a frame's points to remove")] = 0.0
-    hidden_deg: Annotated[float, Field(ge=0, le=90, description="maximum width of a sector without points")] = 0.0
+from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
 
 class Train(Section):
@@ -33,9 +19,7 @@ class Train(Section):
     batch_runs: Count
     mirror: Annotated[bool, Field(description="train each run of frames together with its mirror image in one step")]
     rescale: Annotated[float, Field(ge=1, le=2)]
-    noise: Noise
     average: Annotated[float, Field(ge=0, lt=1)]
-    keep: Literal["last", "smoothed", "best"]
     precision: Literal["auto", "bfloat16", "float32", "float64"]
 
     @field_validator("seeds")

@@ -1,4 +1,4 @@
-"""Learning curve: which epoch to select, when to stop, and curve.csv."""
+"""Learning curve: select an epoch, stop early, and write curve.csv."""
 
 import csv
 import math
@@ -22,26 +22,22 @@ class Epoch:
     val_nmse: float
 
 
-def selected_epoch(curve: Sequence[Epoch], keep: str) -> int:
-    """Return the number of the epoch selected by the rule `train.keep`; the last one without validation.
+def selected_epoch(curve: Sequence[Epoch]) -> int:
+    """Return the number of the epoch whose weights are kept; the last one without validation.
 
-    best: the lowest validation error; smoothed: the lowest mean over this epoch and the two before, since one epoch's
-    error is noisy; last: the last epoch.
+    It has the lowest mean of the validation errors of this epoch and the two before, since one epoch's error is noisy.
     """
-    if keep == "last":
-        return len(curve)
-    length = SMOOTHING if keep == "smoothed" else 1
-    error = {
-        row.epoch: math.fsum(each.val_nmse for each in curve[max(0, end - length) : end]) / min(length, end)
-        for end, row in enumerate(curve, start=1)
+    errors = [row.val_nmse for row in curve]
+    means = {
+        end: math.fsum(errors[max(0, end - SMOOTHING) : end]) / min(SMOOTHING, end) for end in range(1, len(curve) + 1)
     }
-    validated = [epoch for epoch in error if not math.isnan(error[epoch])]
-    return min(validated, key=error.__getitem__, default=len(curve))
+    validated = [epoch for epoch, mean in means.items() if not math.isnan(mean)]
+    return min(validated, key=means.__getitem__, default=len(curve))
 
 
-def out_of_patience(curve: Sequence[Epoch], keep: str, patience: int) -> bool:
+def out_of_patience(curve: Sequence[Epoch], patience: int) -> bool:
     """Return whether `patience` epochs have passed since the selected one."""
-    return len(curve) - selected_epoch(curve, keep) >= patience
+    return len(curve) - selected_epoch(curve) >= patience
 
 
 def write_curve(path: Path, curve: Sequence[Epoch]) -> None:

@@ -34,7 +34,7 @@ class Fit:
     """One training run: a network, the moving average of its weights, an optimiser, and the learning curve.
 
     The average is validated and selected: at a high learning rate single steps fluctuate, their mean does not.
-    `best` holds the weights of the epoch selected by `settings.keep`.
+    `best` holds the weights of the :func:`selected_epoch`.
     """
 
     def __init__(
@@ -73,10 +73,10 @@ class Fit:
         it, to the same result. Raises InputError if the loss is not finite.
         """
         self._resume(state, title)
-        epochs, keep = self.settings.epochs, self.settings.keep
-        with reading.Reader(train, self.window, self.settings.noise, self.net.device) as reader:
+        epochs, patience = self.settings.epochs, self.settings.patience
+        with reading.Reader(train, self.window, self.net.device) as reader:
             started, before = time.perf_counter(), len(self.curve)
-            while len(self.curve) < epochs and not out_of_patience(self.curve, keep, self.settings.patience):
+            while len(self.curve) < epochs and not out_of_patience(self.curve, patience):
                 epoch = len(self.curve) + 1
                 loss, rate = self._train(reader, train, target, epoch)
                 if not math.isfinite(loss):
@@ -84,7 +84,7 @@ class Fit:
                         f"loss of epoch {epoch} is {loss}", title, "Lower train.learning_rate or clip_norm"
                     )
                 self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
-                selected = selected_epoch(self.curve, keep) == epoch
+                selected = selected_epoch(self.curve) == epoch
                 if selected:
                     self.best = copy_weights(self.average.module)
                 if self.world.is_main:
@@ -109,12 +109,10 @@ class Fit:
         groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
         shares = [self.world.share(len(group)) for group in groups]
         steps = []
-        for number, (group, share) in enumerate(zip(groups, shares, strict=True)):
+        for group, share in zip(groups, shares, strict=True):
             own = share or [0]  # a process without a run takes part with a run of weight 0
             factor = settings.rescale ** rng.uniform(-1, 1, len(group))[own]  # drawn for all processes' runs
-            first = 1 + number * settings.batch_runs  # from 1: numpy ignores zeros at the end of a seed
-            seeds = tuple((self.seed, epoch, first + run) for run in own)
-            steps.append(reading.Step(tuple(group[run] for run in own), factor.astype(np.float32), seeds))
+            steps.append(reading.Step(tuple(group[run] for run in own), factor.astype(np.float32)))
         return shares, steps
 
     def _train(

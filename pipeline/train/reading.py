@@ -16,20 +16,18 @@ from torch.utils.data import DataLoader, Dataset
 
 from pipeline.base.executors import default_workers
 from pipeline.fitting.prefetch import prefetch
-from pipeline.sections.train import Noise
 from pipeline.train import frames, windows
-from pipeline.train.augment import add_noise, rescale
+from pipeline.train.augment import rescale
 
 AHEAD = 4  # batches per process
 
 
 @dataclass(frozen=True)
 class Step:
-    """One batch: spans of frames, the factors of their lengths, and the seeds of their noise."""
+    """One batch: spans of frames, and the factors of their lengths."""
 
     runs: tuple[windows.Span, ...]
     factor: np.ndarray  # float32, one per run
-    seeds: tuple[tuple[int, ...], ...]
 
 
 class Reader(Dataset[dict[str, Any]]):
@@ -39,15 +37,10 @@ class Reader(Dataset[dict[str, Any]]):
     """
 
     def __init__(
-        self,
-        drives: Sequence[windows.Drive],
-        window: int,
-        noise: Noise,
-        device: torch.device,
-        workers: int | None = None,
+        self, drives: Sequence[windows.Drive], window: int, device: torch.device, workers: int | None = None
     ) -> None:
         """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
-        self._drives, self._window, self._noise = drives, window, noise
+        self._drives, self._window = drives, window
         self._opened: dict[int, frames.Graphs] = {}
         self._files = ExitStack()
         self._epoch: list[Step] = []  # the loader's sampler; its processes live for several epochs
@@ -82,7 +75,6 @@ class Reader(Dataset[dict[str, Any]]):
         (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
         lengths = [run.stop - run.start for run in step.runs]
         batch = rescale(batch, np.repeat(step.factor, lengths))
-        batch = add_noise(batch, lengths, [np.random.default_rng(seed) for seed in step.seeds], self._noise)
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
 
     def __getstate__(self) -> dict[str, Any]:

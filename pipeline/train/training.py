@@ -100,7 +100,7 @@ def _write(
     folder: Path, fitting: fit.Fit, state: Path, metadata: Mapping[str, Any], figures: Mapping[str, Any]
 ) -> None:
     """Write a run's files; `state` was written after its last epoch."""
-    best = selected_epoch(fitting.curve, fitting.settings.keep)
+    best = selected_epoch(fitting.curve)
     with replacing(folder / "last.pt") as tmp:
         shutil.copyfile(state, tmp)
     checkpoint.write(folder / "best.pt", {**metadata, "kind": predict.KIND, "epoch": best, "net": fitting.best})

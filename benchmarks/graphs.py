@@ -9,8 +9,7 @@ import torch
 
 from benchmarks.street import DEVICE, FRAMES, KEEP_INTER_CLASS, K, Row, Street, compare, milliseconds, row
 from models.steering.core.batch import GraphBatch
-from pipeline.graphs import graph
-from pipeline.train import frames
+from pipeline.graphs import graph, graph_file
 
 CLOUDS = 4
 
@@ -87,7 +86,7 @@ def size(street: Street) -> Row:
     """Compare bytes on disk."""
     with tempfile.TemporaryDirectory() as folder:
         alternative = sum(path.stat().st_size for path in save(street, Path(folder), FRAMES)) / FRAMES
-    with frames.open_graphs(street.file) as file:
+    with graph_file.open_graphs(street.file) as file:
         ours = street.file.stat().st_size / len(file.frame)
     return row(ours / 1e6, alternative / 1e6, "MB/frame", f"{street.title}: graph file / PyG Data by torch.save")
 

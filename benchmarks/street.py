@@ -14,12 +14,11 @@ import numpy as np
 import torch
 import yaml
 
-from models.steering.core.batch import GraphBatch
+from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.graphs import cloud
+from pipeline.graphs import cloud, graph_file
 from pipeline.motion import motion_file
-from pipeline.train import frames
 from stages import graphs
 
 ROUNDS = 5
@@ -80,19 +79,19 @@ class Street:
     @property
     def title(self) -> str:
         """The number of points per frame, for the table."""
-        with frames.open_graphs(self.file) as file:
+        with graph_file.open_graphs(self.file) as file:
             return f"{round(file.points_per_frame):,} points"
 
-    def arrays(self, count: int) -> frames.Arrays:
+    def arrays(self, count: int) -> graph_file.Arrays:
         """Return the arrays of the first `count` frames, as networks take them."""
-        with frames.open_graphs(self.file) as file:
+        with graph_file.open_graphs(self.file) as file:
             return file.read(0, count)
 
     def batch(self, count: int, device: str = DEVICE) -> GraphBatch:
         """Return the first `count` frames as a batch of the graph network."""
-        arrays = {name: torch.as_tensor(array) for name, array in self.arrays(count).items()}
-        fields = {name: arrays[name] for name in ("xyz", "cls", "ptr", "degree", "indices")}
-        return GraphBatch(**fields).to(device)
+        batch = from_arrays(self.arrays(count))
+        assert isinstance(batch, GraphBatch)
+        return batch.to(device)
 
     def clouds(self, count: int) -> list[cloud.Cloud]:
         """Return points [P,3] and trainIds [P] of the first `count` frames."""

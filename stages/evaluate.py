@@ -13,8 +13,9 @@ from pipeline.base.params import SPLITS, load
 from pipeline.evaluate import by_frame
 from pipeline.evaluate.schema import Metrics
 from pipeline.evaluate.split import Case, inputs, metrics
+from pipeline.graphs import graph_file
 from pipeline.sections.evaluate import Evaluate
-from pipeline.train import frames, predict, runs, windows
+from pipeline.train import predict, runs, windows
 
 
 def main(
@@ -84,7 +85,7 @@ def _predict(
         for part, found in cases.items():
             for name in (name for name in getattr(fold, part) if name not in found):
                 drive = windows.read_drive(variant, labels, name, line["horizon"], line["motion"])
-                with frames.open_graphs(drive.graphs) as graphs:
+                with graph_file.open_graphs(drive.graphs) as graphs:
                     predictions = [model.predict_with_sigma(graphs) for model in seeds]
                 found[name] = Case(drive, predictions, seeds[0].target)
     return {part: list(found.values()) for part, found in cases.items()}

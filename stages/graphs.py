@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +12,7 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError, error_context, named_frames
 from pipeline.base.params import load_entry
 from pipeline.base.runner import Job, Summary, run_over_drives
-from pipeline.graphs import accumulate, cloud, graph_file
+from pipeline.graphs import accumulate, cloud, frame_graph, graph_file
 from pipeline.motion import motion_file
 from pipeline.sections.graphs import Variant
 
@@ -87,12 +86,10 @@ def _write_points(
     drive: str, file: store.DriveWriter, source: Path, motion: Mapping[str, Path], variant: Variant
 ) -> tuple[np.ndarray, Summary]:
     with store.DriveReader(source, stage="clouds") as clouds:
-        points = (
-            graph_file.sample_frame(combined, variant, drive, number)
-            for number, combined in _clouds(drive, clouds, motion, variant)
-        )
-        counts = graph_file.write_points(file, clouds.frame, clouds.time_s, points, variant)
-        return clouds.frame, counts
+        combined = _clouds(drive, clouds, motion, variant)
+        frames = (frame_graph.build(points, variant, drive, number) for number, points in combined)
+        empty = frame_graph.empty(variant)
+        return clouds.frame, graph_file.write(file, clouds.frame, clouds.time_s, frames, empty)
 
 
 def _clouds(
@@ -104,9 +101,9 @@ def _clouds(
         accumulator = accumulate.Accumulator(variant.accumulate.frames)
         with motion_file.open_motion(motion[variant.accumulate.motion], drive) as measured:
             T_before = accumulate.read_steps(measured, variant.source)
-    for number, (start, stop) in zip(named_frames(clouds.frame), pairwise(clouds["ptr"]), strict=True):
-        own = clouds.rows("xyz", start, stop), clouds.rows("cls", start, stop)
-        yield int(number), accumulator.add(int(number), own, T_before.get(int(number))) if accumulator else own
+    for row, number in enumerate(named_frames(clouds.frame.tolist())):
+        points = clouds.rows_of("xyz", row), clouds.rows_of("cls", row)
+        yield number, accumulator.add(number, points, T_before.get(number)) if accumulator else points
 
 
 def _write_images(
@@ -115,9 +112,10 @@ def _write_images(
     with store.DriveReader(source, stage="ingest") as raw:
         with_image = np.flatnonzero(raw["has_image"])
         frame = raw.frame[with_image]
-        images = (raw.row("image", int(row)) for row, _ in zip(with_image, named_frames(frame), strict=True))
-        height, width = raw.shape("image")[1:3]
-        return frame, graph_file.write_images(file, frame, raw.time_s[with_image], images, (height, width))
+        rows = zip(with_image.tolist(), named_frames(frame), strict=True)
+        images = ({"image": raw.rows("image", row, row + 1)} for row, _ in rows)
+        empty = {"image": np.empty((0, *raw.shape("image")[1:]), np.uint8)}
+        return frame, graph_file.write(file, frame, raw.time_s[with_image], images, empty)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without running those before."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base import store
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.graphs import graph_file
+from pipeline.graphs import frame_graph, graph_file
 from pipeline.labels import label
 from pipeline.sections.graphs import Variant
 
@@ -44,10 +44,9 @@ def write_graphs(
     path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
 ) -> None:
     """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
-    clouds = ((*bend(float(np.tan(steering)) / WHEELBASE_M, points, rng), rng) for steering in steering_rad)
-    with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
-        variant = Variant(source="clouds/pseudo", points=points, k=6, keep_inter_class=0.2)
-        graph_file.write_points(file, frame, frame * 0.1, clouds, variant)
+    variant = Variant(source="clouds/pseudo", points=points, k=6, keep_inter_class=0.2)
+    clouds = (bend(float(np.tan(steering)) / WHEELBASE_M, points, rng) for steering in steering_rad)
+    _write(path, drive, frame, (frame_graph.connect(cloud, variant, rng) for cloud in clouds), variant)
 
 
 def write_sets(
@@ -59,13 +58,17 @@ def write_sets(
     """
     counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
     clouds = [
-        (*bend(float(np.tan(steering)) / WHEELBASE_M, count, rng), rng)
+        bend(float(np.tan(steering)) / WHEELBASE_M, count, rng)
         for steering, count in zip(steering_rad, counts, strict=True)
     ]
     levels: dict[str, Any] = {"centres": [16, 5], "radius_m": [8.0, 16.0], "neighbours": [6, 4]}
     sets = Variant(source="clouds/pseudo", neighbourhood="pointnet2", points=points, **levels)
-    with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
-        graph_file.write_points(file, frame, frame * 0.1, clouds, sets)
+    _write(path, drive, frame, (frame_graph.connect(cloud, sets, rng) for cloud in clouds), sets)
+
+
+def _write(path: Path, drive: str, frame: np.ndarray, frames: Iterable[graph_file.Arrays], variant: Variant) -> None:
+    with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
+        graph_file.write(file, frame, frame * 0.1, frames, frame_graph.empty(variant))
 
 
 def write_images(
@@ -77,7 +80,8 @@ def write_images(
     stripe = np.where(np.abs(columns - middle) < 3, 200, 60)[..., None]
     images = (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8)
     with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
-        graph_file.write_images(file, frame, frame * 0.1, images, (32, 48))
+        rows = ({"image": image[None]} for image in images)
+        graph_file.write(file, frame, frame * 0.1, rows, {"image": np.empty((0, 32, 48, 3), np.uint8)})
 
 
 def add_motion(path: Path, kind: str, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:

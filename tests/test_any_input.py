@@ -57,9 +57,9 @@ def read_drive(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_graphs(path: Path) -> dict[str, np.ndarray]:
-    from pipeline.train import frames
+    from pipeline.graphs import graph_file
 
-    with frames.open_graphs(path) as graphs:
+    with graph_file.open_graphs(path) as graphs:
         return {name: np.asarray(value) for name, value in graphs.read(0, len(graphs.frame)).items()}
 
 

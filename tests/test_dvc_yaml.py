@@ -22,9 +22,10 @@ BEYOND: dict[str, set[str]] = {
     "check": {"pipeline", "models"},  # takes seconds, and finds faults anywhere
     "town": {"pipeline/kitti/ingest_file.py"},  # an edit renders the sample again
     "scores": {"models/encoder"},  # needed for flat ground; an edit of another network reruns perception anyway
+    "train": {"pipeline/train/pyg.py"},  # short, and used by no stage
     # An edit of these reruns training anyway.
     "evaluate": {
-        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment")),
+        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment", "pyg")),
         "pipeline/fitting",
     },
 }

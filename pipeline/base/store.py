@@ -3,7 +3,7 @@
 One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON of the sections that
 determine the file), and what the stage adds; every dataset has an attribute ``unit``. ``frame`` int32 [F] holds KITTI
 frame numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row. Ragged data: ``ptr`` int64 [F+1] and
-concatenated rows; frame i owns ``rows[ptr[i]:ptr[i+1]]``.
+concatenated rows; frame i owns ``rows[ptr[i]:ptr[i+1]]``. The attribute ``pointer`` of the rows names the pointers.
 
 Files are deterministic: written once, in a fixed order, with no clock, host or user inside, to a temporary name that
 is changed when they are complete. Readers validate what they read, which HDF5 does not.
@@ -73,8 +73,11 @@ class DriveWriter:
         ends = np.cumsum(np.fromiter(counts, np.int64))
         self.put(name, np.concatenate([[0], ends]).astype(np.int64), unit)
 
-    def append(self, name: str, rows: np.ndarray, unit: str = "") -> None:
-        """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape."""
+    def append(self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "") -> None:
+        """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape.
+
+        `pointer`: the dataset with each frame's first row, see :meth:`put_pointers`; without it, a row per frame.
+        """
         rows = np.asarray(rows)
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
@@ -83,6 +86,8 @@ class DriveWriter:
                 name, unit, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
                 chunks=(length, *rows.shape[1:]), **encoding,
             )  # fmt: skip
+            if pointer:
+                self._datasets[name].attrs["pointer"] = np.bytes_(pointer.encode())  # fixed length, see _open
         dataset = self._datasets[name]
         start = len(dataset)
         dataset.resize(start + len(rows), axis=0)
@@ -212,8 +217,21 @@ class DriveReader:
         """Return ``dataset[index]`` without reading the rest."""
         return self._read(name, index)
 
+    def rows_of(self, name: str, frame_row: int) -> np.ndarray:
+        """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in ``frame``."""
+        self.dataset(name)  # raises if the file does not declare its pointers
+        start, stop = self.rows(self.pointers[name], frame_row, frame_row + 2)
+        return self.rows(name, start, stop)
+
     def shape(self, name: str) -> tuple[int, ...]:
         return self.dataset(name).shape
+
+    @cached_property
+    def pointers(self) -> dict[str, str]:
+        """Ragged dataset → dataset with the first row of each frame, as the file declares it."""
+        with self._read_errors():
+            declared = {name: self._file[name].attrs.get("pointer") for name in self.names}
+            return {name: pointer.decode() for name, pointer in declared.items() if pointer is not None}
 
     def _read(self, name: str, rows: int | slice | tuple[()]) -> Any:
         dataset = self.dataset(name)
@@ -246,23 +264,17 @@ class DriveReader:
             values = dataset[()]
             if values.ndim != 1 or (np.diff(values) <= 0).any() or (name == "frame" and (values < 0).any()):
                 raise ValueError("expected increasing numbers, one for each frame")
-        pointer = self.pointer(name)
+        pointer = self.pointers.get(name)
         if pointer is None and "frame" in self.names:
-            rows = len(self._file["frame"]) + (name == "ptr" or name.endswith("_ptr"))
+            rows = len(self._file["frame"]) + (name in self.pointers.values())
             if len(dataset) != rows:
-                raise ValueError(f"expected {rows} rows, got {len(dataset)}")
+                raise ValueError(f"expected {rows} rows, got {len(dataset)}, and no attribute pointer")
         elif pointer is not None:
+            if pointer in self.pointers:
+                raise ValueError(f"its pointers {pointer} declare pointers")
             ptr = self.dataset(pointer)[()]
             if ptr[0] != 0 or (np.diff(ptr) < 0).any() or ptr[-1] != len(dataset):
                 raise ValueError(f"its {len(dataset)} rows do not fit {pointer}")
-
-    def pointer(self, name: str) -> str | None:
-        """Return the dataset with the frames' first rows in `name`; None if `name` has one row for each frame."""
-        own = f"{name.replace('neighbours', 'centres')}_ptr"
-        if own in self.names:
-            return own
-        per_point = name in ("xyz", "cls", "degree") and self._file[name].ndim < 3  # cls may be images
-        return "ptr" if per_point and "ptr" in self.names else None
 
     def __enter__(self) -> Self:
         return self

@@ -56,14 +56,13 @@ def read_view(raw: DriveReader, perceived: DriveReader, cloud: DriveReader, numb
     Raises InputError if one of them lacks the frame.
     """
     row, points = perceived.row_of(number), cloud.row_of(number)
-    start, stop = cloud.rows("ptr", points, points + 2)
     return View(
         frame=number,
         rgb=raw.row("image", raw.row_of(number)),
         depth_m=to_metres(perceived.row("depth_m", row)),
         cls=perceived.row("cls", row),
-        xyz=cloud.rows("xyz", start, stop),
-        points_cls=cloud.rows("cls", start, stop),
+        xyz=cloud.rows_of("xyz", points),
+        points_cls=cloud.rows_of("cls", points),
     )
 
 

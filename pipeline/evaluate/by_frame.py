@@ -10,8 +10,7 @@ import numpy as np
 from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.evaluate.split import Case
-from pipeline.graphs.graph import edge_pairs
-from pipeline.train import frames
+from pipeline.graphs import graph_file
 from pipeline.train.windows import Drive
 
 MAX_POINTS = 5000  # more points slow a browser down
@@ -59,20 +58,19 @@ def write_structure(path: Path, drives: Sequence[Drive]) -> None:
     """
     written = {}
     for drive in drives:
-        with frames.open_graphs(drive.graphs) as graphs:
-            if graphs.contents["kind"] == "graph" and len(drive.frame):
+        with graph_file.open_graphs(drive.graphs) as graphs:
+            if graphs.contents.kind == "graph" and len(drive.frame):
                 bend = np.where(drive.valid, np.abs(np.nan_to_num(drive.steering_rad)), -1.0)
                 written[drive.name] = _graph(graphs, int(bend.argmax()))
     store.write_json(path, written)
 
 
-def _graph(graphs: frames.Graphs, row: int) -> dict[str, Any]:
-    arrays = graphs.read(row, row + 1)
-    xyz, cls, degree, indices = (arrays[name] for name in ("xyz", "cls", "degree", "indices"))
+def _graph(graphs: graph_file.Graphs, row: int) -> dict[str, Any]:
+    xyz, cls, edges = graphs.graph(row)
     near = np.sort(np.argsort(np.linalg.norm(xyz, axis=1), kind="stable")[:MAX_POINTS])
     number = np.full(len(xyz), -1)
     number[near] = np.arange(len(near))
-    edges = number[edge_pairs(degree, indices)]  # `near` is ascending, so the smaller end stays first
+    edges = number[edges]  # `near` is ascending, so the smaller end stays first
     edges = edges[(edges >= 0).all(axis=1)]
     return {
         "frame": int(graphs.frame[row]),

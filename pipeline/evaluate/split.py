@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base import store
 from pipeline.evaluate import decisions, errors, paths
+from pipeline.graphs.graph_file import open_graphs
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train.predict import Prediction, Target
 from pipeline.train.windows import Drive
@@ -131,13 +131,10 @@ def inputs(drives: Sequence[Drive]) -> dict[str, Any]:
     """
     counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}
     for drive in drives:
-        with store.DriveReader(drive.graphs, stage="graphs") as file:
-            variant = file.params.get("graphs", {})
-            if "ptr" in file:
-                counts["points"].append(np.diff(file["ptr"]))
-            for name in ("edges_knn", "edges_kept"):
-                if name in file:
-                    counts[name].append(file[name])
+        with open_graphs(drive.graphs) as graphs:
+            variant = graphs.params.get("graphs", {})
+            for name, values in graphs.counts.items():
+                counts[name].append(values)
     points, knn, edges = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
     sizes = {"points_per_frame": points, "edges_per_frame": edges, "edges_per_frame_unpruned": knn}
     return {"variant": variant, **sizes}

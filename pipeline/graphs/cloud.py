@@ -105,8 +105,8 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iter
     """
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
-    file.append("xyz", np.empty((0, 3), np.float32), unit="m")
-    file.append("cls", np.empty(0, np.uint8), unit="trainId")
+    file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
+    file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
     counts = []
     for xyz, cls in clouds:
         file.append("xyz", xyz)

@@ -35,12 +35,6 @@ def build(xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng
     return prune(undirected(nearest(xyz, k)), cls, keep_inter_class, rng)
 
 
-def edge_pairs(degree: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Return both ends [E,2] of each undirected edge once, the smaller first, for a graph as in :class:`Graph`."""
-    pairs = np.stack([np.repeat(np.arange(len(degree)), degree), indices], axis=1)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
-
-
 def index_dtype(nodes: int) -> type[np.unsignedinteger]:
     """Return the smallest dtype for indices of `nodes` nodes."""
     return np.uint16 if nodes <= 65_535 else np.uint32

@@ -163,10 +163,10 @@ def _dataset(file: DriveReader, name: str) -> Column:
 
     Of a pointer, the values are numbers of rows: one more row in the first frame would shift all others.
     """
-    frames, pointer = file.frame.tolist(), file.pointer(name)
+    frames, pointer = file.frame.tolist(), file.pointers.get(name)
     if name in PER_DRIVE:
         return {_NO_FRAME: file[name]}
-    if name == "ptr" or name.endswith("_ptr"):
+    if name in file.pointers.values():
         return dict(zip(frames, np.diff(file[name]), strict=True))
     if pointer:
         starts = file[pointer]

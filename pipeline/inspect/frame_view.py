@@ -12,9 +12,8 @@ from pipeline.camera.images import to_metres
 from pipeline.drawing import figure_file, street_view
 from pipeline.drawing.street_view import View
 from pipeline.graphs.cloud import lidar_cloud
-from pipeline.graphs.graph import edge_pairs
+from pipeline.graphs.graph_file import Graphs
 from pipeline.inspect.artefact import open_drive
-from pipeline.train import frames
 
 # LiDAR (x forward, y left, z up) to camera (x right, y down, z forward), for drives without calibration.
 _CAMERA_AXES = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]], np.float64)
@@ -63,17 +62,13 @@ def _points(file: DriveReader, row: int, numbers: Mapping[str, Any], cls: np.nda
     if numbers.get("has_lidar"):
         calibrated = "T_cam_velo" in file
         T_cam_velo = file["T_cam_velo"] if calibrated else _CAMERA_AXES
-        start, stop = file.rows("lidar_ptr", row, row + 2)
-        xyz, points_cls = lidar_cloud(file.rows("lidar", start, stop), T_cam_velo, file["K"], cls)
+        xyz, points_cls = lidar_cloud(file.rows_of("lidar", row), T_cam_velo, file["K"], cls)
         return {"xyz": xyz, "points_cls": points_cls}
     if "xyz" not in file:
         return {}
-    if file.attrs["stage"] == "clouds":
-        start, stop = file.rows("ptr", row, row + 2)
-        return {"xyz": file.rows("xyz", start, stop), "points_cls": file.rows("cls", start, stop)}
-    arrays = frames.Graphs(file).read(row, row + 1)
-    edges = {"edges": edge_pairs(arrays["degree"], arrays["indices"])} if "degree" in arrays else {}
-    return {"xyz": arrays["xyz"], "points_cls": arrays["cls"], **edges}
+    if file.attrs["stage"] == "graphs" and (graphs := Graphs(file)).contents.kind == "graph":
+        return dict(zip(("xyz", "points_cls", "edges"), graphs.graph(row), strict=True))
+    return {"xyz": file.rows_of("xyz", row), "points_cls": file.rows_of("cls", row)}
 
 
 def draw(path: Path, title: str, view: View) -> None:

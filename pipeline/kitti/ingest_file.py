@@ -71,7 +71,7 @@ def put_pixels(file: DriveWriter, name: str, frames: int, size: Size, rows: Rows
 def put_scans(file: DriveWriter, frames: int, rows: Rows) -> int:
     """Write LiDAR scans [P,4] and ``has_lidar`` [F]; return the number of scans."""
     points = np.zeros(frames, np.int64)
-    file.append("lidar", np.zeros((0, 4), np.float32), "m, m, m, reflectance")
+    file.append("lidar", np.zeros((0, 4), np.float32), "m, m, m, reflectance", "lidar_ptr")
     for index, scan in rows:
         file.append("lidar", scan)
         points[index] = len(scan)

@@ -44,7 +44,7 @@ class FrameState(Frame):
     problem: str = ""  # why no visual motion could be measured
     road_height_m: float = math.nan  # of the camera over the road, by the encoder's depth
     course: Course | None = None
-    arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, as in pipeline.train.frames
+    arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, see graph_file.single
     predicted_rad: float | None = None  # None until the first complete window
     sigma_rad: float | None = None  # of the prediction, by models with uncertainty
     latency_s: float = 0.0  # from `started_s` to the prediction

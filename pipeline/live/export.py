@@ -14,8 +14,9 @@ from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
+from pipeline.graphs import graph_file
 from pipeline.live.export_modules import Recurrent, Spatial
-from pipeline.train import frames, windows
+from pipeline.train import windows
 from pipeline.train.predict import Trained
 
 Arrays = Mapping[str, np.ndarray]
@@ -60,7 +61,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
         raise InputError("the path exists and is not an earlier export", out, "Choose a new folder: --out")
     model.net.requires_grad_(False)
     examples = read_examples(model, graphs)
-    modules = {"spatial": Spatial(model.net, model.contents["kind"]), "recurrent": Recurrent(model.net, model.window)}
+    modules = {"spatial": Spatial(model.net, model.contents.kind), "recurrent": Recurrent(model.net, model.window)}
     calls: dict[str, list[tuple[Arrays, Any]]] = {  # inputs and expected results
         "spatial": [call for each in examples for call in zip(each.frames, each.window["features"][0], strict=True)],
         "recurrent": [(each.window, each.output) for each in examples],
@@ -105,14 +106,14 @@ def read_examples(model: Trained, graphs: Path) -> list[Example]:
     drives = [drive for split in reversed(SPLITS) for drive in store.drives_in(splits, split)]
     examples: list[Example] = []
     for drive in drives[:MAX_DRIVES]:
-        with frames.open_graphs(graphs / f"{drive}.h5") as file:
+        with graph_file.open_graphs(graphs / f"{drive}.h5") as file:
             examples += _read_drive(model, drive, file)
     if not examples:
         raise InputError(f"no window of {model.window} consecutive frames for verification", graphs)
     return examples
 
 
-def _read_drive(model: Trained, drive: str, graphs: frames.Graphs) -> Iterator[Example]:
+def _read_drive(model: Trained, drive: str, graphs: graph_file.Graphs) -> Iterator[Example]:
     steering_rad = model.predict(graphs)
     timeline = windows.Timeline.read(graphs, model.line["motion"], model.target.car)
     ends = np.flatnonzero(~np.isnan(steering_rad))

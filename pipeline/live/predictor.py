@@ -18,9 +18,10 @@ from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.fitting.prefetch import prefetch
+from pipeline.graphs import frame_graph
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
-from pipeline.graphs.graph_file import has_pointers, neighbours, sample_frame
+from pipeline.graphs.graph_file import single
 from pipeline.labels import label
 from pipeline.live.chain import Chain
 from pipeline.live.course import FrameState, add_courses
@@ -120,7 +121,7 @@ class Predictor:
             for frame in frames:
                 if self._settings.variant.kind == "image":
                     assert frame.image is not None
-                    frame.arrays = {"image": frame.image[None]}
+                    frame.arrays = single({"image": frame.image[None]})
                 elif self._settings.variant.source == "clouds/lidar" and frame.scan is None:
                     continue
                 else:
@@ -128,7 +129,7 @@ class Predictor:
                 yield frame
 
     def _points(self, frame: FrameState) -> dict[str, np.ndarray]:
-        """Return the arrays of a variant of points, as :mod:`pipeline.train.frames` reads them."""
+        """Return a frame of a variant of points as a batch."""
         variant, number = self._settings.variant, frame.number
         kind = variant.source.removeprefix("clouds/")
         cloud = stored_cloud(frame, kind, self._camera, self._drive, self._settings.clouds)
@@ -138,13 +139,7 @@ class Predictor:
                 stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
                 T_before = scaled_step(*stored, variant.source)
             cloud = self._accumulator.add(number, cloud, T_before)
-        xyz, cls, rng = sample_frame(cloud, variant, self._drive, number)
-        arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, len(xyz)])}
-        for name, array in neighbours(variant, xyz, cls, rng).items():
-            arrays[name] = array if name == "degree" else array.astype(np.int64)
-            if has_pointers(name):
-                arrays[f"{name}_ptr"] = np.array([0, len(array)])
-        return arrays
+        return single(frame_graph.build(cloud, variant, self._drive, number))
 
     def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         """Add the angle predicted after each frame that completes a window."""

@@ -29,6 +29,6 @@ def read(source: DriveReader, rows: np.ndarray, size: int, *, scans: bool) -> Ge
 
 
 def _scan_depth(source: DriveReader, row: int) -> np.ndarray:
-    scan = source.rows("lidar", *source.rows("lidar_ptr", row, row + 2))
+    scan = source.rows_of("lidar", row)
     _, height, width, _ = source.shape("image")
     return scan_depth(scan, source["T_cam_velo"], source["K"], (height, width))

@@ -30,13 +30,12 @@ class DriveFrames:
         """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""
         image_row = {int(number): row for row, number in enumerate(self._perception.frame)}
         ingest_row = {int(number): row for row, number in enumerate(self._ingest.frame)}
-        ptr = self._ingest["lidar_ptr"] if self._scan_rows is not None else np.zeros(0, np.int64)
         for number, time_s in zip(named_frames(self.frame.tolist()), self.time_s.tolist(), strict=True):
             frame, raw_row, row = Frame(number, time_s), ingest_row[number], image_row.get(number)
             if row is not None:
                 frame.cls = self._perception.row("cls", row)
             if self._scan_rows is not None:
-                frame.scan = self._ingest.rows("lidar", ptr[raw_row], ptr[raw_row + 1])
+                frame.scan = self._ingest.rows_of("lidar", raw_row)
             elif row is not None:
                 frame.image = self._ingest.row("image", raw_row)
                 frame.depth_m = to_metres(self._perception.row("depth_m", row))

@@ -36,7 +36,7 @@ def read_truth(drive: DriveReader, row: int, labelled: bool = True) -> Truth:
     if labelled and drive.row("has_depth", row):
         depth, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
     elif labelled and drive.row("has_lidar", row):
-        scan = drive.rows("lidar", *drive.rows("lidar_ptr", row, row + 2))
+        scan = drive.rows_of("lidar", row)
         depth, source = visible(scan_depth(scan, drive["T_cam_velo"], drive["K"], size), drive["K"]), "lidar"
     has_cls = labelled and bool(drive.row("has_cls", row))
     cls = drive.row("cls", row) if has_cls else np.full(size, classes.VOID, np.uint8)

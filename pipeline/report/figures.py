@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from pipeline.base import store
 from pipeline.drawing import figure_file, street_view
 from pipeline.evaluate.paths import Track, segments
-from pipeline.graphs import graph
+from pipeline.graphs import graph, graph_file
 from pipeline.report.results import Results, load_structures, steering_lines
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
@@ -122,7 +122,7 @@ def _draw_graph(
     rows = np.sort(np.random.default_rng(0).choice(len(xyz), min(points, len(xyz)), replace=False))
     xyz, cls = xyz[rows], cls[rows]
     built = graph.build(xyz, cls, k, keep_inter_class, np.random.default_rng(0))
-    street_view.draw_points(panel, xyz, cls, graph.edge_pairs(built.degree, built.indices))
+    street_view.draw_points(panel, xyz, cls, graph_file.edge_pairs(built.degree, built.indices))
     return built
 
 

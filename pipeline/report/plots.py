@@ -9,7 +9,7 @@ import pandas as pd
 
 from pipeline.camera import classes
 from pipeline.evaluate.schema import Structure
-from pipeline.graphs import graph
+from pipeline.graphs import graph, graph_file
 from pipeline.report.results import columns_below, steering_lines
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
@@ -93,7 +93,7 @@ def graph_3d(structure: Structure, k: int) -> Plot:
         marker = {"size": 3, "color": f"rgb({red},{green},{blue})"}
         traces.append(_points(place[cls == number], *"xyz") | {"name": name, "mode": "markers", "marker": marker})
     built = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
-    unpruned = graph.edge_pairs(built.degree, built.indices)
+    unpruned = graph_file.edge_pairs(built.degree, built.indices)
     pruned = np.array(structure.edges, np.int64).reshape(-1, 2)
     lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
     for when, pairs in (("before", unpruned), ("after", pruned)):

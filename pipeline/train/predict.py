@@ -1,9 +1,10 @@
 """Predict steering with a trained network.
 
-from pipeline.train import frames, predict
+from pipeline.graphs import graph_file
+from pipeline.train import predict
 
 model = predict.load("data/train/sa-gnn-ncp")
-with frames.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+with graph_file.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
     steering_rad = model.predict(graphs, [60, 61, 200])
 """
 
@@ -18,9 +19,10 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 from pipeline.base.errors import InputError, error_context
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
+from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.labels import label
 from pipeline.sections.models import Model, resolve
-from pipeline.train import frames, runs, windows
+from pipeline.train import runs, windows
 from pipeline.train.distributed import World
 
 if TYPE_CHECKING:
@@ -100,7 +102,7 @@ class Checkpoint(BaseModel):
     name: str
     seed: int
     fold: str | None
-    contents: dict[str, Any]
+    contents: Contents
     model: Model
     target: Target
     card: Card | None = None
@@ -115,7 +117,7 @@ class Trained:
     seed: int
     fold: str | None  # the test drive that was left out of training, with fit_to: others or both
     line: dict[str, Any]  # the model's entry of params.yaml with all defaults
-    contents: dict[str, Any]  # of the graph files it was trained on, see frames.Graphs
+    contents: Contents  # of the graph files it was trained on
     target: Target
     net: "SteeringNet"
     card: Card | None = None
@@ -130,13 +132,11 @@ class Trained:
         """Frames from the end of a window to its predicted steering."""
         return int(self.line["horizon"])
 
-    def predict(self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+    def predict(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
         """Return the steering in rad, left +, for frames of an open graph file; see :meth:`predict_with_sigma`."""
         return self.predict_with_sigma(graphs, numbers).steering_rad
 
-    def predict_with_sigma(
-        self, graphs: frames.Graphs, numbers: Sequence[int] | np.ndarray | None = None
-    ) -> Prediction:
+    def predict_with_sigma(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> Prediction:
         """Return the steering in rad, left +, and with uncertainty its σ: float64, one per frame of an open graph file.
 
         The value for frame t is the angle at frame t + :attr:`horizon`, predicted from the frames up to t. NaN where no
@@ -144,7 +144,7 @@ class Trained:
         with at most WINDOWS windows at a time.
 
         Args:
-            graphs: from :func:`frames.open_graphs`.
+            graphs: from :func:`graph_file.open_graphs`.
             numbers: KITTI frame numbers, in any order; None: all frames of the file.
         Raises:
             InputError: the file has another kind of frames than the network was trained on, lacks the model's motion,
@@ -152,7 +152,7 @@ class Trained:
         """
         if graphs.contents != self.contents:
             raise InputError(
-                f"model {self.name} expects {frames.describe(self.contents)}, got {frames.describe(graphs.contents)}",
+                f"model {self.name} expects {self.contents}, got {graphs.contents}",
                 graphs.path,
                 f"Use graphs of input: {self.line['input']}, or train the model again: dvc repro --force --single-item "
                 f"train@{self.name}",
@@ -188,7 +188,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         with error_context(where=path):
             best = _parse(content)
             line = resolve(best.model)
-            net = steering_net.build(line, **best.contents)
+            net = steering_net.build(line, **best.contents.model_dump())
         checkpoint.load_state(net, best.net, path)
     runs.check_pair(path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
@@ -210,7 +210,7 @@ def predict_drives(
     target: Target,
     world: World = World(),
     rows: Sequence[np.ndarray] | None = None,
-    opened: Mapping[int, frames.Graphs] | None = None,
+    opened: Mapping[int, Graphs] | None = None,
 ) -> list[Prediction]:
     """Return the predicted steering for each timeline's frames.
 

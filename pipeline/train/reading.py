@@ -16,7 +16,8 @@ from torch.utils.data import DataLoader, Dataset
 
 from pipeline.base.executors import default_workers
 from pipeline.fitting.prefetch import prefetch
-from pipeline.train import frames, windows
+from pipeline.graphs import graph_file
+from pipeline.train import windows
 from pipeline.train.augment import rescale
 
 AHEAD = 4  # batches per process
@@ -41,7 +42,7 @@ class Reader(Dataset[dict[str, Any]]):
     ) -> None:
         """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
         self._drives, self._window = drives, window
-        self._opened: dict[int, frames.Graphs] = {}
+        self._opened: dict[int, graph_file.Graphs] = {}
         self._files = ExitStack()
         self._epoch: list[Step] = []  # the loader's sampler; its processes live for several epochs
         if workers is None:
@@ -70,7 +71,7 @@ class Reader(Dataset[dict[str, Any]]):
     def __getitem__(self, step: Step) -> dict[str, Any]:
         """Return the arrays of a batch as tensors, which can be pinned."""
         for drive in {run.drive for run in step.runs} - self._opened.keys():
-            graphs = frames.open_graphs(self._drives[drive].graphs)
+            graphs = graph_file.open_graphs(self._drives[drive].graphs)
             self._opened[drive] = self._files.enter_context(graphs)
         (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
         lengths = [run.stop - run.start for run in step.runs]

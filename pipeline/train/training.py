@@ -14,8 +14,9 @@ from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash, revision, stage_key
 from pipeline.fitting import checkpoint
+from pipeline.graphs import graph_file
 from pipeline.sections.train import Train
-from pipeline.train import fit, frames, predict, windows
+from pipeline.train import fit, predict, windows
 from pipeline.train.curve import selected_epoch, write_curve
 from pipeline.train.distributed import World
 from pipeline.train.runs import Run
@@ -51,7 +52,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     """
     line, settings, fold = job.line, job.settings, run.fold
     train, val = job.read_drives(fold.train), job.read_drives(fold.val)
-    with frames.open_graphs(train[0].graphs) as graphs:
+    with graph_file.open_graphs(train[0].graphs) as graphs:
         contents, points = graphs.contents, graphs.points_per_frame
     if torch.device(device).type == "cpu" and 0 < points < SMALL:
         # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
@@ -59,7 +60,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         torch.set_num_threads(1)
     torch.manual_seed(run.seed)
     with error_context(where=job.where):
-        net = steering_net.build(line, **contents)
+        net = steering_net.build(line, **contents.model_dump())
     net.to(device, torch.float64 if settings.precision == "float64" else None)
     inputs = {
         "model": line,
@@ -79,7 +80,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     target = predict.Target.from_drives(train)
     metadata: dict[str, Any] = {
         "name": job.name,
-        "contents": contents,
+        "contents": contents.model_dump(exclude_defaults=True),
         "target": vars(target),
         "revision": revision(),
         "card": predict.Card.from_drives(train).model_dump(),

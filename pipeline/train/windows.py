@@ -16,11 +16,11 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.graphs import graph_file
 from pipeline.labels import label
-from pipeline.train import frames
 
 Batch = dict[str, np.ndarray]
-"""Input of a network as arrays. B frames, W windows of T frames. Frames as in pipeline/train/frames.py;
+"""Input of a network as arrays. B frames, W windows of T frames. Frames as in pipeline/graphs/graph_file.py;
 windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base_rad float32
 [W] (angle of the window's last frame to which the network's output is added).
 With motion: motion float32 [B,4], columns MOTION.
@@ -43,7 +43,7 @@ class Timeline:
     motion: np.ndarray | None  # float32 [G,4], columns MOTION; None without motion
 
     @classmethod
-    def read(cls, graphs: frames.Graphs, motion: str = "none", car: label.Car | None = None) -> "Timeline":
+    def read(cls, graphs: graph_file.Graphs, motion: str = "none", car: label.Car | None = None) -> "Timeline":
         """Read the times of an open graph file, and motion of kind `motion` of a `car`.
 
         Raises InputError if the file has no motion of this kind.
@@ -142,7 +142,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
         InputError: a label is missing, the file has no such motion, or the car drives and no frame is measured.
     """
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
-    with frames.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
+    with graph_file.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
         row_of = {int(number): row for row, number in enumerate(truth.frame)}
         missing = [int(number) for number in file.frame if int(number) not in row_of]
         if missing:
@@ -235,7 +235,7 @@ def batches(
     timelines: Sequence[Timeline],
     groups: Sequence[Sequence[Span]],
     window: int,
-    opened: Mapping[int, frames.Graphs] | None = None,
+    opened: Mapping[int, graph_file.Graphs] | None = None,
 ) -> Generator[Batch]:
     """Read each group of spans as one batch, with targets if the timelines are drives.
 
@@ -245,8 +245,8 @@ def batches(
     with ExitStack() as stack:
         for group in groups:
             for number in {span.drive for span in group} - files.keys():
-                files[number] = stack.enter_context(frames.open_graphs(timelines[number].graphs))
-            read = frames.concatenate([files[span.drive].read(span.start, span.stop) for span in group])
+                files[number] = stack.enter_context(graph_file.open_graphs(timelines[number].graphs))
+            read = graph_file.concatenate([files[span.drive].read(span.start, span.stop) for span in group])
             yield read | _windows(timelines, group, window)
 
 

@@ -8,8 +8,7 @@ import torch
 
 from models.steering.core import knobs
 from models.steering.core.batch import GraphBatch, SetBatch, from_arrays
-from pipeline.graphs import neighbourhoods
-from pipeline.train import frames
+from pipeline.graphs import graph_file, neighbourhoods
 
 MakeBatch = Callable[..., GraphBatch]
 MakeSets = Callable[..., SetBatch]
@@ -41,7 +40,7 @@ def make_batch() -> MakeBatch:
 def make_sets() -> MakeSets:
     """make_sets([points per frame], only=None) → two levels of neighbourhoods; `only`: this frame alone."""
 
-    def frame(count: int, seed: int) -> frames.Arrays:
+    def frame(count: int, seed: int) -> graph_file.Arrays:
         rng = np.random.default_rng(seed)
         xyz = rng.uniform([-10, -1, 0], [10, 2, 30], (count, 3))
         cls = np.where(np.arange(count) % 7, rng.integers(0, 19, count), 255).astype(np.uint8)
@@ -53,7 +52,7 @@ def make_sets() -> MakeSets:
 
     def make(counts: list[int], only: int | None = None) -> SetBatch:
         parts = [frame(count, seed) for seed, count in enumerate(counts)]
-        batch = from_arrays(frames.concatenate(parts if only is None else parts[only : only + 1]))
+        batch = from_arrays(graph_file.concatenate(parts if only is None else parts[only : only + 1]))
         assert isinstance(batch, SetBatch)
         return batch
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.train import frames, predict, windows
+from pipeline.graphs import graph_file
+from pipeline.train import predict, windows
 from stages import report
 from tests.small_model import run_evaluate, run_train, write_params, write_two_test_drives
 
@@ -33,7 +34,7 @@ def test_metrics_are_means_over_seeds(folder: Path) -> None:
         rows = read(evaluated / f"{seed}predictions.csv")
         error = [float(row["predicted_rad"]) - float(row["steering_rad"]) for row in rows if row["predicted_rad"]]
         errors.append(np.mean(np.square(error)))
-        with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+        with graph_file.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
             model = predict.load(str(trained / seed))
             angles, some = model.predict(graphs), model.predict(graphs, [59, 2, 30])
         assert [row["predicted_rad"] for row in rows] == [_text(angle) for angle in angles]
@@ -51,14 +52,14 @@ def test_uncertainty_is_calibrated_on_validation_drives(folder: Path) -> None:
     assert json.loads((evaluated / "metrics.json").read_text())["test"]["uncertainty"]["nll"] < 9
     model, val = predict.load(trained), "2026_01_02_drive_0001"
     drive = windows.read_drive(folder / "graphs/semantic", folder / "labels", val)
-    with frames.open_graphs(drive.graphs) as graphs:
+    with graph_file.open_graphs(drive.graphs) as graphs:
         predicted = model.predict_with_sigma(graphs)
     ratio = (predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad
     assert np.nanmean(ratio**2) == pytest.approx(1, rel=1e-6)
     inside = np.abs(predicted.steering_rad - drive.steering_rad) <= predicted.half_95_rad
     assert inside[~np.isnan(ratio)].mean() == pytest.approx(0.95, abs=0.02)
     rows = read(evaluated / "predictions.csv")
-    with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+    with graph_file.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
         predicted = model.predict_with_sigma(graphs, [3, 59])
     assert predicted.sigma_rad is not None
     assert [float(rows[number]["sigma_rad"]) for number in (3, 59)] == pytest.approx(predicted.sigma_rad, abs=1e-6)
@@ -81,7 +82,7 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder: Path, f
         for drive in tested:
             model = predict.load(trained / f"{seed}fold-{drive}")
             assert model.fold == drive
-            with frames.open_graphs(folder / f"graphs/semantic/{drive}.h5") as graphs:
+            with graph_file.open_graphs(folder / f"graphs/semantic/{drive}.h5") as graphs:
                 angles = model.predict(graphs)
             assert [row["predicted_rad"] for row in rows if row["drive"] == drive] == [_text(angle) for angle in angles]
     with pytest.raises(InputError, match="fold-2026_01_01_drive_0002, fold-2026"):
@@ -113,7 +114,7 @@ def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:
     sharpest = int(max(rows, key=lambda row: abs(float(row["steering_rad"])))["frame"])
     graph = json.loads(first["structure.json"])["2026_01_03_drive_0001"]
     assert graph["frame"] == sharpest
-    with frames.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+    with graph_file.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
         arrays = graphs.read(sharpest, sharpest + 1)
     np.testing.assert_allclose(graph["xyz_m"], arrays["xyz"], atol=6e-4)
     assert graph["cls"] == arrays["cls"].tolist()

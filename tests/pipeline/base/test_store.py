@@ -28,7 +28,7 @@ def write(path: Path, seed: int = 0, stage: str = "clouds") -> Path:
         file.blank("cls", (3, 8, 9), np.uint8, value=255)
         file.fill("cls", 1, np.full((8, 9), 7, np.uint8))
         for count in counts:
-            file.append("xyz", rng.normal(size=(count, 3)).astype(np.float32), "m")
+            file.append("xyz", rng.normal(size=(count, 3)).astype(np.float32), "m", "ptr")
         file.put_pointers("ptr", counts)
     return path
 
@@ -45,8 +45,9 @@ def test_round_trip(tmp_path: Path) -> None:
         np.testing.assert_array_equal(file["image"], image)
         np.testing.assert_array_equal(file.row("image", 2), image[2])
         np.testing.assert_array_equal(file["ptr"], [0, 5000, 5000, 14000])
-        for start, stop, rows in zip(file["ptr"][:-1], file["ptr"][1:], xyz, strict=True):
-            np.testing.assert_array_equal(file.rows("xyz", start, stop), rows)
+        assert file.pointers == {"xyz": "ptr"}
+        for row, points in enumerate(xyz):
+            np.testing.assert_array_equal(file.rows_of("xyz", row), points)
         assert [np.unique(file.row("cls", i)).tolist() for i in range(3)] == [[255], [7], [255]]
         assert file.dataset("xyz").attrs["unit"] == "m"
         assert "depth" not in file
@@ -153,11 +154,34 @@ def test_files_of_other_stages_and_schemas_are_refused(tmp_path: Path) -> None:
 def test_unexpected_contents_are_refused(tmp_path: Path, name: str, values: object, problem: str) -> None:
     path = write(tmp_path / "a.h5")
     with h5py.File(path, "r+") as file:
+        attributes = dict(file[name].attrs) if name in file else {}
         if name in file:
             del file[name]
         file[name] = values
+        file[name].attrs.update(attributes)
     with DriveReader(path, stage="clouds") as file, pytest.raises(InputError, match=problem) as raised:
         file[name]
+    assert raised.value.where == str(path)
+
+
+@pytest.mark.parametrize(
+    ("pointer", "problem"),
+    [
+        (None, "expected 3 rows, got 14000, and no attribute pointer"),  # as files before this attribute
+        (np.bytes_(b"cls"), "damaged in dataset .cls"),
+        (np.bytes_(b"xyz"), "its pointers xyz declare pointers"),
+        (np.bytes_(b"nothing"), "no dataset 'nothing'"),
+        (7, "damaged"),
+    ],
+)
+def test_pointers_that_a_file_does_not_declare_are_refused(tmp_path: Path, pointer: object, problem: str) -> None:
+    path = write(tmp_path / "a.h5")
+    with h5py.File(path, "r+") as file:
+        del file["xyz"].attrs["pointer"]
+        if pointer is not None:
+            file["xyz"].attrs["pointer"] = pointer
+    with DriveReader(path, stage="clouds") as reader, pytest.raises(InputError, match=problem) as raised:
+        reader.rows_of("xyz", 0)
     assert raised.value.where == str(path)
 
 

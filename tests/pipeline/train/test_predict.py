@@ -11,8 +11,9 @@ from models.steering.core import steering_net
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
+from pipeline.graphs import graph_file
 from pipeline.sections.models import Model, resolve
-from pipeline.train import frames, predict, windows
+from pipeline.train import predict, windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES
 
@@ -46,7 +47,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_shared_frames_equal_naive_windows_and_gaps_are_nan(model: predict.Trained, drive: Path) -> None:
-    with frames.open_graphs(drive) as graphs:
+    with graph_file.open_graphs(drive) as graphs:
         steering_rad = model.predict(graphs)
         timeline = windows.Timeline.read(graphs)
         for row, number in enumerate(NUMBERS):
@@ -74,13 +75,13 @@ def test_output_zero_is_the_measured_angle(tmp_path: Path) -> None:
     artefacts.write_graphs(drive, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
     model = predict.load(write_model(tmp_path / "net", motion="visual", horizon=3), "cpu")
     assert model.horizon == 3
-    with frames.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"no motion of kind visual"):
+    with graph_file.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"no motion of kind visual"):
         model.predict(graphs)
     artefacts.add_motion(drive, "visual", STEERING)
     with torch.no_grad():
         for weights in model.net.parameters():
             weights.zero_()
-    with frames.open_graphs(drive) as graphs:
+    with graph_file.open_graphs(drive) as graphs:
         for output in (0.0, 1.0):
             model.net.temporal.output_shift.data.fill_(output)
             steering_rad = model.predict(graphs)

@@ -126,7 +126,8 @@ def test_a_seed_gives_the_same_numbers_in_all_versions(make_batch, make_line, te
     batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
     torch.manual_seed(3)
     net = build(make_line("gnn", temporal)).double()
-    assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(expected, rel=1e-9)
+    # Initial weights are drawn in float32, whose logarithms differ between CPUs in the last bit.
+    assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("cell", CELLS)

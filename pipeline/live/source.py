@@ -86,13 +86,13 @@ def open_source(
     Raises:
         InputError: it is none of them, lacks a calibration, or cannot be read.
     """
-    drive = RawDrive(path.resolve())
-    if any(drive.images(camera) for camera in cameras):
+    drive = RawDrive(path.resolve()) if path.is_dir() else None
+    if drive and any(drive.images(camera) for camera in cameras):
         if lens != Lens() or clock != Clock():
             fix = "Remove --calib, --fov, --K, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(path, drive, cameras, aspect, scans, car)
-    elif drive.oxts or drive.scans:
+    elif drive and (drive.oxts or drive.scans):
         wanted = " or ".join(map(str, cameras))
         raise InputError(f"no images of camera {wanted}", path, "Extract image_02 of the drive")
     else:

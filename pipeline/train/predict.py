@@ -180,8 +180,9 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
     folder = Path(folder)
     path, name = folder / "best.pt", runs.model_name(folder)
     if not path.is_file():
-        models = sorted(best.parent.name for best in folder.glob("*/best.pt"))
-        fix = f"Choose one of its subfolders: {', '.join(models)}" if models else f"Train it: dvc repro train@{name}"
+        below, beside = (sorted(best.parent.name for best in at.glob("*/best.pt")) for at in (folder, folder.parent))
+        fix = f"Choose one of its subfolders: {', '.join(below)}" if below else f"Train it: dvc repro train@{name}"
+        fix += f". Trained models beside it: {', '.join(beside)}" if beside else ""
         raise InputError("no trained model, best.pt is missing", folder, fix)
     with error_context(fix=f"Train it again: dvc repro --force --single-item train@{name}"):
         content = checkpoint.read(path, KIND)

@@ -1,5 +1,6 @@
 """Sources: cropping, frame numbers and times."""
 
+import os
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.labels.label import Car
+from pipeline.base.errors import InputError
 from pipeline.live.source import Lens, Source, open_source
 from tests import kitti_drive
 
@@ -47,3 +49,11 @@ def test_frames_of_a_drive_are_those_of_stage_ingest(tmp_path: Path) -> None:
     assert source.name == kitti_drive.DRIVE
     assert source.has_scans
     assert all(frame.scan is not None and frame.scan.shape[1] == 4 for frame in frames)
+
+
+@pytest.mark.parametrize("name", ["loop", "nothing", "pipe"])
+def test_paths_that_are_no_source_are_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=name):
+        open_path(tmp_path / name, Lens(fov_deg=80.0))

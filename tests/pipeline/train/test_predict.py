@@ -101,7 +101,7 @@ def test_folder_of_a_model(tmp_path: Path) -> None:
     model = predict.load(str(folder), device="cpu")
     assert (model.name, model.seed, model.window, model.line["temporal"]) == ("net", 0, WINDOW, "ncp")
     assert not model.net.training
-    for missing, fix in (("nott", "train@nott"), ("train", "net")):
+    for missing, fix in (("nott", "train@nott"), ("train", "net"), ("train/nott", "beside it: net")):
         with pytest.raises(InputError, match=r"best\.pt is missing") as raised:
             predict.load(tmp_path / missing)
         assert fix in raised.value.fix

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.labels.label import Car
 from pipeline.base.errors import InputError
+from pipeline.labels.label import Car
 from pipeline.live.source import Lens, Source, open_source
 from tests import kitti_drive
 

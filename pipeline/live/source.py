@@ -1,5 +1,6 @@
 """Sources of frames: a KITTI drive, a folder of images or a video."""
 
+import os
 import time
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -177,7 +178,8 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
             started_s = time.perf_counter()
 
     fps = footage.fps or DEFAULT_FPS
-    source = Source(path, path.stem, camera.cropped(crop), frames(), footage.count, fps, notes=notes)
+    name = os.fsencode(path.stem).decode(errors="backslashreplace")
+    source = Source(path, name, camera.cropped(crop), frames(), footage.count, fps, notes=notes)
     if times_s is not None and len(times_s) > 1:
         source.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
     if crop.size != footage.size:

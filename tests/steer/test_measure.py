@@ -7,11 +7,15 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+import torch
+from torch import Tensor, nn
 
+from models.encoder.backbones import Backbone, Part, Parts
+from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
 from pipeline.base.errors import InputError
-from pipeline.camera.geometry import rays
+from pipeline.camera import classes
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.live import chain
+from pipeline.perception.perceive import save
 from steer.measure import measure
 from tests import rendered_street as street
 from tests.footage import write_folder
@@ -20,25 +24,40 @@ YAW_RATE, SPEED = 0.2, 8.0
 LENS = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": CAMERA_HEIGHT_M}
 
 
-class FlatGround:
-    """An encoder that predicts flat ground and houses 30 m away, without classes."""
+class Features(Backbone):
+    """Passes the image on. The encoder's runner needs a parameter to find the device."""
+
+    mean, std = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.unused = nn.Parameter(torch.zeros(1))
+
+    def forward(self, image: Tensor, rays: Tensor) -> Tensor:
+        return image
+
+
+class FlatGround(Part):
+    """A depth head that predicts flat ground, and houses 30 m away."""
 
     down = 1  # axis of the camera
 
-    def __init__(self, encoder: Path, settings: object, camera: chain.Camera) -> None:
-        down = rays(camera.K, camera.size)[..., self.down]
-        depth_m = np.minimum(30, camera.height_m / np.maximum(down, 1e-3))
-        self._depth_m, self._cls = depth_m, np.full(camera.size, 255, np.uint8)
+    def forward(self, features: Tensor, rays: Tensor) -> Tensor:
+        return (CAMERA_HEIGHT_M / rays[:, self.down].clamp(min=1e-3)).clamp(max=30)
 
-    def run(self, image: np.ndarray, scan: None) -> tuple[np.ndarray, np.ndarray]:
-        return self._depth_m, self._cls
+
+class Void(Part):
+    def forward(self, features: Tensor, rays: Tensor) -> Tensor:
+        logits = torch.zeros(len(rays), classes.COUNT + 1, *rays.shape[-2:])
+        logits[:, -1] = 1
+        return logits
 
 
 @pytest.fixture
 def encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(chain, "EncoderRunner", FlatGround)
-    (tmp_path / "encoder").mkdir()
-    (tmp_path / "encoder/encoder.pt").touch()
+    parts = Parts(Features(), FlatGround(), Void())
+    monkeypatch.setitem(BACKBONES, "flat ground", lambda: parts)
+    save(tmp_path / "encoder", "flat ground", UnifiedEncoder("flat ground").state_dict())
     return tmp_path / "encoder"
 
 

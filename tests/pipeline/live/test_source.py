@@ -57,3 +57,11 @@ def test_paths_that_are_no_source_are_refused(tmp_path: Path, name: str) -> None
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match=name):
         open_path(tmp_path / name, Lens(fov_deg=80.0))
+
+
+def test_a_name_that_is_not_utf8_becomes_printable(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"street\xff")
+    cv2.imwrite(str(tmp_path / "7.png"), np.zeros((48, 64, 3), np.uint8))
+    folder.mkdir()
+    (tmp_path / "7.png").rename(folder / "7.png")
+    assert open_path(folder, Lens(fov_deg=80.0)).name == r"street\xff"

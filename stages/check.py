@@ -5,10 +5,10 @@ from typing import get_args
 
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
-from pipeline.base.params import read
+from pipeline.base.params import MotionKind, read
 from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
 from pipeline.sections.models import Model, resolve
-from pipeline.sections.motion import Kind, Motion
+from pipeline.sections.motion import Motion
 from pipeline.sections.preset import Params, validate
 from pipeline.train import runs
 
@@ -23,7 +23,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
         check_encoder(settings.encoder)
         if "lidar" in settings.motion.kinds and not settings.ingest.lidar:
             raise InputError("motion.kinds: lidar needs scans, but ingest.lidar is false")
-        if settings.labels.source in get_args(Kind):
+        if settings.labels.source in get_args(MotionKind):
             check_motion("labels.source", settings.labels.source, settings.motion)
         for name, variant in settings.graphs.items():
             if variant.accumulate:

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import get_args
 
 from pipeline.base import console, store
-from pipeline.base.params import load
+from pipeline.base.params import MotionKind, load
 from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.motion import motion_file
 from pipeline.motion.estimator import MotionEstimator
 from pipeline.perception.drive_frames import open_frames
-from pipeline.sections.motion import Kind, Motion
+from pipeline.sections.motion import Motion
 
 
 def main(
@@ -45,7 +45,7 @@ def main(
             without = [drive for drive in splits if not made[f"{kind}/{drive}"]["valid"]]
             if without:
                 print(f"{kind}: no motion measured in {', '.join(without)}")
-        for obsolete in set(get_args(Kind)) - set(settings.kinds):  # written by an earlier run
+        for obsolete in set(get_args(MotionKind)) - set(settings.kinds):  # written by an earlier run
             shutil.rmtree(out / obsolete, ignore_errors=True)
         motion_file.write_index(out, settings.kinds)
     return out

@@ -1,4 +1,4 @@
-"""Read files of others: bytes up to a limit, columns of numbers from CSV files, and YAML."""
+"""Read untrusted input files: bytes up to a limit, columns of numbers from CSV files, and YAML."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -71,13 +71,16 @@ def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], e
     return {name: table[name].to_numpy() for name in columns}
 
 
-def read_yaml(path: Path) -> Any:
-    """Return the content of a YAML 1.2 file, as DVC reads it. Raises InputError if it is invalid or has a key twice."""
+def read_yaml(path: Path, *, comments: bool = False) -> Any:
+    """Return the content of a YAML 1.2 file, as DVC reads it, for ruamel's writer with `comments`.
+
+    Raises InputError if it is invalid or has a key twice.
+    """
     from ruamel.yaml import YAML  # here, as workers read no YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     try:
-        return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8-sig"))
+        return YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(f"invalid UTF-8 ({error})", path) from error
     except MarkedYAMLError as error:

@@ -5,11 +5,12 @@ value and what is expected. Units are in names or descriptions.
 """
 
 import re
+from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.files import read_yaml
@@ -22,6 +23,15 @@ def _has_valid_date(drive: str) -> str:
     return drive
 
 
+def _check_name(name: Any) -> str:
+    if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
+        return name
+    rule = "expected at most 100 letters A-Z and a-z, digits, _ and -, not _ or - first; quote names such as 1 or on"
+    raise ValueError(rule)
+
+
+Name = Annotated[str, BeforeValidator(_check_name)]
+"""A name that is safe as the name of a stage and of a folder, and in a shell."""
 Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052"), AfterValidator(_has_valid_date)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
@@ -29,20 +39,18 @@ Count = Annotated[int, Field(ge=1, le=10**9)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=32, le=4096)]
-ImageSize = Annotated[tuple[Side, Side], Field(description="[H, W] in pixels")]
-NAME = re.compile("[A-Za-z0-9][A-Za-z0-9_-]{,99}")  # safe in a stage's name, a folder's name and a shell
+# YAML has lists only, which a strict model would not take as tuples.
+ImageSize = Annotated[tuple[Side, Side], Field(strict=False, description="[H, W] in pixels")]
+MotionKind = Literal["visual", "lidar"]
+Precision = Literal["auto", "bfloat16", "float32"]
 SPLITS = ("train", "val", "test")
-SECTIONS = (
-    "town", "ingest", "labels", "encoder", "perception", "motion", "clouds", "pictures", "graphs", "models", "train",
-    "evaluate",
-)  # fmt: skip
 _COPY = "Copy it from the project's own params.yaml"
 
 
 class Section(BaseModel):
-    """One section of the params file, or one entry of a mapping section."""
+    """One section of the params file, or one entry of a mapping section. Numbers in quotes and true are no numbers."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
     key: ClassVar[str]
 
 
@@ -51,9 +59,9 @@ S = TypeVar("S", bound=Section)
 
 def load(section: type[S], path: Path) -> S:
     """Read one section of the params file at `path`. Raises InputError."""
-    content = _read(path)
+    content = read(path)
     if section.key not in content:
-        raise InputError(f"no section {section.key!r}", path, _COPY)
+        raise InputError(f"no section {section.key!r}: {closest(section.key, [*map(str, content)])}", path, _COPY)
     with error_context(path):
         return parse(section, content[section.key], section.key)
 
@@ -69,21 +77,12 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
 
 def entries(mapping: str, path: Path) -> dict[str, Any]:
     """Return name → content of a mapping section (``graphs`` or ``models``), in the file's order. Raises InputError."""
-    content = _read(path).get(mapping)
+    content = read(path).get(mapping)
     if not isinstance(content, dict) or not content:
         raise InputError(f"section {mapping!r} is missing or empty: it needs at least one entry", path)
     for name in content:
-        if not isinstance(name, str) or not NAME.fullmatch(name):
-            fix = "Use up to 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on"
-            raise InputError(f"section {mapping!r}: invalid name {_shorten(name)}", path, fix)
-    return content
-
-
-def _read(path: Path) -> dict[str, Any]:
-    content = read(path)
-    for name in content:
-        if name not in SECTIONS:
-            raise InputError(f"unknown section {name!r}: {closest(str(name), SECTIONS)}", path)
+        with error_context(f"{path}: {mapping}: name {_shorten(name)}"):
+            _check_name(name)
     return content
 
 
@@ -105,16 +104,30 @@ def parse(kind: type[S], value: Any, where: str) -> S:
         faults = error.errors()
         # An unknown key before the key that is missing in its place.
         first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
-        key = ".".join(str(part) for part in (where, *first["loc"]) if part != "")
+        key = ".".join(str(part) for part in (where, *first["loc"]) if part not in ("", "[key]"))
         if first["type"] == "extra_forbidden":
-            name = str(first["loc"][-1])
-            options = list(kind.model_fields) if len(first["loc"]) == 1 else []
-            raise InputError(f"unknown key{f': {closest(name, options)}' if options else ''}", key) from error
+            options = _keys_at(kind, first["loc"][:-1])
+            suggestion = f": {closest(str(first['loc'][-1]), options)}" if options else ""
+            raise InputError(f"unknown key{suggestion}", key) from error
         if first["type"] == "missing":
             raise InputError("key is missing", key, _COPY) from error
         # A rule on a complete section would print all of it.
         got = "" if isinstance(first["input"], dict) else f" (got {_shorten(first['input'])})"
         raise InputError(f"{first['msg'].removeprefix('Value error, ')}{got}", key) from error
+
+
+def _keys_at(annotation: Any, loc: Sequence[int | str]) -> list[str]:
+    """Return the keys of the section at the location `loc` below a section; none if a union leaves it open."""
+    for part in loc:
+        if get_origin(annotation) is dict:
+            annotation = get_args(annotation)[1]
+        elif isinstance(annotation, type) and issubclass(annotation, BaseModel) and part in annotation.model_fields:
+            annotation = annotation.model_fields[str(part)].annotation
+            options = [option for option in get_args(annotation) if option is not type(None)]
+            annotation = options[0] if len(options) == 1 else annotation
+        else:
+            return []
+    return list(getattr(annotation, "model_fields", ()))
 
 
 def _shorten(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Keys of results, so that an interrupted run continues from what it finished and from nothing else."""
+"""Cache keys: reuse results of an interrupted run only if code, settings and inputs match."""
 
 import hashlib
 import json
@@ -9,9 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from pipeline.base.errors import InputError
+from pipeline.base.files import read_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
@@ -42,7 +41,7 @@ def file_hash(path: Path) -> str:
 @cache
 def _stage_code_hash(stage: str) -> str:
     """Hash the code that the stage's entry in dvc.yaml names; of ``${…}``, all alternatives."""
-    entry = yaml.safe_load((ROOT / "dvc.yaml").read_text(encoding="utf-8"))["stages"][stage]
+    entry = read_yaml(ROOT / "dvc.yaml")["stages"][stage]
     dependencies = entry.get("do", entry)["deps"]
     patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
     return _hash_code(path for pattern in patterns for path in ROOT.glob(pattern))
@@ -50,7 +49,7 @@ def _stage_code_hash(stage: str) -> str:
 
 @cache
 def code_hash() -> str:
-    """Return a hash of all code, as it was when this process first asked."""
+    """Return a hash of all code, cached at the first call."""
     return _hash_code(ROOT / package for package in PACKAGES)
 
 

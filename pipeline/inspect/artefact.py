@@ -10,11 +10,11 @@ from typing import Any
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import size_of
-from pipeline.base.params import SECTIONS
 from pipeline.base.store import DriveReader, read_json
+from pipeline.sections.preset import Params
 
 Content = dict[str, Any]
-_STAGES = (*SECTIONS, "scores", "report")
+_STAGES = (*Params.model_fields, "scores", "report")
 _HEADER = ("schema", "drive", "stage", "params")
 _MAX_SPANS = 8
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Fraction, Positive, Section, Seed
+from pipeline.base.params import Count, Fraction, MotionKind, Positive, Section, Seed
 
 Kind = Literal["graph", "pointnet2", "image"]
 
@@ -19,7 +19,7 @@ _KEYS: dict[Kind, tuple[str, set[str], set[str]]] = {  # kind → name in messag
 class Accumulate(Section):
     """Merge the clouds of several consecutive frames into one."""
 
-    motion: Annotated[Literal["visual", "lidar"], Field(description="one of motion.kinds; aligns the clouds")]
+    motion: Annotated[MotionKind, Field(description="one of motion.kinds; aligns the clouds")]
     frames: Annotated[int, Field(ge=2, le=64, description="maximum number of frames, including the current one")]
 
 
@@ -33,7 +33,7 @@ class Variant(Section):
     keep_inter_class: Fraction = 1.0
     crop_m: Annotated[
         tuple[float, float, float, float] | None,
-        Field(description="[left, near, right, far]: limits of the camera's x and z in metres"),
+        Field(strict=False, description="[left, near, right, far]: limits of the camera's x and z in metres"),
     ] = None
     accumulate: Accumulate | None = None
     # One value per level of PointNet++; the defaults are the published sizes (SSG). The published radii, 0.2 and 0.4,

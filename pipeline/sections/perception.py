@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Positive, Section
+from pipeline.base.params import Count, Positive, Precision, Section
 
 DepthScale = Literal["metric", "camera_height", "lidar_median", "none"]
 
@@ -21,7 +21,7 @@ class Perception(Section):
         Annotated[float, Field(ge=1)] | None,
         Field(description="maximum depth of traffic as a multiple of flat ground's at its foot; null: no limit"),
     ] = None
-    precision: Literal["auto", "bfloat16", "float32"] = "auto"
+    precision: Precision = "auto"
 
     @model_validator(mode="after")
     def _reach_is_metric(self) -> Self:

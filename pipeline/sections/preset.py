@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from pipeline.base import console
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.params import NAME, Section, parse, read
+from pipeline.base.files import read_yaml
+from pipeline.base.params import Name, Section, parse, read
 from pipeline.base.resume import ROOT
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.encoder import Encoder
@@ -31,15 +32,6 @@ from pipeline.sections.train import Train
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
-
-
-def _check_name(name: str) -> str:
-    if not NAME.fullmatch(name):
-        raise ValueError("expected at most 100 letters A-Z and a-z, digits, _ and -, no _ or - first")
-    return name
-
-
-Name = Annotated[str, AfterValidator(_check_name)]
 
 
 class Params(Section):
@@ -59,21 +51,10 @@ class Params(Section):
     evaluate: Evaluate
 
 
-ENTRIES: dict[str, type[Section]] = {"graphs": Variant, "models": Model}
-
-
 def validate(content: dict[str, Any], where: Path) -> Params:
     """Return the content of a complete params file as :class:`Params`. Raises InputError, which names `where`."""
-    parsed = dict(content)
     with error_context(where):
-        # Section by section, so that messages suggest the section's own keys.
-        for key, value in content.items():
-            if key in ENTRIES and isinstance(value, dict):
-                parsed[key] = {name: parse(ENTRIES[key], entry, f"{key}.{name}") for name, entry in value.items()}
-            elif key in Params.model_fields and key not in ENTRIES:
-                kind: Any = Params.model_fields[key].annotation
-                parsed[key] = parse(kind, value, key)
-        return parse(Params, parsed, "")
+        return parse(Params, content, "")
 
 
 def main(
@@ -86,6 +67,8 @@ def main(
     if out is None:
         print(result, end="")
         return None
+    if out.is_file() and not read(out).keys() <= Params.model_fields.keys():
+        raise InputError("expected a params file to replace", out, "Pass another path")
     with replacing(out) as path:
         path.write_text(result, encoding="utf-8")
     print(f"wrote {out}: {_short(params)} with the changes of {_short(find(name))}")
@@ -117,7 +100,7 @@ def text(name: str, params: Path = PARAMS) -> str:
     merged(name, params)  # raises
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
-    document = writer.load(params.read_text(encoding="utf-8-sig"))
+    document = read_yaml(params, comments=True)
     _merge(document, read(find(name)))
     writer.dump(document, stream)
     head = f"# Includes the changes of {_short(find(name))}\n"

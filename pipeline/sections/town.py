@@ -24,4 +24,4 @@ class Town(Section):
     image_size: ImageSize
     replay: Annotated[str, Field(min_length=1)] | None = None
     frames: Frames
-    scan_rays: Annotated[tuple[Rays, Rays], Field(description="[rings, rays per ring] of the LiDAR")]
+    scan_rays: Annotated[tuple[Rays, Rays], Field(strict=False, description="[rings, rays per ring] of the LiDAR")]

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.base.params import Count, Positive, Rate, Section, Seed
+from pipeline.base.params import Count, Positive, Precision, Rate, Section, Seed
 
 
 class Train(Section):
@@ -20,7 +20,7 @@ class Train(Section):
     mirror: Annotated[bool, Field(description="train each run of frames together with its mirror image in one step")]
     rescale: Annotated[float, Field(ge=1, le=2)]
     average: Annotated[float, Field(ge=0, lt=1)]
-    precision: Literal["auto", "bfloat16", "float32", "float64"]
+    precision: Literal[Precision, "float64"]
 
     @field_validator("seeds")
     @classmethod

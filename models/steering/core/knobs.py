@@ -18,14 +18,14 @@ Part = Literal["spatial", "temporal"]
 Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32)]
+Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
 """Channels after each layer."""
 
 
 class Group(BaseModel):
     """Options below one key, for example `wiring`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,25 @@ def test_an_error_leaves_what_was_there(tmp_path: Path, folder: bool) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
+def test_a_file_replaces_no_folder_and_no_device(tmp_path: Path) -> None:
+    write(tmp_path / "folder/file", "content")
+    write(tmp_path / "file", "content")
+    (tmp_path / "link").symlink_to(tmp_path / "folder")
+    os.mkfifo(tmp_path / "pipe")
+    before = contents(tmp_path / "folder")
+    for name in ("folder", "link", "pipe"):
+        with pytest.raises(InputError, match="expected"), replacing(tmp_path / name) as tmp:
+            tmp.write_text("new")
+    with (
+        pytest.raises(InputError, match="expected a folder to replace, got a file"),
+        replacing(tmp_path / "file") as tmp,
+    ):
+        tmp.mkdir()
+    assert contents(tmp_path / "folder") == before
+    assert (tmp_path / "file").read_text() == "content"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder", "link", "pipe"]
+
+
 def test_two_writers_of_one_path_do_not_meet(tmp_path: Path) -> None:
     with replacing(tmp_path / "a") as first, replacing(tmp_path / "a") as second:
         assert first != second

@@ -8,6 +8,7 @@ import yaml
 
 from pipeline.base.errors import InputError
 from pipeline.sections import preset
+from tests.kitti_drive import contents
 
 NAMES = [path.stem for path in sorted(preset.PRESETS.glob("*.yaml"))]
 
@@ -41,6 +42,7 @@ def test_the_text_is_the_merged_content_with_all_comments(name: str) -> None:
         ("models:\n  sa-gnn-ncp: null\n", "models.*at least 1"),
         ("train:\n  epochs: null\n", r"train\.epochs.*missing"),
         ("train:\n  epochs: 1\n  epochs: 2\n", "duplicate"),
+        ("train:\n  epochs: '5'\n", r"train\.epochs: .*valid integer.*got '5'"),
         ("# nothing\n", "expected sections"),
     ],
 )
@@ -76,6 +78,18 @@ def test_presets_can_be_written_over_params_yaml_one_after_another(
     content = yaml.safe_load(params.read_text())
     assert content["models"] == preset.merged("real")["models"] | preset.merged("table2")["models"]
     assert content["ingest"] == preset.merged("real")["ingest"]
+
+
+def test_only_a_params_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder/file").write_text("content")
+    (tmp_path / "other.yaml").write_text("content: 1\n")
+    before = contents(tmp_path)
+    for name in ("folder", "other.yaml"):
+        with pytest.raises(InputError) as raised:
+            preset.main("table2", tmp_path / name)
+        assert raised.value.where == str(tmp_path / name)
+    assert contents(tmp_path) == before
 
 
 def test_commented_variants_and_models_are_those_of_table2() -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive
+from pipeline.base.atomic import exclusive, sweep
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
 from pipeline.evaluate import by_frame
@@ -58,6 +58,7 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     }
     store.write_json(out / "metrics.json", Metrics.model_validate(result).model_dump(exclude_unset=True))
     for number, folder in enumerate(runs.folders(out, seeds).values()):
+        sweep(folder)
         by_frame.write_predictions(folder / "predictions.csv", cases["test"], number)
     by_frame.write_structure(out / "structure.json", tested)
     print(_summary(result))

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive, replacing
+from pipeline.base.atomic import exclusive, replacing, sweep
 from pipeline.base.params import entries, load
 from pipeline.sections.evaluate import Evaluate
 
@@ -43,6 +43,7 @@ def main(
         store.write_json(out / "metrics.json", dvc_files.metrics(results, scores))
         for folder in ("learning", "steering", "settings", "figures"):  # DVC expects each output, even an empty one
             (out / folder).mkdir(exist_ok=True)
+            sweep(out / folder)
         for model in evaluated:
             dvc_files.write_learning(data / "train" / model, out / "learning")
         dvc_files.write_steering(results.predictions, out / "steering")

@@ -47,3 +47,11 @@ def test_without_results_all_outputs_exist(tmp_path: Path) -> None:
     folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}
     assert folders == {"learning", "steering", "settings", "figures"}
     assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}
+
+
+def test_temporary_figures_of_a_killed_run_are_removed(tmp_path: Path) -> None:
+    left = tmp_path / "report/figures/.paths.svg.abcd1234.tmp"
+    left.mkdir(parents=True)
+    (left / "paths.svg").write_text("half")
+    run(tmp_path, "lonely")
+    assert not left.exists()

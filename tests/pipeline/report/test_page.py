@@ -35,9 +35,6 @@ def data(tmp_path: Path) -> Path:
         "cls": [0] * 30 + [2] * 29 + [255], "edges": [[0, 1], [1, 2], [30, 31]],
     }  # fmt: skip
     store.write_json(tmp_path / "evaluate/net/structure.json", dict.fromkeys(examples.DRIVES, graph))
-    names = ("valid_share", "mean_abs_steering_rad", "max_abs_steering_rad", "zero_mse_rad2")
-    summary = dict.fromkeys(names) | {"frames": 60, "dt_max_s": 0.31, "reversing_frames": 4, "sideways_frames": 0}
-    store.write_json(tmp_path / "labels/summary.json", {examples.DRIVES[0]: summary})
     for name in (f"pictures/{examples.DRIVES[1]}", "figures/paths", "figures/chain"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         cv2.imwrite(str(tmp_path / f"{name}.png"), rng.integers(0, 255, (60, 2000, 3), np.uint8))
@@ -74,8 +71,6 @@ def test_a_name_with_a_script_is_text(data: Path) -> None:
         table.to_csv(data / f"evaluate/{model}/predictions.csv", index=False)
     graphs = json.loads((data / "evaluate/net/structure.json").read_text())
     store.write_json(data / "evaluate/net/structure.json", {EVIL: graphs[examples.DRIVES[0]]})
-    (labels,) = json.loads((data / "labels/summary.json").read_text()).values()
-    store.write_json(data / "labels/summary.json", {EVIL: labels})
     text = write(data)
     assert "alert(1)" in text
     assert "<script>alert" not in text

@@ -1,12 +1,19 @@
 """Udacity's Challenge 2: the steering wheel's angle of a real drive, beside the predictions of three leading teams.
 
-python -m benchmarks.udacity VIDEO CSV LEADERBOARD
+python -m benchmarks.udacity compare VIDEO CSV LEADERBOARD
+python -m benchmarks.udacity split data/raw/2016_11_17/2016_11_17_drive_0001_sync
 
 VIDEO has the frames of the test drive Ch2_001, CSV their time_s and wheel_rad (left positive, by CAN), LEADERBOARD the
-teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. The wheel's angle is fitted to the motion
-that steer measure finds by four constants, on the first minute alone; all rows are judged on the rest.
+teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. `compare` fits the wheel's angle to the
+motion that steer measure finds by four constants, on the first minute alone, and compares all rows on the rest.
+
+`split` cuts the imported drive by time into drives for training, validation and testing: 0002 (0 to 100 s), 0003 (100
+to 120 s) and 0004 (120 to 180 s). Frames keep their numbers. 0004 starts 1.5 s earlier, without labels, so that windows
+of up to 16 frames predict all its labelled frames.
 """
 
+import os
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -14,7 +21,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import typer
 
-from pipeline.base import console
+from pipeline.base.console import guarded
+from pipeline.base.errors import InputError
+from pipeline.kitti.raw import STEERING_FILE
+from pipeline.labels import steering_file
 
 FITTED_S = 60.0
 # The camera's focal length is unpublished. Of 640, 1400, 2000 and 2800 px, the last two have the least error on the
@@ -25,6 +35,8 @@ SPEED_SIGMA_S = 3.0
 CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
 LAGS_S = np.arange(-0.2, 0.41, 0.02)  # of the measured motion behind the wheel
 TEAMS = ("komanda", "rambo", "autumn")
+PARTS = {"0002": (0, 0, 1000), "0003": (1000, 1000, 1200), "0004": (1185, 1200, 1800)}
+"""New drive → first frame, first frame with a label, end."""
 
 
 class Wheel(NamedTuple):
@@ -87,34 +99,29 @@ def draw(path: Path, time_s: np.ndarray, wheel_rad: np.ndarray, predicted: Mappi
     figure_file.save(figure, path)
 
 
-def main(
+def compare(
     video: Annotated[Path, typer.Argument(help="the drive's frames")],
     wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
-    out: Annotated[Path, typer.Option(help="folder for the measured motion, table.md and angles.png")] = Path(
-        "out/udacity"
-    ),
-    again: Annotated[bool, typer.Option(help="measure; otherwise motion.csv of an earlier run is used")] = True,
+    out: Annotated[Path, typer.Option(help="folder for motion.csv, table.md and angles.png")] = Path("out/udacity"),
 ) -> None:
     """Measure the drive, fit four constants on its first minute, and compare with the teams on the rest."""
     from steer.measure import measure
 
-    if again:
-        measure(video, out=out, fov=FOV_DEG, camera_height=CAMERA_HEIGHT_M, video=False)
+    measure(video, out=out, fov=FOV_DEG, camera_height=CAMERA_HEIGHT_M, video=False)
     truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 7))
     valid = motion["valid"] > 0
     time_s, wheel_rad = truth["time_s"], truth["wheel_rad"]
     # Frames without measured motion: linear between their neighbours.
-    rates = [
+    yaw_rate_radps, speed_mps = (
         np.interp(time_s, motion["time_s"][valid], motion[name][valid]) for name in ("yaw_rate_radps", "speed_mps")
-    ]
-    rates[1] = _mean(time_s, rates[1])
+    )
+    speed_mps = _mean(time_s, speed_mps)
     first, rest = time_s < FITTED_S, time_s >= FITTED_S
-    wheel_fit = fit(time_s[first], rates[0][first], rates[1][first], wheel_rad[first])
-    measured = wheel_fit.angle(time_s, *rates)
+    wheel_fit = fit(time_s[first], yaw_rate_radps[first], speed_mps[first], wheel_rad[first])
     predicted = {"zero": np.zeros_like(wheel_rad), **{team: teams[f"{team}_rad"] for team in TEAMS}}
-    predicted["steer measure"] = measured
+    predicted["steer measure"] = wheel_fit.angle(time_s, yaw_rate_radps, speed_mps)
     text = table({name: angle[rest] for name, angle in predicted.items()}, wheel_rad[rest])
     (out / "table.md").write_text(f"{text}\n", encoding="utf-8")
     minute = rest & (time_s < 2 * FITTED_S)
@@ -123,5 +130,28 @@ def main(
     print(text, f"frames measured: {valid.mean():.1%}; {wheel_fit}", sep="\n\n")
 
 
+def split(drive: Annotated[Path, typer.Argument(help="the drive that steer import wrote, with --wheel")]) -> list[Path]:
+    """Cut the drive into three, with hard links to the images; earlier ones are replaced. Return their folders."""
+    if "_drive_0001_" not in drive.name or not (drive / STEERING_FILE).is_file():
+        raise InputError("expected a drive 0001 with steering.csv", drive, "Import it: steer import, option --wheel")
+    angles, images = steering_file.read(drive / STEERING_FILE), sorted((drive / "image_02/data").iterdir())
+    folders = []
+    for number, (first, labelled, stop) in PARTS.items():
+        folder = drive.with_name(drive.name.replace("0001", number))
+        shutil.rmtree(folder, ignore_errors=True)
+        (folder / "image_02/data").mkdir(parents=True)
+        shutil.copy(drive / "image_02/timestamps.txt", folder / "image_02")
+        for image in images:
+            if first <= int(image.stem) < stop:
+                os.link(image, folder / "image_02/data" / image.name)
+        labels = {frame: angle for frame, angle in angles.items() if labelled <= frame < stop}
+        steering_file.write(folder / STEERING_FILE, labels)
+        folders.append(folder)
+    return folders
+
+
 if __name__ == "__main__":
-    console.run(main)
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    for command in (compare, split):
+        app.command()(guarded(command, "Repeat the command"))
+    app()

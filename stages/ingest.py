@@ -116,7 +116,7 @@ def _ingest(path: Path, *, drive: str, folder: Path, attributes: dict[str, str],
         counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
         file.attrs["camera"] = -1 if number is None else number
         put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
-        if raw.steering.is_file():
+        if raw.steering:
             counts["steering"] = put_steering(file, frames, steering_file.read(raw.steering))
         if camera:
             crop = camera.crop_to(settings.image_size)

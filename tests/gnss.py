@@ -29,16 +29,17 @@ def gpx(time_s: np.ndarray, places: np.ndarray) -> str:
     return f"{head}<trk><trkseg>{''.join(points)}</trkseg></trk></gpx>\n"
 
 
-def nmea(time_s: np.ndarray, places: np.ndarray, speed_mps: float, heading_rad: np.ndarray) -> str:
-    """Return RMC sentences; of a car that stands, without a course."""
+def nmea(time_s: np.ndarray, places: np.ndarray, speed_mps: float | np.ndarray, heading_rad: np.ndarray) -> str:
+    """Return RMC sentences; below 1 m/s without a course, as receivers do."""
     lines = []
-    for time, (latitude, longitude), heading in zip(time_s.tolist(), places, heading_rad, strict=True):
+    speeds = np.broadcast_to(speed_mps, time_s.shape).tolist()
+    for time, (latitude, longitude), speed, heading in zip(time_s.tolist(), places, speeds, heading_rad, strict=True):
         stamp = _stamp(time)
-        course = f"{np.rad2deg(np.pi / 2 - heading) % 360:.3f}" if speed_mps else ""
+        course = f"{np.rad2deg(np.pi / 2 - heading) % 360:.3f}" if speed >= 1 else ""
         lines.append(
             sentence(
                 f"GNRMC,{stamp:%H%M%S}.{stamp.microsecond // 10000:02d},A,{_angle(latitude, 2)},N,"
-                f"{_angle(longitude, 3)},E,{speed_mps * 3600 / 1852:.4f},{course},{stamp:%d%m%y},,,A"
+                f"{_angle(longitude, 3)},E,{speed * 3600 / 1852:.4f},{course},{stamp:%d%m%y},,,A"
             )
         )
     return "".join(lines)

@@ -16,11 +16,11 @@ def check_file(path: Path, limit: int) -> int:
 
     Raises OSError if it is missing.
     """
-    size = path.stat().st_size
-    if not path.is_file():
+    if not path.is_file() and (path.exists() or path.is_symlink()):
         raise DamagedFile("expected a regular file", path)
+    size = path.stat().st_size
     if size > limit:
-        raise DamagedFile(f"expected at most {limit} bytes, got {size}", path)
+        raise DamagedFile(f"file is too large (expected at most {limit} bytes, got {size})", path)
     return size
 
 
@@ -37,14 +37,17 @@ def size_of(path: Path) -> int:
     return sum(file.lstat().st_size for file in path.rglob("*") if not file.is_dir())
 
 
-def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
+def read_columns(
+    path: Path, required: Sequence[str], optional: Sequence[str], expected: str, most_bytes: int
+) -> dict[str, np.ndarray]:
     """Return name → column, float64 [N], for the `required` and those of the `optional` columns that the file has.
 
     The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError, which ends with the
-    sentence `expected`, for a missing column, and for values that are not numbers.
+    sentence `expected`, for a missing column, and for values that are not numbers; as :func:`check_file` does.
     """
     import pandas as pd
 
+    check_file(path, most_bytes)
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         header = file.readline(1 << 16)
     separator = max(",;\t", key=header.count)
@@ -69,6 +72,29 @@ def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], e
     except ValueError as error:  # pandas' parser errors too
         raise InputError(f"is not a table of numbers ({error})", path, "Correct or remove the line") from error
     return {name: table[name].to_numpy() for name in columns}
+
+
+def check_limit(
+    name: str, values: np.ndarray, limit: float, path: Path, fix: str = "Correct or remove the sample"
+) -> None:
+    """Raise InputError if one of `values` [N] is not finite or its magnitude exceeds `limit`."""
+    wrong = ~(np.abs(values) <= limit)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"implausible {name} = {values[at]:g} at sample {at + 1} (limit ±{limit:g})", path, fix)
+
+
+def check_increase(name: str, values: np.ndarray, least_step: float, path: Path) -> None:
+    """Raise InputError if one of `values` [N] is less than `least_step` above the one before."""
+    wrong = ~(np.diff(values) >= least_step)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(
+            f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2} (expected an increase of "
+            f"{least_step:g} or more)",
+            path,
+            "Sort the file and remove repeated rows",
+        )
 
 
 def read_yaml(path: Path, *, comments: bool = False) -> Any:

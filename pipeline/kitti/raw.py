@@ -20,6 +20,7 @@ from pipeline.kitti.calibration import cameras_in, read_calibration
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 STEERING_FILE = "steering.csv"  # beside the images: pipeline.labels.steering_file
 _LOWEST_DEG = -20.0
+_MOST_HASHED = 64 * MiB  # of a small file; larger ones are refused when they are read
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
 _MOST_BYTES = 256 * MiB  # of a scan
 _FEWEST_POINTS = 100  # KITTI's scans have 100,000
@@ -56,9 +57,12 @@ class RawDrive:
         return self.folder / "oxts" / "timestamps.txt"
 
     @property
-    def steering(self) -> Path:
-        """Recorded steering angles, which KITTI itself lacks."""
-        return self.folder / STEERING_FILE
+    def steering(self) -> Path | None:
+        """Recorded steering angles, which KITTI itself lacks; None without. Raises InputError for other than a file."""
+        path = self.folder / STEERING_FILE
+        if not path.is_file() and (path.exists() or path.is_symlink()):
+            raise InputError("expected a regular file", path, "Replace it, or take it away")
+        return path if path.is_file() else None
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the frames of the drive and the file with their times: frames with an oxts packet.
@@ -82,10 +86,11 @@ class RawDrive:
             *self.oxts.values(),
             *dict.fromkeys(times),
             *sorted(self.calibration.glob("calib_*.txt")),
-            self.steering,
+            *([self.steering] if self.steering else []),
         ]
         for path in (path for path in small if path.is_file()):
-            content = path.read_bytes()
+            with path.open("rb") as file:
+                content = file.read(_MOST_HASHED)
             digest.update(f"{path.relative_to(self.calibration)} {len(content)}\n".encode() + content)
         return digest.hexdigest()
 

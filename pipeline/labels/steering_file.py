@@ -6,19 +6,22 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import read_columns
+from pipeline.base.files import MiB, check_increase, check_limit, read_columns
 
 COLUMNS = ("frame", "steering_rad")
 LIMIT_RAD = 1.2  # of front wheels; angles of a steering wheel, 15 times as large, exceed it in a tight bend
+LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored
+_MOST_BYTES = 64 * MiB  # 3 million frames
 _EXPECTED = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
 
 
 def read(path: Path) -> dict[int, float]:
     """Return frame number → angle of the front wheels in rad, left positive.
 
-    Raises InputError for a missing column, frame numbers that do not increase, or an implausible angle.
+    Raises InputError for a file that is too large, a missing column, frame numbers that do not increase, or an
+    implausible angle.
     """
-    columns = read_columns(path, COLUMNS, (), _EXPECTED)
+    columns = read_columns(path, COLUMNS, (), _EXPECTED, _MOST_BYTES)
     frame, steering_rad = (columns[name] for name in COLUMNS)
     check_frames(frame, path)
     check_angles(steering_rad, path)
@@ -27,19 +30,17 @@ def read(path: Path) -> dict[int, float]:
 
 def check_frames(frame: np.ndarray, path: Path) -> None:
     """Raise InputError if frame numbers [N] are not integers, or do not increase."""
-    wrong = ~(np.isfinite(frame) & (frame == np.rint(frame)) & (np.diff(frame, prepend=-1) > 0))
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"frame = {frame[at]:g} at sample {at + 1} (expected increasing integers)", path)
+    check_limit("frame", frame, LAST_FRAME, path)
+    if (frame != np.rint(frame)).any() or frame.min(initial=0) < 0:
+        at = int(np.argmax((frame != np.rint(frame)) | (frame < 0)))
+        raise InputError(f"frame = {frame[at]:g} at sample {at + 1} (expected integers from 0)", path)
+    check_increase("frame", frame, 1, path)
 
 
 def check_angles(steering_rad: np.ndarray, path: Path) -> None:
     """Raise InputError if one of the angles [N] is not finite or exceeds LIMIT_RAD."""
-    wrong = ~(np.abs(steering_rad) <= LIMIT_RAD)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        problem = f"implausible steering_rad = {steering_rad[at]:g} at sample {at + 1} (limit ±{LIMIT_RAD:g})"
-        raise InputError(problem, path, "Divide angles of the steering wheel by the steering ratio")
+    fix = "Divide angles of the steering wheel by the steering ratio"
+    check_limit("steering_rad", steering_rad, LIMIT_RAD, path, fix)
 
 
 def write(path: Path, steering_rad: Mapping[int, float]) -> None:

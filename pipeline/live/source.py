@@ -122,16 +122,23 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
     seconds = (np.array(stamped) - stamped[0]) / DEFAULT_FPS if notes else oxts.read_times(stamps, stamped)
     time_s = dict(zip(stamped, seconds.tolist(), strict=True))
 
+    damaged: list[int] = []  # oxts packets
+
     def frames() -> Generator[FrameState]:
         for number in numbers:
             frame = FrameState(number, time_s[number], started_s=time.perf_counter())
             try:
                 frame.source_image = read_image(images[number], camera.size, crop.size, crop)
                 frame.scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
-                frame.driven_rad = _driven_angle(drive.oxts, number, car)
             except DamagedFile as error:
                 notes.append(f"skipped: {error}")
                 continue
+            try:
+                frame.driven_rad = _driven_angle(drive.oxts, number, car)
+            except DamagedFile as error:
+                damaged.append(number)
+                if len(damaged) == 1:
+                    notes.append(f"without the driven angle: {error}")
             yield frame
 
     fps = (len(time_s) - 1) / seconds[-1] if len(time_s) > 1 else DEFAULT_FPS

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import InputError
+from pipeline.base.files import MiB, read_bytes
 from pipeline.camera.footage import Footage, Image, ImageFolder, open_footage
-from pipeline.recording.track import check_size, check_times
+from pipeline.recording.track import check_times
 
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
-_MOST_BYTES = 1 << 27  # of a file of times
+_MOST_BYTES = 128 * MiB  # of a file of times
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,8 @@ def read_times(path: Path) -> np.ndarray:
     """Return the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
     if not path.is_file():
         raise InputError("file is missing", path, "Pass --times a file with one time in seconds per image")
-    check_size(path, _MOST_BYTES)
     try:
-        times = np.array(path.read_text(encoding="utf-8-sig", errors="replace").split(), np.float64)
+        times = np.array(read_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace").split(), np.float64)
     except ValueError as error:
         raise InputError(f"expected one number per line ({error})", path) from error
     if not len(times):

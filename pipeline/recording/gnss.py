@@ -1,7 +1,7 @@
 """Read GPX and NMEA tracks with gpxpy and pynmea2 (pip install -e '.[gps]')."""
 
 import importlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import ModuleType
@@ -70,22 +70,29 @@ def _collect(fixes: Iterable[_Fix], path: Path, expected: str) -> Fixes:
             by_time[last_s] = fix
     if not by_time:
         raise InputError(f"has no {expected}", path)
-    velocities = [_velocity(fix) for fix in by_time.values()]
-    measured = [velocity for velocity in velocities if velocity is not None]
+    time_s = np.array(list(by_time))
     return Fixes(
-        np.array(list(by_time)),
+        time_s,
         np.array([fix.latitude_deg for fix in by_time.values()]),
         np.array([fix.longitude_deg for fix in by_time.values()]),
-        np.array(measured) if len(measured) == len(by_time) else None,
+        _velocities(time_s, list(by_time.values())),
     )
 
 
-def _velocity(fix: _Fix) -> tuple[float, float] | None:
-    """Return the velocity east and north; receivers report no course at standstill."""
-    if fix.speed_mps is None or (fix.course_deg is None and fix.speed_mps >= MIN_SPEED_MPS):
+def _velocities(time_s: np.ndarray, fixes: Sequence[_Fix]) -> np.ndarray | None:
+    """Return velocities east and north [N,2]; None if a speed, or the course of a moving receiver, is unknown.
+
+    Receivers report no course at standstill: it is interpolated between the fixes before and after.
+    """
+    speed_mps = np.array([np.nan if fix.speed_mps is None else fix.speed_mps for fix in fixes], float)
+    course_deg = np.array([np.nan if fix.course_deg is None else fix.course_deg for fix in fixes], float)
+    unknown = np.isnan(course_deg)
+    if np.isnan(speed_mps).any() or (unknown & (speed_mps >= MIN_SPEED_MPS)).any():
         return None
-    course = np.deg2rad(fix.course_deg or 0.0)
-    return float(fix.speed_mps * np.sin(course)), float(fix.speed_mps * np.cos(course))
+    course = np.zeros(len(fixes))  # of a receiver that never moves
+    if not unknown.all():
+        course = np.interp(time_s, time_s[~unknown], np.unwrap(np.deg2rad(course_deg[~unknown])))
+    return speed_mps[:, None] * np.stack([np.sin(course), np.cos(course)], axis=-1)
 
 
 def _library(name: str, path: Path) -> ModuleType:

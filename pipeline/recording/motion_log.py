@@ -6,15 +6,16 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import read_columns
+from pipeline.base.files import MiB, check_file, read_columns
 from pipeline.labels.steering_file import check_angles, check_frames
 from pipeline.recording.clock import coverage
 from pipeline.recording.gnss import read_gpx, read_nmea
-from pipeline.recording.track import Rates, check_size, check_times, rates_of
+from pipeline.recording.track import Rates, check_times, rates_of
 
 COLUMNS = ("time_s", "speed_mps", "yaw_rate_radps")
 _EXPECTED = "Expected a CSV file with time_s [s], speed_mps [m/s], yaw_rate_radps [rad/s, left +]; or GPX or NMEA"
-_MOST_BYTES = {"CSV": 1 << 29, "track": 1 << 27}  # 10 million samples; gpxpy takes 10 times a file's size
+_MOST_BYTES = 512 * MiB  # 10 million samples
+_MOST_TRACK_BYTES = 128 * MiB  # gpxpy takes 10 times a file's size
 
 
 @dataclass(frozen=True)
@@ -42,12 +43,11 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
     if b"\0" in head:
         raise InputError("not a text file", path, _EXPECTED)
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-    kind = "track" if first in (b"<", b"$", b"!") else "CSV"
-    check_size(path, _MOST_BYTES[kind])
-    if kind == "CSV":
-        rates = Rates(**read_columns(path, COLUMNS, (), _EXPECTED))  # type: ignore[arg-type]
+    if first not in (b"<", b"$", b"!"):
+        rates = Rates(**read_columns(path, COLUMNS, (), _EXPECTED, _MOST_BYTES))  # type: ignore[arg-type]
         rates.check(path)
         return MotionLog(rates.later(offset_s), f"{len(rates.time_s)} samples of {path}")
+    check_file(path, _MOST_TRACK_BYTES)
     fixes = read_gpx(path) if first == b"<" else read_nmea(path)
     rates, rule = rates_of(fixes, path)
     return MotionLog(rates.later(offset_s), f"{len(rates.time_s)} fixes of {path}: {rule}")
@@ -88,8 +88,7 @@ def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> Whee
     expected = "Expected a CSV file with wheel_rad [rad, left +] and frame (number of the image) or time_s [s]"
     if not path.is_file():
         raise InputError("not a regular file", path, expected)
-    check_size(path, _MOST_BYTES["CSV"])
-    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), expected)
+    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), expected, _MOST_BYTES)
     steering_rad, frame, time_s = columns["wheel_rad"] / steering_ratio, columns.get("frame"), columns.get("time_s")
     if frame is None and time_s is None:
         raise InputError("has neither frame nor time_s", path, expected)

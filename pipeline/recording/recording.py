@@ -3,6 +3,7 @@
 import math
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,11 @@ class Recording:
         """
         folder = layout.drive_folder(root, drive)
         # One lock per date, as its drives share a calibration.
-        with exclusive(folder.parent, root / ".import" / drive[:10]), replacing(folder) as unfinished:
+        with (
+            exclusive(folder.parent, root / ".import" / drive[:10]),
+            _removed_if_empty(folder.parent),
+            replacing(folder) as unfinished,
+        ):
             layout.check_absent(folder, force)
             calibrated = layout.check_calibration(folder, self.camera, force)
             time_s, usable = self._write_images(unfinished, visible)
@@ -105,3 +110,12 @@ class Recording:
     def _coverage(self, time_s: np.ndarray) -> clock.Coverage:
         assert self.motion
         return clock.coverage(self.motion.rates.time_s, time_s, self.max_gap_s)
+
+
+@contextmanager
+def _removed_if_empty(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            folder.rmdir()

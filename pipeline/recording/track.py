@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
+from pipeline.base.files import check_increase, check_limit
 from pipeline.kitti.oxts import EARTH_RADIUS_M, LIMITS
 
 # Window of the parabolas: at 10 Hz on KITTI's own track, half of it triples the angle's squared error.
@@ -15,6 +16,7 @@ LEAST_POSITIONS, LEAST_VELOCITIES = 5, 3
 MIN_SPEED_MPS = 1.0  # below, the course is noise
 _MOST_FIXES = 1e8  # after resampling
 LATEST_S = 4e9  # since 1970: year 2096
+LEAST_STEP_S = 1e-5  # between samples, or between images
 
 
 @dataclass(frozen=True)
@@ -114,31 +116,7 @@ def _to_plane(fixes: Fixes) -> np.ndarray:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(np.stack([east, north], axis=-1), axis=0)])
 
 
-def check_size(path: Path, most_bytes: int) -> None:
-    """Raise InputError if a file is too large to read into memory."""
-    size = path.stat().st_size
-    if size > most_bytes:
-        limit = f"expected at most {most_bytes >> 20} MiB, got {size >> 20}"
-        raise InputError(f"file is too large ({limit})", path, "Cut it to the recording")
-
-
-def check_limit(name: str, values: np.ndarray, limit: float, path: Path) -> None:
-    """Raise InputError if one of `values` [N] is not finite or its magnitude exceeds `limit`."""
-    wrong = ~(np.abs(values) <= limit)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        problem = f"implausible {name} = {values[at]:g} at sample {at + 1} (limit ±{limit:g})"
-        raise InputError(problem, path, "Correct or remove the sample")
-
-
 def check_times(time_s: np.ndarray, path: Path) -> None:
     """Raise InputError if times [N] are implausible or do not increase."""
     check_limit("time_s", time_s, LATEST_S, path)
-    wrong = np.diff(time_s) <= 0
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(
-            f"time goes from {time_s[at]:.15g} to {time_s[at + 1]:.15g} at sample {at + 2} (expected an increase)",
-            path,
-            "Sort the file and remove repeated times",
-        )
+    check_increase("time_s", time_s, LEAST_STEP_S, path)

@@ -1,6 +1,8 @@
 """Stage ingest on small drives in KITTI raw's layout, intact and damaged."""
 
+import os
 import shutil
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -106,7 +108,7 @@ def test_drive_without_oxts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     text = capsys.readouterr().out
     assert "2 steering angles, 1 without an image left out" in text
     assert f"no oxts: {DRIVE}" in text
-    for rows, problem in (("3,2.5", "implausible steering_rad"), ("3,nan", "nan"), ("3,0\n3,0", "frame = 3")):
+    for rows, problem in (("3,2.5", "implausible steering_rad"), ("3,nan", "nan"), ("3,0\n3,0", "from 3 to 3")):
         write(folder / "steering.csv", f"frame,steering_rad\n{rows}\n")
         with pytest.raises(InputError, match=problem) as raised:
             run(tmp_path)
@@ -185,3 +187,19 @@ def test_real_drives(real_kitti: Path, tmp_path: Path) -> None:
         assert (file.attrs["camera"], file.shape("image")) == (0, (51, 96, 320, 3))
         assert np.ptp(file["image"], axis=-1).max() == 0
         assert np.diff(file.time_s) == pytest.approx(0.1037, abs=0.02)
+
+
+@pytest.mark.parametrize("kind", ["folder", "loop", "pipe", "sparse"])
+def test_a_steering_file_that_cannot_be_read_is_refused(tmp_path: Path, kind: str) -> None:
+    path = write_drive(tmp_path / "raw") / "steering.csv"
+    make = {"folder": path.mkdir, "loop": lambda: path.symlink_to(path), "pipe": lambda: os.mkfifo(path)}
+    if kind in make:
+        make[kind]()
+    else:
+        path.write_text("frame,steering_rad\n0,0.1\n")
+        os.truncate(path, 3 << 30)
+    tracemalloc.start()
+    with pytest.raises(InputError, match="regular file" if kind in make else "too large"):
+        run(tmp_path)
+    assert tracemalloc.get_traced_memory()[1] < 256 << 20
+    tracemalloc.stop()

@@ -87,7 +87,7 @@ def test_without_motion_labels_come_from_images_or_the_wheel(
     log.write_text("time_s,wheel_rad\n0.05,1.0\n0.65,-2.0\n")
     drive = take(video, log, motion=None)
     assert "labels.source: visual" in capsys.readouterr().out
-    assert (list(drive.images(2)), drive.oxts, drive.steering.exists()) == ([*range(FRAMES)], {}, False)
+    assert (list(drive.images(2)), drive.oxts, drive.steering) == ([*range(FRAMES)], {}, None)
     numbers, times = drive.timeline(2)
     np.testing.assert_allclose(read_times(times, numbers), np.arange(FRAMES) / 10, atol=1e-6)
 
@@ -124,6 +124,13 @@ def test_existing_drive_is_replaced_only_with_force(tmp_path: Path, log: Path, v
     for drive, force in ((DRIVES[0], True), ("2027_03_31_drive_0003", False)):
         with pytest.raises(InputError, match="another camera"):
             take(video, log, drive, force=force)
+
+
+def test_a_failed_import_leaves_no_folder(log: Path, video: Path) -> None:
+    log.write_text("time_s,speed_mps,yaw_rate_radps\n-9,5,0\n9,5,0\n")
+    with pytest.raises(InputError, match="no image lies between samples"):
+        take(video, log)
+    assert [path.name for path in (log.parent / "raw").iterdir()] == [".import"]
 
 
 def test_two_imports_at_once(log: Path, video: Path) -> None:

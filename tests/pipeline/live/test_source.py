@@ -65,3 +65,15 @@ def test_a_name_that_is_not_utf8_becomes_printable(tmp_path: Path) -> None:
     folder.mkdir()
     (tmp_path / "7.png").rename(folder / "7.png")
     assert open_path(folder, Lens(fov_deg=80.0)).name == r"street\xff"
+
+
+def test_a_damaged_packet_costs_only_the_driven_angle(tmp_path: Path) -> None:
+    folder = kitti_drive.write_drive(tmp_path, frames=[0, 1, 2, 3])
+    for number in (1, 2):
+        (folder / f"oxts/data/{number:010d}.txt").write_text("nan")
+    source = open_path(folder)
+    assert [(frame.number, frame.driven_rad is None) for frame in source.frames] == [
+        (0, False), (1, True), (2, True), (3, False)
+    ]  # fmt: skip
+    assert len(source.notes) == 1
+    assert "0000000001.txt" in source.notes[0]

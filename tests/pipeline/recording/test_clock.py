@@ -29,7 +29,9 @@ def test_images_between_close_samples_are_usable() -> None:
     assert (none.usable.any(), none.in_gaps, none.interpolated, none.largest_gap_s) == (False, 2, 0, 0)
 
 
-@pytest.mark.parametrize("text", ["", "1\n12:30\n", "inf\n", "1\n2\n2\n", "0\n1e12\n", "-62e9\n1\n"])
+@pytest.mark.parametrize(
+    "text", ["", "1\n12:30\n", "inf\n", "1\n2\n2\n", "0\n1e12\n", "-62e9\n1\n", "1\n1.000000000001\n"]
+)
 def test_unusable_times(tmp_path: Path, text: str) -> None:
     path = tmp_path / "times.txt"
     path.write_text(text)

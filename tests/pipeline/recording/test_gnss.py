@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.recording.gnss import read_gpx, read_nmea
+from pipeline.recording.track import rates_of
 from tests.gnss import START, bend, gpx, nmea, sentence
 
 
@@ -39,3 +40,16 @@ def test_nmea_sentences(track: Callable[[str], Path]) -> None:
     np.testing.assert_allclose(np.stack([fixes.latitude_deg, fixes.longitude_deg], -1), places, atol=1e-8)
     velocity = 9 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     np.testing.assert_allclose(fixes.velocity_mps, velocity, atol=1e-3)
+
+
+def test_a_stop_in_a_bend(track: Callable[[str], Path]) -> None:
+    """The course is unknown while the car creeps; that is no turn to the north and back."""
+    time_s = np.arange(200) / 10
+    speed = np.clip(np.abs(time_s - 10) * 1.5 - 2, 0.3, 8)
+    heading = np.pi + 0.05 * (np.cumsum(speed) - speed) / 10  # radius 20 m
+    places = np.tile([49.0, 8.4], (200, 1))
+    rates, _ = rates_of(read_nmea(track(nmea(time_s, places, speed, heading))), Path("track"))
+    moving = rates.speed_mps >= 1
+    inner = moving & (np.abs(time_s - 10) < 9)
+    assert 60 < inner.sum() < inner.size - 20
+    np.testing.assert_allclose(rates.yaw_rate_radps[inner], 0.05 * speed[inner], atol=0.03)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.recording.motion_log import read_motion
+from pipeline.recording.motion_log import read_motion, read_wheel
 from tests.gnss import START, bend, gpx, nmea
 
 HEAD = "time_s,speed_mps,yaw_rate_radps\n"
@@ -39,7 +39,7 @@ def test_columns_are_found_by_name(tmp_path: Path, text: str) -> None:
     [
         ("", "no column time_s, speed_mps, yaw_rate_radps"),
         ("time_s,v\n1,2\n", r"no column speed_mps, yaw_rate_radps \(got time_s, v\)"),
-        (HEAD + "1,1e300,0\n2,5,0\n", "speed_mps = 1e.300 at sample 1"),
+        (HEAD + "1,1e6,0\n2,5,0\n", r"speed_mps = 1e\+06 at sample 1"),
         (HEAD + "1,5,0\n1e18,5,0\n", "time_s = 1e.18 at sample 2"),
         (HEAD + "1,5,0\n3,5,0\n3,5,0\n", "from 3 to 3 at sample 3"),
         (HEAD + '1,5,0\n2,"5,0\n3,5,0\n', "not a table of numbers"),
@@ -74,3 +74,21 @@ def test_tracks_are_recognised(tmp_path: Path) -> None:
     year_1 = gpx(time_s, places).replace(">2027-", ">0001-")
     with pytest.raises(InputError, match="time_s = -6"):
         read_motion(log(tmp_path, year_1))
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("frame,wheel_rad\n0,0\n1e300,0\n", "frame = 1e.300"),
+        ("frame,wheel_rad\n0,0\n0.5,0\n", r"frame = 0.5 at sample 2 \(expected integers"),
+        ("frame,wheel_rad\n-1,0\n2,0\n", "frame = -1"),
+        ("frame,wheel_rad\n2,0\n1,0\n", "frame goes from 2 to 1"),
+        ("frame,wheel_rad\n1,0\n2,900\n", "steering_rad = 60"),
+        ("time_s,wheel_rad\n1,0\n1.000000001,0\n", "time_s goes from"),
+        ("wheel_rad\n1\n2\n", "neither frame nor time_s"),
+    ],
+)
+def test_faults_of_a_wheel_log(tmp_path: Path, text: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem) as raised:
+        read_wheel(log(tmp_path, text), 15.0)
+    assert raised.value.where == str(tmp_path / "can.csv")

@@ -29,7 +29,7 @@ def main(
 
     from models.encoder.unified_encoder import UnifiedEncoder
     from pipeline.perception import perceive
-    from pipeline.perception.weights import fill, unfilled
+    from pipeline.perception.weights import load_weights, part_without_weights
 
     splits = store.read_index(ingest, stage="ingest") if settings.epochs else {}  # fitted weights need no drive
     drives = {drive: split for drive, split in splits.items() if split in settings.splits}
@@ -38,8 +38,8 @@ def main(
         with error_context("encoder.backbone"):
             model = UnifiedEncoder(settings.backbone)
         with error_context("encoder.weights"):
-            sources = fill(model, settings.backbone, settings.weights)
-            if not settings.epochs and (part := unfilled(model, settings.weights, PARTS)):
+            sources = load_weights(model, settings.backbone, settings.weights)
+            if not settings.epochs and (part := part_without_weights(model, settings.weights, PARTS)):
                 raise InputError(f"no file for the {part}", fix="Name one, or fit it with encoder.epochs")
     curve: Sequence[Any] = []
     fitted_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}

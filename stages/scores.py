@@ -1,6 +1,6 @@
 """Stage scores: errors of depth, classes and measured motion against what the drives recorded."""
 
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -12,11 +12,12 @@ from pipeline.base import console, store
 from pipeline.base.errors import named_frames
 from pipeline.base.params import SPLITS, load
 from pipeline.base.runner import Job, Summary, run_over_drives
+from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
 from pipeline.motion import motion_file
 from pipeline.perception.scores import Scores, summary_line
-from pipeline.perception.truth import Truth, read_truth
+from pipeline.perception.truth import read_truth
 from pipeline.sections.labels import Labels
 
 
@@ -82,20 +83,14 @@ def _score_drive(
         store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
         count, mode = len(perceived.frame), perceived.params["perception"]["depth_scale"]
-        K = source["K"] if count else np.eye(3)  # a drive without images has no camera
-        for depth_m, cls, truth in _read(source, perceived):
-            scores.add_frame(depth_m, cls, K, truth, mode, float(perceived.attrs["camera_height_m"]))
+        camera = read_camera(source, float(perceived.attrs["camera_height_m"]))
+        for row, number in enumerate(named_frames(perceived.frame)):
+            depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
+            scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)), mode)
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path / "metrics.json", {**report, "motion": motion})
     lines = [f"{kind} motion: {comparison.summary_line(scores)}" for kind, scores in motion.items()]
     return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
-
-
-def _read(source: store.DriveReader, perceived: store.DriveReader) -> Generator[tuple[np.ndarray, np.ndarray, Truth]]:
-    """Yield depth [H,W], trainIds [H,W] and ground truth of each frame with an image."""
-    for row, number in enumerate(named_frames(perceived.frame)):
-        depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
-        yield depth_m, cls, read_truth(source, source.row_of(number))
 
 
 def _score_motion(

@@ -12,6 +12,7 @@ from pipeline.camera.mount import CAMERA_HEIGHT_M
 
 SIZE, FINER = (96, 320), 2
 K = np.array([[180.0, 0.0, 159.5], [0.0, 180.0, 44.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera(K, SIZE)
 HALF_WIDTH_M, END_M, ROOF_M = 7.0, 60.0, 5.0
 
 

@@ -17,6 +17,7 @@ SIZE = (32, 64)
 K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
 # velodyne x forward, y left, z up → camera x right, y down, z forward, with a small offset
 T_CAM_VELO = np.array([[0.0, -1, 0, 0.0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+CAMERA = Camera(K, SIZE)
 
 
 def scene(frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -39,6 +39,12 @@ class Camera:
         shift[:2, 2] = crop.columns.start, crop.rows.start
         return replace(self, K=self.K - shift, size=crop.size)
 
+    def mirrored(self) -> "Camera":
+        """Return the camera of the mirrored images."""
+        K = self.K.copy()
+        K[0, 2] = self.size[1] - 1 - K[0, 2]
+        return replace(self, K=K)
+
     def crop_to(self, aspect: Size, horizon: float | None = None) -> Crop:
         """Return the largest part of the images with the aspect ratio of `aspect` (H, W).
 

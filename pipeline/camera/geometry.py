@@ -4,7 +4,12 @@ Frames: camera = rectified, x right, y down, z forward; velodyne = x forward, y 
 frame b to frame a. Pixel (u, v) = (column, row); integer coordinates are pixel centres, as in KITTI's calibration.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+if TYPE_CHECKING:
+    from pipeline.camera.camera import Camera
 
 
 def rays(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -51,6 +56,8 @@ def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.nda
     return np.where(np.isinf(depth), 0.0, depth)
 
 
-def scan_depth(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def scan_depth(scan: np.ndarray, camera: "Camera") -> np.ndarray:
     """Return the :func:`depth_image` float32 [H,W] of a LiDAR scan [P,≥3] that begins with velodyne x, y, z."""
-    return depth_image(transform(T_cam_velo, scan[:, :3].astype(np.float64)), K, size).astype(np.float32)
+    assert camera.T_cam_velo is not None
+    xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
+    return depth_image(xyz, camera.K, camera.size).astype(np.float32)

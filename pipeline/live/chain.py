@@ -9,18 +9,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
-from pipeline.camera.geometry import scan_depth
+from pipeline.camera.frame import Frame
 from pipeline.camera.images import Size, resized, rounded_as_stored
 from pipeline.fitting.prefetch import prefetch
 from pipeline.live.course import FrameState
 from pipeline.live.source import Source
 from pipeline.motion.estimator import MotionEstimator
 from pipeline.motion.visual import Odometry
-from pipeline.perception import precomputed
-from pipeline.perception.depth_scale import DepthPostprocessor, needs_scan
-from pipeline.perception.perceive import load, perceive
+from pipeline.perception.depth_scale import DepthPostprocessor
+from pipeline.perception.perceive import Batch, open_encoder
 from pipeline.sections.perception import Perception
 
 
@@ -38,7 +36,7 @@ class Chain:
             road_scale: correct depth by the camera's height.
         """
         self.camera = source.camera.scaled(size)
-        self._encoder = EncoderRunner(encoder, settings, self.camera) if encoder else None
+        self._encoder = EncoderRunner(encoder, settings, self.camera, source.name) if encoder else None
         self._estimators = {kind: MotionEstimator(kind, self.camera, road_scale=road_scale) for kind in kinds}
         odometries = (estimator.odometry for estimator in self._estimators.values())
         self.odometry = next((each for each in odometries if isinstance(each, Odometry)), None)  # the visual one
@@ -52,7 +50,7 @@ class Chain:
         for frame in frames:
             frame.image = resized(frame.source_image, self.camera.size)
             if self._encoder:
-                frame.depth_m, frame.cls = self._encoder.run(frame.image, frame.scan)
+                frame.depth_m, frame.cls = self._encoder.run(frame)
             yield frame
 
     def _measure(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
@@ -66,19 +64,14 @@ class Chain:
 class EncoderRunner:
     """Predicts depth and classes of one drive's images, in order, equal to those that stage perception stores."""
 
-    def __init__(self, encoder: Path, settings: Perception, camera: Camera) -> None:
-        """Load the encoder of the folder `encoder`, usually data/encoder. Raises InputError if it has no network."""
-        if folder := precomputed.named_in(encoder):
-            fix = "Choose the folder of an encoder with a network: --encoder"
-            raise InputError(f"depth and classes are precomputed in {folder}, so new images have none", encoder, fix)
-        self._network, self._settings, self._camera = load(encoder), settings, camera
-        self._postprocess = DepthPostprocessor(settings, camera.K, camera.height_m)
+    def __init__(self, encoder: Path, settings: Perception, camera: Camera, drive: str) -> None:
+        """Load the encoder of the folder `encoder`, usually data/encoder."""
+        self._predict, self._camera, self._drive = open_encoder(encoder, settings.precision), camera, drive
+        self._postprocess = DepthPostprocessor(settings, camera)
 
-    def run(self, image: np.ndarray, scan: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return depth [H,W] in metres, rounded as in a file, and trainIds uint8 [H,W] of an image uint8 [H,W,3]."""
-        camera = self._camera
-        (depth,), (cls,) = perceive(self._network, image[None], camera.K, self._settings.precision)
-        scan_m = None
-        if needs_scan(self._settings.depth_scale) and scan is not None and camera.T_cam_velo is not None:
-            scan_m = scan_depth(scan, camera.T_cam_velo, camera.K, camera.size)
-        return rounded_as_stored(self._postprocess(depth, cls, scan_m)), cls
+    def run(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        """Return depth [H,W] in metres, rounded as in a file, and trainIds uint8 [H,W] of a frame with an image."""
+        assert frame.image is not None
+        batch = Batch(self._drive, [frame.number], frame.image[None], self._camera, [frame.scan])
+        (depth,), (cls,) = self._predict(batch)
+        return rounded_as_stored(self._postprocess(depth, cls, frame.scan)), cls

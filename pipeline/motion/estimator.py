@@ -25,7 +25,7 @@ class MotionEstimator:
         """`road_scale`: correct the scale of depth by the camera's height over the road; visual only."""
         self.odometry: visual.Odometry | lidar.Odometry
         if kind == "visual":
-            self.odometry = visual.Odometry(camera.K, camera.size, camera.height_m if road_scale else None)
+            self.odometry = visual.Odometry(camera, road_scale=road_scale)
         else:
             self.odometry = lidar.Odometry(np.eye(4) if camera.T_cam_velo is None else camera.T_cam_velo)
         self._clock = StepClock()

@@ -9,6 +9,8 @@ from collections import deque
 
 import numpy as np
 
+from pipeline.camera.camera import Camera
+
 PATCH_LENGTH, PATCH_HALF_WIDTH = 8.0, 1.5  # of the search area in front of the car, in camera heights
 FLAT = 0.25  # relative tolerance of heights on a road
 MIN_VISIBLE = 0.7  # share of the patch without traffic: in a queue, the gaps between cars are too few
@@ -23,11 +25,12 @@ MAX_SLOPE = 0.1  # metres down per metre ahead: cameras are mounted level
 class Road:
     """The road in front of one drive's camera."""
 
-    def __init__(self, K: np.ndarray, size: tuple[int, int], camera_height_m: float | None) -> None:
-        """`K` [3,3] of images of `size` (H, W); `camera_height_m` None: do not correct depth."""
-        self._down = ((np.arange(size[0]) - K[1, 2]) / K[1, 1])[:, None]
-        self._right = ((np.arange(size[1]) - K[0, 2]) / K[0, 0])[None]
-        self._camera_height_m = camera_height_m
+    def __init__(self, camera: Camera, *, road_scale: bool) -> None:
+        """Without `road_scale`, depth is not corrected: the factor of :meth:`find` is 1."""
+        K, (height, width) = camera.K, camera.size
+        self._down = ((np.arange(height) - K[1, 2]) / K[1, 1])[:, None]
+        self._right = ((np.arange(width) - K[0, 2]) / K[0, 0])[None]
+        self._camera_height_m = camera.height_m if road_scale else None
         self._heights: deque[float] = deque(maxlen=HEIGHTS)
         self.frame_height_m = math.nan
         """The last frame's height of the camera over the road in uncorrected depth; NaN where no road was found."""

@@ -3,6 +3,7 @@
 import numpy as np
 
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera
 from pipeline.camera.frame import Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
@@ -25,18 +26,12 @@ STANDSTILL_PX = 0.1  # the car stands if half of the corners move less
 class Odometry:
     """Tracks the frames of one drive."""
 
-    def __init__(self, K: np.ndarray, size: tuple[int, ...], camera_height_m: float | None) -> None:
-        """Start a drive.
-
-        Args:
-            K: intrinsics [3,3] at the images' size.
-            size: (H, W) of the images.
-            camera_height_m: over the road, to correct the scale of depth; None: no correction.
-        """
-        self._K = K
-        self._max_depth_m = MAX_DEPTH_M * max(1.0, K[0, 0] / (WIDE * size[1]))
-        self._enlarged = -(-MIN_WIDTH // size[1])
-        self.road = Road(K, (size[0], size[1]), camera_height_m)
+    def __init__(self, camera: Camera, *, road_scale: bool) -> None:
+        """Start a drive; `road_scale`: correct the scale of depth by the camera's height over the road."""
+        self._K, width = camera.K, camera.size[1]
+        self._max_depth_m = MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * width))
+        self._enlarged = -(-MIN_WIDTH // width)
+        self.road = Road(camera, road_scale=road_scale)
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift

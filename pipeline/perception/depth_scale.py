@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.camera.geometry import back_project, rays
+from pipeline.camera.camera import Camera
+from pipeline.camera.geometry import back_project, rays, scan_depth
 from pipeline.camera.images import DEPTH_UNITS_PER_M
 
 if TYPE_CHECKING:
@@ -36,50 +37,51 @@ def scoring_factor(mode: "DepthScale", depth_m: np.ndarray, truth_m: np.ndarray)
 class DepthPostprocessor:
     """Scales the network's depth to metres for one drive; frames come in order."""
 
-    def __init__(self, settings: "Perception", K: np.ndarray, camera_height_m: float) -> None:
-        """`K` [3,3] at the size of the depth; the camera's height is over the road."""
-        self._settings, self._K, self._camera_height_m = settings, K, camera_height_m
+    def __init__(self, settings: "Perception", camera: Camera) -> None:
+        self._settings, self._camera = settings, camera
         self._factor = 0.0  # no depth before the first frame with a known scale
 
-    def __call__(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> np.ndarray:
+    def __call__(self, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray | None) -> np.ndarray:
         """Return the depth of a frame in metres, float32 [H,W], 0 in the sky.
 
         Args:
             depth: float32 [H,W] in the network's unit; overwritten.
             cls: trainIds [H,W].
-            scan_m: depth [H,W] in metres of the frame's LiDAR scan, 0 = none; None without a scan.
+            scan: the frame's LiDAR scan [P,≥3]; None without one.
         """
-        self._factor = self._estimate(depth, cls, scan_m) or self._factor
+        self._factor = self._estimate(depth, cls, scan) or self._factor
         np.multiply(depth, self._factor, out=depth)
         if self._settings.reach:
-            limit_traffic_depth(depth, cls, self._K, self._camera_height_m, self._settings.reach)
+            limit_traffic_depth(depth, cls, self._camera, self._settings.reach)
         return np.where(cls == classes.SKY, np.float32(0), depth)
 
-    def _estimate(self, depth: np.ndarray, cls: np.ndarray, scan_m: np.ndarray | None) -> float | None:
+    def _estimate(self, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray | None) -> float | None:
         """Return the factor to metres; None if it cannot be estimated from this frame."""
         if self._settings.depth_scale == "camera_height":
-            return from_camera_height(depth, cls, self._K, self._camera_height_m)
-        if self._settings.depth_scale == "lidar_median":
-            return None if scan_m is None else median_ratio(depth, scan_m)
-        return 1.0
+            return from_camera_height(depth, cls, self._camera)
+        if not needs_scan(self._settings.depth_scale):
+            return 1.0
+        if scan is None or self._camera.T_cam_velo is None:
+            return None
+        return median_ratio(depth, scan_depth(scan, self._camera))
 
 
-def from_camera_height(depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float) -> float | None:
+def from_camera_height(depth: np.ndarray, cls: np.ndarray, camera: Camera) -> float | None:
     """Return the camera's height divided by its height over the road's points; None if too little road is visible.
 
     The latter is the median of |P·n| over the points P, n the normal of the plane through them (Schön et al. 2021,
-    MGNet). `depth` [H,W] in any unit, 0 = none; trainIds `cls` [H,W]; intrinsics `K` [3,3].
+    MGNet). `depth` [H,W] in any unit, 0 = none; trainIds `cls` [H,W].
     """
     road = (cls == classes.ROAD) & (depth > 0)
     if road.sum() < MIN_ROAD_PIXELS:
         return None
-    points = back_project(depth.astype(np.float64), K)[road]
+    points = back_project(depth.astype(np.float64), camera.K)[road]
     centred = points - np.median(points, axis=0)
     # No SVD of the points, and einsum instead of @: BLAS splits long sums among threads, which changes the last bits.
     scatter = np.einsum("pi,pj->ij", centred, centred)
     normal = np.linalg.eigh(scatter).eigenvectors[:, 0]  # of the smallest eigenvalue
     height = float(np.median(np.abs(np.einsum("pi,i->p", points, normal))))
-    return camera_height_m / height if height > 0 else None
+    return camera.height_m / height if height > 0 else None
 
 
 def median_ratio(depth: np.ndarray, truth_m: np.ndarray) -> float | None:
@@ -93,32 +95,26 @@ def median_ratio(depth: np.ndarray, truth_m: np.ndarray) -> float | None:
     return float(np.median(truth_m[known]) / np.median(depth[known]))
 
 
-def ground_plane_depth(cls: np.ndarray, K: np.ndarray, camera_height_m: float) -> np.ndarray:
+def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
     """Return depth float64 [H,W] in metres; see :func:`models.encoder.ground_depth.ground_plane_depth`.
 
-    It is the baseline for encoders, and an upper limit for the depth of traffic. The camera is level.
-
-    Args:
-        cls: trainIds [H,W].
-        K: intrinsics [3,3].
-        camera_height_m: over the ground.
+    It is the baseline for encoders, and an upper limit for the depth of traffic. The camera is assumed to be level;
+    `cls` are trainIds [H,W].
     """
     import torch
 
     from models.encoder import ground_depth
 
-    slope = rays(K, (cls.shape[0], 1))[..., 1]  # [H,1], y/z per row
+    slope = rays(camera.K, (cls.shape[0], 1))[..., 1]  # [H,1], y/z per row
     depth_m = ground_depth.ground_plane_depth(
         torch.from_numpy(cls.astype(np.int64))[None],
         torch.from_numpy(slope)[None].expand(1, *cls.shape),
-        camera_height_m,
+        camera.height_m,
     )
     return depth_m[0].numpy()
 
 
-def limit_traffic_depth(
-    depth: np.ndarray, cls: np.ndarray, K: np.ndarray, camera_height_m: float, reach: float
-) -> None:
+def limit_traffic_depth(depth: np.ndarray, cls: np.ndarray, camera: Camera, reach: float) -> None:
     """Limit the depth of traffic, in place, to `reach` times the depth of flat ground at its lower edge.
 
     Monocular depth takes smooth and bright surfaces, for instance the side of a tanker, for the sky.
@@ -128,10 +124,10 @@ def limit_traffic_depth(
 
     Args:
         depth: [H,W] in metres.
-        cls, K, camera_height_m: as in :func:`ground_plane_depth`.
+        cls: trainIds [H,W].
         reach: at least 1; the margin above 1 allows for slopes.
     """
     traffic = np.isin(cls, classes.TRAFFIC)
     if traffic.any():
-        ground_m = ground_plane_depth(cls, K, camera_height_m)
+        ground_m = ground_plane_depth(cls, camera)
         depth[traffic] = np.minimum(depth[traffic], reach * ground_m[traffic])

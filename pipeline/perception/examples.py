@@ -10,22 +10,24 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.perception.truth import image_size, read_truth, training_rows
+from pipeline.camera.camera import Camera, read_camera
+from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.perception.truth import read_truth, training_rows
 
 CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 COLOUR_CAMERAS = (2, 3)  # KITTI's
 GREY = 0.15  # share of augmented images without colour: some drives have a grey camera
-Classify = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Image uint8 [H,W,3] and intrinsics [3,3] → trainIds uint8 [H,W], 255 where unknown."""
+Classify = Callable[[np.ndarray, Camera], np.ndarray]
+"""Image uint8 [H,W,3] and its camera → trainIds uint8 [H,W], 255 where unknown."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """A training image uint8 [H,W,3] and its intrinsics [3,3]; depth and classes as in Truth."""
+    """A training image uint8 [H,W,3] and its camera; depth and classes as in Truth."""
 
     image: np.ndarray
-    K: np.ndarray
+    camera: Camera
     depth_m: np.ndarray
     cls: np.ndarray
 
@@ -40,6 +42,7 @@ def spread(count: int, wanted: int) -> np.ndarray:
 @dataclass(frozen=True)
 class _Drive:
     file: DriveReader
+    camera: Camera
     teacher: Classify | None
     labelled: bool
     rows: np.ndarray  # of frames with a training target
@@ -84,14 +87,16 @@ class Examples:
             for kind in ("depth", "lidar", "cls")
             if any(drive.labelled and drive.file[f"has_{kind}"][drive.rows].any() for drive in self._drives)
         }
-        self.size = image_size(self._drives[0].file)
+        self.size = self._drives[0].camera.size
         self._cache: dict[int, Example] = {}
         self._cached = len(self) * self.size[0] * self.size[1] * (3 + 4 + 1) <= CACHE_BYTES
 
     def _open(self, path: Path, teacher: Classify | None, labelled: bool) -> _Drive:
         file = self._stack.enter_context(DriveReader(path, stage="ingest"))
-        own = teacher if file.attrs.get("camera", 2) in COLOUR_CAMERAS else None
-        return _Drive(file, own, labelled, training_rows(file, has_teacher=own is not None, labelled=labelled))
+        if file.attrs.get("camera", 2) not in COLOUR_CAMERAS:
+            teacher = None
+        camera = read_camera(file, CAMERA_HEIGHT_M)  # the fit does not use the height
+        return _Drive(file, camera, teacher, labelled, training_rows(file, bool(teacher), labelled))
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -100,10 +105,10 @@ class Examples:
         if i in self._cache:
             return self._cache[i]
         drive, row = self._frames[i]
-        image, K = drive.file.row("image", row), drive.file["K"]
-        truth = read_truth(drive.file, row, drive.labelled)
-        cls = drive.teacher(image, K) if drive.teacher and not truth.has_cls else truth.cls
-        example = Example(image, K, truth.depth_m, cls)
+        image = drive.file.row("image", row)
+        truth = read_truth(drive.file, drive.camera, row, drive.labelled)
+        cls = drive.teacher(image, drive.camera) if drive.teacher and not truth.has_cls else truth.cls
+        example = Example(image, drive.camera, truth.depth_m, cls)
         if self._cached:
             self._cache[i] = example
         return example
@@ -122,9 +127,7 @@ def augment(example: Example, rng: np.random.Generator) -> Example:
 
 def mirrored(example: Example) -> Example:
     """Return the mirror image; the principal point moves with the pixels."""
-    K = example.K.copy()
-    K[0, 2] = example.image.shape[1] - 1 - K[0, 2]
-    return Example(example.image[:, ::-1], K, example.depth_m[:, ::-1], example.cls[:, ::-1])
+    return Example(example.image[:, ::-1], example.camera.mirrored(), example.depth_m[:, ::-1], example.cls[:, ::-1])
 
 
 def relit(example: Example, rng: np.random.Generator) -> Example:

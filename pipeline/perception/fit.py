@@ -128,6 +128,6 @@ def _batches(
     order = rng.permutation(len(examples))
     for start in range(0, len(order), batch):
         chosen = [augment(examples[int(i)], rng) for i in order[start : start + batch]]
-        arrays = (np.stack([getattr(example, name) for example in chosen]) for name in ("image", "K", "depth_m", "cls"))
-        image, K, depth_m, cls = (torch.from_numpy(array).to(device) for array in arrays)
+        arrays = zip(*((one.image, one.camera.K, one.depth_m, one.cls) for one in chosen), strict=True)
+        image, K, depth_m, cls = (torch.from_numpy(np.stack(parts)).to(device) for parts in arrays)
         yield image.permute(0, 3, 1, 2), K, depth_m, cls.long()

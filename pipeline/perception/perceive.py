@@ -1,6 +1,6 @@
-"""Save and load the fitted encoder, and predict depth and classes of images."""
+"""Predict depth and classes of images with the encoder of a folder: a network, or precomputed files."""
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -13,15 +13,63 @@ from torch import Tensor, nn
 from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.executors import default_workers
+from pipeline.base.store import DriveReader
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera
 from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import side_by_side
 from pipeline.fitting.steps import autocast
+from pipeline.perception import precomputed
 
 FILE = "encoder.pt"
 KIND = "unified encoder"
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+class Batch(NamedTuple):
+    """B frames of a drive."""
+
+    drive: str
+    frame: Sequence[int] | np.ndarray  # KITTI frame numbers [B]
+    images: np.ndarray  # RGB uint8 [B,H,W,3]
+    camera: Camera
+    scans: Sequence[np.ndarray | None]  # [P,4] each, where the depth scale needs them and the frame has one
+
+
+Predict = Callable[[Batch], tuple[np.ndarray, np.ndarray]]
+"""Batch → depth float32 [B,H,W] in the encoder's unit, trainIds uint8 [B,H,W]."""
+
+
+def open_encoder(folder: Path, precision: str) -> Predict:
+    """Return the function of the encoder in the folder of stage encoder; `precision` as in section perception.
+
+    Raises InputError if its file is missing, damaged or does not fit this code, or if a package is missing.
+    """
+    if files := precomputed.named_in(folder):
+        return partial(_read_precomputed, files)
+    network = load(folder)
+    return lambda batch: perceive(network, batch.images, batch.camera, precision)
+
+
+def _read_precomputed(folder: Path, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+    frames = [precomputed.read(folder, batch.drive, int(frame), batch.camera.size) for frame in batch.frame]
+    return np.stack([depth for depth, _ in frames]), np.stack([cls for _, cls in frames])
+
+
+def weights_file(folder: Path) -> Path:
+    """Return the file of an encoder's folder that determines its predictions."""
+    return folder / (precomputed.FILE if precomputed.named_in(folder) else FILE)
+
+
+def read_batches(source: DriveReader, camera: Camera, rows: np.ndarray, size: int, *, scans: bool) -> Generator[Batch]:
+    """Yield the frames in `rows` of a file of stage ingest in batches of `size`, with their `scans` if requested."""
+    for start in range(0, len(rows), size):
+        batch = rows[start : start + size]
+        # Row by row, since frames without an image in between must not be read.
+        images = np.stack([source.row("image", row) for row in batch])
+        points = [source.rows_of("lidar", row) if scans and source.row("has_lidar", row) else None for row in batch]
+        yield Batch(source.drive, source.frame[batch], images, camera, points)
 
 
 class Saved(NamedTuple):
@@ -67,7 +115,7 @@ def load(folder: Path) -> UnifiedEncoder:
 
 
 def perceive(
-    model: nn.Module, images: np.ndarray, K: np.ndarray, precision: str = "float32"
+    model: nn.Module, images: np.ndarray, camera: Camera, precision: str = "float32"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8 [B,H,W,3].
 
@@ -75,13 +123,13 @@ def perceive(
 
     Args:
         model: in evaluation mode.
-        K: intrinsics [3,3] of these images.
+        camera: of these images.
         precision: of products, as in section perception.
     """
     device = next(model.parameters()).device
     at_once = 1 if device.type == "cpu" else len(images)
     with torch.inference_mode(), autocast(device, precision):
-        intrinsics = torch.from_numpy(K).to(device)
+        intrinsics = torch.from_numpy(camera.K).to(device)
         outputs = [
             model(part.to(device).permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3))
             for part in torch.split(torch.from_numpy(images), at_once)

@@ -1,7 +1,6 @@
 """Depth and classes from PNG files of another program, by drive and frame number."""
 
 import hashlib
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +13,7 @@ from pipeline.base.resume import file_hash
 from pipeline.camera import classes
 from pipeline.camera.images import read_classes, read_depth, to_metres
 
+FILE = "config.json"
 LAYOUT = (
     "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/cls/0000000000.png (8 bit, "
     "trainIds)"
@@ -35,7 +35,7 @@ class Config(BaseModel):
 
 def named_in(encoder: Path) -> Path | None:
     """Return the folder of precomputed files that config.json in folder `encoder` names; None for a network."""
-    config = encoder / "config.json"
+    config = encoder / FILE
     content = store.read_json(config, stage="encoder", form=Config) if config.is_file() else {}
     return Path(content["weights"]) if content.get("backbone") == "precomputed" else None
 
@@ -72,9 +72,3 @@ def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[n
     if unknown.size:
         raise InputError(f"class {unknown[0]}, expected trainIds 0 to {classes.COUNT - 1}, or 255", paths[1])
     return depth, cls
-
-
-def read_all(folder: Path, drive: str, frames: Iterable[int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return :func:`read` of several frames, [B,H,W] each."""
-    depth_m, cls = zip(*(read(folder, drive, frame, size) for frame in frames), strict=True)
-    return np.stack(depth_m), np.stack(cls)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera
 from pipeline.perception.depth_scale import ground_plane_depth, scoring_factor
 from pipeline.perception.truth import Truth
 
@@ -84,27 +85,17 @@ class Scores:
         self.class_frames = 0
         self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
 
-    def add_frame(
-        self,
-        depth_m: np.ndarray,
-        cls: np.ndarray,
-        K: np.ndarray,
-        truth: Truth,
-        mode: "DepthScale",
-        camera_height_m: float,
-    ) -> None:
+    def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth, mode: "DepthScale") -> None:
         """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.
 
         Args:
             depth_m: predicted [H,W], 0 = none.
             cls: trainIds [H,W].
-            K: intrinsics [3,3].
             truth: ground truth of the same frame.
             mode: perception.depth_scale of the depth.
-            camera_height_m: over the ground.
         """
         if truth.depth_source:
-            flat_m = np.where(depth_m > 0, ground_plane_depth(cls, K, camera_height_m), 0)
+            flat_m = np.where(depth_m > 0, ground_plane_depth(cls, camera), 0)
             factor = scoring_factor(mode, depth_m, truth.depth_m)
             self.add_depth(f"depth_{truth.depth_source}", factor * depth_m, truth.depth_m)
             self.add_depth(f"ground_plane_{truth.depth_source}", flat_m, truth.depth_m)

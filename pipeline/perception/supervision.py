@@ -10,9 +10,10 @@ from torch import nn
 from models.encoder.ground_depth import GroundDepth
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError, error_context
+from pipeline.camera.camera import Camera
 from pipeline.perception.examples import Classify
 from pipeline.perception.perceive import perceive
-from pipeline.perception.weights import Source, fill, unfilled
+from pipeline.perception.weights import Source, load_weights, part_without_weights
 from pipeline.sections import encoder as section
 from pipeline.sections.encoder import Weights
 
@@ -83,7 +84,7 @@ def supervision(
         target = Supervision.TEACHER
     if target:
         return Supervision.FILE if weights and head in weights.parts else target
-    part = unfilled(model, weights, (head, "backbone"))
+    part = part_without_weights(model, weights, (head, "backbone"))
     if part is None:
         return Supervision.FILE
     if part == head and any(isinstance(module, GroundDepth) for module in model.get_submodule(head).modules()):
@@ -98,14 +99,14 @@ def load_teacher(settings: section.Teacher) -> tuple[Classify, list[Source]]:
     with error_context("encoder.teacher.backbone"):
         model = UnifiedEncoder(settings.backbone)
     with error_context("encoder.teacher.weights"):
-        part = unfilled(model, settings.weights, ("backbone", "class_head"))
+        part = part_without_weights(model, settings.weights, ("backbone", "class_head"))
         if part:
             raise InputError(f"no file for the {part}", fix="Name one: a teacher is not fitted")
-        sources = fill(model, settings.backbone, settings.weights)
+        sources = load_weights(model, settings.backbone, settings.weights)
     model.to("cuda" if torch.cuda.is_available() else "cpu").eval().requires_grad_(False)
 
-    def classify(image: np.ndarray, K: np.ndarray) -> np.ndarray:
-        cls: np.ndarray = perceive(model, image[None], K)[1][0]
+    def classify(image: np.ndarray, camera: Camera) -> np.ndarray:
+        cls: np.ndarray = perceive(model, image[None], camera)[1][0]
         return cls
 
     return classify, sources

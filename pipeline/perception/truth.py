@@ -7,6 +7,7 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import scan_depth
 from pipeline.camera.images import to_metres
 
@@ -25,25 +26,23 @@ class Truth:
     has_cls: bool
 
 
-def read_truth(drive: DriveReader, row: int, labelled: bool = True) -> Truth:
+def read_truth(drive: DriveReader, camera: Camera, row: int, labelled: bool = True) -> Truth:
     """Return the ground truth of the frame in `row` of a file of stage ingest; without `labelled`, nothing is known.
 
     Dense depth takes precedence over projected LiDAR, of which points that are hidden from the camera are left out.
     """
-    size = image_size(drive)
-    depth = np.zeros(size, np.float32)
+    depth_m = np.zeros(camera.size, np.float32)
     source: DepthSource | None = None
     if labelled and drive.row("has_depth", row):
-        depth, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
+        depth_m, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
     elif labelled and drive.row("has_lidar", row):
-        scan = drive.rows_of("lidar", row)
-        depth, source = visible(scan_depth(scan, drive["T_cam_velo"], drive["K"], size), drive["K"]), "lidar"
+        depth_m, source = visible(scan_depth(drive.rows_of("lidar", row), camera), camera), "lidar"
     has_cls = labelled and bool(drive.row("has_cls", row))
-    cls = drive.row("cls", row) if has_cls else np.full(size, classes.VOID, np.uint8)
-    return Truth(depth, source, cls, has_cls)
+    cls = drive.row("cls", row) if has_cls else np.full(camera.size, classes.VOID, np.uint8)
+    return Truth(depth_m, source, cls, has_cls)
 
 
-def visible(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
+def visible(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     """Return sparse depth [H,W] without points that are hidden from the camera.
 
     The scanner is above the camera and looks over objects, so points behind an object project between its own. A point
@@ -51,19 +50,13 @@ def visible(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
     """
     import cv2
 
-    reach = [max(1, round(OCCLUDER_RAD * f)) for f in (K[0, 0], K[1, 1])]
+    reach = [max(1, round(OCCLUDER_RAD * f)) for f in (camera.K[0, 0], camera.K[1, 1])]
     known = np.where(depth_m > 0, depth_m, np.inf).astype(np.float32)
     nearest = cv2.erode(known, np.ones((2 * reach[1] + 1, 2 * reach[0] + 1), np.uint8))  # erosion is a local minimum
     return np.where(known / OCCLUDED_RATIO <= nearest, depth_m, 0).astype(depth_m.dtype)
 
 
-def image_size(drive: DriveReader) -> tuple[int, int]:
-    """Return (H, W) of the drive's images."""
-    _, height, width, _ = drive.shape("image")
-    return height, width
-
-
-def training_rows(drive: DriveReader, *, has_teacher: bool, labelled: bool = True) -> np.ndarray:
+def training_rows(drive: DriveReader, has_teacher: bool, labelled: bool = True) -> np.ndarray:
     """Return the rows of frames that have an image and a training target, int64 [n].
 
     A teacher supplies a target for each image. Without `labelled`, ground truth of the drive is ignored.

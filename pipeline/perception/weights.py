@@ -16,13 +16,14 @@ from pipeline.fitting import checkpoint
 from pipeline.perception import perceive
 from pipeline.sections.encoder import WeightFile, Weights
 
+ALL = "all"
 TIMEOUT_S = 30  # without any data from the server
 WRAPPERS = ("state_dict", "model")  # keys of the tensors in published files that hold more than tensors
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file of weights and the part of the encoder that it fills; "all": a checkpoint of this project."""
+    """A file of weights and the part of the encoder that it holds; ALL: a checkpoint of this project."""
 
     part: str
     path: str
@@ -36,7 +37,7 @@ def check_available(weights: Weights | None) -> None:
             _check_available(file)
 
 
-def fill(model: Any, backbone: str, weights: Weights | None) -> list[Source]:
+def load_weights(model: Any, backbone: str, weights: Weights | None) -> list[Source]:
     """Load weights into a unified encoder in place; return the files.
 
     Args:
@@ -48,25 +49,28 @@ def fill(model: Any, backbone: str, weights: Weights | None) -> list[Source]:
     sources = []
     for part, file in _files(weights).items():
         with error_context(part, fix="Name another file"):
-            sha256 = fetch(file)
-            if part:
+            sources.append(Source(part, str(file.path), fetch(file)))
+            if part == ALL:
+                _load_checkpoint(model, backbone, file.path)
+            else:
                 module = getattr(model, part)
                 checkpoint.load_state(module, module.own_names(read_published(file.path)), file.path)
-            else:
-                with error_context(fix="A published file needs the name of its part: weights: {backbone: FILE}"):
-                    saved = perceive.read(file.path)
-                if saved.backbone != backbone:
-                    raise InputError(f"backbone is {saved.backbone!r}, expected {backbone!r}", file.path)
-                checkpoint.load_state(model, saved.state, file.path)
-            sources.append(Source(part or "all", str(file.path), sha256))
     return sources
 
 
-def unfilled(model: nn.Module, weights: Weights | None, parts: Sequence[str]) -> str | None:
+def _load_checkpoint(model: Any, backbone: str, path: Path) -> None:
+    with error_context(fix="A published file needs the name of its part: weights: {backbone: FILE}"):
+        saved = perceive.read(path)
+    if saved.backbone != backbone:
+        raise InputError(f"backbone is {saved.backbone!r}, expected {backbone!r}", path)
+    checkpoint.load_state(model, saved.state, path)
+
+
+def part_without_weights(model: nn.Module, weights: Weights | None, parts: Sequence[str]) -> str | None:
     """Return the first of `parts` that has parameters and no file in `weights`."""
     for part in parts:
         has_parameters = any(True for _ in model.get_submodule(part).parameters())
-        if has_parameters and not (weights and weights.fill(part)):
+        if has_parameters and not (weights and weights.has(part)):
             return part
     return None
 
@@ -102,10 +106,10 @@ def read_published(path: Path) -> dict[str, Tensor]:
 
 
 def _files(weights: Weights | None) -> dict[str, WeightFile]:
-    """Return part → file; part "" for a checkpoint of this project."""
+    """Return part → file; part ALL for a checkpoint of this project."""
     if weights is None:
         return {}
-    return {"": weights.checkpoint} if weights.checkpoint else weights.parts
+    return {ALL: weights.checkpoint} if weights.checkpoint else weights.parts
 
 
 def _check_available(file: WeightFile) -> None:

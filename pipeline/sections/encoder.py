@@ -64,7 +64,7 @@ class Weights(Section):
         """Return part → its published file."""
         return {part: file for part in PARTS if (file := getattr(self, part))}
 
-    def fill(self, part: str) -> bool:
+    def has(self, part: str) -> bool:
         """Return whether a file holds the weights of `part`."""
         return self.checkpoint is not None or part in self.parts
 
@@ -129,6 +129,6 @@ class Encoder(Section):
             raise ValueError(f"backbone: {PRECOMPUTED} needs a folder of PNG files in weights, see docs/backbones.md")
         if self.weights is None and self.epochs == 0:
             raise ValueError("epochs: 0 needs fitted weights: name a checkpoint in weights, or set epochs")
-        if self.frozen and not (self.weights and self.weights.fill("backbone")):
+        if self.frozen and not (self.weights and self.weights.has("backbone")):
             raise ValueError("frozen: true needs the backbone's weights: name a file in weights")
         return self

@@ -25,7 +25,7 @@ DRIVE, FRAMES = "2026_01_01_drive_0001", 3
 
 def frames(raw: store.DriveReader) -> Generator[FrameState]:
     for row, number in enumerate(raw.frame.tolist()):
-        scan = raw.rows("lidar", *raw.rows("lidar_ptr", row, row + 2))
+        scan = raw.rows_of("lidar", row)
         yield FrameState(number, number / 10, scan=scan, source_image=raw.row("image", row))
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.motion.road import Road
 from tests import rendered_street as street
 
@@ -18,7 +17,7 @@ def step(down_m: float, ahead_m: float) -> np.ndarray:
 
 
 def road(*steps: np.ndarray) -> Road:
-    made = Road(street.K, street.SIZE, CAMERA_HEIGHT_M)
+    made = Road(street.CAMERA, road_scale=True)
     for one in steps:
         made.add_step(one)
     return made
@@ -34,6 +33,6 @@ def test_the_slope_is_weighted_by_length() -> None:
 
 def test_scale_corrects_depth_if_the_height_is_given() -> None:
     assert road().find(DEPTH_M / 2, USABLE)[1] == pytest.approx(2, rel=0.01)
-    found, scale = Road(street.K, street.SIZE, None).find(DEPTH_M / 2, USABLE)
+    found, scale = Road(street.CAMERA, road_scale=False).find(DEPTH_M / 2, USABLE)
     assert found.any()
     assert scale == 1

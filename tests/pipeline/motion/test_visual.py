@@ -7,7 +7,6 @@ import pytest
 
 from pipeline.camera import classes
 from pipeline.camera.frame import Frame
-from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.motion import step, visual
 from tests import rendered_street as street
 
@@ -19,8 +18,8 @@ def views(*poses: np.ndarray) -> list[Frame]:
     return [Frame(i, i * DT_S, image, depth_m, cls) for i, (image, depth_m, cls) in enumerate(images)]
 
 
-def measured(frames: list[Frame], camera_height_m: float | None = CAMERA_HEIGHT_M) -> list[step.Step | None]:
-    odometry = visual.Odometry(street.K, street.SIZE, camera_height_m)
+def measured(frames: list[Frame], road_scale: bool = True) -> list[step.Step | None]:
+    odometry = visual.Odometry(street.CAMERA, road_scale=road_scale)
     return [odometry.step(frame) for frame in frames]
 
 
@@ -58,7 +57,7 @@ def test_a_wrong_scale_is_corrected_by_the_camera_height() -> None:
     steps = measured(frames)
     assert rates(steps)[:, 1] == pytest.approx(6.0, rel=0.03)
     assert [one.scale for one in steps[1:] if one] == pytest.approx([1 / 0.7] * 3, rel=0.02)
-    uncorrected = measured(frames, None)
+    uncorrected = measured(frames, False)
     assert rates(uncorrected)[:, 1] == pytest.approx(0.7 * 6.0, rel=0.03)
     assert [one.scale for one in uncorrected[1:] if one] == [1.0] * 3
     assert rates(uncorrected)[:, 0] == pytest.approx(0.2, abs=0.01)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import back_project, rays
 from pipeline.camera.images import to_units
 from pipeline.perception import depth_scale
@@ -17,13 +18,13 @@ from pipeline.sections.perception import Perception
 from tests import street
 
 SIZE = (48, 96)
-K = np.array([[60.0, 0, 47], [0, 60, 20], [0, 0, 1]])
+CAMERA = Camera(np.array([[60.0, 0, 47], [0, 60, 20], [0, 0, 1]]), SIZE, T_cam_velo=np.eye(4))
 CAR = np.full(SIZE, classes.CAR)
 
 
 def road(pitch_rad: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return depth [H,W] in metres of a road 1.65 m below the camera, and its trainIds."""
-    along = rays(K, SIZE) @ np.array([0, np.cos(pitch_rad), np.sin(pitch_rad)])
+    along = rays(CAMERA.K, SIZE) @ np.array([0, np.cos(pitch_rad), np.sin(pitch_rad)])
     depth_m = np.where(along > 0.02, 1.65 / np.maximum(along, 0.02), 0)
     return depth_m, np.where(depth_m > 0, classes.ROAD, classes.SKY)
 
@@ -34,22 +35,22 @@ def test_the_road_determines_the_scale_for_any_pitch(pitch_rad: float, unit: flo
     depth_m, cls = road(pitch_rad)
     stones = np.random.default_rng(0).random(SIZE) < 0.02
     depth = unit * np.where(stones, 0.97, 1) * depth_m
-    assert from_camera_height(depth, cls, K, 1.65) == pytest.approx(1 / unit, rel=0.02)
-    assert from_camera_height(depth, CAR, K, 1.65) is None
+    assert from_camera_height(depth, cls, CAMERA) == pytest.approx(1 / unit, rel=0.02)
+    assert from_camera_height(depth, CAR, CAMERA) is None
 
 
 def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky() -> None:
     depth = np.array([[1.0, 10.002, 1000.0, 0.0001, 30.0, 0.0]], np.float32)
     cls = np.array([[0, 0, 0, 0, classes.SKY, 0]])
-    process = DepthPostprocessor(Perception(batch=1, depth_scale="metric"), K, 1.65)
+    process = DepthPostprocessor(Perception(batch=1, depth_scale="metric"), CAMERA)
     assert to_units(process(depth, cls, None)).tolist() == [[256, 2561, 65535, 1, 0, 0]]
 
 
 @pytest.mark.parametrize(("mode", "factor"), [("metric", 1), ("camera_height", 5), ("lidar_median", 5), ("none", 1)])
 def test_each_mode_scales_depth(mode: Any, factor: float) -> None:
     depth_m, cls = road()
-    process = DepthPostprocessor(Perception(batch=1, depth_scale=mode), K, 1.65)
-    scaled_m = process((depth_m / 5).astype(np.float32), cls, depth_m)
+    process = DepthPostprocessor(Perception(batch=1, depth_scale=mode), CAMERA)
+    scaled_m = process((depth_m / 5).astype(np.float32), cls, back_project(depth_m, CAMERA.K)[depth_m > 0])
     np.testing.assert_allclose(scaled_m, depth_m / 5 * factor, rtol=1e-3, atol=1 / 256)
     expected = 3 if mode == "none" else 1
     assert depth_scale.scoring_factor(mode, depth_m / 3, depth_m) == pytest.approx(expected)
@@ -58,16 +59,16 @@ def test_each_mode_scales_depth(mode: Any, factor: float) -> None:
 
 @pytest.mark.parametrize("mode", ["camera_height", "lidar_median"])
 def test_a_frame_without_scale_takes_the_previous_factor(mode: Any) -> None:
-    process = DepthPostprocessor(Perception(batch=1, depth_scale=mode), K, 1.65)
+    process = DepthPostprocessor(Perception(batch=1, depth_scale=mode), CAMERA)
     assert not (process(np.ones(SIZE, np.float32), CAR, None) > 1).any()  # no depth rather than a wrong one
     depth_m, cls = road()
-    process((depth_m / 5).astype(np.float32), cls, depth_m)
+    process((depth_m / 5).astype(np.float32), cls, back_project(depth_m, CAMERA.K)[depth_m > 0])
     np.testing.assert_allclose(process(np.ones(SIZE, np.float32), CAR, None), 5, rtol=1e-3)
 
 
 def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot() -> None:
     _, truth, cls = street.scene(0)
-    depth = ground_plane_depth(cls, street.K, 1.65)
+    depth = ground_plane_depth(cls, street.CAMERA)
     ground = cls == classes.ROAD
     np.testing.assert_allclose(back_project(depth, street.K)[ground][:, 1], 1.65)
     np.testing.assert_allclose(depth[ground], truth[ground])
@@ -86,9 +87,9 @@ def test_only_traffic_is_limited() -> None:
     lorry[:, column] = cls[:, column] == classes.BUILDING
     cls[lorry] = classes.TRUCK
     depth = np.where(lorry, 70.0, truth)
-    limit_traffic_depth(depth, cls, street.K, 1.65, reach=1.1)
+    limit_traffic_depth(depth, cls, street.CAMERA, reach=1.1)
     np.testing.assert_array_equal(depth[~lorry], truth[~lorry])
-    np.testing.assert_allclose(depth[lorry], 1.1 * ground_plane_depth(cls, street.K, 1.65)[lorry])
+    np.testing.assert_allclose(depth[lorry], 1.1 * ground_plane_depth(cls, street.CAMERA)[lorry])
     near = np.where(lorry, 2.0, truth)
-    limit_traffic_depth(near, cls, street.K, 1.65, reach=1.1)
+    limit_traffic_depth(near, cls, street.CAMERA, reach=1.1)
     assert (near[lorry] == 2.0).all()

@@ -30,9 +30,9 @@ def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(model: Un
 
 def test_batched_equals_single(model: UnifiedEncoder) -> None:
     images = np.stack([street.scene(frame)[0] for frame in range(3)])
-    depth, cls = perceive(model, images, street.K)
+    depth, cls = perceive(model, images, street.CAMERA)
     for i in range(3):
-        one_depth, one_cls = perceive(model, images[i : i + 1], street.K)
+        one_depth, one_cls = perceive(model, images[i : i + 1], street.CAMERA)
         np.testing.assert_allclose(one_depth[0], depth[i], rtol=1e-5)
         assert (one_cls[0] != cls[i]).mean() < 1e-3  # ties
     assert (depth.dtype, cls.dtype) == (np.float32, np.uint8)

@@ -33,9 +33,9 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder() -> None:
     _, depth_m, cls = street.scene(0)
     stored = np.where(np.random.default_rng(0).random(street.SIZE) < 0.3, 0, depth_m)
     scores = Scores()
-    scores.add_frame(stored, cls, street.K, Truth(depth_m, "dense", cls, has_cls=True), "metric", 1.65)
+    scores.add_frame(stored, cls, street.CAMERA, Truth(depth_m, "dense", cls, has_cls=True), "metric")
     report = scores.report()
-    flat = np.where(stored > 0, ground_plane_depth(cls, street.K, 1.65), 0)
+    flat = np.where(stored > 0, ground_plane_depth(cls, street.CAMERA), 0)
     assert report["depth_dense"]["abs_rel"] == 0
     assert report["ground_plane_dense"]["abs_rel"] == pytest.approx(depth_errors(flat, depth_m)[0])
     assert 0.5 < report["depth_dense"]["coverage"] == report["ground_plane_dense"]["coverage"] < 0.8

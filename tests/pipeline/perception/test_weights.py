@@ -8,7 +8,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
 from pipeline.perception import perceive
-from pipeline.perception.weights import Source, fetch, fill, read_published
+from pipeline.perception.weights import Source, fetch, load_weights, read_published
 from pipeline.sections.encoder import WeightFile, Weights
 
 CONTENT = b"some weights"
@@ -93,15 +93,15 @@ def test_a_part_is_filled_from_its_file_and_only_if_all_tensors_match() -> None:
     model = UnifiedEncoder("espnetv2-s1")
     before = {name: tensor.clone() for name, tensor in model.depth_head.state_dict().items()}
     files = Weights.model_validate({"backbone": "city.pth"})
-    assert fill(model, "espnetv2-s1", files) == [Source("backbone", "city.pth", file_hash(Path("city.pth")))]
+    assert load_weights(model, "espnetv2-s1", files) == [Source("backbone", "city.pth", file_hash(Path("city.pth")))]
     assert all(torch.equal(tensor, state[name]) for name, tensor in model.backbone.state_dict().items())
     assert all(torch.equal(tensor, before[name]) for name, tensor in model.depth_head.state_dict().items())
     torch.save(state | {"extra": torch.zeros(1)}, "bad.pth")
     with pytest.raises(InputError, match=r'Unexpected key.* "extra"') as raised:
-        fill(model, "espnetv2-s1", Weights.model_validate({"backbone": "bad.pth"}))
+        load_weights(model, "espnetv2-s1", Weights.model_validate({"backbone": "bad.pth"}))
     assert (raised.value.where, raised.value.fix) == ("backbone: bad.pth", "Name another file")
     with pytest.raises(InputError) as raised:
-        fill(model, "espnetv2-s1", Weights.model_validate("city.pth"))
+        load_weights(model, "espnetv2-s1", Weights.model_validate("city.pth"))
     assert "weights: {backbone: FILE}" in raised.value.fix
 
 
@@ -110,8 +110,8 @@ def test_a_checkpoint_fills_all_parts_of_the_same_backbone() -> None:
     fitted, model = UnifiedEncoder("small"), UnifiedEncoder("small")
     perceive.save(Path(), "small", fitted.state_dict())
     files = Weights.model_validate("encoder.pt")
-    assert fill(model, "small", files) == [Source("all", "encoder.pt", file_hash(Path("encoder.pt")))]
+    assert load_weights(model, "small", files) == [Source("all", "encoder.pt", file_hash(Path("encoder.pt")))]
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), fitted.parameters(), strict=True))
     with pytest.raises(InputError, match="backbone is 'small', expected 'swin-t'"):
-        fill(model, "swin-t", files)
-    assert fill(model, "small", None) == []
+        load_weights(model, "swin-t", files)
+    assert load_weights(model, "small", None) == []

@@ -12,7 +12,7 @@ from torch import Tensor
 from models.encoder.backbones import Parts
 from models.encoder.backbones.dinov2 import SIZES, padding
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.perception.weights import fill
+from pipeline.perception.weights import load_weights
 from pipeline.sections.encoder import Weights
 
 WIDTH, LAYERS, HEADS = SIZES["vits14"]
@@ -68,7 +68,7 @@ def files(backbone_file: State, depth_file: State, tmp_path_factory: pytest.Temp
 @pytest.fixture(scope="module")
 def parts(files: dict[str, str]) -> Parts:
     model = UnifiedEncoder("dinov2-vits14").eval()
-    fill(model, "dinov2-vits14", Weights.model_validate(files))
+    load_weights(model, "dinov2-vits14", Weights.model_validate(files))
     return Parts(model.backbone, model.depth_head, model.class_head)
 
 

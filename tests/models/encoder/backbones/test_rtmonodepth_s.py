@@ -14,7 +14,7 @@ from pipeline.camera.images import read_image
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.perception.perceive import perceive
 from pipeline.perception.scores import depth_errors, eigen_crop
-from pipeline.perception.weights import fill
+from pipeline.perception.weights import load_weights
 from pipeline.sections.encoder import Weights
 
 KITTI_K = torch.tensor([[[371.8, 0, 320], [0, 369.4, 92], [0, 0, 1]]], dtype=torch.float64)
@@ -66,18 +66,18 @@ def test_an_image_of_any_size_is_resized_to_the_training_size(size: tuple[int, i
 def test_published_weights_give_metric_depth_of_real_streets(real_half: Path, real_weights: Path) -> None:
     model, folder = UnifiedEncoder("rtmonodepth-s").eval(), real_weights / "rtmonodepth-s"
     files = {"backbone": str(folder / "encoder.pth"), "depth_head": str(folder / "depth.pth")}
-    fill(model, "rtmonodepth-s", Weights.model_validate(files))
+    load_weights(model, "rtmonodepth-s", Weights.model_validate(files))
     for drive, most in {"2011_09_26_drive_0005": 0.13, "2011_10_03_drive_0042": 0.17}.items():
         raw = RawDrive(real_half / drive[:10] / f"{drive}_sync")
         number = raw.camera_number([2, 0])
         assert number is not None
         camera = raw.camera(number)
-        K = camera.scaled(SIZE).K
+        scaled = camera.scaled(SIZE)
         errors, ratios = [], []
         for frame in list(raw.scans)[::10]:
             image = read_image(raw.images(number)[frame], camera.size, SIZE)
-            depth = perceive(model, image[None], K)[0][0]
-            truth = scan_depth(read_scan(raw.scans[frame]), camera.T_cam_velo, K, SIZE)
+            depth = perceive(model, image[None], scaled)[0][0]
+            truth = scan_depth(read_scan(raw.scans[frame]), scaled)
             found = depth_errors(eigen_crop(depth), eigen_crop(truth))
             assert found is not None
             errors.append(found[0])

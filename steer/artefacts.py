@@ -1,4 +1,4 @@
-"""steer show, diff and export: describe artefacts, compare two of them, and export a trained model."""
+"""steer show, diff and export: describe an artefact, compare two of them, export a trained model."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,14 +13,14 @@ _MAX_LINES = 20  # per file
 
 
 def show(
-    path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="an artefact of a stage")],
-    frame: Annotated[int | None, typer.Option(min=0, help="show this frame only, and draw it")] = None,
-    out: Annotated[Path | None, typer.Option(help="name of the PNG; default NAME-frame-N.png")] = None,
+    path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="artefact of a stage")],
+    frame: Annotated[int | None, typer.Option(min=0, help="print and draw only this frame")] = None,
+    out: Annotated[Path | None, typer.Option(help="name of the PNG file; default: NAME-frame-N.png")] = None,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Describe an artefact of any stage, and the stage that wrote it; or draw one of its frames.
+    """Describe an artefact, or draw one of its frames.
 
     \b
     steer show data
@@ -59,8 +59,8 @@ def _show_frame(path: Path, frame: int | None, out: Path | None, output: options
 
 
 def diff(
-    a: Annotated[Path, typer.Argument(metavar="A", help="a file or folder of any stage")],
-    b: Annotated[Path, typer.Argument(metavar="B", help="another one of the same kind")],
+    a: Annotated[Path, typer.Argument(metavar="A", help="file or folder of any stage")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="file or folder of the same kind")],
     tolerance: Annotated[
         float, options.number(0, None, "numbers that differ by at most this are equal, in the dataset's unit")
     ] = 0.0,
@@ -68,11 +68,10 @@ def diff(
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Compare two artefacts and print what differs: dataset, first frame, number of frames, largest difference.
+    """Compare two artefacts and print the differences.
 
-    HDF5 files are compared by frame, JSON files and checkpoints by key, others by bytes.
-
-    Exit status: 0 equal, 3 different, 1 error, 2 wrong option.
+    HDF5 files are compared frame by frame (dataset, first frame, number of frames, largest difference), JSON files and
+    checkpoints by key, other files by bytes. Exit status: 0 equal, 3 different, 1 error, 2 wrong option.
 
     \b
     steer diff data/labels ../other/data/labels
@@ -103,20 +102,24 @@ def diff(
 
 
 def export(
-    model: Annotated[Path, typer.Argument(help="folder of a trained model, for instance data/train/sa-gnn-ncp")],
-    out: Annotated[Path, typer.Option(help="folder for the files; new, empty or an earlier export")],
-    graphs: Annotated[Path, typer.Option(help="folder of the graph variants, for verification")] = Path("data/graphs"),
-    tolerance: Annotated[float, options.number(0, None, "largest difference of features and outputs")] = 1e-4,
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="folder of a trained model")],
+    out: Annotated[Path, typer.Option(help="folder for the files: new, empty, or of an earlier export")],
+    graphs: Annotated[Path, typer.Option(help="folder of the graph variants, to verify with")] = Path("data/graphs"),
+    tolerance: Annotated[float, options.number(0, None, "largest accepted difference from the network")] = 1e-4,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Write a model's spatial and recurrent part as .pt2 files (torch.export), verified on real frames.
+    """Write a model as torch.export programs.
 
-    export.json describes their inputs and how to compute the angle. Numbers of points and neighbours may differ between
-    frames; each call takes one frame. For ONNX, convert each file with the package onnxscript:
+    The spatial and the recurrent part become .pt2 files, verified on real frames. export.json describes their inputs
+    and how to compute the angle. Each call takes one frame with any number of points and neighbours. To convert a file
+    to ONNX, use the package onnxscript:
+
+    \b
     torch.onnx.export(torch.export.load("spatial.pt2"), dynamo=True).save("spatial.onnx")
 
+    \b
     steer export data/train/sa-gnn-ncp --out net/
     """
     from pipeline.live.export import export as write

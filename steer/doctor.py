@@ -17,16 +17,17 @@ _ALL_CAMERAS = (2, 0, 3, 1)
 
 def doctor(
     root: Annotated[
-        Path | None, typer.Argument(metavar="KITTI_ROOT", help="a KITTI raw folder; default: the project's data/raw")
+        Path | None, typer.Argument(metavar="KITTI_ROOT", help="KITTI raw folder; default: the project's data/raw")
     ] = None,
-    deep: Annotated[bool, typer.Option("--deep", help="decode every image and scan: takes minutes")] = False,
+    deep: Annotated[bool, typer.Option("--deep", help="decode every image and scan, which takes minutes")] = False,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Check which drives are missing, partly extracted or damaged, and which stages have to run.
+    """Check raw drives and the project.
 
-    Exit status: 0 no problems, 1 problems. Problems of drives that params.yaml does not name are printed as notes.
+    Lists drives that are missing, partly extracted or damaged, and stages that have to run. Problems of drives that
+    params.yaml does not name are notes. Exit status: 0 no problems, 1 problems.
 
     \b
     steer doctor

@@ -12,18 +12,18 @@ from steer import options
 
 
 def import_recording(
-    source: Annotated[Path, typer.Argument(help="video, or folder of PNG or JPEG images; undistorted")],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="video, or folder of images; undistorted")],
     drive: Annotated[str, typer.Option(help="name of the drive, for instance 2027_03_31_drive_0001")],
     motion: Annotated[
-        Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA")
+        Path | None,
+        typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA"),
     ] = None,
-    wheel: Annotated[
-        Path | None, typer.Option(help="CSV with wheel_rad (steering wheel, left +), and time_s or frame")
-    ] = None,
+    wheel: Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")] = None,
     steering_ratio: Annotated[
-        float | None, options.number(1, 50, "angle of the steering wheel / angle of the front wheels")
+        float | None,
+        options.number(1, 50, "angle of the steering wheel / angle of the front wheels"),
     ] = None,
-    out: Annotated[Path, typer.Option(help="root in KITTI raw's layout; ingest reads data/raw")] = Path("data/raw"),
+    out: Annotated[Path, typer.Option(help="root folder of drives in KITTI raw's layout")] = Path("data/raw"),
     calib: options.Calib = None,
     fov: options.Fov = None,
     k: options.K = None,
@@ -31,21 +31,23 @@ def import_recording(
     fps: options.Fps = None,
     offset: Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")] = 0.0,
     max_gap: Annotated[
-        float, options.number(0, 3600, "longest interval between samples to interpolate over, seconds")
+        float, options.number(0, 3600, "longest interval between samples that is interpolated, seconds")
     ] = 2.0,
     force: Annotated[bool, typer.Option("--force", help="replace an existing drive")] = False,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Convert a video, or a folder of images, to a drive in KITTI raw's layout.
+    """Convert your own recording to a drive in KITTI raw's layout.
 
     Times count from the first image; images of a folder may be named by timestamps in ns. With --motion, speed and yaw
-    rate are interpolated linearly at the images' times, and images without motion are left out. Without it, labels come
-    from the images (labels.source: visual in params.yaml) or, with --wheel, from these angles (labels.source: wheel).
+    rate are interpolated linearly at the images' times, and images without motion are left out. Without --motion,
+    labels come from the images (labels.source: visual in params.yaml) or from the angles of --wheel (labels.source:
+    wheel).
 
-    A GPX or NMEA track has times in seconds since 1970 (UTC); its speeds and courses are smoothed over a second or
-    more. One fix per second flattens bends: prefer the car's own log, or a receiver with 5 Hz that reports velocities.
+    A GPX or NMEA track has times in seconds since 1970 (UTC). Its speeds and courses are smoothed over a second or
+    more, and one fix per second flattens bends. Prefer the car's own log, or a receiver with 5 Hz that reports
+    velocities.
 
     \b
     steer import drive.mp4 --fov 78 --drive 2027_03_31_drive_0001
@@ -60,7 +62,7 @@ def import_recording(
     output = options.Output(quiet, as_json)
     _check_paths(source, motion, wheel, out, calib, times)
     if (wheel is None) != (steering_ratio is None):
-        fix = "Use 1 if the log holds angles of the front wheels"
+        fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
     layout.check_absent(layout.drive_folder(out, drive), force)
     log = read_motion(motion, offset) if motion else None

@@ -14,7 +14,7 @@ MIN_SPEED_MPS = 1.0  # below, the steering angle is noise
 
 def measure(
     source: options.SourcePath,
-    out: Annotated[Path, typer.Option(help="folder for motion.csv, track.png, quality.json, overlay.mp4")] = Path(
+    out: Annotated[Path, typer.Option(help="folder for motion.csv, track.png, quality.json and overlay.mp4")] = Path(
         "out"
     ),
     fov: options.Fov = None,
@@ -24,24 +24,27 @@ def measure(
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
     wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
-    max_frames: Annotated[int | None, typer.Option(min=2, help="measure only these first frames")] = None,
+    max_frames: Annotated[int | None, typer.Option(min=2, help="measure only the first frames")] = None,
     video: options.Video = True,
-    encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street makes the default")] = Path(
+    encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
         "weights/street"
     ),
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Measure speed, yaw rate, curvature, steering angle and track of a video, by visual odometry.
+    """Measure a car's motion from its video.
 
-    Needs an encoder, but no steering model: make street. Images of other shapes are cropped around the horizon, which
-    is found from the motion. Rates are means over neighbouring frames, later ones included (Gaussian: yaw rate 0.2 s,
-    speed 0.5 s). The steering angle is atan(wheelbase * yaw rate / speed), left positive. A frame whose motion cannot
-    be measured has valid = 0 and no numbers. quality.json describes how certain scale and focal length are.
+    Speed, yaw rate, curvature, steering angle and track are measured by visual odometry. This needs the encoder that
+    make street writes, but no steering model.
 
+    Images of another shape than the encoder's are cropped around the horizon, which is estimated from the motion. Rates
+    are Gaussian means over neighbouring frames, later ones included (yaw rate 0.2 s, speed 0.5 s). The steering angle
+    is atan(wheelbase * yaw rate / speed), left positive. A frame whose motion cannot be measured has valid = 0 and no
+    numbers. quality.json says how certain scale and focal length are.
+
+    \b
     steer measure street.mp4 --fov 65 --out out/
-
     steer measure data/town/2026_01_03/2026_01_03_drive_0001_sync --encoder data/encoder
     """
     from pipeline.labels.label import Car
@@ -55,12 +58,12 @@ def measure(
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     check_out(out, MEASURED_FILES, source)
     clock, lens = Clock(fps, times), Lens(calib, fov, k)
-    frames = open_source(source, CAMERAS, lens, live.SIZE, False, car, clock, camera_height, level=False)
-    results, quality = live.measure(frames, encoder, car, out, max_frames, video=video, visible=output.visible)
-    for line in (*results.lines(frames.notes), *quality["remarks"]):
+    opened = open_source(source, CAMERAS, lens, live.SIZE, False, car, clock, camera_height, level=False)
+    results, quality = live.measure(opened, encoder, car, out, max_frames, video=video, visible=output.visible)
+    for line in (*results.lines(opened.notes), *quality["remarks"]):
         output.line(line)
     files = [str(path) for name in MEASURED_FILES if (path := out / name).exists()]
     output.line(f"{results.valid} of {results.frames} frames measured, {results.summary()['hz']:.1f} frames/s")
     output.line(", ".join(files))
-    content = {"source": frames.name, **results.summary(), "problems": results.problems, "notes": frames.notes}
+    content = {"source": opened.name, **results.summary(), "problems": results.problems, "notes": opened.notes}
     output.result(content | {"quality": quality, "files": files})

@@ -23,10 +23,12 @@ def number(lowest: float, highest: float | None, help: str) -> Any:
 
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
-Json = Annotated[bool, typer.Option("--json", help="print the result as one JSON object, and nothing else")]
-Debug = Annotated[bool, typer.Option("--debug", help="show the traceback of an error")]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON object and nothing else")]
+Debug = Annotated[bool, typer.Option("--debug", help="show the traceback of errors")]
 # Of predict, measure and import. A KITTI drive has its own intrinsics and times.
-SourcePath = Annotated[Path, typer.Argument(help="folder of a KITTI drive, folder of images, or video")]
+SourcePath = Annotated[
+    Path, typer.Argument(metavar="SOURCE", help="folder of a KITTI drive, folder of images, or video")
+]
 Fov = Annotated[float | None, typer.Option(help="intrinsics: horizontal field of view, degrees")]
 K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics: in pixels")]
 Calib = Annotated[Path | None, typer.Option(help="intrinsics: a KITTI calib_cam_to_cam.txt")]

@@ -21,21 +21,26 @@ def predict(
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
     video: options.Video = True,
-    encoder: Annotated[Path | None, typer.Option(help="default: data/encoder beside the model's data/train")] = None,
-    params: Annotated[Path | None, typer.Option(help="default: the params.yaml beside that data")] = None,
+    encoder: Annotated[
+        Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
+    ] = None,
+    params: Annotated[
+        Path | None, typer.Option(help="settings of the model's data; default: params.yaml beside that data folder")
+    ] = None,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Predict the steering angle of every frame, and write out/steering.csv and a video.
+    """Predict the steering angle of each frame with a trained model.
 
-    LiDAR and oxts are needed only by models with LiDAR input. Angles are in rad, left positive; the first frames, and
-    those after a gap, have none until a window is complete. The columns after latency_ms are measured motion, without
-    smoothing: see steer measure. Results replace those of an earlier run when the run succeeds; until then they are in
-    out/.unfinished.
+    Angles are in rad, left positive. The first frames, and those after a gap, have none until a window is complete.
+    LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv also has the measured motion, without
+    means over later frames: see steer measure.
 
+    Results replace those of an earlier run when the run succeeds. Until then they are in OUT/.unfinished.
+
+    \b
     steer predict data/town/2026_01_03/2026_01_03_drive_0001_sync --out out/
-
     steer predict street.mp4 --fov 65 --model data/train/motion
     """
     from pipeline.live import predictor, settings
@@ -50,10 +55,10 @@ def predict(
     sections = settings.read(params or data.parent / "params.yaml", trained.line["input"], data)
     scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras
     lens, height_m = Lens(calib, fov, k), camera_height or sections.perception.camera_height_m
-    frames = open_source(source, cameras, lens, size, scans, trained.target.car, Clock(fps, times), height_m)
+    opened = open_source(source, cameras, lens, size, scans, trained.target.car, Clock(fps, times), height_m)
     show = {"video": video, "visible": output.visible}
-    results = predictor.predict(trained, sections, frames, data, encoder or data / "encoder", out, **show)
-    for line in results.lines(frames.notes):
+    results = predictor.predict(trained, sections, opened, data, encoder or data / "encoder", out, **show)
+    for line in results.lines(opened.notes):
         output.line(line)
     ahead = f", each {trained.horizon} frames ahead" if trained.horizon else ""
     output.line(
@@ -61,8 +66,8 @@ def predict(
     )
     files = {"csv": str(out / STEERING), "video": str(out / VIDEO) if video else None}
     output.line(", ".join(filter(None, files.values())))
-    about = {"model": trained.name, "source": frames.name, "horizon": trained.horizon}
-    output.result({**about, **results.summary(), "notes": frames.notes, **files})
+    about = {"model": trained.name, "source": opened.name, "horizon": trained.horizon}
+    output.result({**about, **results.summary(), "notes": opened.notes, **files})
 
 
 def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path:
@@ -73,4 +78,4 @@ def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path
     if encoder is None or params is None:
         fix = "Pass --encoder (a data/encoder) and --params (the params.yaml of its training)"
         raise InputError("the model is not in a data/train, so its encoder and params are unknown", model, fix)
-    return params.resolve().parent / "data"
+    return Path(os.path.realpath(params)).parent / "data"

@@ -88,7 +88,7 @@ class Card(BaseModel):
     """What a model was fitted to: names of drives, and their frame rate."""
 
     drives: list[str]
-    fps: float
+    fps: Annotated[FiniteFloat, Field(gt=0)]
 
     @classmethod
     def from_drives(cls, drives: Sequence[windows.Drive]) -> "Card":

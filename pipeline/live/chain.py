@@ -6,11 +6,8 @@ Reading, perception and motion run in threads of their own. Memory holds a few f
 from collections.abc import Generator, Iterable
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from pipeline.camera.camera import Camera
-from pipeline.camera.frame import Frame
 from pipeline.camera.images import Size, resized, rounded_as_stored
 from pipeline.fitting.prefetch import prefetch
 from pipeline.live.course import FrameState
@@ -36,10 +33,12 @@ class Chain:
             road_scale: correct depth by the camera's height.
         """
         self.camera = source.camera.scaled(size)
-        self._encoder = EncoderRunner(encoder, settings, self.camera, source.name) if encoder else None
+        self._drive = source.name
+        self._encode = open_encoder(encoder, settings.precision) if encoder else None
+        self._postprocess = DepthPostprocessor(settings, self.camera)
         self._estimators = {kind: MotionEstimator(kind, self.camera, road_scale=road_scale) for kind in kinds}
         odometries = (estimator.odometry for estimator in self._estimators.values())
-        self.odometry = next((each for each in odometries if isinstance(each, Odometry)), None)  # the visual one
+        self.odometry = next((visual for visual in odometries if isinstance(visual, Odometry)), None)
 
     def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
         """Yield each frame with depth, classes and estimates of motion, in order; closes `frames`."""
@@ -49,8 +48,10 @@ class Chain:
         torch.set_num_threads(1)  # of this thread, as in stage perception
         for frame in frames:
             frame.image = resized(frame.source_image, self.camera.size)
-            if self._encoder:
-                frame.depth_m, frame.cls = self._encoder.run(frame)
+            if self._encode:  # depth and classes equal those that stage perception stores
+                batch = Batch(self._drive, [frame.number], frame.image[None], self.camera, [frame.scan])
+                (depth_m,), (frame.cls,) = self._encode(batch)
+                frame.depth_m = rounded_as_stored(self._postprocess(depth_m, frame.cls, frame.scan))
             yield frame
 
     def _measure(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
@@ -59,19 +60,3 @@ class Chain:
             if self.odometry:
                 frame.problem, frame.road_height_m = self.odometry.problem, self.odometry.road.frame_height_m
             yield frame
-
-
-class EncoderRunner:
-    """Predicts depth and classes of one drive's images, in order, equal to those that stage perception stores."""
-
-    def __init__(self, encoder: Path, settings: Perception, camera: Camera, drive: str) -> None:
-        """Load the encoder of the folder `encoder`, usually data/encoder."""
-        self._predict, self._camera, self._drive = open_encoder(encoder, settings.precision), camera, drive
-        self._postprocess = DepthPostprocessor(settings, camera)
-
-    def run(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Return depth [H,W] in metres, rounded as in a file, and trainIds uint8 [H,W] of a frame with an image."""
-        assert frame.image is not None
-        batch = Batch(self._drive, [frame.number], frame.image[None], self._camera, [frame.scan])
-        (depth,), (cls,) = self._predict(batch)
-        return rounded_as_stored(self._postprocess(depth, cls, frame.scan)), cls

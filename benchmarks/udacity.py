@@ -23,8 +23,7 @@ import typer
 
 from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
-from pipeline.kitti.raw import STEERING_FILE
-from pipeline.labels import steering_file
+from pipeline.kitti import steering_file
 
 FITTED_S = 60.0
 # The camera's focal length is unpublished. Of 640, 1400, 2000 and 2800 px, the last two have the least error on the
@@ -132,9 +131,9 @@ def compare(
 
 def split(drive: Annotated[Path, typer.Argument(help="the drive that steer import wrote, with --wheel")]) -> list[Path]:
     """Cut the drive into three, with hard links to the images; earlier ones are replaced. Return their folders."""
-    if "_drive_0001_" not in drive.name or not (drive / STEERING_FILE).is_file():
+    if "_drive_0001_" not in drive.name or not (drive / steering_file.FILE).is_file():
         raise InputError("expected a drive 0001 with steering.csv", drive, "Import it: steer import, option --wheel")
-    angles, images = steering_file.read(drive / STEERING_FILE), sorted((drive / "image_02/data").iterdir())
+    angles, images = steering_file.read(drive / steering_file.FILE), sorted((drive / "image_02/data").iterdir())
     folders = []
     for number, (first, labelled, stop) in PARTS.items():
         folder = drive.with_name(drive.name.replace("0001", number))
@@ -145,7 +144,7 @@ def split(drive: Annotated[Path, typer.Argument(help="the drive that steer impor
             if first <= int(image.stem) < stop:
                 os.link(image, folder / "image_02/data" / image.name)
         labels = {frame: angle for frame, angle in angles.items() if labelled <= frame < stop}
-        steering_file.write(folder / STEERING_FILE, labels)
+        steering_file.write(folder / steering_file.FILE, labels)
         folders.append(folder)
     return folders
 

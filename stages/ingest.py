@@ -3,24 +3,12 @@
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.runner import Job, Summary, run_over_drives
-from pipeline.camera.camera import write_camera
-from pipeline.kitti import oxts
-from pipeline.kitti.ingest_file import (
-    PIXELS,
-    TolerantReader,
-    put_motion,
-    put_pixels,
-    put_scans,
-    put_steering,
-)
-from pipeline.kitti.raw import RawDrive, find_drives, read_scan
-from pipeline.labels import steering_file
+from pipeline.base.runner import Job, run_over_drives
+from pipeline.kitti.ingest_file import describe, ingest
+from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.sections.ingest import Ingest
 
 _FIXES = {
@@ -64,11 +52,11 @@ def main(
                 drive,
                 out / f"{drive}.h5",
                 [*attributes.values(), files.changes(settings.cameras)],
-                partial(_ingest, drive=drive, folder=files.folder, attributes=attributes, settings=settings),
+                partial(ingest, drive=drive, folder=files.folder, attributes=attributes, settings=settings),
             )
         )
     with run_over_drives(
-        "ingest", settings.model_dump(mode="json", exclude={"drives"}), jobs, out, _describe, workers=workers
+        "ingest", settings.model_dump(mode="json", exclude={"drives"}), jobs, out, describe, workers=workers
     ) as summaries:
         store.write_index(out, splits)
     for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
@@ -88,68 +76,6 @@ def _check_names(drives: list[str], raw: Path) -> None:
                 folder,
                 "Rename its folder to another year, or read it with ingest.source: kitti",
             )
-
-
-def _ingest(path: Path, *, drive: str, folder: Path, attributes: dict[str, str], settings: Ingest) -> Summary:
-    """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image."""
-    raw, params = RawDrive(folder), {"ingest": settings.model_dump(exclude={"drives"})}
-    scans = raw.scans if settings.lidar else {}
-    number = raw.camera_number(settings.cameras)
-    camera = None if number is None else raw.camera(number)
-    if scans and (camera is None or camera.T_cam_velo is None):
-        problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
-        raise InputError(problem, raw.calibration, "Extract the date's calibration archive, or set ingest.lidar: false")
-    images = {} if number is None else {"image": raw.images(number), "depth": raw.truth_depth, "cls": raw.truth_cls}
-    images = {name: files for name, files in images.items() if files}
-    reader = TolerantReader(tolerant=settings.on_damaged == "skip")
-
-    numbers, times = raw.timeline(number)
-    packets = dict(reader.each("oxts", oxts.read_row, raw.oxts, numbers))
-    if not packets and (raw.oxts or not numbers or raw.oxts_times.parent.is_dir()):
-        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
-        raise InputError("drive has no oxts packets", raw.oxts_times.parent, fix)
-    # Lines of timestamps.txt correspond to existing files, including damaged ones.
-    rows = list(packets or range(len(numbers)))
-    frames, time_s = [numbers[row] for row in rows], oxts.read_times(times, numbers)[rows]
-    with store.DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
-        file.attrs |= attributes
-        counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
-        file.attrs["camera"] = -1 if number is None else number
-        put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
-        if raw.steering:
-            counts["steering"] = put_steering(file, frames, steering_file.read(raw.steering))
-        if camera:
-            crop = camera.crop_to(settings.image_size)
-            write_camera(file, camera.cropped(crop).scaled(settings.image_size))
-        for name, pixels in PIXELS.items():
-            arrays = None
-            if camera and name in images:
-                read = partial(pixels.read, size=camera.size, new_size=settings.image_size, crop=crop)
-                arrays = reader.each(name, read, images[name], frames)
-            counts[name] = put_pixels(file, name, len(frames), settings.image_size, arrays)
-        counts["lidar"] = put_scans(file, len(frames), reader.each("lidar", read_scan, scans, frames))
-    others = (set(images.get("image", {})) | set(scans)) - set(numbers)
-    return counts | {
-        "camera": number,
-        "left_out": len(others),
-        "damaged": dict(reader.damaged),
-    }
-
-
-def _describe(summary: Summary) -> str:
-    """Return the text for a drive's line in the log."""
-    text = "{frames} frames, {image} images, {lidar} scans".format_map(summary)
-    if summary["image"]:
-        text += f", camera {summary['camera']}"
-    if summary["depth"] or summary["cls"]:
-        text += ", ground truth: {depth} depth, {cls} classes".format_map(summary)
-    if summary["steering"]:
-        text += f", {summary['steering']} steering angles"
-    if summary["left_out"]:
-        text += f", {summary['left_out']} without an {'oxts packet' if summary['oxts'] else 'image'} left out"
-    for kind, number in summary["damaged"].items():
-        text += f", {number} damaged {kind} left out"
-    return text
 
 
 if __name__ == "__main__":

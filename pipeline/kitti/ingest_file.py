@@ -5,15 +5,21 @@ Rows go by KITTI's frame numbers. What a frame lacks stays empty, and ``has_<nam
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, error_context
+from pipeline.base.errors import DamagedFile, InputError, error_context
+from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
+from pipeline.camera.camera import write_camera
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, read_classes, read_depth, read_image
+from pipeline.kitti import oxts, steering_file
+from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.sections.ingest import Ingest
 
 Rows = Iterable[tuple[int, np.ndarray]]
 """Row index and array, for the frames that have one."""
@@ -34,6 +40,64 @@ PIXELS = {
     "depth": Pixels(read_depth, (), np.uint16, f"1/{DEPTH_UNITS_PER_M} m, 0 = none", 0),
     "cls": Pixels(read_classes, (), np.uint8, f"trainId, {VOID} = void", VOID),
 }
+
+
+def ingest(path: Path, *, drive: str, folder: Path, attributes: dict[str, str], settings: Ingest) -> Summary:
+    """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image."""
+    raw, params = RawDrive(folder), {"ingest": settings.model_dump(exclude={"drives"})}
+    scans = raw.scans if settings.lidar else {}
+    number = raw.camera_number(settings.cameras)
+    camera = None if number is None else raw.camera(number)
+    if scans and (camera is None or camera.T_cam_velo is None):
+        problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
+        raise InputError(problem, raw.calibration, "Extract the date's calibration archive, or set ingest.lidar: false")
+    images = {} if number is None else {"image": raw.images(number), "depth": raw.truth_depth, "cls": raw.truth_cls}
+    images = {name: files for name, files in images.items() if files}
+    reader = TolerantReader(tolerant=settings.on_damaged == "skip")
+
+    numbers, times = raw.timeline(number)
+    packets = dict(reader.arrays("oxts", oxts.read_row, raw.oxts, numbers))
+    if not packets and (raw.oxts or not numbers or raw.oxts_times.parent.is_dir()):
+        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
+        raise InputError("drive has no oxts packets", raw.oxts_times.parent, fix)
+    # Lines of timestamps.txt correspond to existing files, including damaged ones.
+    rows = list(packets or range(len(numbers)))
+    frames, time_s = [numbers[row] for row in rows], oxts.read_times(times, numbers)[rows]
+    with DriveWriter(path, stage="ingest", drive=drive, params=params) as file:
+        file.attrs |= attributes
+        counts = {"frames": len(frames), "oxts": len(packets), "steering": 0}
+        file.attrs["camera"] = -1 if number is None else number
+        put_motion(file, np.array(frames, np.int32), time_s, np.array(list(packets.values())) if packets else None)
+        if raw.steering:
+            counts["steering"] = put_steering(file, frames, steering_file.read(raw.steering))
+        if camera:
+            crop = camera.crop_to(settings.image_size)
+            write_camera(file, camera.cropped(crop).scaled(settings.image_size))
+        for name, pixels in PIXELS.items():
+            arrays = None
+            if camera and name in images:
+                read = partial(pixels.read, size=camera.size, new_size=settings.image_size, crop=crop)
+                arrays = reader.arrays(name, read, images[name], frames)
+            counts[name] = put_pixels(file, name, len(frames), settings.image_size, arrays)
+        counts["lidar"] = put_scans(file, len(frames), reader.arrays("lidar", read_scan, scans, frames))
+    left_out = (set(images.get("image", {})) | set(scans)) - set(numbers)
+    return counts | {"camera": number, "left_out": len(left_out), "damaged": dict(reader.damaged)}
+
+
+def describe(summary: Summary) -> str:
+    """Return the text for a drive's line in the log."""
+    text = "{frames} frames, {image} images, {lidar} scans".format_map(summary)
+    if summary["image"]:
+        text += f", camera {summary['camera']}"
+    if summary["depth"] or summary["cls"]:
+        text += ", ground truth: {depth} depth, {cls} classes".format_map(summary)
+    if summary["steering"]:
+        text += f", {summary['steering']} steering angles"
+    if summary["left_out"]:
+        text += f", {summary['left_out']} without an {'oxts packet' if summary['oxts'] else 'image'} left out"
+    for kind, number in summary["damaged"].items():
+        text += f", {number} damaged {kind} left out"
+    return text
 
 
 def put_motion(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, oxts: np.ndarray | None) -> None:
@@ -87,7 +151,7 @@ class TolerantReader:
         self._tolerant = tolerant
         self.damaged: Counter[str] = Counter()
 
-    def each(
+    def arrays(
         self, kind: str, read: Callable[[Path], np.ndarray], files: Mapping[int, Path], frames: Sequence[int]
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Yield (position in `frames`, array) for each of `frames` with an intact file of this `kind`.

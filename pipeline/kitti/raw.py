@@ -14,11 +14,11 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.base.files import MiB, check_file
 from pipeline.camera.camera import Camera
+from pipeline.kitti import steering_file
 from pipeline.kitti.calibration import cameras_in, read_calibration
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
-STEERING_FILE = "steering.csv"  # beside the images: pipeline.labels.steering_file
 _LOWEST_DEG = -20.0
 _MOST_HASHED = 64 * MiB  # of a small file; larger ones are refused when they are read
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
@@ -59,7 +59,7 @@ class RawDrive:
     @property
     def steering(self) -> Path | None:
         """Recorded steering angles, which KITTI itself lacks; None without. Raises InputError for other than a file."""
-        path = self.folder / STEERING_FILE
+        path = self.folder / steering_file.FILE
         if not path.is_file() and (path.exists() or path.is_symlink()):
             raise InputError("expected a regular file", path, "Replace it, or take it away")
         return path if path.is_file() else None

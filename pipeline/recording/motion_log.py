@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import MiB, check_file, read_columns
-from pipeline.labels.steering_file import check_angles, check_frames
+from pipeline.kitti.steering_file import check_angles, check_frames
 from pipeline.recording.clock import coverage
 from pipeline.recording.gnss import read_gpx, read_nmea
 from pipeline.recording.track import Rates, check_times, rates_of

@@ -16,8 +16,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
 from pipeline.camera.camera import Camera
 from pipeline.camera.footage import Footage
-from pipeline.kitti.raw import STEERING_FILE
-from pipeline.labels import steering_file
+from pipeline.kitti import steering_file
 from pipeline.recording import clock, layout
 from pipeline.recording.motion_log import MotionLog, WheelLog
 
@@ -70,7 +69,7 @@ class Recording:
             if self.wheel and not angles:
                 raise InputError("no image has an angle", "--wheel", "Check its times or frames, or raise --max-gap")
             if angles:
-                steering_file.write(unfinished / STEERING_FILE, angles)
+                steering_file.write(unfinished / steering_file.FILE, angles)
             if not calibrated:
                 layout.write_calibration(folder, self.camera)
         summary = {

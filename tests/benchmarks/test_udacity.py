@@ -7,8 +7,7 @@ import pytest
 
 from benchmarks import udacity
 from pipeline.base.errors import InputError
-from pipeline.kitti.raw import STEERING_FILE
-from pipeline.labels import steering_file
+from pipeline.kitti import steering_file
 
 
 def motion() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,10 +42,10 @@ def test_no_labelled_frame_is_in_two_drives(tmp_path: Path) -> None:
     (drive / "image_02/timestamps.txt").write_text("2016-11-17 12:00:00.000000000\n" * 1800)
     for frame in range(1800):
         (drive / f"image_02/data/{frame:010d}.png").touch()
-    steering_file.write(drive / STEERING_FILE, {frame: frame / 1e4 for frame in range(1800)})
+    steering_file.write(drive / steering_file.FILE, {frame: frame / 1e4 for frame in range(1800)})
     udacity.split(drive)
     folders = udacity.split(drive)  # over the first ones
-    labelled = [steering_file.read(folder / STEERING_FILE) for folder in folders]
+    labelled = [steering_file.read(folder / steering_file.FILE) for folder in folders]
     assert [frame for angles in labelled for frame in angles] == list(range(1800))
     assert all(angle == frame / 1e4 for angles in labelled for frame, angle in angles.items())
     images = [sorted(int(path.stem) for path in (folder / "image_02/data").iterdir()) for folder in folders]

@@ -10,9 +10,9 @@ import pytest
 from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
+from pipeline.kitti import steering_file
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive
-from pipeline.labels import steering_file
 from pipeline.labels.label import steering_labels
 from pipeline.recording import layout
 from stages import ingest, labels

@@ -8,6 +8,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.files import MiB, check_increase, check_limit, read_columns
 
+FILE = "steering.csv"
 COLUMNS = ("frame", "steering_rad")
 LIMIT_RAD = 1.2  # of front wheels; angles of a steering wheel, 15 times as large, exceed it in a tight bend
 LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored

@@ -8,17 +8,16 @@ import cv2
 import numpy as np
 
 from pipeline.base.errors import named_frames
-from pipeline.camera.images import write_png
+from pipeline.camera.images import to_units, write_png
 from pipeline.kitti.raw import RawDrive
-from pipeline.town.character import QUARTERS, draw_character
 from pipeline.town.light import draw_ground_colours, draw_light
 from pipeline.town.manoeuvres import DECK
 from pipeline.town.motion import draw_journey
 from pipeline.town.oxts import read_recording, record
-from pipeline.town.plan import draw_plan
+from pipeline.town.plan import QUARTERS, draw_character, draw_plan
 from pipeline.town.replay import replay
 from pipeline.town.rig import make_rig
-from pipeline.town.sensors import Camera, Scanner
+from pipeline.town.sensors import ImageSensor, Scanner
 from pipeline.town.street import build_street
 from pipeline.town.traffic import draw_traffic
 from pipeline.town.world import World
@@ -67,7 +66,7 @@ class Drive:
         self._traffic = draw_traffic(self._journey, rng)
         self._recording = recording or record(self._journey, drive[:10], rng)
         rig = make_rig(size, drive[:10])
-        self._camera, self._scanner = Camera(rig), Scanner(rig, scan_rays)
+        self._camera, self._scanner = ImageSensor(rig), Scanner(rig, scan_rays)
 
     def write(self, path: Path) -> None:
         """Render all frames into the folder `path`, with their oxts files and timestamps.txt of all sensors.
@@ -83,9 +82,9 @@ class Drive:
         for i, number in enumerate(named_frames(self._recording.packets)):
             self._world.set_traffic([vehicle.at(i) for vehicle in self._traffic if vehicle.visible[i]])
             pose, png = self._journey.pose(i), f"{number:010d}.png"
-            rgb, depth, cls = self._camera.take(self._world, self._light, pose)
+            rgb, depth_m, cls = self._camera.take(self._world, self._light, pose)
             write_png(images / png, rgb, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
-            write_png(depths / png, depth, *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
+            write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
             write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
             scan = self._scanner.take(self._world, pose, random_of(self._name, self._seed, number))
             (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())

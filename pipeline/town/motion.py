@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.town.character import Character
 from pipeline.town.manoeuvres import draw_route
+from pipeline.town.plan import Character
 from pipeline.town.rig import rotation
 from pipeline.town.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route
 
@@ -23,8 +23,8 @@ _GRID_M = 0.25
 
 
 @dataclass(frozen=True)
-class Motion:
-    """The ego per frame: time_s, s_m (along the route), speed_mps, acceleration_mps2, all [F]."""
+class Travel:
+    """The ego's progress per frame: time_s, s_m (along the route), speed_mps, acceleration_mps2, all [F]."""
 
     time_s: np.ndarray
     s_m: np.ndarray
@@ -46,7 +46,7 @@ class Journey:
     """Positions xy [F,2] and headings heading_rad [F] of the IMU; `motion` is its place along the route."""
 
     route: Route
-    motion: Motion
+    motion: Travel
     body: Body
     xy: np.ndarray
     heading_rad: np.ndarray
@@ -93,7 +93,7 @@ def draw_stops(rng: np.random.Generator, route: Route, before_m: float) -> tuple
     return (places[int(rng.integers(len(places)))],) if places and rng.random() < 0.2 else ()
 
 
-def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Motion:
+def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Travel:
     """Follow `speed_mps` [N] along the route from s = 0; wait for `wait_s` where it is zero.
 
     Acceleration is constant between samples of the route, so that positions integrate speeds exactly.
@@ -112,10 +112,10 @@ def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: floa
     i = np.searchsorted(knots, times_s, side="right") - 1
     acceleration = np.diff(v)[i] / duration[i]
     t = times_s - knots[i]
-    return Motion(times_s, s[i] + v[i] * t + acceleration * t**2 / 2, v[i] + acceleration * t, acceleration)
+    return Travel(times_s, s[i] + v[i] * t + acceleration * t**2 / 2, v[i] + acceleration * t, acceleration)
 
 
-def draw_body(route: Route, motion: Motion, rng: np.random.Generator) -> Body:
+def draw_body(route: Route, motion: Travel, rng: np.random.Generator) -> Body:
     """Draw the body's motion: it leans out of bends, dives under braking and follows bumps along the road."""
     grid = np.arange(motion.s_m[0], motion.s_m[-1] + _GRID_M, _GRID_M)
     reach = round(3 * _BUMP_M / _GRID_M)

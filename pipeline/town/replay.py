@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.kitti.oxts import AF, VF, YAW
 from pipeline.town.manoeuvres import arm_is_clear, turn_arms
-from pipeline.town.motion import Body, Journey, Motion
+from pipeline.town.motion import Body, Journey, Travel
 from pipeline.town.oxts import Recording
 from pipeline.town.route import AHEAD_M, BEHIND_M, STEP_M, Arm, Route, unit
 from pipeline.town.street import BARRIER_M
@@ -51,7 +51,7 @@ def replay(drive: str, recording: Recording, rng: np.random.Generator, lane_m: f
         arms += ways
         junctions += [(start + end) / 2] * bool(ways)
     route = replace(route, junctions_m=tuple(junctions), arms=tuple(arms))
-    return Journey(route, Motion(time_s, s, speed, recording.rows[:, AF]), Body(*np.zeros((3, len(s)))), xy, heading)
+    return Journey(route, Travel(time_s, s, speed, recording.rows[:, AF]), Body(*np.zeros((3, len(s)))), xy, heading)
 
 
 def _integral(rate: np.ndarray, time_s: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.camera import classes, geometry
-from pipeline.camera.images import MAX_UNITS, to_metres, to_units
+from pipeline.camera.images import MAX_UNITS, to_metres
 from pipeline.town.light import Light, shade
 from pipeline.town.rig import Rig
 from pipeline.town.world import World, dot
@@ -17,8 +17,8 @@ _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 
 
-class Camera:
-    """The left colour camera: image, depth, classes."""
+class ImageSensor:
+    """The left colour camera: renders images, depth and classes."""
 
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
@@ -28,7 +28,7 @@ class Camera:
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
 
     def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return RGB uint8 [H,W,3], depth uint16 [H,W] in 1/256 m (0: sky or too far), classes uint8 [H,W]."""
+        """Return RGB uint8 [H,W,3], depth [H,W] in metres (0: sky or too far to be stored), classes uint8 [H,W]."""
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
         facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)  # the sky has no normal
@@ -38,8 +38,8 @@ class Camera:
         lit[facing] = world.lit(points, light.sun)
         picture = shade(light, hits, rays, lit, self._size)
         depth_m = hits.distance_m * self._z_per_m  # sky: inf
-        depth = to_units(np.where(depth_m < FARTHEST_M, depth_m, 0))
-        return picture, depth.reshape(self._size), hits.cls.reshape(self._size)
+        depth_m = np.where(depth_m < FARTHEST_M, depth_m, 0)
+        return picture, depth_m.reshape(self._size), hits.cls.reshape(self._size)
 
 
 class Scanner:

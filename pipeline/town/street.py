@@ -7,8 +7,7 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.town import shapes
-from pipeline.town.character import Character
-from pipeline.town.plan import CELL_M, KERB_M, Plan
+from pipeline.town.plan import CELL_M, KERB_M, Character, Plan
 from pipeline.town.route import Route, unit
 from pipeline.town.shapes import Mesh
 

@@ -11,11 +11,10 @@ import yaml
 from pipeline.base import resume
 from pipeline.base.errors import InputError
 from pipeline.kitti.raw import find_drives
-from pipeline.town.character import draw_character
 from pipeline.town.drive import random_of, theme
 from pipeline.town.light import draw_ground_colours
 from pipeline.town.motion import draw_journey
-from pipeline.town.plan import draw_plan
+from pipeline.town.plan import draw_character, draw_plan
 from pipeline.town.route import IMU_LEFT_M, unit
 from pipeline.town.street import build_street
 from pipeline.town.world import World

@@ -9,7 +9,7 @@ from pipeline.town.manoeuvres import draw_route
 from pipeline.town.motion import (
     Body,
     Journey,
-    Motion,
+    Travel,
     draw_body,
     drive,
     frame_times,
@@ -21,7 +21,7 @@ from pipeline.town.route import AHEAD_M, Route
 LAT, LON, LATERAL = 49.0, 8.4, 3.0
 
 
-Drive = tuple[Route, Motion, Body, dict[str, np.ndarray]]
+Drive = tuple[Route, Travel, Body, dict[str, np.ndarray]]
 
 
 @pytest.fixture(scope="module", params=[1, 3])

@@ -1,4 +1,4 @@
-"""Find the row of the horizon in a moving camera's images: of the point that all tracks of a straight drive leave."""
+"""Find the horizon's row in a moving camera's images: that of the focus of expansion on straight drives."""
 
 from collections.abc import Iterable
 

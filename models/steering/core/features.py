@@ -6,7 +6,7 @@ from torch import Tensor
 from pipeline.camera import classes
 
 GEOMETRY = 6  # columns of node_features that depend on the point's position alone
-MIRROR_SIGNS = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT
+FEATURE_MIRROR_SIGNS = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT
 """Factor of each column of node_features under left-right mirroring."""
 GROUND_Y_M = 1.65  # approximate height of KITTI's ground; an offset that centres y
 NODE_FEATURES = GEOMETRY + classes.COUNT

@@ -33,7 +33,7 @@ Line = Mapping[str, Any]
 HIDDEN = 16  # neurons of the network for log σ
 MOTION = 4
 """Columns of `motion`: measured angle (rad) and yaw rate (rad/s), both left +; speed (m/s) and valid (0 or 1)."""
-MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
+MOTION_MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
 """Factor of each column under left-right mirroring."""
 # Scales: a sharp corner for the columns that change sign, a fast street for the others.
 ODD_SCALE, EVEN_SCALE = (0.25, 0.4), (15.0, 1.0)  # rad, rad/s; m/s, 1
@@ -109,7 +109,7 @@ class SteeringNet(nn.Module):
         original, mirrored = self.encode_both(batch)
         windows = torch.cat([windows, windows + len(original)])
         if motion is not None:
-            motion = torch.cat([motion, motion * motion.new_tensor(MIRROR_SIGNS)])
+            motion = torch.cat([motion, motion * motion.new_tensor(MOTION_MIRROR_SIGNS)])
         return self.recall(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
 
     def recall(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:

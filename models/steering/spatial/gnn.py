@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from models.steering.core.adjacency import normalised_adjacency, propagate
 from models.steering.core.batch import GraphBatch
 from models.steering.core.convolutions import convolve
-from models.steering.core.features import MIRROR_SIGNS, NODE_FEATURES
+from models.steering.core.features import FEATURE_MIRROR_SIGNS, NODE_FEATURES
 from models.steering.core.graph_network import GraphKnobs, GraphNetwork
 from models.steering.core.knobs import Sizes
 
@@ -52,7 +52,7 @@ class GCN(GraphNetwork):
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
         if _layer_by_layer(batch):
             return self(batch), self(batch.mirrored())
-        original, mirrored = self.project(self._convolve(batch, [ORIGINAL_SIGNS, MIRROR_SIGNS])).unbind(1)
+        original, mirrored = self.project(self._convolve(batch, [ORIGINAL_SIGNS, FEATURE_MIRROR_SIGNS])).unbind(1)
         return original, mirrored
 
     def _convolve(self, batch: GraphBatch, signs: Sequence[Sequence[float]]) -> Tensor:

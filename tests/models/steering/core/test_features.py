@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from models.steering.core.features import GEOMETRY, MIRROR_SIGNS, max_pool, mean_max_pool, node_features
+from models.steering.core.features import FEATURE_MIRROR_SIGNS, GEOMETRY, max_pool, mean_max_pool, node_features
 from pipeline.camera import classes
 
 
@@ -20,7 +20,8 @@ def test_mirroring_changes_the_sign_of_lateral_features_only(make_batch):
     batch = make_batch([30])
     mirrored = batch.xyz * torch.tensor([-1.0, 1.0, 1.0])
     assert torch.equal(
-        node_features(mirrored, batch.cls, 1.0), node_features(batch.xyz, batch.cls, 1.0) * torch.tensor(MIRROR_SIGNS)
+        node_features(mirrored, batch.cls, 1.0),
+        node_features(batch.xyz, batch.cls, 1.0) * torch.tensor(FEATURE_MIRROR_SIGNS),
     )
 
 

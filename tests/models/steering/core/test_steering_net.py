@@ -7,7 +7,7 @@ import torch
 
 from models.steering.core.batch import GraphBatch, ImageBatch
 from models.steering.core.knobs import load, names
-from models.steering.core.steering_net import MIRROR_SIGNS, SteeringNet, build, odd_and_even
+from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, build, odd_and_even
 from models.steering.temporal.ncp import CELLS
 from pipeline.sections.models import Model, resolve
 
@@ -160,7 +160,7 @@ def test_columns_are_of_order_one_and_the_odd_ones_are_odd():
     assert odd.abs().max() <= 1 < even.max() < 3
     assert odd[0].min() > 0.8
     assert not torch.cat([odd[2], even[2]]).any()
-    there, same = odd_and_even(motion * torch.tensor(MIRROR_SIGNS))
+    there, same = odd_and_even(motion * torch.tensor(MOTION_MIRROR_SIGNS))
     assert torch.equal(there, -odd)
     assert torch.equal(same, even)
 

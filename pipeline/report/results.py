@@ -3,6 +3,7 @@
 All report outputs are made from these.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from operator import itemgetter
@@ -51,9 +52,9 @@ def load_results(evaluate: Path, models: Sequence[str]) -> Results:
     """Load the results of `models` from their folders below `evaluate`. Raises InputError if a file is damaged."""
     loaded = sorted((_load_metrics(evaluate / model) for model in models), key=itemgetter("line.horizon", "paper.rank"))
     rows: list[dict[str, Any]] = []
-    for _, group in groupby(loaded, key=itemgetter("line.horizon")):
-        own = [*group]
-        rows += [*own, *_baselines(own)]
+    for _, models_of_horizon in groupby(loaded, key=itemgetter("line.horizon")):
+        group = [*models_of_horizon]
+        rows += [*group, *_baselines(group)]
     # dtype=object keeps integers and None as they are, also in columns that baselines lack.
     metrics = pd.DataFrame(rows, columns=None if rows else ["model", "baseline"], dtype=object)
     folders = [evaluate / model for model in models]
@@ -75,25 +76,22 @@ def steering_lines(predictions: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def columns_below(metrics: Iterable[str], prefix: str, name: str) -> dict[str, str]:
     """Return key → column for the columns ``<prefix>.<key>.<name>``: a test drive or a range of curvature each."""
-    prefix, suffix = f"{prefix}.", f".{name}"
-    found = [column for column in metrics if column.startswith(prefix) and column.endswith(suffix)]
-    columns = {column.removeprefix(prefix).removesuffix(suffix): column for column in found}
-    return {key: column for key, column in columns.items() if ".baselines." not in key}
+    matches = {column: re.fullmatch(rf"{prefix}\.(.+)\.{name}", column) for column in metrics}
+    return {match[1]: column for column, match in matches.items() if match and ".baselines." not in match[1]}
 
 
 def _load_metrics(folder: Path) -> dict[str, Any]:
     """Return the row of a model's metrics.json."""
     path = folder / "metrics.json"
-    content = store.read_json(path, stage=f"evaluate@{folder.name}", form=Metrics)
+    content = Metrics(**store.read_json(path, stage=f"evaluate@{folder.name}", form=Metrics)).model_dump()
     if content["model"] != folder.name:
         raise InputError(f"expected model {folder.name}, got {content['model']}", path, _fix(folder.name))
     for scores in filter(None, (content[split] for split in SPLITS)):
         scores["nmse_low"], scores["nmse_high"] = scores["nmse_ci95"]
         scores["by_curvature"] = {
-            _range(part): {"rmse_deg": None, "baselines": {"zero": part.pop("zero", {})}, **part}
-            for part in scores["by_curvature"]
+            _range(part): {"baselines": {"zero": part.pop("zero") or {}}, **part} for part in scores["by_curvature"]
         }
-    network = paper.name(content["line"] | {"accumulate": content["variant"].get("accumulate")})
+    network = paper.name(content["line"] | {"accumulate": content["variant"]["accumulate"]})
     row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
     published = paper.PAPER[network] if network else None
     return row | {
@@ -110,8 +108,7 @@ def load_structures(folder: Path) -> dict[str, Structure]:
     path = folder / "structure.json"
     if not path.is_file():
         return {}
-    content = store.read_json(path, stage=f"evaluate@{folder.name}", form=Structures)
-    return {drive: Structure(**graph) for drive, graph in content.items()}
+    return Structures(store.read_json(path, stage=f"evaluate@{folder.name}", form=Structures)).root
 
 
 def _range(part: Mapping[str, Any]) -> str:
@@ -121,14 +118,13 @@ def _range(part: Mapping[str, Any]) -> str:
 
 def _baselines(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return a row per baseline of models with one horizon, on the frames of the first model that has it."""
-    found = []
+    baselines = []
     for name in _BASELINES:
         key = f".baselines.{name}."
-        first = next((row for row in rows if f"test{key}nmse" in row), None)
-        if first:
-            own = {column.replace(key, "."): value for column, value in first.items() if key in column}
-            found.append({"model": name, "line.horizon": first["line.horizon"], **own, "baseline": True})
-    return found
+        if first := next((row for row in rows if f"test{key}nmse" in row), None):
+            errors = {column.replace(key, "."): value for column, value in first.items() if key in column}
+            baselines.append({"model": name, "line.horizon": first["line.horizon"], **errors, "baseline": True})
+    return baselines
 
 
 def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:

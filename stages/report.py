@@ -20,7 +20,7 @@ def main(
 
     Models of the params file that are not evaluated on this machine are named with the command that gets them.
     """
-    from pipeline.report import dvc_files, studies, tables
+    from pipeline.report import dvc_files, perception, studies, tables
     from pipeline.report.figures import draw
     from pipeline.report.page import write_page
     from pipeline.report.results import load_results
@@ -29,13 +29,12 @@ def main(
     models = entries("models", params)
     evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
     results = load_results(data / "evaluate", evaluated)
-    has_scores = (data / "scores/metrics.json").is_file()  # a machine that only trains may have none
-    scores = store.read_json(data / "scores/metrics.json", stage="scores") if has_scores else None
+    scores = perception.load_scores(data / "scores")
     steering = tables.steering_tables(results)
-    perception = tables.perception_tables(scores) if scores else []
+    perception_tables = perception.tables(scores) if scores else []
     absent = [model for model in models if model not in evaluated]
     parts = [*(table.markdown() for table in steering), tables.missing(absent)]
-    text = "\n\n".join(filter(None, [*parts, *(table.markdown() for table in perception)]))
+    text = "\n\n".join(filter(None, [*parts, *(table.markdown() for table in perception_tables)]))
     with exclusive(out, out.parent / ".resume" / out.name):
         with replacing(out / "table.md") as unfinished:
             unfinished.write_text(f"{text}\n", encoding="utf-8")
@@ -48,7 +47,7 @@ def main(
             dvc_files.write_learning(data / "train" / model, out / "learning")
         dvc_files.write_steering(results.predictions, out / "steering")
         captions = draw(out / "figures", results, data)
-        write_page(out / "index.html", sentences(results), results, steering, perception, captions, data)
+        write_page(out / "index.html", sentences(results), results, steering, perception_tables, captions, data)
         comparison = studies.write(results, out / "settings", load(Evaluate, params))
     print("\n\n".join(filter(None, [text, comparison])))
     return out

@@ -67,15 +67,15 @@ def write_structure(path: Path, drives: Sequence[Drive]) -> None:
 
 def _graph(graphs: graph_file.Graphs, row: int) -> dict[str, Any]:
     xyz, cls, edges = graphs.graph(row)
-    near = np.sort(np.argsort(np.linalg.norm(xyz, axis=1), kind="stable")[:MAX_POINTS])
+    nearest = np.sort(np.argsort(np.linalg.norm(xyz, axis=1), kind="stable")[:MAX_POINTS])
     number = np.full(len(xyz), -1)
-    number[near] = np.arange(len(near))
-    edges = number[edges]  # `near` is ascending, so the smaller end stays first
+    number[nearest] = np.arange(len(nearest))
+    edges = number[edges]  # `nearest` is ascending, so the smaller end stays first
     edges = edges[(edges >= 0).all(axis=1)]
     return {
         "frame": int(graphs.frame[row]),
         "points": len(xyz),
-        "xyz_m": [[round(float(value), 3) for value in point] for point in xyz[near]],
-        "cls": cls[near].tolist(),
+        "xyz_m": [[round(float(value), 3) for value in point] for point in xyz[nearest]],
+        "cls": cls[nearest].tolist(),
         "edges": edges.tolist(),
     }

@@ -1,1 +1,1 @@
-"""Describe and compare artefacts, and check raw drives and the project: for the command line, not for stages."""
+"""Describe, draw and compare artefacts, check raw drives and the project: for `steer show`, `diff` and `doctor`."""

@@ -1,1 +1,1 @@
-"""The report: tables, figures, and the page. No other stage depends on this package, so an edit trains nothing."""
+"""Write tables, figures, the page, and the files of DVC's metrics and plots. Only stage report imports this package."""

@@ -4,7 +4,6 @@ The first seed of a model has file ``<model>.csv``, further seeds ``<model>.seed
 ``<model>.fold-<drive>.csv`` and ``<model>.seed-<n>.fold-<drive>.csv``.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,13 @@ import pandas as pd
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import error_context
-from pipeline.base.params import SPLITS
+from pipeline.report import perception
 from pipeline.report.results import Results
 
 _LEARNING = ["epoch", "train_loss", "val_nmse"]
-_MOTION = ("nmse", "yaw_rmse_degps", "speed_ratio", "valid")
 
 
-def metrics(results: Results, scores: Mapping[str, Any] | None) -> dict[str, float]:
+def metrics(results: Results, scores: dict[str, Any] | None) -> dict[str, float]:
     """Return all metrics under flat names; values that do not exist are left out, and DVC shows a gap.
 
     - ``<model>.nmse``, its 95 % interval ``nmse_low`` to ``nmse_high``, ``mae_deg``
@@ -27,7 +25,7 @@ def metrics(results: Results, scores: Mapping[str, Any] | None) -> dict[str, flo
     - ``encoder.miou`` of classes; ``encoder.abs_rel_dense`` and ``encoder.abs_rel_lidar`` of depth
     - ``motion.<kind>.nmse`` of the steering angle from measured motion, ``yaw_rmse_degps``, ``speed_ratio``, ``valid``
 
-    Names of the other splits start with ``train_`` or ``val_``. `scores` is the metrics.json of stage scores.
+    Names of the other splits start with ``train_`` or ``val_``. `scores` is the result of `perception.load_scores`.
     """
     values: dict[str, Any] = {}
     columns = {
@@ -39,17 +37,7 @@ def metrics(results: Results, scores: Mapping[str, Any] | None) -> dict[str, flo
             values |= {f"{row['model']}.{name}": row.get(column) for name, column in columns.items()}
         elif row["model"].startswith("odometry"):
             values[f"{row['model']}-{row['line.horizon']}.nmse"] = row["test.nmse"]
-    for split in SPLITS if scores else ():
-        assert scores
-        prefix, found = "" if split == "test" else f"{split}_", scores[split]
-        if found["classes"]:
-            values[f"encoder.{prefix}miou"] = found["classes"]["mean_iou"]
-        for truth in ("dense", "lidar"):
-            if depth := found[f"depth_{truth}"]:
-                values[f"encoder.{prefix}abs_rel_{truth}"] = depth["abs_rel"]
-        for kind, cards in scores.get("motion", {}).items():
-            if card := cards[split]:
-                values |= {f"motion.{kind}.{prefix}{name}": card[name] for name in _MOTION}
+    values |= perception.metrics(scores) if scores else {}
     return {name: value for name, value in values.items() if pd.notna(value)}
 
 

@@ -1,9 +1,8 @@
-"""Build the report's tables as text: for table.md and for the page; and the rows of table.csv."""
+"""Build the tables of models and baselines as text, for table.md and for the page, and the rows of table.csv."""
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 from textwrap import fill
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -38,17 +37,6 @@ _UNCERTAINTY = (
     "which is scaled on the validation drives; constant σ: the same with the best single σ for these frames. within "
     "σ: share of the true angles that differ from the prediction by at most σ. in 95 % interval: by at most a multiple "
     "of σ, below which 95 % of the validation errors are. certain half: the frames with the smaller σ."
-)
-_DEPTH = (
-    "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
-    "count; coverage is their share. flat ground: a level road below the camera, with the encoder's classes, on the "
-    "same pixels; an encoder that does not beat it has learned no depth. Eigen: the usual crop of KITTI."
-)
-_MOTION = (
-    "Motion since the previous frame, measured without oxts and compared with it at or above labels.min_speed_mps; "
-    "wheel: recorded steering angles, with which …-wheel is compared. "
-    "nmse: of the steering angle from the last measurement, from a drive's first measured frame on. Drives without "
-    "scans count for visual only."
 )
 
 
@@ -176,52 +164,6 @@ def csv_rows(metrics: pd.DataFrame) -> pd.DataFrame:
     names |= {f"test_rmse_deg {name} 1/m": column for name, column in bins.items()}
     names |= {f"paper_{split}_mse": f"paper.{split}_mse" for split in ("train", "test")}
     return metrics.reindex(columns=[*names.values()]).set_axis([*names], axis=1)
-
-
-def perception_tables(scores: Mapping[str, Any]) -> list[Table]:
-    """Return the tables of the metrics.json of stage scores (split → scores, and motion) that have rows."""
-    classes = [
-        {"split": split, "classes": len(found["iou"]), **found}
-        for split in SPLITS
-        if (found := scores[split]["classes"])
-    ]
-    accuracy = {
-        "split": ("split", ""), "frames": ("frames", ""), "pixel accuracy": ("pixel_accuracy", ".3f"),
-        "mean IoU": ("mean_iou", ".3f"), "classes": ("classes", ""),
-    }  # fmt: skip
-    cards = [
-        {"kind": kind, "split": split, **card}
-        for kind, splits in scores.get("motion", {}).items()
-        for split in SPLITS
-        if (card := splits[split])
-    ]
-    motion = {
-        "motion": ("kind", ""), "split": ("split", ""), "drives": ("drives", ""), "frames": ("frames", ""),
-        "measured": ("valid", ".1%"), "compared": ("judged", ""), "yaw rate RMSE deg/s": ("yaw_rmse_degps", ".3f"),
-        "median": ("yaw_median_degps", ".3f"), "speed ratio": ("speed_ratio", ".3f"), "steering nmse": ("nmse", ".4f"),
-    }  # fmt: skip
-    tables = [Table("Depth", _depth(scores), _DEPTH)]
-    if classes:
-        note = "Over the classes that occur in the ground truth."
-        tables.append(Table("Classes", cells(pd.DataFrame(classes, dtype=object), accuracy), note))
-    if cards:
-        tables.append(Table("Motion", cells(pd.DataFrame(cards, dtype=object), motion), _MOTION))
-    return [table for table in tables if len(table.cells)]
-
-
-def _depth(scores: Mapping[str, Any]) -> pd.DataFrame:
-    sources = {"encoder": "depth", "flat ground": "ground_plane"}
-    rows = []
-    for split, truth in product(SPLITS, ("lidar", "dense")):
-        if depth := scores[split][f"depth_{truth}"]:
-            row = {"split": split, "truth": truth, "frames": str(depth["frames"])}
-            row["coverage"] = f"{depth['coverage']:.1%}"
-            for crop, (head, source) in product(("", "_eigen"), sources.items()):
-                errors = scores[split][f"{source}_{truth}{crop}"]
-                text = "{abs_rel:.3f}, {rmse_m:.2f}, {delta1:.3f}".format_map(errors) if errors else NONE
-                row[f"{head}{', Eigen' if crop else ''}"] = text
-            rows.append(row)
-    return pd.DataFrame(rows)
 
 
 def missing(models: Sequence[str]) -> str:

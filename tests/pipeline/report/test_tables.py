@@ -3,9 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from pipeline.base import store
+from pipeline.base.errors import InputError
 from pipeline.perception.scores import Scores
-from pipeline.report import tables
+from pipeline.report import perception, tables
 from tests.pipeline.report import examples
 
 CARD = {
@@ -35,7 +38,7 @@ def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
     assert "Means over 3 seeds" in first.note
 
 
-def test_perception_has_a_row_per_split_with_ground_truth() -> None:
+def test_perception_has_a_row_per_split_with_ground_truth(tmp_path: Path) -> None:
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)
     scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
@@ -45,7 +48,10 @@ def test_perception_has_a_row_per_split_with_ground_truth() -> None:
     scores["test"].add_classes(np.array([[0, 0, 1, 1]]), np.array([[0, 0, 0, 1]]))
     motion = {"visual": {"train": None, "val": None, "test": CARD}}
     report = {split: score.report() for split, score in scores.items()} | {"motion": motion}
-    depth, classes, measured = tables.perception_tables(report)
+    store.write_json(tmp_path / "metrics.json", report)
+    loaded = perception.load_scores(tmp_path)
+    assert loaded
+    depth, classes, measured = perception.tables(loaded)
     encoder, flat = "0.200, 2.00, 1.000", "0.500, 5.00, 0.000"
     assert depth.cells.to_numpy().tolist() == [
         ["val", "lidar", "1", "100.0%", encoder, flat, encoder, flat],
@@ -54,4 +60,13 @@ def test_perception_has_a_row_per_split_with_ground_truth() -> None:
     assert classes.cells.to_numpy().tolist() == [["test", "1", "0.750", "0.583", "2"]]
     row = ["visual", "test", "2", "153", "99.0%", "140", "0.160", "0.110", "0.977", "0.0005"]
     assert measured.cells.to_numpy().tolist() == [row]
-    assert tables.perception_tables({split: Scores().report() for split in ("train", "val", "test")}) == []
+
+
+def test_forged_scores_are_one_error(tmp_path: Path) -> None:
+    report = {split: Scores().report() for split in ("train", "val", "test")}
+    store.write_json(tmp_path / "metrics.json", report)
+    assert perception.load_scores(tmp_path) == report | {"motion": {}}
+    assert perception.tables(report | {"motion": {}}) == []
+    store.write_json(tmp_path / "metrics.json", report | {"val": {**report["val"], "classes": {"frames": 3}}})
+    with pytest.raises(InputError, match=r"val\.classes\.pixel_accuracy"):
+        perception.load_scores(tmp_path)

@@ -1,8 +1,8 @@
 """LiDAR odometry: register each scan to the previous one, point to plane, starting from the last step.
 
-Open3D was the most accurate in a comparison with small_gicp, which is faster, and KISS-ICP. Moving objects are
-outliers, which Tukey's weights suppress. The second, narrower pass is needed on dense scans: their rings move with the
-car and attract the registration to zero motion where a road has little structure.
+Open3D was the most accurate in a comparison with small_gicp, which is faster, and KISS-ICP. Tukey's weights suppress
+moving objects as outliers. Dense scans need the second, narrower pass: their rings move with the car and pull the
+registration towards zero motion where a road has little structure.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from pipeline.motion.step import Step, is_standstill, plausible
 if TYPE_CHECKING:
     from open3d.geometry import PointCloud
 
-MIN_RANGE_M, MAX_RANGE_M = 3.0, 80.0  # nearer points are the car itself
+MIN_RANGE_M, MAX_RANGE_M = 3.0, 80.0  # nearer points belong to the car itself
 VOXEL_M = 0.5
 NORMAL_NEIGHBOURS = 10
 FIRST_PASS_M = (4.0, 1.0)  # largest distance of a pair, Tukey's k; without an initial guess

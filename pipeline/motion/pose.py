@@ -1,10 +1,10 @@
-"""The camera's motion from 3D points of the previous frame and their pixels in this one (perspective-n-point).
+"""Estimate the camera's motion from 3D points of the previous frame and their pixels in this one (PnP).
 
-RANSAC separates the static street from moving objects. It fails where most depths are wrong, but there the last motion
-is near the solution: both are refined, and the fit of less cost is the result. The refinement models two errors: of a
-pixel, PIXEL_SIGMA in each direction, and of a point's depth, which moves its pixel along the epipolar line. So rotation
-and direction of travel come from the pixels' offsets across these lines, and only the length of the step depends on
-depth.
+RANSAC separates the static street from moving objects. It fails where most depths are wrong, but there the previous
+motion is close to the solution: both are refined, and the fit with the lower cost is the result. The refinement models
+two errors: that of a pixel, PIXEL_SIGMA in each direction, and that of a point's depth, which moves its pixel along the
+epipolar line. So rotation and direction of travel come from the pixels' offsets across these lines, and only the length
+of the step depends on depth.
 """
 
 from typing import NamedTuple
@@ -14,8 +14,8 @@ import numpy as np
 from pipeline.camera.geometry import project
 
 MIN_POINTS = 20
-# Minimum inlier ratios after RANSAC and after refinement: in a queue of cars, the largest rigid motion can be theirs. A
-# motion that differs by at most SIMILAR_DEG and SIMILAR_M from the previous one needs fewer.
+# Minimum inlier ratios after RANSAC and after refinement: in a queue of cars, most points may move with the cars. A
+# motion that differs by at most SIMILAR_DEG and SIMILAR_M from the previous one needs fewer inliers.
 MIN_RANSAC_INLIERS, MIN_INLIERS, MIN_INLIERS_SIMILAR = 0.3, 0.6, 0.4
 SIMILAR_DEG, SIMILAR_M = 1.0, 0.5
 RANSAC_PX = 2.0  # reprojection error of an inlier
@@ -25,7 +25,7 @@ CAUCHY = 2.0  # residual in sigmas at which the weight is a half
 ITERATIONS = 6
 INLIER_SIGMAS = 3.0
 MIN_DEPTH_M = 0.3  # points closer than this to the camera get no weight
-BEHIND = 1e4  # their squared Mahalanobis distance: outliers
+BEHIND = 1e4  # squared Mahalanobis distance of points behind the camera: outliers
 
 
 class Pose(NamedTuple):
@@ -44,7 +44,7 @@ class Pose(NamedTuple):
 def estimate_pose(
     xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray, T_before_last: np.ndarray | None = None
 ) -> Pose | None:
-    """Return the motion that maps points to their pixels; None if too few are inliers or they do not constrain it.
+    """Return the motion that maps points to their pixels; None if there are too few inliers or they leave it open.
 
     Args:
         xyz: points [N,3] in metres, in the previous camera frame.
@@ -72,10 +72,10 @@ def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None
     """Return the motion [4,4] of most points; None if too few agree. Arguments as of :func:`estimate_pose`."""
     import cv2
 
-    found, rotation, translation, inliers = cv2.solvePnPRansac(
+    success, rotation, translation, inliers = cv2.solvePnPRansac(
         xyz, uv, K, None, iterationsCount=RANSAC_ITERATIONS, reprojectionError=RANSAC_PX
     )
-    if not found or inliers is None or len(inliers) < max(MIN_POINTS, MIN_RANSAC_INLIERS * len(xyz)):
+    if not success or inliers is None or len(inliers) < max(MIN_POINTS, MIN_RANSAC_INLIERS * len(xyz)):
         return None
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]

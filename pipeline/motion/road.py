@@ -1,7 +1,7 @@
-"""Find the road in a frame, and the factor by which its depth agrees with the camera's height over the road.
+"""Find the road in a frame, and the factor that scales its depth to the camera's height over the road.
 
 Depth networks are accurate on the road, which they learn from perspective, and less so beside it: on real drive
-2011_10_03_0042, trees get a third of their distance while the road is right to a tenth.
+2011_10_03_0042, trees get a third of their true distance while the error on the road is a tenth.
 """
 
 import math
@@ -12,18 +12,18 @@ import numpy as np
 from pipeline.camera.camera import Camera
 
 PATCH_LENGTH, PATCH_HALF_WIDTH = 8.0, 1.5  # of the search area in front of the car, in camera heights
-FLAT = 0.25  # relative tolerance of heights on a road
+FLAT = 0.25  # largest relative deviation of heights on a road
 MIN_VISIBLE = 0.7  # share of the patch without traffic: in a queue, the gaps between cars are too few
 MIN_FLAT = 0.6  # share of the patch with similar heights
 MIN_DOWN = 0.05  # metres down per metre ahead of road pixels: beyond 20 camera heights, depth is too uncertain
-HEIGHTS = 400  # frames of the running median: the camera's height is constant, the error of depth varies with the scene
-STEPS, MIN_STEP_M = 50, 0.3  # steps that determine the direction of travel; shorter ones are mostly noise
+HEIGHTS = 400  # frames in the running median: the camera's height is constant, only the error of depth varies
+STEPS, MIN_STEP_M = 50, 0.3  # number of steps that determine the direction of travel; shorter steps are mostly noise
 PRIOR_M = 10.0  # weight of the prior, travel along the camera's axis, as metres of travel
 MAX_SLOPE = 0.1  # metres down per metre ahead: cameras are mounted level
 
 
 class Road:
-    """The road in front of one drive's camera."""
+    """Tracks the road in front of one drive's camera."""
 
     def __init__(self, camera: Camera, *, road_scale: bool) -> None:
         """Without `road_scale`, depth is not corrected: the factor of :meth:`find` is 1."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-STANDSTILL_M = 0.02  # the car stands if a step is shorter
+STANDSTILL_M = 0.02  # shorter steps count as standstill
 SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # limits, absolute and of the forward way: a camera ahead of the axle swings out
 MAX_FORWARD_M = 10.0
 RECENT = 20  # steps that are averaged for a duration, the current one included
@@ -55,9 +55,9 @@ def rates(T_before: np.ndarray, duration_s: float) -> tuple[float, float]:
 class StepClock:
     """Durations of steps from noisy time stamps.
 
-    KITTI's times are those of the oxts packet nearest to an image, on a grid of 10 ms: differences between neighbours
-    err by a tenth. So a step's duration is the mean of the recent steps with a similar duration. Later times are not
-    used.
+    KITTI's times are those of the oxts packet nearest to an image, on a grid of 10 ms, so a difference between
+    neighbours has an error of a tenth. A step's duration is therefore the mean over recent steps of similar duration;
+    later times are not used.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class StepClock:
         last, self._last = self._last, (number, time_s)
         if last is None:
             return float("nan")
-        own = (time_s - last[1]) / (number - last[0])
-        self._recent.append(own)
+        duration_s = (time_s - last[1]) / (number - last[0])
+        self._recent.append(duration_s)
         recent = np.array(self._recent)
-        return float(recent[(recent < own * SIMILAR) & (recent > own / SIMILAR)].mean())
+        return float(recent[(recent < duration_s * SIMILAR) & (recent > duration_s / SIMILAR)].mean())

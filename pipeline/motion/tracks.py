@@ -3,7 +3,7 @@
 import numpy as np
 
 PER_CELL = 2  # corners
-WINDOW, LEVELS = (11, 11), 2  # px, pyramid levels; a larger window is slower and mixes more depths
+WINDOW, LEVELS = (11, 11), 2  # px, pyramid levels; a larger window is slower and covers several depths
 CRITERIA = (3, 8, 0.03)  # 8 iterations, or a change below 0.03 px
 ROUND_TRIP_PX = 0.5  # largest distance between a corner and its track to the next image and back
 

@@ -12,15 +12,15 @@ from pipeline.motion.step import Step, is_standstill, plausible
 from pipeline.motion.tracks import Corners, track
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
-MIN_WIDTH = 640  # px; smaller images are enlarged, as tracking is accurate to a fixed fraction of a pixel
-MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 80.0  # the latter for focal lengths up to WIDE image widths, KITTI's and others
+MIN_WIDTH = 640  # px; smaller images are enlarged, since the error of tracking is a fixed fraction of a pixel
+MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 80.0  # the maximum grows with focal lengths beyond WIDE image widths
 WIDE = 0.65
 EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous
 AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
 STANDSTILL = ("the image does not move", "the camera stands")
-STANDSTILL_PX = 0.1  # the car stands if half of the corners move less
+STANDSTILL_PX = 0.1  # the car stands if the median corner moves less
 
 
 class Odometry:

@@ -1,7 +1,7 @@
 """Scale the network's depth to metres, by setting ``perception.depth_scale``.
 
 ``metric``: the network predicts metres. ``camera_height``: the camera's height over the road determines the scale.
-``lidar_median``: the frame's LiDAR scan does. ``none``: the unit of depth stays unknown.
+``lidar_median``: the frame's LiDAR scan determines it. ``none``: the unit of depth stays unknown.
 """
 
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ MIN_TRUTH_PIXELS = 10
 
 
 def needs_scan(mode: "DepthScale") -> bool:
+    """Return whether the scale comes from LiDAR scans."""
     return mode == "lidar_median"
 
 
@@ -117,10 +118,10 @@ def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
 def limit_traffic_depth(depth: np.ndarray, cls: np.ndarray, camera: Camera, reach: float) -> None:
     """Limit the depth of traffic, in place, to `reach` times the depth of flat ground at its lower edge.
 
-    Monocular depth takes smooth and bright surfaces, for instance the side of a tanker, for the sky.
+    Depth networks mistake smooth and bright surfaces, such as the side of a tanker, for the sky.
 
-    Two cases where the limit is wrong: downhill by more than `reach` allows, traffic gets too near; uphill there is no
-    effect. A vehicle behind another one gets the depth of the nearer one.
+    The limit is wrong on slopes: steeper downhill than `reach` allows, traffic gets too little depth; uphill, the limit
+    has no effect. A vehicle behind another one gets the depth of the nearer one.
 
     Args:
         depth: [H,W] in metres.

@@ -61,8 +61,8 @@ class Examples:
     ) -> None:
         """Choose `frames` frames, evenly spread over `drives`, from the files of stage ingest.
 
-        A `teacher` classifies frames without class labels, before augmentation. It skips drives with a grey camera:
-        networks trained on colour confuse trees with people there. Of `unlabelled` drives only the images are used.
+        A `teacher` classifies frames without class labels, before augmentation. It skips drives with a grey camera,
+        where networks trained on colour confuse trees with people. Ground truth of `unlabelled` drives is ignored.
         Raises InputError if no frame has an image together with depth, classes, a LiDAR scan or a teacher.
         """
         self._stack = ExitStack()
@@ -79,7 +79,7 @@ class Examples:
         self._frames = [frame_rows[int(i)] for i in spread(len(frame_rows), frames)]
         self.has_teacher = any(drive.teacher for drive in self._drives)
         self.frames_per_drive = {
-            name: sum(other is drive for other, _ in self._frames)
+            name: sum(source is drive for source, _ in self._frames)
             for name, drive in zip(drives, self._drives, strict=True)
         }
         self.ground_truth = {

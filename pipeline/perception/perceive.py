@@ -142,15 +142,15 @@ def perceive(
 def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:
     """Yield ``forward(batch)`` of each batch, in order, with equal bytes for any number of cores. Closes `batches`.
 
-    The split of a sum among threads changes its last bits. So each forward pass on a CPU uses one thread, and several
-    passes run side by side; a GPU runs one at a time.
+    Splitting a sum among threads changes its last bits. So each forward pass on a CPU uses one thread, and several
+    passes run side by side; a GPU runs one pass at a time.
     """
     threads = torch.get_num_threads()
-    alone = partial(torch.set_num_threads, 1)
-    side = 1 if torch.cuda.is_available() else min(threads, default_workers())  # STEER_WORKERS limits memory
-    alone()
+    use_one_thread = partial(torch.set_num_threads, 1)
+    workers = 1 if torch.cuda.is_available() else min(threads, default_workers())  # STEER_WORKERS limits memory
+    use_one_thread()
     try:
-        with closing(side_by_side(forward, batches, side, side + 1, alone)) as results:
+        with closing(side_by_side(forward, batches, workers, workers + 1, use_one_thread)) as results:
             yield from results
     finally:
         torch.set_num_threads(threads)

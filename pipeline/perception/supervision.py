@@ -44,7 +44,7 @@ _ALTERNATIVE = {"depth_head": "a drive with LiDAR", "class_head": "an encoder.te
 def choose(
     model: nn.Module, weights: Weights | None, ground_truth: Set[str], *, teacher: bool, frozen: bool
 ) -> dict[str, Supervision]:
-    """Enable gradients of the parts of `model` that are to be fitted; return head → :func:`supervision`.
+    """Enable gradients of the parts of `model` that the fit changes; return head → :func:`supervision`.
 
     `frozen` excludes the backbone. Raises InputError if nothing is left to fit.
     """
@@ -67,8 +67,7 @@ def supervision(
 ) -> Supervision:
     """Return the training target of a head.
 
-    A published file of the head takes precedence over ground truth, a checkpoint of this project does not: it is where
-    the fit starts.
+    A published file of the head takes precedence over ground truth; a project checkpoint only initialises the fit.
 
     Args:
         head: a key of GROUND_TRUTH.

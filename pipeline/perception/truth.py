@@ -27,9 +27,9 @@ class Truth:
 
 
 def read_truth(drive: DriveReader, camera: Camera, row: int, labelled: bool = True) -> Truth:
-    """Return the ground truth of the frame in `row` of a file of stage ingest; without `labelled`, nothing is known.
+    """Return the ground truth of the frame in `row` of a file of stage ingest; without `labelled`, all is unknown.
 
-    Dense depth takes precedence over projected LiDAR, of which points that are hidden from the camera are left out.
+    Dense depth takes precedence over projected LiDAR, which is used without points that are hidden from the camera.
     """
     depth_m = np.zeros(camera.size, np.float32)
     source: DepthSource | None = None
@@ -45,8 +45,8 @@ def read_truth(drive: DriveReader, camera: Camera, row: int, labelled: bool = Tr
 def visible(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     """Return sparse depth [H,W] without points that are hidden from the camera.
 
-    The scanner is above the camera and looks over objects, so points behind an object project between its own. A point
-    is dropped if another one within 0.23 degrees, about a ring of KITTI's scanner, is a fifth nearer.
+    The scanner is above the camera and looks over objects, so points behind an object project between the object's. A
+    point is dropped if another point within 0.23 degrees, about one ring of KITTI's scanner, is a fifth nearer.
     """
     import cv2
 

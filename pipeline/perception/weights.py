@@ -31,7 +31,7 @@ class Source:
 
 
 def check_available(weights: Weights | None) -> None:
-    """Raise InputError if a file is missing and cannot be downloaded. Reads and downloads nothing."""
+    """Raise InputError if a file is missing and cannot be downloaded; neither read nor download any."""
     for part, file in _files(weights).items():
         with error_context(part):
             _check_available(file)
@@ -54,7 +54,7 @@ def load_weights(model: Any, backbone: str, weights: Weights | None) -> list[Sou
                 _load_checkpoint(model, backbone, file.path)
             else:
                 module = getattr(model, part)
-                checkpoint.load_state(module, module.own_names(read_published(file.path)), file.path)
+                checkpoint.load_state(module, module.convert_names(read_published(file.path)), file.path)
     return sources
 
 

@@ -19,7 +19,7 @@ class Perception(Section):
     camera_height_m: Annotated[Positive | None, Field(description="over the road; null: from the calibration")] = None
     reach: Annotated[
         Annotated[float, Field(ge=1)] | None,
-        Field(description="maximum depth of traffic as a multiple of flat ground's at its foot; null: no limit"),
+        Field(description="cap on a vehicle's depth, relative to the ground depth below it; null: no cap"),
     ] = None
     precision: Precision = "auto"
 

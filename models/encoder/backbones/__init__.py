@@ -11,7 +11,7 @@ from torch import Tensor, nn
 class Part(nn.Module):
     """A part of the unified encoder: backbone, depth head or class head."""
 
-    def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def convert_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return a published file's tensors under this network's names; unknown tensors keep their names."""
         return dict(published)
 

@@ -74,7 +74,7 @@ class DinoV2(Backbone):
         patches, summary = as_map(raw[:, 1:], h, w), raw[:, 0, :, None, None].expand(-1, -1, h, w)
         return Tokens(patches, summary, as_map(normed[:, 1:], h, w))
 
-    def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def convert_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
         state: dict[str, Tensor] = {}
         for name, tensor in published.items():
             qkv = ".attn.qkv." in name and tensor.shape[0] % 3 == 0
@@ -87,7 +87,7 @@ class DinoV2(Backbone):
 class AuthorsHead(Part):
     """A head with the authors' names of tensors."""
 
-    def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def convert_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
         return {name.removeprefix("decode_head."): tensor for name, tensor in published.items()}
 
 

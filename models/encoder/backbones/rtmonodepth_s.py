@@ -90,7 +90,7 @@ class Depth(Part):
         inverse = resized(1 / FAR + (1 / NEAR - 1 / FAR) * near, rays.shape[-2:])[:, 0]
         return STEREO_M * (focal_by_width(rays) / KITTI_FOCAL)[:, None, None] / inverse
 
-    def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def convert_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
         return {name: tensor for name, tensor in published.items() if not name.startswith(COARSER)}
 
 

@@ -54,7 +54,7 @@ class Swin(Backbone):
         )
         return list(states.reshaped_hidden_states[1:])
 
-    def own_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def convert_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
         return {
             renamed(name, NAMES): tensor
             for name, tensor in published.items()

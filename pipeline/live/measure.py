@@ -15,8 +15,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting.prefetch import prefetch
 from pipeline.labels.label import Car
-from pipeline.live.chain import Chain
-from pipeline.live.course import Course, FrameState, add_courses
+from pipeline.live.chain import Chain, Course, FrameState, add_courses
 from pipeline.live.results import MEASURED_FILES, MOTION, QUALITY, TRACK, Results, result_folder, write_frames
 from pipeline.live.source import ROTATE, Source
 from pipeline.motion.visual import Odometry
@@ -43,7 +42,8 @@ def measure(
         InputError: the encoder has no network, no frame can be read, or the images seem to be rotated.
     """
     height_m = source.camera.height_m if source.height_known else None
-    chain = Chain(source, SIZE, encoder, {"visual"}, Perception(batch=1), road_scale=source.height_known)
+    camera, settings = source.camera.scaled(SIZE), Perception(batch=1)
+    chain = Chain(camera, source.name, encoder, {"visual"}, settings, road_scale=source.height_known)
     assert chain.odometry
     with closing(_first(source.frames, max_frames)) as frames, result_folder(out, *MEASURED_FILES) as folder:
         perceived_and_tracked = chain.run(frames)

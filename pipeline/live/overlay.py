@@ -9,7 +9,7 @@ import av
 import numpy as np
 
 from pipeline.camera.geometry import project
-from pipeline.live.course import FrameState
+from pipeline.live.chain import FrameState
 from pipeline.live.source import Source
 
 PREDICTED, DRIVEN = (0, 200, 60), (230, 40, 30)  # RGB

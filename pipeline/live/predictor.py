@@ -23,8 +23,7 @@ from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import single
 from pipeline.labels import label
-from pipeline.live.chain import Chain
-from pipeline.live.course import FrameState, add_courses
+from pipeline.live.chain import Chain, FrameState, add_courses
 from pipeline.live.results import PREDICTED_FILES, STEERING, Results, result_folder, write_frames
 from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
@@ -87,9 +86,9 @@ def predict(
     perceives = (encoder / FILE).is_file() or settings.variant.source != "ingest" or "visual" in kinds
     kinds |= {"visual"} if perceives else set()
     with closing(source.frames) as frames:
-        size, road_scale = settings.ingest.image_size, settings.motion.road_scale
-        chain = Chain(source, size, encoder if perceives else None, kinds, settings.perception, road_scale)
-        predicted = Predictor(model, settings, source, chain.camera).run(chain.run(frames))
+        camera, used = source.camera.scaled(settings.ingest.image_size), encoder if perceives else None
+        chain = Chain(camera, source.name, used, kinds, settings.perception, settings.motion.road_scale)
+        predicted = Predictor(model, settings, source, camera).run(chain.run(frames))
         courses = add_courses(predicted, car, smooth=False)
         with result_folder(out, *PREDICTED_FILES) as folder:
             show = {"video": video, "visible": visible}

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
 from pipeline.labels.label import Car
-from pipeline.live.course import Course, FrameState
+from pipeline.live.chain import Course, FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.source import Source
 

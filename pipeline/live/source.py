@@ -19,7 +19,7 @@ from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.labels import label
 from pipeline.labels.label import Car
-from pipeline.live.course import FrameState
+from pipeline.live.chain import FrameState
 from pipeline.live.horizon import find_horizon
 from pipeline.recording.clock import open_timed, timed
 

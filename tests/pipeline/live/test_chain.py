@@ -12,9 +12,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
-from pipeline.live.chain import Chain
-from pipeline.live.course import FrameState
-from pipeline.live.source import Source
+from pipeline.live.chain import Chain, FrameState
 from pipeline.perception.perceive import save
 from pipeline.sections.perception import Perception
 from stages.perception import main
@@ -42,9 +40,9 @@ def test_depth_and_classes_equal_those_of_the_stage(tmp_path: Path, mode: str) -
         store.DriveReader(tmp_path / "ingest" / f"{DRIVE}.h5", stage="ingest") as raw,
         store.DriveReader(tmp_path / "perception" / f"{DRIVE}.h5", stage="perception") as stored,
     ):
-        source = Source(Path("street"), DRIVE, read_camera(raw, 1.65), frames(raw), FRAMES, 10.0)
-        chain = Chain(source, street.SIZE, tmp_path / "encoder", {"visual"}, Perception(**settings), road_scale=True)
-        results = list(chain.run(source.frames))
+        camera, encoder = read_camera(raw, 1.65), tmp_path / "encoder"
+        chain = Chain(camera, DRIVE, encoder, {"visual"}, Perception(**settings), road_scale=True)
+        results = list(chain.run(frames(raw)))
         assert len(results) == FRAMES
         for row, frame in enumerate(results):
             np.testing.assert_array_equal(frame.depth_m, to_metres(stored.row("depth_m", row)))

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
-from pipeline.live.course import FrameState
+from pipeline.live.chain import FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.results import MOTION, STEERING, TRACK, UNFINISHED, VIDEO, check_out, result_folder
 from pipeline.live.source import Source

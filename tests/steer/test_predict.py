@@ -98,7 +98,8 @@ def test_sigterm_ends_a_run_like_ctrl_c_and_keeps_the_earlier_result(sample: Pat
     video = write_video(tmp_path / "street.mp4", images * 200)
     out, frames = tmp_path / "out", tmp_path / "out/.unfinished/steering.csv"
     out.mkdir()
-    (out / "steering.csv").write_text("earlier")
+    earlier = "drive,frame,time_s,predicted_rad\n"
+    (out / "steering.csv").write_text(earlier)
     command = [sys.executable, "-m", "steer.app", "predict", str(video), "--fov", "81", "--out", str(out)]
     command += ["--model", str(sample / "data/train/images")]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "9"})
@@ -108,6 +109,6 @@ def test_sigterm_ends_a_run_like_ctrl_c_and_keeps_the_earlier_result(sample: Pat
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 143, errors
     assert "error: interrupted" in errors
-    assert (out / "steering.csv").read_text() == "earlier"
+    assert (out / "steering.csv").read_text() == earlier
     assert read(frames)[-1]["latency_ms"]
     assert cv2.VideoCapture(str(frames.with_name("overlay.mp4"))).read()[0]

@@ -64,7 +64,7 @@ def import_recording(
     if (wheel is None) != (steering_ratio is None):
         fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
-    layout.check_absent(layout.drive_folder(out, drive), force)
+    layout.drive_folder(out, drive, force)
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
     footage, times_s = clock.open_timed(source, fps, times)

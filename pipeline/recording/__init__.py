@@ -1,1 +1,1 @@
-"""Convert a recording of one's own to a drive in KITTI raw's layout."""
+"""Convert your own recording to a drive in KITTI raw's layout."""

@@ -1,7 +1,6 @@
 """Match the images' times with a log's: which images lie between samples that are close enough."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,49 +15,25 @@ ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 _MOST_BYTES = 128 * MiB  # of a file of times
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """Which images [F] a log covers, and how many it does not."""
+def coverage(samples_s: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, dict[str, Any]]:
+    """Find the images at `time_s` [F] that lie between samples at `samples_s` [N] that are at most `max_gap_s` apart.
 
-    usable: np.ndarray  # bool [F]
-    before: int  # images before the first sample
-    after: int
-    in_gaps: int  # images between samples that are too far apart
-    interpolated: int  # usable images between two samples
-    largest_gap_s: float  # that was interpolated over
-
-    def counts(self) -> dict[str, Any]:
-        """Return the counts as JSON-able values."""
-        left_out = {"before": self.before, "after": self.after, "in_gaps": self.in_gaps}
-        return {"interpolated": self.interpolated, "largest_gap_s": self.largest_gap_s, "left_out": left_out}
-
-
-def coverage(samples: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> Coverage:
-    """Find the images at `time_s` [F] that lie between `samples` [N], times in seconds, at most `max_gap_s` apart."""
-    before, after = time_s < samples[0] - ROUNDING_S, time_s > samples[-1] + ROUNDING_S
-    left = np.clip(np.searchsorted(samples, time_s, side="right") - 1, 0, len(samples) - 2)
-    gap_s = samples[left + 1] - samples[left]
-    gap_s[(time_s == samples[left]) | (time_s == samples[left + 1])] = 0.0
+    Returns: which images these are, bool [F]; and counts of images: ``interpolated`` between two samples, at most
+    ``largest_gap_s`` apart; ``left_out`` before the first sample, after the last, and in longer gaps.
+    """
+    before, after = time_s < samples_s[0] - ROUNDING_S, time_s > samples_s[-1] + ROUNDING_S
+    left = np.clip(np.searchsorted(samples_s, time_s, side="right") - 1, 0, len(samples_s) - 2)
+    gap_s = samples_s[left + 1] - samples_s[left]
+    gap_s[(time_s == samples_s[left]) | (time_s == samples_s[left + 1])] = 0.0
     inside = ~(before | after)
     usable = inside & (gap_s <= max_gap_s + ROUNDING_S)
-    return Coverage(
-        usable,
-        int(before.sum()),
-        int(after.sum()),
-        int((inside & ~usable).sum()),
-        int((gap_s[usable] > 0).sum()),
-        float(gap_s[usable].max(initial=0.0)),
-    )
-
-
-def check_overlap(name: str, samples: np.ndarray, first_s: float, last_s: float) -> None:
-    """Raise InputError if images from `first_s` to `last_s` and the samples [N] of a log do not overlap in time."""
-    begin, end = samples[0], samples[-1]
-    if first_s > end + ROUNDING_S or last_s < begin - ROUNDING_S:
-        raise InputError(
-            f"images from {first_s:.3f} to {last_s:.3f} s and {name} from {begin:.3f} to {end:.3f} s do not overlap",
-            fix=f"Change --offset by {first_s - begin:+.3f} to align their starts",
-        )
+    return usable, {
+        "interpolated": int((gap_s[usable] > 0).sum()),
+        "largest_gap_s": float(gap_s[usable].max(initial=0.0)),
+        "left_out": {
+            "before": int(before.sum()), "after": int(after.sum()), "in_gaps": int((inside & ~usable).sum())
+        },
+    }  # fmt: skip
 
 
 def open_timed(path: Path, fps: float | None, times: Path | None) -> tuple[Footage, np.ndarray | None]:

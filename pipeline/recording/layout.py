@@ -32,8 +32,11 @@ _NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
 _SAME_PX = 1e-6  # rounding of a calibration file's digits
 
 
-def drive_folder(out: Path, drive: str) -> Path:
-    """Return a drive's folder below `out`. Raises InputError for a name that is not like KITTI's."""
+def drive_folder(out: Path, drive: str, force: bool) -> Path:
+    """Return a drive's folder below `out`.
+
+    Raises InputError for a name that is not like KITTI's, or if the drive exists, unless `force`.
+    """
     try:
         TypeAdapter(Drive).validate_python(drive)
     except ValidationError:
@@ -41,13 +44,10 @@ def drive_folder(out: Path, drive: str) -> Path:
     if not drive or int(drive[:4]) not in YEARS:
         example = f"a date from {YEARS[0]} to {YEARS[-1]} and four digits, for instance 2027_03_31_drive_0001"
         raise InputError(f"expected {example}", "--drive")
-    return out / drive[:10] / f"{drive}_sync"
-
-
-def check_absent(folder: Path, force: bool) -> None:
-    """Raise InputError if the drive exists, unless `force`."""
+    folder = out / drive[:10] / f"{drive}_sync"
     if folder.exists() and not force:
         raise InputError("drive exists", folder, "Replace it with --force, or pass --drive another number")
+    return folder
 
 
 def write_images(folder: Path, images: Iterable[tuple[int, np.ndarray]], threads: int) -> None:
@@ -124,12 +124,12 @@ def check_calibration(folder: Path, camera: Camera, force: bool) -> bool:
     stored = read_calibration(folder.parent, CAMERA)
     if stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
         return True
-    others = sorted(other.name for other in folder.parent.glob("*_sync") if other != folder)
-    if force and not others:
+    drives = sorted(drive.name for drive in folder.parent.glob("*_sync") if drive != folder)
+    if force and not drives:
         return False
     raise InputError(
         f"date has the calibration of another camera, {_describe(stored)} (this one: "
-        f"{_describe(camera)}; {f'used by {others[0]}' if others else '--force replaces it'})",
+        f"{_describe(camera)}; {f'used by {drives[0]}' if drives else '--force replaces it'})",
         folder.parent,
         "Pass --drive another date: all drives of a date share the calibration",
     )

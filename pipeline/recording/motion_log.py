@@ -1,6 +1,6 @@
-"""Read a car's motion on its own clock, a CSV file or a GNSS receiver's track, and angles of its steering wheel."""
+"""Read logs: a car's motion from a CSV file or a GNSS receiver's track, and angles of its steering wheel."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +18,7 @@ _MOST_BYTES = 512 * MiB  # 10 million samples
 _MOST_TRACK_BYTES = 128 * MiB  # gpxpy takes 10 times a file's size
 
 
-@dataclass(frozen=True)
-class MotionLog:
-    """Samples, time ascending, and a description of their source for the log."""
-
-    rates: Rates
-    source: str
-
-
-def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
+def read_motion(path: Path, offset_s: float = 0.0) -> Rates:
     """Read a CSV, GPX or NMEA file; the first character decides which.
 
     Args:
@@ -43,14 +35,14 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
     if b"\0" in head:
         raise InputError("not a text file", path, _EXPECTED)
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-    if first not in (b"<", b"$", b"!"):
-        rates = Rates(**read_columns(path, COLUMNS, (), _EXPECTED, _MOST_BYTES))  # type: ignore[arg-type]
+    if first in (b"<", b"$", b"!"):
+        check_file(path, _MOST_TRACK_BYTES)
+        rates = rates_of(read_gpx(path) if first == b"<" else read_nmea(path), path)
+    else:
+        columns = read_columns(path, COLUMNS, (), _EXPECTED, _MOST_BYTES)
+        rates = Rates(**columns, source=f"{len(columns['time_s'])} samples of {path}")  # type: ignore[arg-type]
         rates.check(path)
-        return MotionLog(rates.later(offset_s), f"{len(rates.time_s)} samples of {path}")
-    check_file(path, _MOST_TRACK_BYTES)
-    fixes = read_gpx(path) if first == b"<" else read_nmea(path)
-    rates, rule = rates_of(fixes, path)
-    return MotionLog(rates.later(offset_s), f"{len(rates.time_s)} fixes of {path}: {rule}")
+    return replace(rates, time_s=rates.time_s + offset_s)
 
 
 @dataclass(frozen=True)
@@ -70,7 +62,7 @@ class WheelLog:
             angles = dict(zip(self.frame.tolist(), self.steering_rad.tolist(), strict=True))
         else:
             assert self.time_s is not None
-            numbers = np.flatnonzero(coverage(self.time_s, time_s, max_gap_s).usable)
+            numbers = np.flatnonzero(coverage(self.time_s, time_s, max_gap_s)[0])
             interpolated = np.interp(time_s[numbers], self.time_s, self.steering_rad)
             angles = dict(zip(numbers.tolist(), interpolated.tolist(), strict=True))
         return {number: angles[number] for number in np.flatnonzero(usable).tolist() if number in angles}

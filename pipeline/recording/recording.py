@@ -1,4 +1,4 @@
-"""A recording of one's own, and its conversion to a drive in KITTI raw's layout."""
+"""Your own recording, and its conversion to a drive in KITTI raw's layout."""
 
 import math
 import sys
@@ -18,7 +18,8 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.footage import Footage
 from pipeline.kitti import steering_file
 from pipeline.recording import clock, layout
-from pipeline.recording.motion_log import MotionLog, WheelLog
+from pipeline.recording.motion_log import WheelLog
+from pipeline.recording.track import Rates
 
 
 @dataclass(frozen=True)
@@ -28,20 +29,26 @@ class Recording:
     footage: Footage
     camera: Camera  # of the images
     times_s: np.ndarray | None  # of the images; None: their own
-    motion: MotionLog | None
+    motion: Rates | None
     wheel: WheelLog | None
     max_gap_s: float  # longest interval between samples of a log to interpolate over
 
     def check_overlap(self) -> None:
         """Raise InputError if the images and a log do not overlap in time."""
         count, fps = self.footage.count, self.footage.fps
-        span = 0.0, (count - 1) / fps if count and fps else math.inf  # a video may not announce its length
+        first_s, last_s = 0.0, (count - 1) / fps if count and fps else math.inf  # a video may not announce its length
         if self.times_s is not None:
-            span = float(self.times_s[0]), float(self.times_s[-1])
-        if self.motion:
-            clock.check_overlap("motion", self.motion.rates.time_s, *span)
-        if self.wheel and self.wheel.time_s is not None:
-            clock.check_overlap("wheel angles", self.wheel.time_s, *span)
+            first_s, last_s = float(self.times_s[0]), float(self.times_s[-1])
+        for name, log in (("motion", self.motion), ("wheel angles", self.wheel)):
+            if log is None or log.time_s is None:
+                continue
+            begin_s, end_s = log.time_s[0], log.time_s[-1]
+            if first_s > end_s + clock.ROUNDING_S or last_s < begin_s - clock.ROUNDING_S:
+                raise InputError(
+                    f"images from {first_s:.3f} to {last_s:.3f} s and {name} from {begin_s:.3f} to {end_s:.3f} s do "
+                    "not overlap",
+                    fix=f"Change --offset by {first_s - begin_s:+.3f} to align their starts",
+                )
 
     def write(self, root: Path, drive: str, *, force: bool, visible: bool) -> dict[str, Any]:
         """Write the drive below `root`, and return counts and times; images without motion are left out.
@@ -52,18 +59,18 @@ class Recording:
         Raises:
             InputError: the drive exists, no image has motion or none an angle, or the date has another camera.
         """
-        folder = layout.drive_folder(root, drive)
+        folder = layout.drive_folder(root, drive, force)
         # One lock per date, as its drives share a calibration.
         with (
             exclusive(folder.parent, root / ".import" / drive[:10]),
             _removed_if_empty(folder.parent),
             replacing(folder) as unfinished,
         ):
-            layout.check_absent(folder, force)
+            layout.drive_folder(root, drive, force)  # again, under the lock
             calibrated = layout.check_calibration(folder, self.camera, force)
             time_s, usable = self._write_images(unfinished, visible)
             if self.motion:
-                layout.write_packets(unfinished, self.motion.rates, time_s, usable)
+                layout.write_packets(unfinished, self.motion, time_s, usable)
             layout.write_times(unfinished, usable, time_s, (layout.IMAGES, "oxts") if self.motion else (layout.IMAGES,))
             angles = self.wheel.at(time_s, usable, self.max_gap_s) if self.wheel else {}
             if self.wheel and not angles:
@@ -84,7 +91,7 @@ class Recording:
             "motion": self.motion.source if self.motion else None,
             "steering_angles": len(angles),
         }
-        return summary | (self._coverage(time_s).counts() if self.motion else {})
+        return summary | (self._coverage(time_s)[1])
 
     def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:
         """Write the images that have motion, if there is a log; return the times of all, and which were written."""
@@ -95,20 +102,22 @@ class Recording:
         def images() -> Iterator[tuple[int, np.ndarray]]:
             for time_s, image in shown:
                 all_s.append(time_s)
-                if self.motion is None or self._coverage(np.array([time_s])).usable[0]:
+                if self._coverage(np.array([time_s]))[0][0]:
                     yield image.number, image.image
 
         layout.write_images(folder, images(), threads=default_workers())
         time_s = np.array(all_s)
-        usable = self._coverage(time_s).usable if self.motion else np.ones(len(time_s), bool)
+        usable, _ = self._coverage(time_s)
         if not usable.any():
             problem = f"no image lies between samples at most {self.max_gap_s:g} s apart"
             raise InputError(problem, "--motion", "Raise --max-gap")
         return time_s, usable
 
-    def _coverage(self, time_s: np.ndarray) -> clock.Coverage:
-        assert self.motion
-        return clock.coverage(self.motion.rates.time_s, time_s, self.max_gap_s)
+    def _coverage(self, time_s: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return which images at `time_s` [F] have motion, all without a log; and counts, if there is a log."""
+        if self.motion is None:
+            return np.ones(len(time_s), bool), {}
+        return clock.coverage(self.motion.time_s, time_s, self.max_gap_s)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
-"""Derive speed and yaw rate from a GNSS track: from its velocities, or from its positions. Check what logs contain."""
+"""Speed and yaw rate of a car over time, and their computation from the velocities or positions of a GNSS track."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,10 @@ class Fixes:
 
 @dataclass(frozen=True)
 class Rates:
-    """time_s, speed_mps, yaw_rate_radps (left positive), all [N], and the pose of the first sample."""
+    """time_s, speed_mps, yaw_rate_radps (left positive), all [N], and the pose of the first sample.
+
+    ``source`` describes the origin for the log.
+    """
 
     time_s: np.ndarray
     speed_mps: np.ndarray
@@ -44,10 +47,7 @@ class Rates:
     longitude_deg: float = 0.0
     heading_rad: float = 0.0
     """Counter-clockwise from east."""
-
-    def later(self, offset_s: float) -> "Rates":
-        """Return the rates with `offset_s` added to their times."""
-        return replace(self, time_s=self.time_s + offset_s)
+    source: str = ""
 
     def check(self, path: Path) -> None:
         """Raise InputError, naming `path`, for too few samples, times that do not increase or implausible values."""
@@ -58,8 +58,8 @@ class Rates:
         check_limit("yaw_rate_radps", self.yaw_rate_radps, LIMITS["wu"], path)
 
 
-def rates_of(fixes: Fixes, path: Path) -> tuple[Rates, str]:
-    """Return speed and yaw rate at the fixes, and a sentence about how they were computed.
+def rates_of(fixes: Fixes, path: Path) -> Rates:
+    """Return speed and yaw rate at the fixes.
 
     Velocities, or else positions, are resampled at the median interval and fitted by parabolas over SMOOTH_S
     (Savitzky-Golay), whose derivatives are velocity v and acceleration a: the speed is |v|, the yaw rate (v × a) / v²,
@@ -100,12 +100,12 @@ def rates_of(fixes: Fixes, path: Path) -> tuple[Rates, str]:
         float(fixes.latitude_deg[0]),
         float(fixes.longitude_deg[0]),
         float(np.arctan2(north, east)),
+        f"{len(fixes.time_s)} fixes of {path}: speed and course from {'velocities' if measured else 'positions'}, "
+        f"fitted by parabolas over {window} fixes ({(window - 1) * step_s:.2g} s); yaw rate 0 below "
+        f"{MIN_SPEED_MPS:g} m/s",
     )
     rates.check(path)
-    return rates, (
-        f"speed and course from {'velocities' if measured else 'positions'}, fitted by parabolas over {window} fixes "
-        f"({(window - 1) * step_s:.2g} s); yaw rate 0 below {MIN_SPEED_MPS:g} m/s"
-    )
+    return rates
 
 
 def _to_plane(fixes: Fixes) -> np.ndarray:

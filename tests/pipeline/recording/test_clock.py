@@ -12,21 +12,18 @@ from tests.footage import pictures
 from tests.kitti_drive import write_png
 
 
-def sampled(*time_s: float) -> np.ndarray:
-    return np.array(time_s, float)
-
-
 def test_images_between_close_samples_are_usable() -> None:
     times = np.array([-1.0, -0.0005, 0, 0.1, 0.25, 0.7, 1.0, 1.1, 2.0])
-    covered = coverage(sampled(0, 0.2, 0.4, 1.0, 1.1), times, max_gap_s=0.5)
-    assert covered.usable.tolist() == [False, True, True, True, True, False, True, True, False]
-    assert (covered.before, covered.after, covered.in_gaps) == (1, 1, 1)
-    assert covered.interpolated == 3  # including the one within a rounding error of the first sample
-    assert covered.largest_gap_s == pytest.approx(0.2)
-    wider = coverage(sampled(0, 0.2, 0.4, 1.0, 1.1), times, max_gap_s=0.61)
-    assert (wider.in_gaps, wider.interpolated, wider.largest_gap_s) == (0, 4, pytest.approx(0.6))
-    none = coverage(sampled(0, 10), np.array([4.0, 5.0]), max_gap_s=2)
-    assert (none.usable.any(), none.in_gaps, none.interpolated, none.largest_gap_s) == (False, 2, 0, 0)
+    samples = np.array([0, 0.2, 0.4, 1.0, 1.1])
+    usable, counts = coverage(samples, times, max_gap_s=0.5)
+    assert usable.tolist() == [False, True, True, True, True, False, True, True, False]
+    # 3 interpolated, including the one within a rounding error of the first sample
+    left_out = {"before": 1, "after": 1, "in_gaps": 1}
+    assert counts == {"interpolated": 3, "largest_gap_s": pytest.approx(0.2), "left_out": left_out}
+    _, counts = coverage(samples, times, max_gap_s=0.61)
+    assert counts == {"interpolated": 4, "largest_gap_s": pytest.approx(0.6), "left_out": left_out | {"in_gaps": 0}}
+    usable, counts = coverage(np.array([0.0, 10]), np.array([4.0, 5.0]), max_gap_s=2)
+    assert (usable.any(), counts["left_out"]["in_gaps"], counts["largest_gap_s"]) == (False, 2, 0)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def test_a_stop_in_a_bend(track: Callable[[str], Path]) -> None:
     speed = np.clip(np.abs(time_s - 10) * 1.5 - 2, 0.3, 8)
     heading = np.pi + 0.05 * (np.cumsum(speed) - speed) / 10  # radius 20 m
     places = np.tile([49.0, 8.4], (200, 1))
-    rates, _ = rates_of(read_nmea(track(nmea(time_s, places, speed, heading))), Path("track"))
+    rates = rates_of(read_nmea(track(nmea(time_s, places, speed, heading))), Path("track"))
     moving = rates.speed_mps >= 1
     inner = moving & (np.abs(time_s - 10) < 9)
     assert 60 < inner.sum() < inner.size - 20

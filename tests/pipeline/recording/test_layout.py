@@ -32,7 +32,7 @@ K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_files_are_numbered(tmp_path: Path, threads: int) -> None:
-    folder = drive_folder(tmp_path, DRIVE)
+    folder = drive_folder(tmp_path, DRIVE, force=False)
     images = pictures(9)
     usable = np.arange(9) % 4 != 0
     time_s = 1e9 + np.arange(9) * 0.125
@@ -53,7 +53,7 @@ def test_files_are_numbered(tmp_path: Path, threads: int) -> None:
 
 
 def test_calibration_round_trip(tmp_path: Path) -> None:
-    folder = drive_folder(tmp_path, DRIVE)
+    folder = drive_folder(tmp_path, DRIVE, force=False)
     assert not check_calibration(folder, Camera(K, SIZE), force=False)
     write_calibration(folder, Camera(K, SIZE))
     camera = read_calibration(folder.parent, 2)

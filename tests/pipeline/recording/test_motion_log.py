@@ -28,9 +28,9 @@ def log(tmp_path: Path, text: str) -> Path:
 )  # fmt: skip
 def test_columns_are_found_by_name(tmp_path: Path, text: str) -> None:
     motion = read_motion(log(tmp_path, text), offset_s=10)
-    np.testing.assert_array_equal(motion.rates.time_s, [11, 11.5])
-    np.testing.assert_array_equal(motion.rates.speed_mps, [5, 6])
-    np.testing.assert_array_equal(motion.rates.yaw_rate_radps, [0.1, -0.2])
+    np.testing.assert_array_equal(motion.time_s, [11, 11.5])
+    np.testing.assert_array_equal(motion.speed_mps, [5, 6])
+    np.testing.assert_array_equal(motion.yaw_rate_radps, [0.1, -0.2])
     assert motion.source == f"2 samples of {tmp_path}/can.csv"
 
 
@@ -69,7 +69,7 @@ def test_tracks_are_recognised(tmp_path: Path) -> None:
         (nmea(time_s, places, 9.0, heading), "from velocities, fitted by parabolas over 3 fixes"),
     ):
         motion = read_motion(log(tmp_path, text), offset_s=-START.timestamp())
-        np.testing.assert_allclose(motion.rates.time_s, time_s, atol=1e-6)
+        np.testing.assert_allclose(motion.time_s, time_s, atol=1e-6)
         assert rule in motion.source
     year_1 = gpx(time_s, places).replace(">2027-", ">0001-")
     with pytest.raises(InputError, match="time_s = -6"):

@@ -24,7 +24,7 @@ def fixes_of(
 @pytest.mark.parametrize("yaw_rate_radps", [0.15, -0.15])
 @pytest.mark.parametrize("step_s", [1.0, 0.1])
 def test_a_circle(step_s: float, yaw_rate_radps: float, measured: bool) -> None:
-    rates, _ = rates_of(fixes_of(40, step_s, 9.0, yaw_rate_radps, measured), FILE)
+    rates = rates_of(fixes_of(40, step_s, 9.0, yaw_rate_radps, measured), FILE)
     inner = slice(3, -3) if step_s == 1 else slice(6, -6)  # at both ends, fits are one-sided
     np.testing.assert_allclose(rates.speed_mps[inner], 9.0, rtol=0.02)
     np.testing.assert_allclose(rates.yaw_rate_radps[inner], yaw_rate_radps, rtol=0.04)
@@ -35,6 +35,6 @@ def test_a_circle(step_s: float, yaw_rate_radps: float, measured: bool) -> None:
 @pytest.mark.parametrize("measured", [True, False])
 def test_yaw_rate_is_zero_at_standstill(measured: bool) -> None:
     fixes = fixes_of(30, 1.0, 0.3, 0.5, measured, noise_m=0.1)
-    rates, _ = rates_of(fixes, FILE)
+    rates = rates_of(fixes, FILE)
     np.testing.assert_array_equal(rates.yaw_rate_radps, 0)
     assert rates.speed_mps.max() < 1.0

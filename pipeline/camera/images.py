@@ -16,7 +16,8 @@ Size = tuple[int, int]
 """(H, W) pixels."""
 DEPTH_UNITS_PER_M = 256  # of stored depth, as in KITTI's depth benchmark; 0: no depth
 MAX_UNITS = np.iinfo(np.uint16).max
-_PNG, _PNG_END, _JPEG = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82", b"\xff\xd8"
+PNG_END = b"IEND\xaeB`\x82"
+_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _MOST_BYTES = 256 * MiB  # of an image file
 
 
@@ -127,7 +128,7 @@ def read_pixels(path: Path) -> np.ndarray:
         raise DamagedFile("file is empty", path)
     if not content.startswith((_PNG, _JPEG)):
         raise DamagedFile("is not a PNG or JPEG file", path)
-    if content.startswith(_PNG) and _PNG_END not in content:  # libpng would print a line of its own
+    if content.startswith(_PNG) and PNG_END not in content:  # libpng would print a line of its own
         raise DamagedFile(f"PNG is cut short at {len(content)} bytes", path)
     flags = cv2.IMREAD_COLOR if content.startswith(_JPEG) else cv2.IMREAD_UNCHANGED
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.files import MiB, check_file
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size, format_size
 
@@ -81,6 +82,7 @@ def read_entries(path: Path) -> dict[str, np.ndarray]:
 
     if not path.is_file():
         raise InputError("file is missing", path)
+    check_file(path, MiB)
     try:
         return dict(read_calib_file(path))
     except ValueError as error:

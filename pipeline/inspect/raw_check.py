@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import default_workers
 from pipeline.base.files import check_file
-from pipeline.camera.images import read_pixels
+from pipeline.camera.images import PNG_END, read_pixels
 from pipeline.inspect.artefact import format_spans, gaps
 from pipeline.kitti.calibration import cameras_in, read_calibration
 from pipeline.kitti.oxts import read_row, read_times
@@ -24,7 +24,6 @@ _DRIVE = "[0-9]*_drive_[0-9][0-9][0-9][0-9]_sync"
 _PARTLY = 0.1  # share of missing frames above which an archive was partly extracted; KITTI itself lacks single frames
 _MAX_PROBLEMS = 3  # of damaged files of one modality, in words
 _MAX_BYTES = 1 << 28
-_PNG_END = b"\x00\x00\x00\x00IEND\xaeB`\x82"
 
 
 @dataclass
@@ -173,8 +172,8 @@ def _check_size(path: Path) -> None:
     """Check the size of a scan or an image, and the end of an image. Raises DamagedFile."""
     size = check_file(path, _MAX_BYTES)
     with path.open("rb") as file:
-        file.seek(max(0, size - len(_PNG_END)))
-        complete = file.read() == _PNG_END if path.suffix == ".png" else size % 16 == 0
+        file.seek(max(0, size - len(PNG_END)))
+        complete = file.read() == PNG_END if path.suffix == ".png" else size % 16 == 0
     if not size or not complete:
         raise DamagedFile("is cut short" if size else "is empty")
 

@@ -116,7 +116,7 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     extract = f"Extract the drive's {path.parent.name} folder again"
     if not path.is_file():
         raise InputError("file is missing", path, extract)
-    lines = path.read_bytes().decode("ascii", errors="replace").rstrip().split("\n")
+    lines = read_bytes(path, 64 * MiB).decode("ascii", errors="replace").rstrip().split("\n")
     if len(lines) > frames[-1]:
         numbers = list(frames)
     elif len(lines) == len(frames):

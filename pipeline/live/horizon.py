@@ -1,6 +1,7 @@
 """Find the horizon's row in a moving camera's images: that of the focus of expansion on straight drives."""
 
 from collections.abc import Iterable
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -12,15 +13,16 @@ CELL, MIN_QUALITY = 24, 2e-5
 MIN_TRACKS, MIN_INLIERS = 60, 0.4
 MIN_FLOW_PX = 1.0  # below, the direction of travel is noise
 RANSAC_PX = 0.7
-MIN_PAIRS = 8
+PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
 
 
-def find_horizon(pairs: Iterable[tuple[np.ndarray, np.ndarray]], camera: Camera) -> float | None:
-    """Return the image row of the direction of travel, the median over pairs; None if too few pairs show one.
+def find_horizon(images: Iterable[np.ndarray], camera: Camera) -> float | None:
+    """Return the image row of the direction of travel; None if too few images show one.
 
-    `pairs` of consecutive images RGB uint8 [H,W,3] of `camera`. The row depends little on the focal length. A camera
-    on a car travels along the road, so this row is the road's horizon.
+    It is the median over pairs of consecutive images RGB uint8 [H,W,3], spread over the first minute of a drive. The
+    row depends little on the focal length. A camera on a car travels along the road, so this is the road's horizon.
     """
+    pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)
     rows = [row for before, now in pairs if (row := _row(before, now, camera)) is not None]
     return float(np.median(rows)) if len(rows) >= MIN_PAIRS else None
 

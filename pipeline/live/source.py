@@ -11,7 +11,6 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera
-from pipeline.camera.footage import Footage
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.camera.intrinsics import pinhole
 from pipeline.camera.mount import camera_height
@@ -25,7 +24,6 @@ from pipeline.recording.clock import open_timed, timed
 
 DEFAULT_FPS = 10.0  # KITTI's
 BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are
-PAIRS, PAIR_EVERY = 60, 10  # images that are searched for the horizon
 ROTATE = "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
 MIN_SIDE = 16  # px; nothing can be recognised in smaller images
 
@@ -174,7 +172,7 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
     if times_s is None and not footage.has_times:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
         footage.set_rate(DEFAULT_FPS)
-    if not level and (horizon := find_horizon(_some_pairs(footage), camera)) is None:
+    if not level and (horizon := find_horizon((image.image for image in footage.frames()), camera)) is None:
         notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
     crop = camera.crop_to(aspect, None if horizon is None else horizon + BELOW * footage.size[1])
 
@@ -197,14 +195,3 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
         source.slope = (horizon - camera.K[1, 2]) / camera.K[1, 1]
         notes.append(f"horizon: row {horizon:.0f} of {footage.size[0]}")
     return source
-
-
-def _some_pairs(footage: Footage) -> Generator[tuple[np.ndarray, np.ndarray]]:
-    """Yield pairs of consecutive images, evenly spread over the first minute of a drive."""
-    before = None
-    for index, image in enumerate(footage.frames()):
-        if index >= PAIRS * PAIR_EVERY:
-            return
-        if index % PAIR_EVERY == 1 and before is not None:
-            yield before, image.image
-        before = image.image

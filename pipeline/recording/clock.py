@@ -46,7 +46,9 @@ def open_timed(path: Path, fps: float | None, times: Path | None) -> tuple[Foota
 def read_times(path: Path) -> np.ndarray:
     """Return the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
     if not path.is_file():
-        raise InputError("file is missing", path, "Pass --times a file with one time in seconds per image")
+        raise InputError(
+            "file is missing or not a regular file", path, "It holds a time in seconds per image, one per line"
+        )
     try:
         times = np.array(read_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace").split(), np.float64)
     except ValueError as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive, replacing
+from pipeline.base.atomic import exclusive, pending_folder, replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
@@ -20,7 +20,7 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
-    pending = out.parent / ".resume" / out.name
+    pending = pending_folder(out)
     if settings.folder:
         with exclusive(out, pending):
             return _use_precomputed(settings, settings.folder, out)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive, sweep
+from pipeline.base.atomic import exclusive, pending_folder, sweep
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
 from pipeline.evaluate import by_frame
@@ -32,7 +32,7 @@ def main(
     With folds, each test drive is evaluated with the network that was not fitted to it, and each other drive with the
     first network that was. Returns the model's folder.
     """
-    with exclusive(out / name, out.parent / ".resume" / f"{out.name}-{name}"):
+    with exclusive(out / name, pending_folder(out / name, entry=True)):
         return _evaluate(name, train, graphs, labels, out / name, load(Evaluate, params))
 
 

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive
+from pipeline.base.atomic import exclusive, pending_folder, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import file_hash
@@ -46,7 +46,7 @@ def main(
     folds = runs.drop_untestable(folds, variant, labels, line)
     drives = {drive for fold in folds for drive in fold.train + fold.val}
     files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in drives}
-    pending = out.parent / ".resume" / f"{out.name}-{name}"
+    pending = pending_folder(out / name, entry=True)
     job = Job(name, where, line, settings, variant, labels, splits, files, pending)
     for fold in folds:
         job.read_drives(fold.train), job.read_drives(fold.val)  # errors before anything is written
@@ -61,6 +61,8 @@ def main(
                 params,
                 "Raise it or start fewer processes",
             )
+        if world.is_main:
+            sweep(*(run.folder for run in todo))
         if not folds[0].val and world.is_main:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
         if len(todo) > 1 and world.size == 1 and device.type == "cpu":

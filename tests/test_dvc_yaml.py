@@ -79,7 +79,7 @@ def test_what_a_stage_imports_is_covered_and_little_else(name: str) -> None:
     if any(network in dep for network in NETWORKS for dep in STAGES[name]["deps"]):
         folders = [*NETWORKS.values(), "models/steering/core/cell"]
         modules += [".".join(file.with_suffix("").parts) for folder in folders for file in _files(folder)]
-    imported = _imported(*modules)
+    imported = _imported(*modules) - {Path("stages/__init__.py")}  # decides only how an interrupted start ends
     covered = {path for dep in _code(name) for path in _files(dep)}
     assert imported <= covered
     for beyond in BEYOND.get(name, set()):

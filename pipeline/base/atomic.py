@@ -59,12 +59,12 @@ def replacing(path: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def sweep(folder: Path) -> None:
-    """Remove temporary files of killed processes, see :func:`replacing`, directly in `folder`.
+def sweep(*folders: Path) -> None:
+    """Remove temporary files of killed processes, see :func:`replacing`, directly in `folders`.
 
-    Call it under the folder's lock, :func:`exclusive`.
+    Call it under the lock of the stage, :func:`exclusive`, which sweeps the stage's own folder.
     """
-    for path in folder.glob(".*.tmp"):
+    for path in (path for folder in folders for path in folder.glob(".*.tmp")):
         match = _LEFTOVER.fullmatch(path.name)
         if match and path.is_dir() and not path.is_symlink():
             expected = {match["name"], match["name"] + _OLD}
@@ -118,8 +118,7 @@ def exclusive(out: Path, pending: Path) -> Iterator[None]:
             raise
         print(f"note: {path.parent} does not support locks: run only one process on {out}", flush=True)
     try:
-        for folder in (out, pending):
-            sweep(folder)
+        sweep(out, pending)
         yield
     finally:
         lock.release()

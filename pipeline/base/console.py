@@ -1,6 +1,7 @@
 """Run functions as commands: arguments by Typer, errors as one line, exit status."""
 
 import functools
+import io
 import os
 import signal
 import sys
@@ -15,9 +16,24 @@ RESUME = "Finished drives are kept: repeat the command to continue"
 
 def run(main: Callable[..., object]) -> None:
     """Parse a stage's command line for `main` and call it, :func:`guarded`."""
+    prepare_streams()
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command()(guarded(main))
     app()
+
+
+def prepare_streams() -> None:
+    """Replace closed standard streams by /dev/null, and escape characters that the encoding of the output lacks.
+
+    Otherwise a file that is opened later takes the number of the closed stream, and libraries print into it.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, mode)  # noqa: SIM115, PTH123  # stays open
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def guarded(main: Callable[..., object], after_stop: str = RESUME) -> Callable[..., None]:
@@ -32,6 +48,9 @@ def guarded(main: Callable[..., object], after_stop: str = RESUME) -> Callable[.
 
     @functools.wraps(main)  # Typer reads its arguments
     def command(*args: object, **options: object) -> None:
+        prepare_streams()
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         if options.get("debug"):
             main(*args, **options)
             return

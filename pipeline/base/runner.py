@@ -78,6 +78,7 @@ def run_over_drives(
     name, _, entry = stage.partition("@")
     pending = pending_folder(out, entry=bool(entry))
     with exclusive(out, pending):
+        out.mkdir(parents=True, exist_ok=True)
         keys = [stage_key(name, {"drive": job.drive, **settings}, job.inputs) for job in jobs]
         paths = [
             pending / f"{job.drive.replace('/', '-')}-{key}{job.target.suffix}"
@@ -94,7 +95,7 @@ def run_over_drives(
                 bar.update()
                 tqdm.write(_log_line(drive, path, describe, *result), file=sys.stdout)
                 sys.stdout.flush()
-        _publish(jobs, paths, out)
+        _publish(jobs, paths)
         yield {job.drive: _read_summary(path) or {} for job, path in zip(jobs, paths, strict=True)}
         shutil.rmtree(pending)
 
@@ -177,12 +178,10 @@ def _make(item: tuple[str, Path, Work]) -> tuple[Summary, float]:
     return summary, time.perf_counter() - start
 
 
-def _publish(jobs: Sequence[Job], paths: Sequence[Path], out: Path) -> None:
+def _publish(jobs: Sequence[Job], paths: Sequence[Path]) -> None:
     """Give finished files and folders their final paths, too, and remove drives that are no longer listed."""
-    out.mkdir(parents=True, exist_ok=True)
     targets = {job.target for job in jobs}
-    for folder in {target.parent for target in targets}:
-        sweep(folder)
+    sweep(*{target.parent for target in targets})
     for job, path in zip(jobs, paths, strict=True):
         with replacing(job.target) as tmp:
             if path.is_dir():

@@ -3,14 +3,17 @@
 import errno
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
+from pipeline.base.resume import ROOT
 
 
 def raising(error: BaseException) -> Callable[[], None]:
@@ -67,3 +70,61 @@ def test_sigterm_ends_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch, capsys: py
     finally:
         signal.signal(signal.SIGTERM, handler)
     assert cleaned_up
+
+
+PRINTING = r"""
+from pathlib import Path
+from pipeline.base import console
+
+def main() -> None:
+    file = Path("file").open("w")
+    print("Θ", flush=True)
+    print("\udcff", flush=True)
+    file.close()
+
+console.run(main)
+"""
+
+
+@pytest.mark.parametrize("closed", ["", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_and_other_encodings_are_no_error(tmp_path: Path, closed: str) -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "latin-1"}
+    command = ["sh", "-c", f'"{sys.executable}" -c "$0" {closed}', PRINTING]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == ("" if ">&-" in closed.split() else "\\u0398\n\\udcff\n")
+    assert (tmp_path / "file").read_text() == ""
+
+
+IMPORTED = """
+import time
+print("imports", flush=True)
+try:
+    time.sleep(60)
+except BaseException:
+    raise ImportError
+"""
+
+
+@pytest.mark.parametrize("command", [["-m", "stages.clouds"], ["-m", "steer.app", "doctor"]])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_while_libraries_are_imported(
+    tmp_path: Path, command: list[str], number: signal.Signals, status: int
+) -> None:
+    code = (
+        "import time\nprint('imports', flush=True)\ntry:\n  time.sleep(60)\nexcept BaseException:\n  raise ImportError"
+    )
+    (tmp_path / "typer.py").write_text(code)
+    path = os.pathsep.join([str(tmp_path), str(ROOT)])
+    environment = os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
+    with subprocess.Popen(
+        [sys.executable, *command], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL) and None,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline() == "imports\n"
+        process.send_signal(number)
+        _, errors = process.communicate()
+    assert process.returncode == status
+    assert errors.startswith("error: interrupted")
+    assert errors.count("\n") == 1

@@ -32,6 +32,14 @@ def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pyt
     assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
+@pytest.mark.parametrize("text", ["all", "0", "-1", "1.5", "9" * 5000])
+def test_a_number_of_workers_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv("STEER_WORKERS", text)
+    with pytest.raises(InputError, match="expected a number of processes") as raised:
+        executors.default_workers()
+    assert len(str(raised.value)) < 200
+
+
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     """A scheduler and two workers."""

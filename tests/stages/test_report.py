@@ -42,15 +42,6 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
     assert made[0]["table.csv"].decode().splitlines()[1].startswith("sa-gnn-ncp,semantic,gnn,ncp,ltc,")
 
 
-def test_temporary_files_of_a_killed_report_are_removed(tmp_path: Path) -> None:
-    leftovers = [tmp_path / f"report/{name}" for name in (".table.md.a1b2c3d4.tmp", "figures/.paths.png.a1b2c3d4.tmp")]
-    for folder in leftovers:
-        folder.mkdir(parents=True)
-        (folder / folder.name.split(".a1")[0].removeprefix(".")).write_text("half")
-    run(tmp_path, "lonely")
-    assert not [folder for folder in leftovers if folder.exists()]
-
-
 def test_without_results_all_outputs_exist(tmp_path: Path) -> None:
     assert "dvc repro --pull --downstream train@lonely" in run(tmp_path, "lonely")
     folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}

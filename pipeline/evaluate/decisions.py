@@ -58,11 +58,10 @@ def read_turns(drive: Drive) -> Turns:
         return Turns(labels.frame[rows], labels.time_s[rows])
 
 
-def near(drive: Drive, turns: Turns) -> np.ndarray:
-    """Return which frames [G] of a drive are close to an onset, bool.
+def near_onsets(drive: Drive, turns: Turns) -> np.ndarray:
+    """Return the mask [G] of a drive's frames that are close to an onset.
 
-    Their target lies at an onset or later, and the frame itself at most one second after it. With a horizon they begin
-    that much before the onset.
+    The target of such a frame is at an onset or later, and the frame itself at most one second after the onset.
     """
     begun = drive.frame[:, None] + drive.horizon >= turns.frame
     recent = drive.time_s[:, None] <= turns.time_s + SECOND_S

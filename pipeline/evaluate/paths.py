@@ -55,11 +55,11 @@ def segments(track: Track, predicted_rad: np.ndarray) -> list[tuple[int, int]]:
     """Return the rows [first, last) between restarts; every row has a prediction."""
     predicted = ~np.isnan(predicted_rad)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], predicted, [False]]).astype(np.int8)))
-    found = []
+    parts = []
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         inside = [row for row in track.onsets.tolist() if first < row < last]
-        found += [(a, b) for a, b in pairwise([first, *inside, last]) if b - a > 1]
-    return found
+        parts += [(a, b) for a, b in pairwise([first, *inside, last]) if b - a > 1]
+    return parts
 
 
 def drift(tracks: Iterable[tuple[Track, np.ndarray]]) -> float | None:

@@ -67,14 +67,15 @@ class Case:
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
     """Return errors, confidence interval, baselines, and errors by curvature, by drive and without decisions.
 
-    Only frames with a valid target and a prediction count. `without_decisions` leaves out :func:`decisions.near`.
+    Only frames with a valid target and a prediction count; `without_decisions` leaves out `decisions.near_onsets`.
     """
     measured = [case.drive.measured_rad for case in cases]
     kinds = [kind for kind in measured[0] if all(kind in kinds for kinds in measured)]
     parts = [_counted(case, kinds) for case in cases]
     columns = {name: np.concatenate([part[name] for part in parts], axis=-1) for name in parts[0]}
     steering, predicted = columns.pop("steering"), columns.pop("predicted")  # [N], [S,N]
-    curvature, near, certainty = columns.pop("curvature"), columns.pop("near"), columns.pop("certainty", None)
+    curvature, certainty = columns.pop("curvature"), columns.pop("certainty", None)
+    near_onset = columns.pop("near_onset")
     drive = np.repeat(np.arange(len(parts)), [len(part["steering"]) for part in parts])
 
     def scores(rows: np.ndarray | slice) -> dict[str, Any]:
@@ -88,20 +89,20 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
         "nmse_ci95": list(errors.interval(error, steering, drive, settings)),
         "by_curvature": errors.by_curvature(steering, predicted, curvature, settings.curvature_bins_1pm),
         "by_drive": {case.drive.name: scores(drive == number) for number, case in enumerate(cases)},
-        "without_decisions": scores(~near),
+        "without_decisions": scores(~near_onset),
         "drift_m_per_100m": _drift(cases, settings),
         "uncertainty": None if certainty is None else errors.uncertainty(steering, predicted, *certainty),
     }
 
 
 def _counted(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return arrays [N], predictions with σ and intervals [S,N], of the frames that count, and those of baselines."""
+    """Return columns of the frames that count: arrays [N], also of baselines; predictions, σ and intervals [S,N]."""
     drive, predictions = case.drive, case.predictions
     columns = {
         "steering": drive.steering_rad,
         "predicted": np.stack([seed.steering_rad for seed in predictions]),
         "curvature": drive.curvature_1pm,
-        "near": decisions.near(drive, case.turns),
+        "near_onset": decisions.near_onsets(drive, case.turns),
         **case.baselines(kinds),
     }
     spread = [(seed.sigma_rad, seed.half_95_rad) for seed in predictions if seed.sigma_rad is not None]

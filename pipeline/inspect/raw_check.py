@@ -45,8 +45,8 @@ def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts
     folders = _drives_below(root)
     if not folders:
         fix = "Expected <date>/<date>_drive_NNNN_sync in it"
-        near = [path for path in root.iterdir() if _drives_below(path)] if root.is_dir() else []
-        raise InputError("holds no drives", root, f"Pass {near[0]}" if near else fix)
+        subfolders = [path for path in root.iterdir() if _drives_below(path)] if root.is_dir() else []
+        raise InputError("holds no drives", root, f"Pass {subfolders[0]}" if subfolders else fix)
     with ThreadPoolExecutor(default_workers()) as pool:  # disks and decoders work in parallel
         return list(pool.map(partial(check, cameras=cameras, lidar=lidar, deep=deep, oxts=oxts), folders))
 
@@ -96,10 +96,12 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: b
     scans = lidar and bool(files["velodyne_points"])
     calibration = _input_error(_check_calibration, folder.parent, with_images[:1], scans)
     result.problems += [f"calibration: {text}" for text in calibration]
-    others = [camera for camera in _CAMERAS if files[_images(camera)]]
-    if others and not with_images:
-        result.problems.append(f"has images of cameras {others} only, expected one of ingest.cameras = {list(cameras)}")
-    elif not others and not scans and damaged <= {"oxts"}:
+    present = [camera for camera in _CAMERAS if files[_images(camera)]]
+    if present and not with_images:
+        result.problems.append(
+            f"has images of cameras {present} only, expected one of ingest.cameras = {list(cameras)}"
+        )
+    elif not present and not scans and damaged <= {"oxts"}:
         result.notes.append("has neither images nor scans: only labels can be computed")
     root = raw.calibration.absolute().parent
     parts = " ".join(f"'*/{name}/*'" for name in sorted(damaged))

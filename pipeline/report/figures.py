@@ -154,13 +154,13 @@ def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
     """Return the rows with the largest errors, with the `share` of the squared error within APART_S of each."""
     rows = predictions.dropna(subset=["driven_deg", "predicted_deg"])
     rows = rows.assign(cost=(rows["predicted_deg"] - rows["driven_deg"]) ** 2).query("cost > 0")
-    remaining, found = rows, list[dict[str, Any]]()
-    while len(remaining) and len(found) < MAX_ERRORS:
+    remaining, largest = rows, list[dict[str, Any]]()
+    while len(remaining) and len(largest) < MAX_ERRORS:
         row = remaining.loc[remaining["cost"].idxmax()]
-        near = (rows["drive"] == row["drive"]) & ((rows["elapsed_s"] - row["elapsed_s"]).abs() <= APART_S)
-        found.append({**row, "share": rows["cost"][near].sum() / rows["cost"].sum()})
-        remaining = remaining[~near[remaining.index]]
-    return pd.DataFrame(found)
+        around = (rows["drive"] == row["drive"]) & ((rows["elapsed_s"] - row["elapsed_s"]).abs() <= APART_S)
+        largest.append({**row, "share": rows["cost"][around].sum() / rows["cost"].sum()})
+        remaining = remaining[~around[remaining.index]]
+    return pd.DataFrame(largest)
 
 
 def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest: Path) -> Captions:
@@ -212,20 +212,20 @@ def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Captions:
     for panel in panels[len(drives) :]:
         panel.set_axis_off()
     for panel, (drive, tables) in zip(panels, drives, strict=False):
-        own = tables.drop_duplicates("frame").sort_values("frame")
+        truth = tables.drop_duplicates("frame").sort_values("frame")
         track = Track(
-            time_s=own["elapsed_s"].to_numpy(),
-            speed_mps=own["speed_mps"].to_numpy(),
-            steering_rad=np.nan_to_num(own["steering_rad"].to_numpy()),
-            onsets=np.flatnonzero(own["onset"]),
+            time_s=truth["elapsed_s"].to_numpy(),
+            speed_mps=truth["speed_mps"].to_numpy(),
+            steering_rad=np.nan_to_num(truth["steering_rad"].to_numpy()),
+            onsets=np.flatnonzero(truth["onset"]),
             wheelbase_m=first["wheelbase_m"],
             formula=first["path"],
         )
-        true = track.path(track.steering_rad, 0, len(own))
+        true = track.path(track.steering_rad, 0, len(truth))
         panel.plot(-true[:, 1], true[:, 0], color="0.15", linewidth=3, label="driven")
-        predicted = tables.pivot(index="frame", columns="model", values="predicted_rad").loc[own["frame"]]
+        predicted = tables.pivot(index="frame", columns="model", values="predicted_rad").loc[truth["frame"]]
         for number, model in enumerate(models["model"]):
-            angles = predicted[model].to_numpy() if model in predicted else np.full(len(own), np.nan)
+            angles = predicted[model].to_numpy() if model in predicted else np.full(len(truth), np.nan)
             for start, stop in segments(track, angles):
                 piece = track.path(angles, start, stop)
                 panel.plot(-piece[:, 1], piece[:, 0], color=f"C{number}", linewidth=1.3, label=model)

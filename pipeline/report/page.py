@@ -114,7 +114,7 @@ def _graphs(results: Results, evaluate: Path) -> Content:
 
 def _learning(models: Sequence[str], train: Path) -> Content:
     curves = {model: load_curves(train / model) for model in models}
-    first = {model: next(iter(found.values())) for model, found in curves.items() if found}
+    first = {model: next(iter(runs.values())) for model, runs in curves.items() if runs}
     caption = "Training loss (dotted) and validation nmse of each model's first network"
     return [Plot(caption, plots.learning(first))] if first else []
 

@@ -80,14 +80,14 @@ def points(models: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return study → metrics of its models with their `value`, ascending; for studies with at least two models."""
     if DEFAULT not in set(models["model"]):
         return {}
-    found = {}
+    studies = {}
     for name, study in STUDIES.items():
         value = models["model"].str.extract(rf"^{name}-(\d+)$", expand=False).astype(float)
         value[models["model"] == DEFAULT] = study.default
         rows = models.assign(value=value).dropna(subset="value").sort_values("value")
         if len(rows) > 1:
-            found[name] = rows
-    return found
+            studies[name] = rows
+    return studies
 
 
 def table(name: str, rows: pd.DataFrame) -> Table:

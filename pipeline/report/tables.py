@@ -54,8 +54,8 @@ class Table(NamedTuple):
         rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
         lines = []
         for row in (head, rule, *body):
-            first, *others = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
-            lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *others])} |")
+            first, *more = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
+            lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *more])} |")
         return "\n\n".join(filter(None, [f"## {self.title}", "\n".join(lines), fill(self.note, _WIDTH)]))
 
 
@@ -124,8 +124,8 @@ def steering_tables(results: Results) -> list[Table]:
 
 
 def _settings(models: pd.DataFrame) -> pd.DataFrame:
-    line = models.filter(regex=r"^line\.\w+$").rename(columns=lambda column: column.removeprefix("line."))
-    rows = pd.concat([models[["model", *_SIZES]], line.reindex(columns=[*_SETTINGS])], axis=1)
+    entries = models.filter(regex=r"^line\.\w+$").rename(columns=lambda column: column.removeprefix("line."))
+    rows = pd.concat([models[["model", *_SIZES]], entries.reindex(columns=[*_SETTINGS])], axis=1)
     rows["pruned"] = 1 - (rows["edges_per_frame"] / rows["edges_per_frame_unpruned"]).astype(float)
     rows["temporal"] += [f" ({cell})" if cell else "" for cell in rows["cell"].where(rows["temporal"] == "ncp", "")]
     rows["fit_to"] += [f" ({roads} roads)" if pd.notna(roads) else "" for roads in rows["roads"]]

@@ -67,4 +67,4 @@ def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: i
     artefacts.write_labels(tmp_path / f"labels/{NAME}.h5", NAME, steering, frame)
     artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
     drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
-    assert np.flatnonzero(decisions.near(drive, decisions.read_turns(drive))).tolist() == list(range(first, 41))
+    assert np.flatnonzero(decisions.near_onsets(drive, decisions.read_turns(drive))).tolist() == list(range(first, 41))

@@ -68,6 +68,11 @@ class Entry(_Form, extra="allow"):
     window: Count
     horizon: Count
     motion: str
+    fit_to: str = "train"
+    roads: Count | None = None
+    cell: str | None = None
+    equivariant: bool | None = None
+    semantics: float | None = None
 
 
 class Variant(_Form, extra="allow"):

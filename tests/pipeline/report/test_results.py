@@ -69,6 +69,7 @@ def check_error(data: Path, name: str, problem: str) -> None:
         (["model"], "../../other", "expected model net"),
         (["line"], [], "line"),
         (["line", "horizon"], "10", "line.horizon"),
+        (["line", "fit_to"], None, "line.fit_to"),
         (["seeds"], [], "seeds"),
         (["parameters"], True, "parameters"),
         (["variant", "k"], -1, "variant.k"),

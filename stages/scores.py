@@ -16,6 +16,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
 from pipeline.motion import motion_file
+from pipeline.perception.drive_frames import open_perception
 from pipeline.perception.scores import Scores, summary_line
 from pipeline.perception.truth import read_truth
 from pipeline.sections.labels import Labels
@@ -80,7 +81,7 @@ def _score_drive(
     scores = Scores()
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
-        store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
+        open_perception(perception, drive, source) as perceived,
     ):
         count, mode = len(perceived.frame), perceived.params["perception"]["depth_scale"]
         camera = read_camera(source, float(perceived.attrs["camera_height_m"]))

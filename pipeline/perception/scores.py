@@ -57,18 +57,18 @@ def eigen_crop(image: np.ndarray) -> np.ndarray:
 
 
 def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return the confusion matrix int64 [19,19]: true class by row, predicted class by column.
+    """Return the confusion matrix int64 [19,20]: true class by row, predicted class by column, void last.
 
     `predicted` and `truth` hold trainIds, of the same shape. Pixels with void truth do not count.
     """
-    known = truth != classes.VOID
-    pairs = truth[known].astype(np.int64) * classes.COUNT + predicted[known]
-    return np.bincount(pairs, minlength=classes.COUNT**2).reshape(classes.COUNT, classes.COUNT)
+    known, columns = truth < classes.COUNT, classes.COUNT + 1
+    pairs = truth[known].astype(np.int64) * columns + np.minimum(predicted[known], classes.COUNT)
+    return np.bincount(pairs, minlength=classes.COUNT * columns).reshape(classes.COUNT, columns)
 
 
 def class_ious(matrix: np.ndarray) -> np.ndarray:
     """Return the intersection over union of each class [19] of a confusion matrix; NaN if the truth lacks the class."""
-    union = matrix.sum(axis=0) + matrix.sum(axis=1) - matrix.diagonal()
+    union = matrix.sum(axis=0)[: classes.COUNT] + matrix.sum(axis=1) - matrix.diagonal()
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(matrix.sum(axis=1) > 0, matrix.diagonal() / union, np.nan)
 
@@ -83,7 +83,7 @@ class Scores:
         keys = [key + crop for key in DEPTH_SCORES for crop in ("", "_eigen")]
         self.depth = {key: np.zeros(len(_DEPTH_SUMS)) for key in keys}
         self.class_frames = 0
-        self.confusion = np.zeros((classes.COUNT, classes.COUNT), np.int64)
+        self.confusion = np.zeros((classes.COUNT, classes.COUNT + 1), np.int64)
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth, mode: "DepthScale") -> None:
         """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.

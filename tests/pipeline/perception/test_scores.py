@@ -59,6 +59,14 @@ def test_class_scores_equal_hand_values() -> None:
     assert found["pixel_accuracy"] == pytest.approx(4 / 6)
 
 
+def test_predicted_void_is_an_error_of_the_true_class() -> None:
+    truth = np.array([0, 0, 18, 18, classes.VOID])
+    scores = Scores()
+    scores.add_classes(np.array([0, classes.VOID, classes.VOID, 18, classes.VOID], np.uint8), truth)
+    assert scores.report()["classes"]["pixel_accuracy"] == 0.5
+    assert scores.report()["classes"]["iou"] == {classes.NAMES[0]: 0.5, classes.NAMES[18]: 0.5}
+
+
 def test_scores_add_up_over_drives_through_json() -> None:
     rng = np.random.default_rng(0)
     every, total = Scores(), Scores()

@@ -23,7 +23,7 @@ def main(
     splits = store.read_index(clouds, stage="clouds")
     counts = {drive: getattr(settings.frames, split) for drive, split in splits.items()}
     drawn = [drive for drive in splits if counts[drive]]
-    with_images = [drive for drive in drawn if store.frame_count(perception / f"{drive}.h5", stage="perception")]
+    with_images = [drive for drive in drawn if _has_images(perception / f"{drive}.h5")]
     jobs = [
         Job(
             drive,
@@ -43,6 +43,11 @@ def main(
         if without:
             print(f"no pictures of drives without images: {', '.join(without)}", flush=True)
     return out
+
+
+def _has_images(path: Path) -> bool:
+    with store.DriveReader(path, stage="perception") as perceived:
+        return len(perceived.frame) > 0
 
 
 def _draw(path: Path, *, title: str, files: Sequence[Path], count: int) -> Summary:

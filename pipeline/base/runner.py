@@ -79,24 +79,23 @@ def run_over_drives(
     pending = pending_folder(out, entry=bool(entry))
     with exclusive(out, pending):
         out.mkdir(parents=True, exist_ok=True)
-        keys = [stage_key(name, {"drive": job.drive, **settings}, job.inputs) for job in jobs]
-        paths = [
-            pending / f"{job.drive.replace('/', '-')}-{key}{job.target.suffix}"
-            for job, key in zip(jobs, keys, strict=True)
-        ]
-        todo = [(job, path) for job, path in zip(jobs, paths, strict=True) if _read_summary(path) is None]
+        keys = {job.drive: stage_key(name, {"drive": job.drive, **settings}, job.inputs) for job in jobs}
+        paths = {
+            job.drive: pending / f"{job.drive.replace('/', '-')}-{keys[job.drive]}{job.target.suffix}" for job in jobs
+        }
+        todo = [job for job in jobs if _read_summary(paths[job.drive]) is None]
         kept = len(jobs) - len(todo)
         if kept:
             print(f"{kept} of {len(jobs)} drives kept from the run before", flush=True)
-        todo.sort(key=lambda item: _input_bytes(item[0]), reverse=True)
-        tasks = [(job.drive, path, job.work) for job, path in todo]
+        todo.sort(key=_input_bytes, reverse=True)
+        tasks = [(job.drive, paths[job.drive], job.work) for job in todo]
         with tqdm(total=len(jobs), initial=kept, unit=" drives", disable=not sys.stderr.isatty()) as bar:
             for (drive, path, _), result in run_jobs(_make, tasks, workers=workers, name=itemgetter(0)):
                 bar.update()
                 tqdm.write(_log_line(drive, path, describe, *result), file=sys.stdout)
                 sys.stdout.flush()
-        _publish(jobs, paths)
-        yield {job.drive: _read_summary(path) or {} for job, path in zip(jobs, paths, strict=True)}
+        _publish({paths[job.drive]: job.target for job in jobs})
+        yield {drive: _read_summary(path) or {} for drive, path in paths.items()}
         shutil.rmtree(pending)
 
 
@@ -178,20 +177,19 @@ def _make(item: tuple[str, Path, Work]) -> tuple[Summary, float]:
     return summary, time.perf_counter() - start
 
 
-def _publish(jobs: Sequence[Job], paths: Sequence[Path]) -> None:
+def _publish(targets: Mapping[Path, Path]) -> None:
     """Give finished files and folders their final paths, too, and remove drives that are no longer listed."""
-    targets = {job.target for job in jobs}
-    sweep(*{target.parent for target in targets})
-    for job, path in zip(jobs, paths, strict=True):
-        with replacing(job.target) as tmp:
+    sweep(*{target.parent for target in targets.values()})
+    for path, target in targets.items():
+        with replacing(target) as tmp:
             if path.is_dir():
                 shutil.copytree(path, tmp, copy_function=_link)
             else:
                 _link(path, tmp)
     # Earlier files may still be there (persist in dvc.yaml, or no DVC).
-    kinds = {(target.parent, target.suffix) for target in targets}
+    kinds = {(target.parent, target.suffix) for target in targets.values()}
     earlier = {folder / f"{drive}{suffix}" for folder, suffix in kinds for drive in indexed(folder)}
-    for stale in earlier - targets:
+    for stale in earlier.difference(targets.values()):
         if stale.is_file():
             stale.unlink()
 

@@ -283,12 +283,6 @@ class DriveReader:
         self._file.close()
 
 
-def frame_count(path: Path, *, stage: str) -> int:
-    """Return the number of frames in a drive's file."""
-    with DriveReader(path, stage=stage) as file:
-        return len(file.frame)
-
-
 def _stage_of(path: Path) -> str:
     """Return the stage that a file below a folder data/ belongs to, for messages; elsewhere a placeholder."""
     folders = path.absolute().parts[:-1]

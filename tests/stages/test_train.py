@@ -17,7 +17,7 @@ import torch
 
 from pipeline.base import store
 from pipeline.fitting import checkpoint
-from pipeline.train import training, windows
+from pipeline.train import windows
 from tests import artefacts
 from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params
 
@@ -47,20 +47,17 @@ def load(path: Path) -> dict[str, object]:
 
 
 @contextmanager
-def killed(monkeypatch: pytest.MonkeyPatch, name: str, epoch: int | None = None) -> Iterator[None]:
-    """Interrupt training in training.write_curve, or after checkpoint.write of an epoch."""
+def killed_after(monkeypatch: pytest.MonkeyPatch, epoch: int) -> Iterator[None]:
+    """Interrupt training after the checkpoint of an epoch."""
+    write = checkpoint.write
 
-    def interrupt(*arguments: object) -> None:
-        if epoch is None:
-            raise KeyboardInterrupt
-        write(*arguments)
-        if arguments[1]["epoch"] == epoch:  # type: ignore[index]
+    def interrupt(path: Path, content: dict[str, object]) -> None:
+        write(path, content)
+        if content["epoch"] == epoch:
             raise KeyboardInterrupt
 
-    module = training if name == "write_curve" else checkpoint
-    write = getattr(module, name)
     with monkeypatch.context() as patch:
-        patch.setattr(module, name, interrupt)
+        patch.setattr(checkpoint, "write", interrupt)
         with pytest.raises(KeyboardInterrupt):
             yield
 
@@ -93,7 +90,7 @@ def test_a_trained_model_follows_the_bend(trained: Path) -> None:
 
 def test_resumed_training_writes_the_same_bytes(folder: Path, trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_params(folder, epochs=EPOCHS)
-    with killed(monkeypatch, "write", epoch=EPOCHS - 2):
+    with killed_after(monkeypatch, EPOCHS - 2):
         run_train(folder)
     assert not (folder / "train").exists()
     run_train(folder)
@@ -191,7 +188,7 @@ def test_two_machines_train_as_one_process(folder: Path, tmp_path: Path, monkeyp
     epochs = 3
     write_params(folder, precision="float64", epochs=epochs, run_windows=24, batch_runs=2)
     clones = [clone(folder, tmp_path / name) for name in ("first", "second")]
-    with killed(monkeypatch, "write", epoch=1):
+    with killed_after(monkeypatch, 1):
         run_train(folder)
     shutil.copytree(folder / ".resume", clones[0] / "data/.resume")
     (status, output, _), (other_status, other_output, errors) = train_on_two_machines(clones)

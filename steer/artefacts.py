@@ -79,24 +79,24 @@ def diff(
     """
     from rich.progress import track
 
-    from pipeline.inspect import diff as artefacts
+    from pipeline.inspect.diff import compare, pairs
 
     output = options.Output(quiet, as_json)
-    files = artefacts.pairs(a, b)
-    different, found = 0, []
+    files = pairs(a, b)
+    different, differences = 0, []
     hidden = not output.console.is_terminal
-    for name, one, other in track(files, "comparing", transient=True, console=output.console, disable=hidden):
-        differences = list(artefacts.compare(name, one, other, tolerance))
-        different += bool(differences)
-        found += differences
-        for difference in differences[:_MAX_LINES]:
+    for name, file_a, file_b in track(files, "comparing", transient=True, console=output.console, disable=hidden):
+        in_file = list(compare(name, file_a, file_b, tolerance))
+        different += bool(in_file)
+        differences += in_file
+        for difference in in_file[:_MAX_LINES]:
             output.line(str(difference))
-        if len(differences) > _MAX_LINES:
-            output.line(f"{name}: {len(differences) - _MAX_LINES} more, see --json")
+        if len(in_file) > _MAX_LINES:
+            output.line(f"{name}: {len(in_file) - _MAX_LINES} more, see --json")
     within = f" (tolerance {tolerance:g})" if tolerance else ""
     output.line(f"files that differ: {different} of {len(files)}{within}" if different else f"equal{within}")
-    result = {"equal": not different, "files": len(files), "different": different, "differences": found}
-    output.result(result)
+    counts = {"equal": not different, "files": len(files), "different": different}
+    output.result(counts | {"differences": differences})
     if different:
         raise typer.Exit(DIFFERENT)
 
@@ -126,6 +126,7 @@ def export(
     from pipeline.train.predict import load
 
     output = options.Output(quiet, as_json)
+    options.check_names(out)
     trained = load(model, "cpu")
     manifest = write(trained, graphs / trained.line["input"], out, tolerance)
     for part, difference in manifest["largest_difference"].items():

@@ -35,67 +35,69 @@ def doctor(
     steer doctor data/raw --json
     """
     from pipeline.base.errors import InputError
-    from pipeline.inspect import project, raw_check
+    from pipeline.inspect import project as projects
+    from pipeline.inspect import raw_check
 
     output = options.Output(quiet, as_json)
-    folder = project.project_root(Path.cwd())
+    folder = projects.project_root(Path.cwd())
     if root is None and folder is None:
-        fix = "Run from the project's folder, or pass a KITTI raw folder: steer doctor KITTI_ROOT"
+        fix = "Run it in the project's folder, or pass a KITTI raw folder: steer doctor KITTI_ROOT"
         raise InputError("no dvc.yaml in this folder or above", Path.cwd(), fix)
     if root is None and folder and (folder / "data" / "raw").is_dir():
         root = folder / "data" / "raw"
     with output.console.status("checking", spinner="line"):
-        found = project.check(folder) if folder else None
-        cameras, lidar = (found.ingest.cameras, found.ingest.lidar) if found and found.ingest else (_ALL_CAMERAS, True)
-        oxts = not found or found.needs_oxts
-        drives = raw_check.check_root(root, cameras, lidar, deep, oxts) if root else []
-    named = found.kitti_drives() if found else []
-    required = [one for one in drives if not named or one.drive in named]
-    problems = [f"{one.drive}: {text}" for one in required for text in one.problems]
-    notes = [f"{one.drive}: {text}" for one in drives for text in one.notes]
-    others = [one for one in drives if one not in required]
-    notes += [f"{one.drive}, not in params.yaml: {text}" for one in others for text in one.problems]
-    if found:
-        problems += _missing_drives(named, root, drives, found) + found.problems
-        notes += found.notes
-        if found.due:
-            problems.append(f"stages that have to run: {len(found.due)}. Run: dvc repro check pictures report")
-    fixes = [one.fix for one in required if one.fix]
-    _print(output, drives, found, {"problems": problems, "extract again": fixes, "notes": notes})
-    names = ("folder", "due", "unused", "free_bytes", "due_bytes")
-    state = {name: getattr(found, name) for name in names} if found else None
-    lists = {"problems": problems, "commands": fixes, "notes": notes}
+        project = projects.check(folder) if folder else None
+        ingest = project.ingest if project else None
+        cameras, lidar = (ingest.cameras, ingest.lidar) if ingest else (_ALL_CAMERAS, True)
+        drives = raw_check.check_root(root, cameras, lidar, deep, not project or project.needs_oxts) if root else []
+    names = project.kitti_drives() if project else []
+    used = [check for check in drives if not names or check.drive in names]
+    unused = [check for check in drives if check not in used]
+    problems = [f"{check.drive}: {text}" for check in used for text in check.problems]
+    notes = [f"{check.drive}: {text}" for check in drives for text in check.notes]
+    notes += [f"{check.drive}, not in params.yaml: {text}" for check in unused for text in check.problems]
+    if project:
+        problems += _missing_drives(names, root, drives, project) + project.problems
+        notes += project.notes
+        if project.due:
+            problems.append(f"stages that have to run: {len(project.due)}. Run: dvc repro check pictures report")
+    commands = [check.fix for check in used if check.fix]
+    _print(output, drives, project, {"problems": problems, "extract again": commands, "notes": notes})
+    fields = ("folder", "due", "unused", "free_bytes", "due_bytes")
+    state = {name: getattr(project, name) for name in fields} if project else None
+    lists = {"problems": problems, "commands": commands, "notes": notes}
     output.result({"root": root, "drives": drives, "project": state, **lists})
     if problems:
         raise typer.Exit(1)
 
 
 def _missing_drives(
-    named: Sequence[str], root: Path | None, drives: "Sequence[DriveCheck]", project: "Project"
+    names: Sequence[str], root: Path | None, drives: "Sequence[DriveCheck]", project: "Project"
 ) -> list[str]:
+    """Return a problem if drives of params.yaml, `names`, are missing in `root`."""
     from pipeline.base.errors import closest
 
-    if named and root is None:
+    if names and root is None:
         raw = project.folder / "data" / "raw"
-        return [f"{raw} is missing, but params.yaml names {len(named)} of its drives. Run: ln -s /path/to/kitti {raw}"]
-    present = [one.drive for one in drives]
-    missing = [drive for drive in named if drive not in present]
+        return [f"{raw} is missing, but params.yaml names {len(names)} of its drives. Run: ln -s /path/to/kitti {raw}"]
+    present = [check.drive for check in drives]
+    missing = [drive for drive in names if drive not in present]
     if not missing:
         return []
     more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
-    names = ", ".join(missing[:3]) + more
-    return [f"named in params.yaml, missing in {root}: {names} ({closest(missing[0], present)})"]
+    hint = closest(missing[0], present)
+    return [f"named in params.yaml, missing in {root}: {', '.join(missing[:3])}{more} ({hint})"]
 
 
 def _print(
     output: options.Output, drives: "Sequence[DriveCheck]", project: "Project | None", lists: dict[str, list[str]]
 ) -> None:
-    names = dict.fromkeys(name for one in drives for name in one.files)
+    modalities = dict.fromkeys(name for check in drives for name in check.files)
     if drives:
         output.table([
-            {"drive": one.drive} | {name: one.files.get(name) for name in names}
-            | {"calibration": one.calibration, "problems": len(one.problems)}
-            for one in drives
+            {"drive": check.drive} | {name: check.files.get(name) for name in modalities}
+            | {"calibration": check.calibration, "problems": len(check.problems)}
+            for check in drives
         ])  # fmt: skip
     if project:
         output.line(f"project {project.folder}: {project.free_bytes / 1e9:.1f} GB free")

@@ -1,6 +1,5 @@
 """steer import: convert your own recording to a drive in KITTI raw's layout, which all stages read."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -60,7 +59,7 @@ def import_recording(
     from pipeline.recording.recording import Recording
 
     output = options.Output(quiet, as_json)
-    _check_paths(source, motion, wheel, out, calib, times)
+    options.check_names(source, motion, wheel, out, calib, times)
     if (wheel is None) != (steering_ratio is None):
         fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
@@ -75,15 +74,6 @@ def import_recording(
     for line in _lines(summary):
         output.line(line)
     output.result(summary | {"K": camera.K.tolist()})
-
-
-def _check_paths(*paths: Path | None) -> None:
-    """Raise InputError for names that are not UTF-8, which cannot be printed or written as JSON."""
-    for path in paths:
-        try:
-            str(path).encode()
-        except UnicodeEncodeError:
-            raise InputError("name is not valid UTF-8", repr(os.fsencode(str(path))), "Rename it") from None
 
 
 def _lines(summary: dict[str, Any]) -> Iterator[str]:

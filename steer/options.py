@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from pipeline.base.errors import InputError
+
 
 def number(lowest: float, highest: float | None, help: str) -> Any:
     """Return an option for numbers from `lowest` to `highest`, or without an upper limit. Typer accepts NaN."""
@@ -39,15 +41,21 @@ Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 _PIPE_WIDTH = 200  # columns where the output is not a terminal
 
 
+def check_names(*paths: Path | None) -> None:
+    """Raise InputError for names that are not UTF-8, which JSON and some libraries cannot write."""
+    for path in paths:
+        try:
+            str(path).encode()
+        except UnicodeEncodeError:
+            raise InputError("name is not valid UTF-8", repr(os.fsencode(str(path))), "Rename it") from None
+
+
 class Output:
     """Standard output of a command."""
 
     def __init__(self, quiet: bool = False, as_json: bool = False) -> None:
         from rich.console import Console  # not imported for help
 
-        if sys.stdout is None or sys.stdout.closed:  # by the shell: >&-
-            sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123  # until the process ends
-        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # names that are not UTF-8
         self.visible = not (quiet or as_json)
         """Whether text and progress bars are shown."""
         self._json = as_json

@@ -41,16 +41,16 @@ def measure(
     Raises:
         InputError: the encoder has no network, no frame can be read, or the images seem to be rotated.
     """
-    height_m = source.camera.height_m if source.height_known else None
     camera, settings = source.camera.scaled(SIZE), Perception(batch=1)
     chain = Chain(camera, source.name, encoder, {"visual"}, settings, road_scale=source.height_known)
     assert chain.odometry
+    if max_frames:
+        source.count = min(max_frames, source.count or max_frames)
     with closing(_first(source.frames, max_frames)) as frames, result_folder(out, *MEASURED_FILES) as folder:
-        perceived_and_tracked = chain.run(frames)
-        upright = _refuse_rotated(prefetch(perceived_and_tracked, 1), source.path)
+        upright = _refuse_rotated(prefetch(chain.run(frames), 1), source.path)
         courses = add_courses(upright, car, smooth=True)
         results = write_frames(courses, folder / MOTION, source, car, warm_up=1, video=video, visible=visible)
-        quality = _quality(results.road_heights_m, chain.odometry, height_m)
+        quality = _quality(results.road_heights_m, chain.odometry, camera.height_m if source.height_known else None)
         store.write_json(folder / QUALITY, quality)
         _draw_track(folder / TRACK, source.name, results.courses)
     return results, quality

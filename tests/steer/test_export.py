@@ -1,8 +1,10 @@
 """steer export as a user calls it."""
 
 import json
+import os
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from steer.app import app
@@ -22,8 +24,9 @@ def test_a_model_is_exported_and_verified(tmp_path: Path) -> None:
     assert content["largest_difference"]["recurrent"] < 1e-5
 
 
-def test_errors_are_one_line(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["export", str(tmp_path), "--out", str(tmp_path / "out")])
+@pytest.mark.parametrize(("out", "named"), [("out", "no trained model"), (os.fsdecode(b"\xff"), "UTF-8")])
+def test_errors_are_one_line(tmp_path: Path, out: str, named: str) -> None:
+    result = CliRunner().invoke(app, ["export", str(tmp_path), "--out", str(tmp_path / out)])
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1
-    assert str(tmp_path) in result.stderr
+    assert named in result.stderr

@@ -15,6 +15,7 @@ from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.live import results
 from pipeline.perception.perceive import save
 from steer.measure import measure
 from tests import rendered_street as street
@@ -139,7 +140,10 @@ def test_a_camera_on_its_side_is_refused(tmp_path: Path, encoder: Path, monkeypa
     assert not (tmp_path / "out/motion.csv").exists()
 
 
-def test_what_is_missing_is_named(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_and_unsuitable_inputs_are_named(
+    tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results, "LINE_S", 0.0)
     images = write_folder(tmp_path / "images", drive(4))
     with pytest.raises(InputError, match="no encoder") as raised:
         measure(images, out=tmp_path / "out", encoder=tmp_path, **LENS)
@@ -150,6 +154,7 @@ def test_what_is_missing_is_named(tmp_path: Path, encoder: Path, capsys: pytest.
     assert not (tmp_path / "out").exists()
     measure(images, out=tmp_path / "out", encoder=encoder, fov=80.0, max_frames=3, video=False)
     assert len(rows(tmp_path / "out")) == 3
-    text = capsys.readouterr().out
+    text, progress = capsys.readouterr()
+    assert "3 of 3 frames, " in progress
     assert "assuming 10 per second" in text
     assert "pass --camera-height" in text or "speed and curvature are uncertain" in text

@@ -53,8 +53,9 @@ def import_recording(
     steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
     steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
     """
+    from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import pinhole
-    from pipeline.recording import clock, layout
+    from pipeline.recording import layout
     from pipeline.recording.motion_log import read_motion, read_wheel
     from pipeline.recording.recording import Recording
 
@@ -66,9 +67,11 @@ def import_recording(
     layout.drive_folder(out, drive, force)
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
-    footage, times_s = clock.open_timed(source, fps, times)
+    footage = open_footage(source, fps, times)
+    if not footage.has_times:
+        raise InputError("images have no times", source, "Pass --fps N, or --times FILE")
     camera = pinhole(footage.size, calib=calib, fov_deg=fov, K=k)
-    recording = Recording(footage, camera, times_s, log, angles, max_gap)
+    recording = Recording(footage, camera, log, angles, max_gap)
     recording.check_overlap()
     summary = recording.write(out, drive, force=force, visible=output.visible)
     for line in _lines(summary):

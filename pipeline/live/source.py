@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera
+from pipeline.camera.footage import open_footage
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.camera.intrinsics import pinhole
 from pipeline.camera.mount import camera_height
@@ -20,7 +21,6 @@ from pipeline.labels import label
 from pipeline.labels.label import Car
 from pipeline.live.chain import FrameState
 from pipeline.live.horizon import find_horizon
-from pipeline.recording.clock import open_timed, timed
 
 DEFAULT_FPS = 10.0  # KITTI's
 BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are
@@ -163,13 +163,13 @@ def _driven_angle(packets: Mapping[int, Path], number: int, car: Car) -> float |
 
 
 def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: bool) -> Source:
-    footage, times_s = open_timed(path, clock.fps, clock.times)
+    footage = open_footage(path, clock.fps, clock.times)
     if footage.size[0] > footage.size[1]:
         sizes = f"images are taller than wide ({format_size(footage.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, ROTATE)
     camera = pinhole(footage.size, **lens._asdict())
     notes, horizon = [], None
-    if times_s is None and not footage.has_times:
+    if not footage.has_times:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
         footage.set_rate(DEFAULT_FPS)
     if not level and (horizon := find_horizon((image.image for image in footage.frames()), camera)) is None:
@@ -178,15 +178,13 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
 
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()
-        for time_s, image in timed(footage, times_s):
-            yield FrameState(image.number, time_s, source_image=crop.pixels(image.image), started_s=started_s)
+        for number, time_s, image in footage.frames():
+            yield FrameState(number, time_s, source_image=crop.pixels(image), started_s=started_s)
             started_s = time.perf_counter()
 
     fps = footage.fps or DEFAULT_FPS
     name = os.fsencode(path.stem).decode(errors="backslashreplace")
     source = Source(path, name, camera.cropped(crop), frames(), footage.count, fps, notes=notes)
-    if times_s is not None and len(times_s) > 1:
-        source.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
     if crop.size != footage.size:
         rows, columns = crop
         part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"

@@ -7,10 +7,10 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import MiB, check_file, read_columns
+from pipeline.camera.footage import check_times
 from pipeline.kitti.steering_file import check_angles, check_frames
-from pipeline.recording.clock import coverage
 from pipeline.recording.gnss import read_gpx, read_nmea
-from pipeline.recording.track import Rates, check_times, rates_of
+from pipeline.recording.track import Rates, coverage, rates_of
 
 COLUMNS = ("time_s", "speed_mps", "yaw_rate_radps")
 _EXPECTED = "Expected a CSV file with time_s [s], speed_mps [m/s], yaw_rate_radps [rad/s, left +]; or GPX or NMEA"

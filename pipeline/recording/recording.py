@@ -17,9 +17,9 @@ from pipeline.base.executors import default_workers
 from pipeline.camera.camera import Camera
 from pipeline.camera.footage import Footage
 from pipeline.kitti import steering_file
-from pipeline.recording import clock, layout
+from pipeline.recording import layout
 from pipeline.recording.motion_log import WheelLog
-from pipeline.recording.track import Rates
+from pipeline.recording.track import ROUNDING_S, Rates, coverage
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,6 @@ class Recording:
 
     footage: Footage
     camera: Camera  # of the images
-    times_s: np.ndarray | None  # of the images; None: their own
     motion: Rates | None
     wheel: WheelLog | None
     max_gap_s: float  # longest interval between samples of a log to interpolate over
@@ -37,13 +36,13 @@ class Recording:
         """Raise InputError if the images and a log do not overlap in time."""
         count, fps = self.footage.count, self.footage.fps
         first_s, last_s = 0.0, (count - 1) / fps if count and fps else math.inf  # a video may not announce its length
-        if self.times_s is not None:
-            first_s, last_s = float(self.times_s[0]), float(self.times_s[-1])
+        if (times_s := self.footage.times_s) is not None:
+            first_s, last_s = float(times_s[0]), float(times_s[-1])
         for name, log in (("motion", self.motion), ("wheel angles", self.wheel)):
             if log is None or log.time_s is None:
                 continue
             begin_s, end_s = log.time_s[0], log.time_s[-1]
-            if first_s > end_s + clock.ROUNDING_S or last_s < begin_s - clock.ROUNDING_S:
+            if first_s > end_s + ROUNDING_S or last_s < begin_s - ROUNDING_S:
                 raise InputError(
                     f"images from {first_s:.3f} to {last_s:.3f} s and {name} from {begin_s:.3f} to {end_s:.3f} s do "
                     "not overlap",
@@ -96,14 +95,14 @@ class Recording:
     def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:
         """Write the images that have motion, if there is a log; return the times of all, and which were written."""
         all_s: list[float] = []
-        timed = clock.timed(self.footage, self.times_s)
-        shown = tqdm(timed, total=self.footage.count, unit=" images", disable=not (visible and sys.stderr.isatty()))
+        hidden = not (visible and sys.stderr.isatty())
+        frames = tqdm(self.footage.frames(), total=self.footage.count, unit=" images", disable=hidden)
 
         def images() -> Iterator[tuple[int, np.ndarray]]:
-            for time_s, image in shown:
+            for number, time_s, image in frames:
                 all_s.append(time_s)
                 if self._coverage(np.array([time_s]))[0][0]:
-                    yield image.number, image.image
+                    yield number, image
 
         layout.write_images(folder, images(), threads=default_workers())
         time_s = np.array(all_s)
@@ -117,7 +116,7 @@ class Recording:
         """Return which images at `time_s` [F] have motion, all without a log; and counts, if there is a log."""
         if self.motion is None:
             return np.ones(len(time_s), bool), {}
-        return clock.coverage(self.motion.time_s, time_s, self.max_gap_s)
+        return coverage(self.motion.time_s, time_s, self.max_gap_s)
 
 
 @contextmanager

@@ -1,12 +1,14 @@
-"""Speed and yaw rate of a car over time, and their computation from the velocities or positions of a GNSS track."""
+"""Speed and yaw rate of a car over time, computed from a GNSS track if need be, and which images they cover."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import check_increase, check_limit
+from pipeline.base.files import check_limit
+from pipeline.camera.footage import check_times
 from pipeline.kitti.oxts import EARTH_RADIUS_M, LIMITS
 
 # Window of the parabolas: at 10 Hz on KITTI's own track, half of it triples the angle's squared error.
@@ -15,8 +17,7 @@ SMOOTH_S = 1.0
 LEAST_POSITIONS, LEAST_VELOCITIES = 5, 3
 MIN_SPEED_MPS = 1.0  # below, the course is noise
 _MOST_FIXES = 1e8  # after resampling
-LATEST_S = 4e9  # since 1970: year 2096
-LEAST_STEP_S = 1e-5  # between samples, or between images
+ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,22 @@ def _to_plane(fixes: Fixes) -> np.ndarray:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(np.stack([east, north], axis=-1), axis=0)])
 
 
-def check_times(time_s: np.ndarray, path: Path) -> None:
-    """Raise InputError if times [N] are implausible or do not increase."""
-    check_limit("time_s", time_s, LATEST_S, path)
-    check_increase("time_s", time_s, LEAST_STEP_S, path)
+def coverage(samples_s: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, dict[str, Any]]:
+    """Find the images at `time_s` [F] that lie between samples at `samples_s` [N] that are at most `max_gap_s` apart.
+
+    Returns: which images these are, bool [F]; and counts of images: ``interpolated`` between two samples, at most
+    ``largest_gap_s`` apart; ``left_out`` before the first sample, after the last, and in longer gaps.
+    """
+    before, after = time_s < samples_s[0] - ROUNDING_S, time_s > samples_s[-1] + ROUNDING_S
+    left = np.clip(np.searchsorted(samples_s, time_s, side="right") - 1, 0, len(samples_s) - 2)
+    gap_s = samples_s[left + 1] - samples_s[left]
+    gap_s[(time_s == samples_s[left]) | (time_s == samples_s[left + 1])] = 0.0
+    inside = ~(before | after)
+    usable = inside & (gap_s <= max_gap_s + ROUNDING_S)
+    return usable, {
+        "interpolated": int((gap_s[usable] > 0).sum()),
+        "largest_gap_s": float(gap_s[usable].max(initial=0.0)),
+        "left_out": {
+            "before": int(before.sum()), "after": int(after.sum()), "in_gaps": int((inside & ~usable).sum())
+        },
+    }  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.camera.footage import ImageFolder, Video, open_footage
+from pipeline.camera.footage import ImageFolder, Video, open_footage, read_times
 from tests.footage import SIZE, pictures, write_folder, write_video
 from tests.kitti_drive import write_png
 
@@ -19,12 +19,12 @@ from tests.kitti_drive import write_png
 def test_images_and_times(tmp_path: Path) -> None:
     images = pictures(5)
     folder = open_footage(write_folder(tmp_path / "a", images), fps=4)
-    assert (folder.size, folder.fps, folder.count) == (SIZE, 4, 5)
+    assert (folder.size, folder.fps, folder.count) == (SIZE, pytest.approx(4), 5)
     frames = list(folder.frames())
     assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
     assert [frame.time_s for frame in frames] == [0, 0.25, 0.5, 0.75, 1]
     np.testing.assert_array_equal([frame.image for frame in frames], images)
-    assert next(open_footage(tmp_path / "a").frames()).time_s is None
+    assert np.isnan(next(open_footage(tmp_path / "a").frames()).time_s)
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_a_raw_stream_has_no_times(tmp_path: Path) -> None:
     path = write_stream(tmp_path / "a.h264")
     video = open_footage(path)
     assert (video.has_times, video.fps, video.count) == (False, None, None)
-    assert [frame.time_s for frame in video.frames()] == [None] * 30
+    assert np.isnan([frame.time_s for frame in video.frames()]).all()
     assert [frame.time_s for frame in open_footage(path, fps=10).frames()][-1] == pytest.approx(2.9)
 
 
@@ -179,3 +179,46 @@ def test_texts_that_name_other_sources_are_refused(tmp_path: Path, name: str, te
         server.settimeout(0)
         with pytest.raises(BlockingIOError):
             server.accept()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1\n12:30\n", "inf\n", "1\n2\n2\n", "0\n1e12\n", "-62e9\n1\n", "1\n1.000000000001\n"]
+)
+def test_unusable_times(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "times.txt"
+    path.write_text(text)
+    with pytest.raises(InputError) as raised:
+        read_times(path)
+    assert raised.value.where == str(path)
+    with pytest.raises(InputError, match="missing"):
+        read_times(tmp_path / "nothing.txt")
+
+
+def test_names_in_nanoseconds_are_times(tmp_path: Path) -> None:
+    stamps = [1479424215880976321, 1479424215930976321, 1479424216040976321]
+    for stamp, image in zip(stamps, pictures(3), strict=True):
+        write_png(tmp_path / f"{stamp}.png", image)
+    folder = open_footage(tmp_path)
+    assert [frame.time_s for frame in folder.frames()] == pytest.approx([0, 0.05, 0.16], abs=1e-12)
+    assert folder.fps == pytest.approx(2 / 0.16)
+    assert [frame.time_s for frame in open_footage(tmp_path, fps=4).frames()] == [0, 0.25, 0.5]
+
+
+@pytest.mark.parametrize("kind", ["folder", "a.mp4", "a.mjpeg"])
+def test_times_of_a_file(tmp_path: Path, kind: str) -> None:
+    """Also those of a raw stream; another number of them is refused."""
+    source, path = tmp_path / kind, tmp_path / "times.txt"
+    if kind == "folder":
+        write_folder(source, pictures(3))
+    else:
+        write_video(source, pictures(3), codec="MJPG" if kind == "a.mjpeg" else "mp4v")
+    path.write_text("5\n6\n7.5\n")
+    footage = open_footage(source, times=path)
+    assert [frame.time_s for frame in footage.frames()] == [5, 6, 7.5]
+    assert (footage.has_times, footage.fps) == (True, pytest.approx(0.8))
+    for text in ("5\n6\n", "5\n6\n7\n8\n"):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"has 3 images, but --times has [24] lines"):
+            list(open_footage(source, times=path).frames())
+    with pytest.raises(InputError, match="got two"):
+        open_footage(source, 4.0, path)

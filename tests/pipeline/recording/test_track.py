@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.recording.track import Fixes, rates_of
+from pipeline.recording.track import Fixes, coverage, rates_of
 from tests.gnss import bend
 
 FILE = Path("track.gpx")
@@ -38,3 +38,17 @@ def test_yaw_rate_is_zero_at_standstill(measured: bool) -> None:
     rates = rates_of(fixes, FILE)
     np.testing.assert_array_equal(rates.yaw_rate_radps, 0)
     assert rates.speed_mps.max() < 1.0
+
+
+def test_images_between_close_samples_are_usable() -> None:
+    times = np.array([-1.0, -0.0005, 0, 0.1, 0.25, 0.7, 1.0, 1.1, 2.0])
+    samples = np.array([0, 0.2, 0.4, 1.0, 1.1])
+    usable, counts = coverage(samples, times, max_gap_s=0.5)
+    assert usable.tolist() == [False, True, True, True, True, False, True, True, False]
+    # 3 interpolated, including the one within a rounding error of the first sample
+    left_out = {"before": 1, "after": 1, "in_gaps": 1}
+    assert counts == {"interpolated": 3, "largest_gap_s": pytest.approx(0.2), "left_out": left_out}
+    _, counts = coverage(samples, times, max_gap_s=0.61)
+    assert counts == {"interpolated": 4, "largest_gap_s": pytest.approx(0.6), "left_out": left_out | {"in_gaps": 0}}
+    usable, counts = coverage(np.array([0.0, 10]), np.array([4.0, 5.0]), max_gap_s=2)
+    assert (usable.any(), counts["left_out"]["in_gaps"], counts["largest_gap_s"]) == (False, 2, 0)

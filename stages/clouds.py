@@ -37,9 +37,8 @@ def main(
         )
         for kind, drive in product(KINDS, splits)
     ]
-    with run_over_drives(
-        "clouds", settings, jobs, out, "{frames} frames, {points} points".format_map, workers=workers
-    ) as made:
+    text = "{frames} frames, {points} points"
+    with run_over_drives("clouds", settings, jobs, out, text.format_map, workers) as made:
         for kind in KINDS:
             counts = {drive: made[f"{kind}/{drive}"] for drive in splits}
             fix = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or check the inputs: steer show {perception}"

@@ -48,14 +48,8 @@ def main(
         )
         for drive in splits
     ]
-    with run_over_drives(
-        f"graphs@{name}",
-        {**variant.model_dump(mode="json"), "motion": list(motion)},
-        jobs,
-        out / name,
-        _describe,
-        workers=workers,
-    ) as summaries:
+    settings = {**variant.model_dump(mode="json"), "motion": list(motion)}
+    with run_over_drives(f"graphs@{name}", settings, jobs, out / name, _describe, workers) as summaries:
         if variant.kind != "image":
             crop = variant.crop_m and f"Widen crop_m = {list(variant.crop_m)}: left, near, right, far in metres"
             with error_context(f"{params}: graphs.{name}", crop or f"Repeat: dvc repro --force --single-item {stage}"):

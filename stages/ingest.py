@@ -38,26 +38,15 @@ def main(
         drives |= find_drives(root, names) if names else {}
     if settings.source == "both":
         _check_names([drive for drive in splits if sources[drive] == "town"], raw)
-    frames = {
-        drive: len(files.oxts) or max(len(files.images(number)) for number in settings.cameras)
-        for drive, files in drives.items()
-    }
     jobs = []
-    for drive in sorted(splits, key=frames.__getitem__, reverse=True):
-        files = drives[drive]
+    for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
         fingerprint = files.fingerprint(settings.cameras)
         attributes = {"split": splits[drive], "source": sources[drive], "fingerprint": fingerprint}
-        jobs.append(
-            Job(
-                drive,
-                out / f"{drive}.h5",
-                [*attributes.values(), files.changes(settings.cameras)],
-                partial(ingest, drive=drive, folder=files.folder, attributes=attributes, settings=settings),
-            )
-        )
-    with run_over_drives(
-        "ingest", settings.model_dump(mode="json", exclude={"drives"}), jobs, out, describe, workers=workers
-    ) as summaries:
+        inputs = [*attributes.values(), files.changes(settings.cameras)]
+        work = partial(ingest, drive=drive, folder=files.folder, attributes=attributes, settings=settings)
+        jobs.append(Job(drive, out / f"{drive}.h5", inputs, work))
+    shared = settings.model_dump(mode="json", exclude={"drives"})
+    with run_over_drives("ingest", shared, jobs, out, describe, workers) as summaries:
         store.write_index(out, splits)
     for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
         lacking = [drive for drive in splits if not summaries[drive][name]]

@@ -37,9 +37,8 @@ def main(
         )
         for kind, drive in product(settings.kinds, splits)
     ]
-    with run_over_drives(
-        "motion", settings, jobs, out, "{frames} frames, {valid} measured".format_map, workers=workers
-    ) as made:
+    text = "{frames} frames, {valid} measured"
+    with run_over_drives("motion", settings, jobs, out, text.format_map, workers) as made:
         for kind in settings.kinds:
             store.write_index(out / kind, splits)
             without = [drive for drive in splits if not made[f"{kind}/{drive}"]["valid"]]

@@ -50,14 +50,8 @@ def main(
         )
         for drive in splits
     ]
-    with run_over_drives(
-        "scores",
-        {"motion": list(motions), **rule},
-        jobs,
-        out,
-        "{frames} frames, {line}".format_map,
-        workers=workers,
-    ) as summaries:
+    settings = {"motion": list(motions), **rule}
+    with run_over_drives("scores", settings, jobs, out, "{frames} frames, {line}".format_map, workers) as summaries:
         motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
         kinds_scored = dict.fromkeys(kind for scores in motion_scored.values() for kind in scores)
         content: dict[str, Any] = {

@@ -36,21 +36,14 @@ def main(out: Path = Path("data/town"), params: Path = Path("params.yaml"), work
             raise InputError("folder holds a drive that is not rendered", folder, "Pass another --out, or move it")
     recorded = _find_recorded(settings, list(limits))
     frames = {drive: min(limits[drive], len(recorded[drive].oxts) if recorded else limits[drive]) for drive in limits}
-    jobs = [
-        Job(
-            drive,
-            folders[drive],
-            [splits[drive], *([recorded[drive].fingerprint([])] if recorded else [])],
-            partial(
-                _render,
-                drive=drive,
-                frames=limits[drive],
-                recorded=recorded[drive].folder if recorded else None,
-                settings=settings,
-            ),
+    jobs = []
+    for drive in sorted(limits, key=frames.__getitem__, reverse=True):  # the longest first
+        raw = recorded.get(drive)
+        inputs = [splits[drive], raw.fingerprint([])] if raw else [splits[drive]]
+        work = partial(
+            _render, drive=drive, frames=limits[drive], recorded=raw.folder if raw else None, settings=settings
         )
-        for drive in sorted(limits, key=frames.__getitem__, reverse=True)
-    ]
+        jobs.append(Job(drive, folders[drive], inputs, work))
     text = "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²"
     with run_over_drives("town", settings, jobs, out, text.format_map, workers=workers):
         for date in {folder.parent for folder in folders.values()}:

@@ -33,7 +33,7 @@ class Source:
 def check_available(weights: Weights | None) -> None:
     """Raise InputError if a file is missing and cannot be downloaded; neither read nor download any."""
     for part, file in _files(weights).items():
-        with error_context(part):
+        with error_context("" if part == ALL else part):
             _check_available(file)
 
 
@@ -48,7 +48,7 @@ def load_weights(model: Any, backbone: str, weights: Weights | None) -> list[Sou
     """
     sources = []
     for part, file in _files(weights).items():
-        with error_context(part, fix="Name another file"):
+        with error_context("" if part == ALL else part, fix="Name another file"):
             sources.append(Source(part, str(file.path), fetch(file)))
             if part == ALL:
                 _load_checkpoint(model, backbone, file.path)
@@ -114,11 +114,11 @@ def _files(weights: Weights | None) -> dict[str, WeightFile]:
 
 def _check_available(file: WeightFile) -> None:
     try:
-        exists, is_folder = file.path.exists(), file.path.is_dir()
+        exists, is_regular = file.path.exists(), file.path.is_file()
     except OSError as error:  # a name that is too long, no permission
         raise InputError(str(error.strerror), file.path) from error
-    if is_folder:
-        raise InputError("expected a file, got a folder", file.path)
+    if exists and not is_regular:
+        raise InputError("expected a regular file", file.path)
     if not exists and not file.is_url:
         raise InputError("file is missing", file.path, "Put it there, or name another one")
     if not exists and not file.sha256:

@@ -1,4 +1,5 @@
 import hashlib
+import os
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
 from pipeline.perception import perceive
-from pipeline.perception.weights import Source, fetch, load_weights, read_published
+from pipeline.perception.weights import Source, check_available, fetch, load_weights, read_published
 from pipeline.sections.encoder import WeightFile, Weights
 
 CONTENT = b"some weights"
@@ -50,6 +51,15 @@ def test_a_download_with_another_hash_leaves_nothing() -> None:
         fetch(published("0" * 64))
     assert "curl --create-dirs -L -o weights/net.pth" in raised.value.fix
     assert list(Path("weights").iterdir()) == []
+
+
+@pytest.mark.parametrize(("kind", "problem"), [("folder", "regular"), ("pipe", "regular"), ("loop", "missing")])
+def test_what_is_no_file_of_weights_is_refused(kind: str, problem: str) -> None:
+    path = Path("net.pth")
+    {"folder": path.mkdir, "pipe": lambda: os.mkfifo(path), "loop": lambda: path.symlink_to(path)}[kind]()
+    for check in (check_available, lambda weights: load_weights(None, "small", weights)):
+        with pytest.raises(InputError, match=rf"^net\.pth: .*{problem}"):
+            check(Weights.model_validate("net.pth"))
 
 
 STATE = {"conv.weight": torch.arange(3.0)}

@@ -2,13 +2,11 @@
 
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 
 import pytest
 
 from pipeline.fitting.prefetch import prefetch, side_by_side
-
-Ahead = Callable[[Generator[int]], Generator[int]]
 
 
 class Source:
@@ -43,22 +41,10 @@ def no_thread_stays() -> Iterator[None]:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("prefetch")]
 
 
-def by_one(items: Generator[int]) -> Generator[int]:
-    return prefetch(items, ahead=3)
-
-
-def by_three(items: Generator[int]) -> Generator[int]:
-    return side_by_side(lambda number: number, items, threads=3, ahead=4)
-
-
-both = pytest.mark.parametrize("ahead", [by_one, by_three])
-
-
-@both
 @pytest.mark.parametrize("count", [0, 1, 4, 30])
-def test_items_come_in_order_from_one_other_thread(ahead: Ahead, count: int) -> None:
+def test_items_come_in_order_from_one_other_thread(count: int) -> None:
     source = Source(count)
-    assert list(ahead(source.items())) == list(range(count))
+    assert list(prefetch(source.items(), ahead=3)) == list(range(count))
     assert source.closed
     assert threading.current_thread().name not in source.threads
     assert len(source.threads) <= 1
@@ -77,10 +63,9 @@ def test_results_come_in_the_order_of_items_whichever_is_ready_first() -> None:
     assert list(side_by_side(work, Source(9).items(), threads=3, ahead=4)) == [number**2 for number in range(9)]
 
 
-@both
-def test_the_number_of_items_ahead_is_bounded(ahead: Ahead) -> None:
-    source, most = Source(100), {by_one: 3, by_three: 4}[ahead]
-    ready = ahead(source.items())
+def test_the_number_of_items_ahead_is_bounded() -> None:
+    source, most = Source(100), 4
+    ready = side_by_side(lambda number: number, source.items(), threads=3, ahead=most)
     for number in range(5):
         assert next(ready) == number
         assert source.reaches(number + 1 + most)
@@ -90,9 +75,8 @@ def test_the_number_of_items_ahead_is_bounded(ahead: Ahead) -> None:
     assert source.closed
 
 
-@both
-def test_an_error_of_the_items_arrives_in_its_place(ahead: Ahead) -> None:
+def test_an_error_of_the_items_arrives_in_its_place() -> None:
     source, received = Source(4, ValueError("frame 4 is damaged")), []
     with pytest.raises(ValueError, match="frame 4 is damaged"):
-        received.extend(ahead(source.items()))
+        received.extend(prefetch(source.items()))
     assert source.closed

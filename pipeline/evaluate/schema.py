@@ -28,6 +28,12 @@ class Errors(_Form):
     mae_deg: Number | None = None
     nmse: Number | None = None
 
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if (None in (self.mse_rad2, self.rmse_deg, self.mae_deg)) != (self.frames == 0):
+            raise ValueError("expected all errors, or no frames")
+        return self
+
 
 class Bin(Errors):
     """Errors in a range of |curvature|, and those of always predicting zero."""

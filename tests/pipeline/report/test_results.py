@@ -75,6 +75,7 @@ def check_error(data: Path, name: str, problem: str) -> None:
         (["variant", "k"], -1, "variant.k"),
         (["test"], None, "test"),
         (["test", "nmse"], float("nan"), "test.nmse"),
+        (["test", "mae_deg"], None, "all errors"),
         (["test", "nmse_ci95"], [0.1], "nmse_ci95"),
         (["test", "by_curvature"], {}, "by_curvature"),
         (["test", "by_drive", examples.DRIVES[0]], 3, "by_drive"),

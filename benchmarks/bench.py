@@ -16,7 +16,7 @@ import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -37,8 +37,8 @@ STREET_ROWS: dict[str, Callable[[Street], Row]] = {
     "load": graphs.load,
     "bytes": graphs.size,
     "graph_build": graphs.graph_build,
-    "knn_vs_scipy": graphs.beside_scipy,
-    "knn_vs_open3d": graphs.beside_open3d,
+    "knn_vs_scipy": partial(graphs.neighbours, name="scipy cKDTree", search=graphs.scipy_neighbours),
+    "knn_vs_open3d": partial(graphs.neighbours, name="Open3D", search=graphs.open3d_neighbours),
 }
 
 

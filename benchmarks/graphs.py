@@ -25,16 +25,6 @@ def graph_build(street: Street) -> Row:
     )
 
 
-def beside_scipy(street: Street) -> Row:
-    """Compare nearest neighbours with scipy's."""
-    return _neighbours(street, "scipy cKDTree", scipy_neighbours)
-
-
-def beside_open3d(street: Street) -> Row:
-    """Compare nearest neighbours with Open3D's."""
-    return _neighbours(street, "Open3D", open3d_neighbours)
-
-
 def pyg_graph(
     xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -72,7 +62,8 @@ def open3d_neighbours(xyz: np.ndarray, k: int) -> np.ndarray:
     return indices[:, 1:]
 
 
-def _neighbours(street: Street, name: str, search: Callable[[np.ndarray, int], np.ndarray]) -> Row:
+def neighbours(street: Street, name: str, search: Callable[[np.ndarray, int], np.ndarray]) -> Row:
+    """Compare nearest neighbours with an alternative's."""
     clouds = [xyz for xyz, _ in street.clouds(CLOUDS)]
     return compare(
         milliseconds(lambda: [graph.nearest(xyz, K) for xyz in clouds], CLOUDS),

@@ -11,19 +11,19 @@ from torch import Tensor, nn
 
 from benchmarks.graphs import edge_index, save
 from benchmarks.street import DEVICE, FRAMES, Row, Street, compare, milliseconds
-from models.steering.core import steering_net
 from models.steering.core.batch import GraphBatch
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
 from models.steering.spatial.gnn import GCN, GCNLayer
+from pipeline.sections.models import Entry
 
 GCN_FRAMES = 4  # per batch
 WINDOW, FEATURES = 8, 32
 WINDOWS = FRAMES - WINDOW + 1
 REPEATS = 10  # of the LTC cell
 MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": FEATURES}
-MODEL |= {"equivariant": False, "motion": "none", "semantics": 1.0}
+MODEL |= {"semantics": 1.0}
 
 
 def beside_edge_index(street: Street) -> Row:
@@ -98,7 +98,7 @@ def ltc() -> Row:
         return milliseconds(work, REPEATS)
 
     return compare(
-        repeat(ours, lambda: ours(ours.sense(x)[windows], dt_s)[0]),
+        repeat(ours, lambda: ours(ours.project_inputs(x)[windows], dt_s)[0]),
         repeat(alternative, lambda: alternative(x[windows])[0]),
         "ms",
         f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, forward + backward",
@@ -137,7 +137,7 @@ def training(street: Street) -> Row:
 def _shared_step(street: Street) -> Callable[[], None]:
     """Return a training step on all windows of a run of FRAMES frames, each encoded once."""
     torch.manual_seed(0)
-    net = steering_net.build(MODEL).to(DEVICE)
+    net = Entry.model_validate(MODEL).build("graph").to(DEVICE)
     return _step(net, lambda: net(street.batch(FRAMES), *_windows()))
 
 

@@ -1,1 +1,1 @@
-"""The networks: nn.Modules and the knobs that they take; no files, no command line."""
+"""The networks: nn.Modules and their options; no files, no command line."""

@@ -7,7 +7,7 @@ from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import MotionKind, read
 from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
-from pipeline.sections.models import Model, resolve
+from pipeline.sections.models import Entry
 from pipeline.sections.motion import Motion
 from pipeline.sections.preset import Params, validate
 from pipeline.train import runs
@@ -63,19 +63,17 @@ def check_encoder(encoder: Encoder) -> None:
             check_available(network.weights)
 
 
-def check_model(model: Model, settings: Params) -> None:
+def check_model(entry: Entry, settings: Params) -> None:
     """Build a model's network and check that its inputs are available. Raises InputError or ValueError."""
-    from models.steering.core import steering_net
-
-    if model.input not in settings.graphs:
-        raise InputError(f"unknown variant {model.input!r}: {closest(model.input, [*settings.graphs])}", "input")
-    variant, line = settings.graphs[model.input], resolve(model)
-    if model.motion != "none":
-        check_motion("motion", model.motion, settings.motion)
+    if entry.input not in settings.graphs:
+        raise InputError(f"unknown variant {entry.input!r}: {closest(entry.input, [*settings.graphs])}", "input")
+    variant = settings.graphs[entry.input]
+    if entry.motion != "none":
+        check_motion("motion", entry.motion, settings.motion)
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
-        raise InputError(f"input = {model.input!r} needs scans, but ingest.lidar is false")
-    runs.folds(settings.ingest.drives.splits(), line)
-    steering_net.build(line, variant.kind, len(variant.levels), settings.ingest.image_size)
+        raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
+    runs.folds(settings.ingest.drives.splits(), entry.fit_to, entry.roads)
+    entry.build(variant.kind, len(variant.levels), settings.ingest.image_size)
 
 
 def check_motion(key: str, kind: str, motion: Motion) -> None:

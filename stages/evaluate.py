@@ -15,6 +15,7 @@ from pipeline.evaluate.schema import Metrics
 from pipeline.evaluate.split import Case, inputs, metrics
 from pipeline.graphs import graph_file
 from pipeline.sections.evaluate import Evaluate
+from pipeline.sections.models import Entry
 from pipeline.train import predict, runs, windows
 
 
@@ -37,20 +38,20 @@ def main(
 
 
 def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, settings: Evaluate) -> Path:
-    config = store.read_json(train / name / "config.json", stage=f"train@{name}", form=runs.Config)
-    line, seeds = config["model"], config["seeds"]
-    variant = graphs / line["input"]
-    folds = runs.drop_untestable(runs.folds(store.read_index(variant, stage="graphs"), line), variant, labels, line)
+    config = runs.read_config(train / name)
+    entry, seeds, variant = config.model, config.seeds, graphs / config.model.input
+    folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
+    folds = runs.drop_untestable(folds, variant, labels, entry)
     models = {run: _load(run, name, config) for run in runs.runs(train / name, seeds, folds)}
-    cases = _predict(models, variant, labels, line)
+    cases = _predict(models, variant, labels, entry)
     tested = [case.drive for case in cases["test"]]
 
     result: dict[str, Any] = {
         "model": name,
-        "line": line,
+        "line": entry.model_dump(mode="json"),
         "seeds": seeds,
         "drives": {part: [case.drive.name for case in drives] for part, drives in cases.items()},
-        "parameters": config["parameters"],
+        "parameters": config.parameters,
         "wheelbase_m": tested[0].car.wheelbase_m,
         "path": settings.path,
         **inputs(tested),
@@ -65,9 +66,9 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     return out
 
 
-def _load(run: runs.Run, name: str, config: Mapping[str, Any]) -> predict.Trained:
+def _load(run: runs.Run, name: str, config: runs.Config) -> predict.Trained:
     model = predict.load(run.folder)
-    if (model.name, model.line, model.seed, model.fold) != (name, config["model"], run.seed, run.fold.name):
+    if (model.name, model.entry, model.seed, model.fold) != (name, config.model, run.seed, run.fold.name):
         raise InputError(
             f"checkpoint of model {model.name}, seed {model.seed}, with other settings than config.json",
             run.folder / "best.pt",
@@ -77,19 +78,19 @@ def _load(run: runs.Run, name: str, config: Mapping[str, Any]) -> predict.Traine
 
 
 def _predict(
-    models: Mapping[runs.Run, predict.Trained], variant: Path, labels: Path, line: Mapping[str, Any]
+    models: Mapping[runs.Run, predict.Trained], variant: Path, labels: Path, entry: Entry
 ) -> dict[str, list[Case]]:
     """Return split → drives with the predictions of all seeds; a drive of several folds once, from the first."""
     cases: dict[str, dict[str, Case]] = {part: {} for part in SPLITS}
     for fold in dict.fromkeys(run.fold for run in models):
         seeds = [model for run, model in models.items() if run.fold == fold]
-        for part, found in cases.items():
-            for name in (name for name in getattr(fold, part) if name not in found):
-                drive = windows.read_drive(variant, labels, name, line["horizon"], line["motion"])
+        for part, drives in cases.items():
+            for name in (name for name in getattr(fold, part) if name not in drives):
+                drive = windows.read_drive(variant, labels, name, entry.horizon, entry.motion)
                 with graph_file.open_graphs(drive.graphs) as graphs:
                     predictions = [model.predict_with_sigma(graphs) for model in seeds]
-                found[name] = Case(drive, predictions, seeds[0].target)
-    return {part: list(found.values()) for part, found in cases.items()}
+                drives[name] = Case(drive, predictions, seeds[0].target)
+    return {part: list(drives.values()) for part, drives in cases.items()}
 
 
 def _summary(result: Mapping[str, Any]) -> str:

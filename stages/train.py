@@ -17,7 +17,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import run_jobs
-from pipeline.sections.models import Model, resolve
+from pipeline.sections.models import Entry
 from pipeline.sections.train import Train
 from pipeline.train import distributed, runs
 
@@ -36,18 +36,17 @@ def main(
     """
     from pipeline.train.training import Job, fit_run
 
-    model, settings = load_entry(Model, "models", name, params), load(Train, params)
-    settings = settings.model_copy(update={"learning_rate": model.learning_rate or settings.learning_rate})
-    variant, where = graphs / model.input, f"{params}: models.{name}"
+    entry, settings = load_entry(Entry, "models", name, params), load(Train, params)
+    settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
+    variant, where = graphs / entry.input, f"{params}: models.{name}"
     splits = store.read_index(variant, stage="graphs")
     with error_context(where=where):
-        line = resolve(model)
-        folds = runs.folds(splits, line)
-    folds = runs.drop_untestable(folds, variant, labels, line)
+        folds = runs.folds(splits, entry.fit_to, entry.roads)
+    folds = runs.drop_untestable(folds, variant, labels, entry)
     drives = {drive for fold in folds for drive in fold.train + fold.val}
     files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in drives}
     pending = pending_folder(out / name, entry=True)
-    job = Job(name, where, line, settings, variant, labels, splits, files, pending)
+    job = Job(name, where, entry, settings, variant, labels, splits, files, pending)
     for fold in folds:
         job.read_drives(fold.train), job.read_drives(fold.val)  # errors before anything is written
     todo = runs.runs(out / name, settings.seeds, folds)

@@ -128,7 +128,7 @@ def export(
     output = options.Output(quiet, as_json)
     options.check_names(out)
     trained = load(model, "cpu")
-    manifest = write(trained, graphs / trained.line["input"], out, tolerance)
+    manifest = write(trained, graphs / trained.entry.input, out, tolerance)
     for part, difference in manifest["largest_difference"].items():
         output.line(
             f"{out / part}.pt2: largest difference from the network {difference:.2g} (tolerance {tolerance:.2g})"

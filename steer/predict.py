@@ -52,7 +52,7 @@ def predict(
     check_out(out, PREDICTED_FILES, source)
     trained = load(model)
     data = _data_folder(model, encoder, params)
-    sections = settings.read(params or data.parent / "params.yaml", trained.line["input"], data)
+    sections = settings.read(params or data.parent / "params.yaml", trained.entry.input, data)
     scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras
     lens, height_m = Lens(calib, fov, k), camera_height or sections.perception.camera_height_m
     opened = open_source(source, cameras, lens, size, scans, trained.target.car, Clock(fps, times), height_m)
@@ -60,13 +60,13 @@ def predict(
     results = predictor.predict(trained, sections, opened, data, encoder or data / "encoder", out, **show)
     for line in results.lines(opened.notes):
         output.line(line)
-    ahead = f", each {trained.horizon} frames ahead" if trained.horizon else ""
+    ahead = f", each {trained.entry.horizon} frames ahead" if trained.entry.horizon else ""
     output.line(
         f"{trained.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}"
     )
     files = {"csv": str(out / STEERING), "video": str(out / VIDEO) if video else None}
     output.line(", ".join(filter(None, files.values())))
-    about = {"model": trained.name, "source": opened.name, "horizon": trained.horizon}
+    about = {"model": trained.name, "source": opened.name, "horizon": trained.entry.horizon}
     output.result({**about, **results.summary(), "notes": opened.notes, **files})
 
 

@@ -19,10 +19,10 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
     content = yaml.safe_load(PARAMS.read_text())
     line = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
     line |= model or {}
-    knobs = {"cnn": {}, "pointnet2": {"semantics": 1.0}}.get(
+    options = {"cnn": {}, "pointnet2": {"semantics": 1.0}}.get(
         str(line["spatial"]), {"layers": [16, 16], "semantics": 1.0}
     )
-    content["models"] = {"net": knobs | line}
+    content["models"] = {"net": options | line}
     content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
     (folder / "params.yaml").write_text(yaml.safe_dump(content))
 

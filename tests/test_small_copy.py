@@ -44,41 +44,11 @@ def test_an_experiment_edits_one_line_and_its_row_has_the_figure(swapped: Path) 
     assert baseline[f"{MODEL}.nmse"] != experiment[f"{MODEL}.nmse"]
 
 
-HEIGHT = '''"""Mean position of a frame's points: a network that ignores the graph."""
-
-from typing import ClassVar
-
-import torch
-from torch import Tensor, nn
-
-from models.steering.core.batch import GraphBatch, Kind
-from models.steering.core.features import mean_max_pool
-from models.steering.core.knobs import NetworkKnobs, Sizes
-
-
-class Height(nn.Module):
-    def __init__(self, features: int, scale_m: float) -> None:
-        super().__init__()
-        self.scale_m = scale_m
-        self.read_out = nn.Linear(6, features)
-
-    def forward(self, batch: GraphBatch) -> Tensor:
-        return torch.tanh(self.read_out(mean_max_pool(batch.xyz / self.scale_m, batch.ptr)))
-
-
-class Knobs(NetworkKnobs):
-    kind: ClassVar[Kind] = "graph"
-    scale_m: float = 10.0
-
-    def build(self, sizes: Sizes) -> nn.Module:
-        return Height(sizes.features, self.scale_m)
-'''
-
-
 def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(chain: Path, tmp_path: Path) -> None:
     folder = scratch.duplicate(chain, tmp_path / "copy")
     file = folder / "models/steering/spatial/height.py"
-    file.write_text(HEIGHT)
+    network = scratch.code_block("class Height(nn.Module)").removeprefix("python\n")
+    file.write_text(network)
     assert scratch.changed(folder) == {"check"}, "only check depends on all of models/"
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
     mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "scale_m": 5.0}
@@ -88,7 +58,7 @@ def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(chain
     ]  # fmt: skip
     own = {"check", "train@mine", "evaluate@mine"}
     assert not own & scratch.changed(folder) - {"check"}
-    file.write_text(HEIGHT.replace("10.0", "9.0"))
+    file.write_text(network.replace("10.0", "9.0"))
     assert own <= scratch.changed(folder)
     assert f"train@{MODEL}" not in scratch.changed(folder)
 

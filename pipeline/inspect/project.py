@@ -18,7 +18,7 @@ from pipeline.base.params import entries, load, load_entry
 from pipeline.inspect.artefact import damage_as_input_error
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
-from pipeline.sections.models import Model
+from pipeline.sections.models import Entry
 
 Stages = Mapping[str, Mapping[str, Any]]
 
@@ -53,7 +53,7 @@ def check(folder: Path) -> Project:
     try:
         project.ingest = load(Ingest, params)
         project.needs_oxts = load(Labels, params).source == "oxts"
-        used = {f"graphs@{load_entry(Model, 'models', name, params).input}" for name in entries("models", params)}
+        used = {f"graphs@{load_entry(Entry, 'models', name, params).input}" for name in entries("models", params)}
         command = running_command(folder)
         if command:
             project.notes.append(f"DVC is running here ({command}): run steer doctor again when it has ended")

@@ -50,6 +50,11 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
     return np.where((speed_mps == 0) & (yaw_rate_radps == 0), 0.0, angle)
 
 
+def is_usable(speed_mps: np.ndarray, valid: np.ndarray, min_speed_mps: float) -> np.ndarray:
+    """Return which frames [F] have a measured angle, see :func:`measured_angle`."""
+    return np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
+
+
 def measured_angle(
     yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, wheelbase_m: float, min_speed_mps: float
 ) -> np.ndarray:
@@ -58,7 +63,7 @@ def measured_angle(
     Frames without `valid` motion, or slower than `min_speed_mps` in either direction, repeat the last usable angle;
     before the first it is 0.
     """
-    usable = np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
+    usable = is_usable(speed_mps, valid, min_speed_mps)
     angle = steering_angle(np.asarray(yaw_rate_radps, np.float64), np.asarray(speed_mps, np.float64), wheelbase_m)
     last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
     return np.where(last >= 0, angle[last], 0.0)

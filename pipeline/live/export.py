@@ -9,13 +9,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 
+from models.steering.core import batch
+from models.steering.core.steering_net import SteeringNet
 from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
+from pipeline.base.resume import file_hash
 from pipeline.graphs import graph_file
-from pipeline.live.export_modules import Recurrent, Spatial
 from pipeline.train import windows
 from pipeline.train.predict import Trained
 
@@ -24,17 +27,37 @@ MANIFEST = "export.json"
 MAX_DRIVES, WINDOWS_PER_DRIVE = 4, 4
 USE = "steering_rad = base_rad + std_rad * recurrent(spatial features of a window, oldest first, ...), left positive"
 INPUTS = {
-    "image": "uint8 [1, H, W, 3], RGB",
-    "xyz": "float32 [points, 3], metres, camera frame: x right, y down, z forward",
-    "cls": "uint8 [points], Cityscapes trainId, 255 = void",
-    "degree": "uint8 [points], number of neighbours",
-    "neighbours": "int64 [points, slots], neighbours of each point, in the first `degree` slots; the others are 0",
-    "centres_": "int64 [centres], indices of points, or of centres of the previous level",
-    "neighbours_": "int64 [centres, n], the same for the points in the ball around each centre",
+    **batch.INPUTS,
     "features": "float32 [1, window, features]",
     "dt_s": "float32 [1, window], seconds since the previous frame, 0.1 for the first",
     "motion": "float32 [1, window, 4]: measured steering angle in rad, yaw_rate_radps, speed_mps, valid (0 or 1)",
 }
+
+
+class Spatial(nn.Module):
+    """The spatial part: the arrays `names` of one frame, see batch.pad → features [1,F]."""
+
+    def __init__(self, net: SteeringNet, names: list[str]) -> None:
+        super().__init__()
+        # Without the recurrent part, which would become part of the file.
+        self.net, self.names = SteeringNet(net.spatial, nn.Identity(), net.equivariant), names  # type: ignore[arg-type]
+
+    def forward(self, *arrays: Tensor) -> Tensor:
+        return self.net.encode(batch.from_arrays(dict(zip(self.names, arrays, strict=True))))
+
+
+class Recurrent(nn.Module):
+    """The recurrent part: features [1,T,F], dt_s [1,T], of networks with motion also motion [1,T,4] → output [1]."""
+
+    windows: Tensor
+
+    def __init__(self, net: SteeringNet, window: int) -> None:
+        super().__init__()
+        self.net = SteeringNet(nn.Identity(), net.temporal, net.equivariant, net.motion)
+        self.register_buffer("windows", torch.arange(window)[None])
+
+    def forward(self, features: Tensor, dt_s: Tensor, *motion: Tensor) -> Tensor:
+        return self.net.run_windows(features[0], self.windows, dt_s, *(rows[0] for rows in motion))
 
 
 class Example(NamedTuple):
@@ -52,52 +75,99 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
     Args:
         model: on the CPU.
         graphs: folder of the graph variant that the model was trained on.
-        out: new, empty, or an earlier export, which is replaced when both files are verified.
+        out: new, empty, or an unchanged earlier export, which is replaced when both files are verified.
         tolerance: largest difference from the network's features and outputs, both about 1 in size.
     Raises:
         InputError: `out` contains other files, the network cannot be exported, or a file differs by more.
     """
-    if out.exists() and not (out / MANIFEST).is_file() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError("the path exists and is not an earlier export", out, "Choose a new folder: --out")
+    _check_replaceable(out)
     model.net.requires_grad_(False)
     examples = read_examples(model, graphs)
-    modules = {"spatial": Spatial(model.net, model.contents.kind), "recurrent": Recurrent(model.net, model.window)}
-    calls: dict[str, list[tuple[Arrays, Any]]] = {  # inputs and expected results
-        "spatial": [call for each in examples for call in zip(each.frames, each.window["features"][0], strict=True)],
-        "recurrent": [(each.window, each.output) for each in examples],
+    modules = {
+        "spatial": Spatial(model.net, [*examples[0].frames[0]]),
+        "recurrent": Recurrent(model.net, model.entry.window),
     }
-    differences = {}
+    calls: dict[str, list[tuple[Arrays, Any]]] = {  # inputs and expected results
+        "spatial": [
+            call for example in examples for call in zip(example.frames, example.window["features"][0], strict=True)
+        ],
+        "recurrent": [(example.window, example.output) for example in examples],
+    }
     with replacing(out) as tmp:
         tmp.mkdir()
-        for name, module in modules.items():
-            where = f"{name} part of model {model.name}"
-            with _exporting(where):
-                tensors = tuple(torch.from_numpy(array) for array in calls[name][0][0].values())
-                sizes = tuple(dict.fromkeys(range(tensor.ndim), torch.export.Dim.AUTO) for tensor in tensors)
-                dynamic = (sizes,) if name == "spatial" else None  # windows have a fixed size
-                program = torch.export.export(module, tensors, dynamic_shapes=dynamic, strict=False)
-                torch.export.save(program, tmp / f"{name}.pt2")
-                differences[name] = _largest_difference(tmp / f"{name}.pt2", calls[name])
-            if not differences[name] <= tolerance:  # also for NaN
-                problem = f"the exported program differs by {differences[name]:.2g} (tolerance {tolerance:.2g})"
-                raise InputError(problem, where, "Intended? Raise --tolerance")
+        differences = {
+            name: _write_program(
+                tmp / f"{name}.pt2", module, calls[name], tolerance, f"{name} part of model {model.name}"
+            )
+            for name, module in modules.items()
+        }
         manifest = {
-            "model": {"name": model.name, "seed": model.seed, "fold": model.fold, "line": model.line},
+            "model": {
+                "name": model.name,
+                "seed": model.seed,
+                "fold": model.fold,
+                "line": model.entry.model_dump(mode="json"),
+            },
             "use": USE,
             "base_rad": "measured angle of the last frame" if model.net.motion else "0",
-            "window": model.window,
-            "horizon": model.horizon,
+            "window": model.entry.window,
+            "horizon": model.entry.horizon,
             **vars(model.target),
             "inputs": {
                 part: {name: INPUTS[name.rstrip("0123456789")] for name in arrays}
                 for part, ((arrays, _), *_) in calls.items()
             },
-            "verified": {"windows": len(examples), "drives": list(dict.fromkeys(each.drive for each in examples))},
+            "verified": {
+                "windows": len(examples),
+                "drives": list(dict.fromkeys(example.drive for example in examples)),
+            },
             "largest_difference": differences,
             "torch": torch.__version__,
+            "sha256": {path.name: file_hash(path) for path in sorted(tmp.iterdir())},
         }
         store.write_json(tmp / MANIFEST, manifest, sort_keys=False)
     return manifest
+
+
+def _check_replaceable(out: Path) -> None:
+    """Raise InputError unless a folder is new, empty, or holds exactly the files of an earlier export."""
+    fix = "Choose a new folder: --out"
+    if not out.exists() and not out.is_symlink():
+        return
+    if not out.is_dir() or out.is_symlink():
+        raise InputError("expected a folder", out, fix)
+    names = {path.name for path in out.iterdir()}
+    if not names:
+        return
+    if MANIFEST not in names:
+        raise InputError("the folder is not empty, and is not an earlier export", out, fix)
+    hashes = store.read_json(out / MANIFEST, stage="export").get("sha256")
+    hashes = hashes if isinstance(hashes, dict) else {}
+    foreign = names - {*hashes, MANIFEST} or {
+        name for name in names & hashes.keys() if file_hash(out / name) != hashes[name]
+    }
+    if foreign:
+        raise InputError(f"files that no export wrote: {', '.join(sorted(foreign))}", out, fix)
+
+
+def _write_program(
+    path: Path, module: nn.Module, calls: list[tuple[Arrays, Any]], tolerance: float, where: str
+) -> float:
+    """Export a module to a file, and return its largest difference from expected results.
+
+    Raises InputError if it cannot be exported, or differs by more than `tolerance`.
+    """
+    with _exporting(where):
+        tensors = tuple(torch.from_numpy(array) for array in calls[0][0].values())
+        sizes = tuple(dict.fromkeys(range(tensor.ndim), torch.export.Dim.AUTO) for tensor in tensors)
+        dynamic = (sizes,) if isinstance(module, Spatial) else None  # windows have a fixed size
+        program = torch.export.export(module, tensors, dynamic_shapes=dynamic, strict=False)
+        torch.export.save(program, path)
+        difference = _largest_difference(path, calls)
+    if not difference <= tolerance:  # also for NaN
+        problem = f"the exported program differs by {difference:.2g} (tolerance {tolerance:.2g})"
+        raise InputError(problem, where, "Intended? Raise --tolerance")
+    return difference
 
 
 def read_examples(model: Trained, graphs: Path) -> list[Example]:
@@ -109,34 +179,25 @@ def read_examples(model: Trained, graphs: Path) -> list[Example]:
         with graph_file.open_graphs(graphs / f"{drive}.h5") as file:
             examples += _read_drive(model, drive, file)
     if not examples:
-        raise InputError(f"no window of {model.window} consecutive frames for verification", graphs)
+        raise InputError(f"no window of {model.entry.window} consecutive frames for verification", graphs)
     return examples
 
 
 def _read_drive(model: Trained, drive: str, graphs: graph_file.Graphs) -> Iterator[Example]:
     steering_rad = model.predict(graphs)
-    timeline = windows.Timeline.read(graphs, model.line["motion"], model.target.car)
+    timeline = windows.Timeline.read(graphs, model.entry.motion, model.target.car)
     ends = np.flatnonzero(~np.isnan(steering_rad))
     for end in ends[np.linspace(0, len(ends) - 1, min(WINDOWS_PER_DRIVE, len(ends))).round().astype(int)].tolist():
-        span = windows.Span(0, end - model.window + 1, end + 1)
-        (batch,) = windows.batches([timeline], [[span]], model.window, {0: graphs})
+        span = windows.Span(0, end - model.entry.window + 1, end + 1)
+        (arrays,) = windows.batches([timeline], [[span]], model.entry.window, {0: graphs})
         with torch.inference_mode():
-            window = {"features": model.net.encode(model.net.frames(batch)).numpy()[None], "dt_s": batch["dt_s"]}
-        if "motion" in batch:
-            window["motion"] = batch["motion"][None]
-        output = (float(steering_rad[end]) - float(batch["base_rad"][0])) / model.target.std_rad
-        yield Example(drive, [_pad(graphs.read(row, row + 1)) for row in range(span.start, span.stop)], window, output)
-
-
-def _pad(frame: Arrays) -> Arrays:
-    """Return the arrays of a frame in the order of :class:`Spatial`, with a graph's neighbours padded to [N,D]."""
-    if "degree" not in frame:
-        names = sorted((name for name in frame if "_" in name), key=lambda name: (name.split("_")[1], name))
-        return {name: frame[name] for name in ("image", "xyz", "cls", *names) if name in frame and "ptr" not in name}
-    degree = frame["degree"].astype(np.int64)
-    neighbours = np.zeros((len(degree), max(2, degree.max(initial=0))), np.int64)
-    neighbours[np.arange(neighbours.shape[1]) < degree[:, None]] = frame["indices"]
-    return {"xyz": frame["xyz"], "cls": frame["cls"], "degree": frame["degree"], "neighbours": neighbours}
+            window = {"features": model.net.encode(model.net.frames(arrays)).numpy()[None], "dt_s": arrays["dt_s"]}
+        if "motion" in arrays:
+            window["motion"] = arrays["motion"][None]
+        output = (float(steering_rad[end]) - float(arrays["base_rad"][0])) / model.target.std_rad
+        yield Example(
+            drive, [batch.pad(graphs.read(row, row + 1)) for row in range(span.start, span.stop)], window, output
+        )
 
 
 def _largest_difference(path: Path, calls: list[tuple[Arrays, Any]]) -> float:

@@ -6,15 +6,13 @@ stage evaluate: random draws depend on drive and frame number alone, and a CPU e
 
 import time
 from collections import deque
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
 
-from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.fitting.prefetch import prefetch
@@ -22,7 +20,6 @@ from pipeline.graphs import frame_graph
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import single
-from pipeline.labels import label
 from pipeline.live.chain import Chain, FrameState, add_courses
 from pipeline.live.results import PREDICTED_FILES, STEERING, Results, result_folder, write_frames
 from pipeline.live.settings import Settings, focal_by_width
@@ -30,6 +27,7 @@ from pipeline.live.source import Source
 from pipeline.perception.depth_scale import needs_scan
 from pipeline.perception.perceive import FILE
 from pipeline.sections.ingest import SAMPLE
+from pipeline.train import windows
 from pipeline.train.predict import Trained, angles
 
 TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
@@ -44,7 +42,8 @@ def needs_scans(model: Trained, settings: Settings) -> bool:
 def motion_kinds(model: Trained, settings: Settings) -> set[str]:
     """Return the kinds of motion that the model's input is made from."""
     accumulate = settings.variant.accumulate
-    return ({model.line["motion"]} | ({accumulate.motion} if accumulate else set())) - {"none"}
+    kinds: set[str] = {model.entry.motion} | ({accumulate.motion} if accumulate else set())
+    return kinds - {"none"}
 
 
 def differences(model: Trained, source: Source, fitted_focal: float | None) -> list[str]:
@@ -92,7 +91,7 @@ def predict(
         courses = add_courses(predicted, car, smooth=False)
         with result_folder(out, *PREDICTED_FILES) as folder:
             show = {"video": video, "visible": visible}
-            return write_frames(courses, folder / STEERING, source, car, warm_up=model.window, **show)
+            return write_frames(courses, folder / STEERING, source, car, warm_up=model.entry.window, **show)
 
 
 class Predictor:
@@ -101,9 +100,8 @@ class Predictor:
     def __init__(self, model: Trained, settings: Settings, source: Source, camera: Camera) -> None:
         """Raises InputError if the source lacks an input."""
         if needs_scans(model, settings) and not source.has_scans:
-            needs = (
-                f"model {model.name} needs LiDAR scans (input: {model.line['input']}, motion: {model.line['motion']})"
-            )
+            entry = model.entry
+            needs = f"model {model.name} needs LiDAR scans (input: {entry.input}, motion: {entry.motion})"
             raise InputError(needs, source.name, "Choose a model without them")
         self.model, self._settings, self._drive, self._camera = model, settings, source.name, camera
         variant = settings.variant
@@ -142,47 +140,18 @@ class Predictor:
 
     def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         """Add the angle predicted after each frame that completes a window."""
-        net, target, length = self.model.net, self.model.target, self.model.window
-        base_rad = 0.0
-        window: deque[_WindowFrame] = deque(maxlen=length)
+        net, target, entry = self.model.net, self.model.target, self.model.entry
+        stream = windows.Stream(entry.window, target.car if entry.motion != "none" else None)
+        features: deque[torch.Tensor] = deque(maxlen=entry.window)  # each [1,F]
         for frame in frames:
-            estimate = frame.estimates.get(self.model.line["motion"])
-            rates = np.zeros(2, np.float32)  # yaw rate, speed: in the precision of graph files
-            if estimate:
-                rates[:] = estimate.yaw_rate_radps, estimate.speed_mps
-            yaw_rate_radps, speed_mps = np.array(rates, np.float64)
-            if estimate and abs(rates[1]) >= target.min_speed_mps:
-                base_rad = float(label.steering_angle(yaw_rate_radps, speed_mps, target.wheelbase_m))
-            if window and frame.number != window[-1].number + 1:
-                window.clear()
-            dt_s = frame.time_s - window[-1].time_s if window else NOMINAL_STEP_S
+            estimate = frame.estimates.get(entry.motion)
+            motion = (estimate.yaw_rate_radps, estimate.speed_mps) if estimate else None
+            window = stream.add(frame.number, frame.time_s, motion)
             with torch.inference_mode():
-                features = net.encode(net.frames(frame.arrays))
-                motion = base_rad, yaw_rate_radps, speed_mps, float(estimate is not None)
-                window.append(_WindowFrame(frame.number, frame.time_s, dt_s, features, motion))
-                if len(window) == length:
-                    features = torch.cat([each.features for each in window])
-                    output = net.recall(features, *net.windows(_arrays(window)))
-                    rows = angles(output, np.array([base_rad], np.float32), target)
+                features.append(net.encode(net.frames(frame.arrays)))
+                if window:
+                    output = net.run_windows(torch.cat([*features]), *net.windows(window))
+                    rows = angles(output, window["base_rad"], target)
                     frame.predicted_rad, frame.sigma_rad = [*rows[:, 0].tolist(), None][:2]
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame
-
-
-class _WindowFrame(NamedTuple):
-    """A frame of the window, as the recurrent network takes it."""
-
-    number: int
-    time_s: float
-    dt_s: float
-    features: torch.Tensor  # [1,F]
-    motion: tuple[float, float, float, float]  # columns pipeline.train.windows.MOTION
-
-
-def _arrays(window: Sequence[_WindowFrame]) -> dict[str, np.ndarray]:
-    """Return the arrays of a batch with one window, without its frames."""
-    return {
-        "windows": np.arange(len(window))[None],
-        "dt_s": np.array([[frame.dt_s for frame in window]], np.float32),
-        "motion": np.array([frame.motion for frame in window], np.float32),
-    }

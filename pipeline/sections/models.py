@@ -1,21 +1,26 @@
 """Section ``models``: the networks, one entry each."""
 
-from typing import Annotated, Any, Literal, Self
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, create_model, model_validator
 
-from pipeline.base.errors import InputError, closest, error_context
-from pipeline.base.params import Count, Rate, Section, parse
+from pipeline.base.errors import closest
+from pipeline.base.params import Count, Rate, Section
+
+if TYPE_CHECKING:
+    from models.steering.core.options import NetworkOptions
+    from models.steering.core.steering_net import SteeringNet
+
+FRAMES = {"graph": "kNN graphs", "pointnet2": "points with neighbourhood: pointnet2", "image": "images"}
 
 
-class Model(Section):
+class Entry(Section):
     """One entry of ``models``: a spatial and a temporal network on a graph variant.
 
-    Further keys are knobs of the two networks, defined in models/steering/spatial/<spatial>.py and
-    models/steering/temporal/<temporal>.py; :func:`resolve` validates them.
+    Validation returns an instance of a subclass that also has the options of both networks, which are the fields of
+    class Options in models/steering/spatial/<spatial>.py and models/steering/temporal/<temporal>.py.
     """
-
-    model_config = ConfigDict(extra="allow")
 
     input: str
     spatial: str
@@ -48,27 +53,70 @@ class Model(Section):
             raise ValueError("roads limits the training drives, and fit_to: others uses none: remove one of the two")
         return self
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _add_options(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> "Entry":
+        if cls is not Entry or not isinstance(value, dict):
+            return handler(value)
+        spatial, temporal = value.get("spatial"), value.get("temporal")
+        if isinstance(spatial, str) and isinstance(temporal, str):
+            entry_class = _entry_class(spatial, temporal)
+            for key in value:
+                if key not in entry_class.model_fields:
+                    hint = closest(str(key), [*entry_class.model_fields])
+                    raise ValueError(f"unknown key {key!r} for spatial = {spatial}, temporal = {temporal}: {hint}")
+            return entry_class.model_validate(value)
+        return handler({key: value[key] for key in cls.model_fields if key in value})  # raises: one is missing
 
-def resolve(model: Model) -> dict[str, Any]:
-    """Return an entry with the values of all knobs of its networks, defaults included, as JSON-able values.
+    def __reduce__(self) -> Any:
+        return Entry.model_validate, (self.model_dump(),)  # a class made at run time cannot be pickled
 
-    Raises InputError, whose problem starts with the key, if a network does not exist or a knob is unknown or invalid.
+    def build(self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None) -> "SteeringNet":
+        """Build the network with new weights from torch's random state.
+
+        Args:
+            kind, levels, image_size: of the frames in the entry's input, see graph_file.Contents.
+        Raises:
+            ValueError: the network reads frames of another kind, or an option is out of range.
+        """
+        from models.steering.core import options, steering_net  # imports torch
+
+        spatial, temporal = (
+            network.model_validate({name: getattr(self, name) for name in network.model_fields})
+            for network in _options(self.spatial, self.temporal)
+        )
+        expected = spatial.kind
+        if expected != kind:
+            holds = f"input: {self.input} holds {FRAMES[kind]}"
+            raise ValueError(f"spatial = {self.spatial!r} expects {FRAMES[str(expected)]}, but {holds}")
+        return steering_net.build(
+            spatial,
+            temporal,
+            options.Sizes(self.features, self.window, levels, image_size or (0, 0)),
+            equivariant=self.equivariant,
+            motion=self.motion != "none",
+            uncertainty=self.uncertainty,
+        )
+
+
+def _options(spatial: str, temporal: str) -> "tuple[type[NetworkOptions], type[NetworkOptions]]":
+    from models.steering.core import options  # imports torch
+
+    return options.load("spatial", spatial), options.load("temporal", temporal)
+
+
+@cache
+def _entry_class(spatial: str, temporal: str) -> type[Entry]:
+    """Return the class of entries with the options of two networks.
+
+    Raises ValueError if a network does not exist, or an option is defined twice.
     """
-    from models.steering.core import knobs  # imports torch
-
-    with error_context():
-        networks = [knobs.load("spatial", model.spatial), knobs.load("temporal", model.temporal)]
-    known = [knob for network in networks for knob in network.model_fields]
-    names = f"spatial = {model.spatial}, temporal = {model.temporal}"
-    for knob in known:
-        if knob in Model.model_fields or known.count(knob) > 1:
-            raise InputError(f"defined twice for {names}", knob, "Rename the knob in the network's file")
-    values = model.model_extra or {}
-    for key in values:
-        if key not in known:
-            raise InputError(f"unknown key for {names}: {closest(key, [*known, *Model.model_fields])}", key)
-    line = {key: getattr(model, key) for key in Model.model_fields}
-    for network in networks:
-        own = {key: value for key, value in values.items() if key in network.model_fields}
-        line |= parse(network, own, "").model_dump(mode="json")  # type: ignore[type-var]  # reads fields alone
-    return line
+    networks = _options(spatial, temporal)
+    names = [*Entry.model_fields, *(name for network in networks for name in network.model_fields)]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(
+            f"{twice[0]} is defined twice for spatial = {spatial}, temporal = {temporal}: rename it in a network's file"
+        )
+    bases: Any = (Entry, *networks)
+    entry_class: type[Entry] = create_model("Entry", __base__=bases)
+    return entry_class

@@ -23,7 +23,7 @@ from pipeline.sections.evaluate import Evaluate
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
 from pipeline.sections.labels import Labels
-from pipeline.sections.models import Model
+from pipeline.sections.models import Entry
 from pipeline.sections.motion import Motion
 from pipeline.sections.perception import Perception
 from pipeline.sections.pictures import Pictures
@@ -46,7 +46,7 @@ class Params(Section):
     clouds: Clouds
     pictures: Pictures
     graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
-    models: Annotated[dict[Name, Model], Field(min_length=1)]
+    models: Annotated[dict[Name, Entry], Field(min_length=1)]
     train: Train
     evaluate: Evaluate
 

@@ -21,7 +21,7 @@ from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.labels import label
-from pipeline.sections.models import Model, resolve
+from pipeline.sections.models import Entry
 from pipeline.train import runs, windows
 from pipeline.train.distributed import World
 
@@ -103,7 +103,7 @@ class Checkpoint(BaseModel):
     seed: int
     fold: str | None
     contents: Contents
-    model: Model
+    model: Entry
     target: Target
     card: Card | None = None
     net: dict[str, Any]
@@ -116,21 +116,11 @@ class Trained:
     name: str
     seed: int
     fold: str | None  # the test drive that was left out of training, with fit_to: others or both
-    line: dict[str, Any]  # the model's entry of params.yaml with all defaults
+    entry: Entry
     contents: Contents  # of the graph files it was trained on
     target: Target
     net: "SteeringNet"
     card: Card | None = None
-
-    @property
-    def window(self) -> int:
-        """Frames per prediction."""
-        return int(self.line["window"])
-
-    @property
-    def horizon(self) -> int:
-        """Frames from the end of a window to its predicted steering."""
-        return int(self.line["horizon"])
 
     def predict(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
         """Return the steering in rad, left +, for frames of an open graph file; see :meth:`predict_with_sigma`."""
@@ -139,7 +129,7 @@ class Trained:
     def predict_with_sigma(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> Prediction:
         """Return the steering in rad, left +, and with uncertainty its σ: float64, one per frame of an open graph file.
 
-        The value for frame t is the angle at frame t + :attr:`horizon`, predicted from the frames up to t. NaN where no
+        The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t. NaN where no
         complete window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded once,
         with at most WINDOWS windows at a time.
 
@@ -154,13 +144,15 @@ class Trained:
             raise InputError(
                 f"model {self.name} expects {self.contents}, got {graphs.contents}",
                 graphs.path,
-                f"Use graphs of input: {self.line['input']}, or train the model again: dvc repro --force --single-item "
+                f"Use graphs of input: {self.entry.input}, or train the model again: dvc repro --force --single-item "
                 f"train@{self.name}",
             )
         with error_context(where=f"model {self.name}"):
-            timeline = windows.Timeline.read(graphs, self.line["motion"], self.target.car)
+            timeline = windows.Timeline.read(graphs, self.entry.motion, self.target.car)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows(numbers)
-        (predicted,) = predict_drives(self.net, [timeline], self.window, self.target, rows=[rows], opened={0: graphs})
+        (predicted,) = predict_drives(
+            self.net, [timeline], self.entry.window, self.target, rows=[rows], opened={0: graphs}
+        )
         return Prediction(*(values[rows] for values in predicted if values is not None))
 
 
@@ -175,8 +167,6 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
     """
     import torch
 
-    from models.steering.core import steering_net
-
     folder = Path(folder)
     path, name = folder / "best.pt", runs.model_name(folder)
     if not path.is_file():
@@ -188,12 +178,11 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         content = checkpoint.read(path, KIND)
         with error_context(where=path):
             best = _parse(content)
-            line = resolve(best.model)
-            net = steering_net.build(line, **best.contents.model_dump())
+            net = best.model.build(**best.contents.model_dump())
         checkpoint.load_state(net, best.net, path)
     runs.check_pair(path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
-    return Trained(best.name, best.seed, best.fold, line, best.contents, best.target, net, best.card)
+    return Trained(best.name, best.seed, best.fold, best.model, best.contents, best.target, net, best.card)
 
 
 def _parse(content: Mapping[str, Any]) -> Checkpoint:

@@ -9,14 +9,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, Field
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
-from pipeline.sections.models import Model
+from pipeline.sections.models import Entry
 from pipeline.train import windows
 
 _SEED, _FOLD = "seed-", "fold-"
@@ -25,7 +25,7 @@ _SEED, _FOLD = "seed-", "fold-"
 class Config(BaseModel):
     """Schema of a trained model's config.json, as far as it is read."""
 
-    model: Model
+    model: Entry
     seeds: Annotated[list[int], Field(min_length=1)]
     parameters: int
     best_sha256: str | None = None  # None: not verified
@@ -54,39 +54,37 @@ class Run:
         return f"seed {self.seed}" + (f" without {self.fold.name}" if self.fold.name else "")
 
 
-def folds(splits: Mapping[str, str], line: Mapping[str, Any]) -> list[Fold]:
-    """Return the folds of a model's entry `line`, from drive → split.
+def folds(splits: Mapping[str, str], fit_to: str, roads: int | None) -> list[Fold]:
+    """Return the folds of a model with these keys of its entry, from drive → split.
 
     Raises InputError if there are fewer training drives than `roads`, or if a fold has no training drive.
     """
     train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
-    fit_to, roads = line["fit_to"], line["roads"]
     if roads is not None and roads > len(train):
         raise InputError(f"roads = {roads}, but there are {len(train)} training drives")
     train = train[:roads]
     if fit_to == "train":
         return [Fold(None, train, val, test)]
-    own, val = (train, val) if fit_to == "both" else ((), ())
-    result = [Fold(drive, own + tuple(other for other in test if other != drive), val, (drive,)) for drive in test]
+    train, val = (train, val) if fit_to == "both" else ((), ())
+    result = [Fold(drive, train + tuple(other for other in test if other != drive), val, (drive,)) for drive in test]
     if not result or not all(fold.train for fold in result):
         names = ", ".join(test) or "none"
         raise InputError(f"fit_to = {fit_to!r} needs two test drives (got {names})", fix="Add drives to the split test")
     return result
 
 
-def drop_untestable(folds: Sequence[Fold], graphs: Path, labels: Path, line: Mapping[str, Any]) -> list[Fold]:
+def drop_untestable(folds: Sequence[Fold], graphs: Path, labels: Path, entry: Entry) -> list[Fold]:
     """Return the folds with valid test targets, and print the others. Their test drives still train other folds.
 
     Args:
         graphs: folder of the variant.
-        line: a model's entry, resolved.
     Raises:
         InputError: no fold is left; or as :func:`windows.read_drive`.
     """
     testable, faults = [], []
     for fold in folds:
-        drives = [windows.read_drive(graphs, labels, name, line["horizon"], line["motion"]) for name in fold.test]
-        if fault := windows.target_fault(drives, line["window"]):
+        drives = [windows.read_drive(graphs, labels, name, entry.horizon, entry.motion) for name in fold.test]
+        if fault := windows.target_fault(drives, entry.window):
             faults.append(fault)
         else:
             testable.append(fold)
@@ -111,12 +109,18 @@ def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
     return {seed: model / f"{_SEED}{seed}" if position else model for position, seed in enumerate(seeds)}
 
 
+def read_config(folder: Path) -> Config:
+    """Read the config.json of a trained model. Raises InputError."""
+    content = store.read_json(folder / "config.json", stage=f"train@{model_name(folder)}", form=Config)
+    return Config.model_validate(content)
+
+
 def check_pair(best: Path) -> None:
     """Raise InputError if best.pt and the config.json beside it are of different runs. config.json may be missing."""
     config, name = best.with_name("config.json"), model_name(best.parent)
     if not config.is_file():
         return
-    expected = Config.model_validate(store.read_json(config, stage=f"train@{name}", form=Config)).best_sha256
+    expected = read_config(best.parent).best_sha256
     if expected and expected != file_hash(best):
         raise InputError(
             f"best.pt and {config} are of different runs (SHA-256 differs)",

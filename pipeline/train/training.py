@@ -15,6 +15,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash, revision, stage_key
 from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
+from pipeline.sections.models import Entry
 from pipeline.sections.train import Train
 from pipeline.train import fit, predict, windows
 from pipeline.train.curve import selected_epoch, write_curve
@@ -30,7 +31,7 @@ class Job:
 
     name: str
     where: str  # of its entry, for messages
-    line: dict[str, Any]  # its entry, resolved
+    entry: Entry
     settings: Train
     variant: Path  # folder of graphs
     labels: Path
@@ -40,8 +41,8 @@ class Job:
 
     def read_drives(self, names: tuple[str, ...]) -> list[windows.Drive]:
         """Read drives with targets for this model."""
-        line = self.line
-        return windows.read_drives(self.variant, self.labels, names, line["window"], line["horizon"], line["motion"])
+        entry = self.entry
+        return windows.read_drives(self.variant, self.labels, names, entry.window, entry.horizon, entry.motion)
 
 
 def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu") -> None:
@@ -50,7 +51,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
     Raises InputError: the network does not fit the graphs, the loss is not finite, or the processes of `world` differ
     in code, settings or files.
     """
-    line, settings, fold = job.line, job.settings, run.fold
+    entry, settings, fold = job.entry, job.settings, run.fold
     train, val = job.read_drives(fold.train), job.read_drives(fold.val)
     with graph_file.open_graphs(train[0].graphs) as graphs:
         contents, points = graphs.contents, graphs.points_per_frame
@@ -60,10 +61,10 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         torch.set_num_threads(1)
     torch.manual_seed(run.seed)
     with error_context(where=job.where):
-        net = steering_net.build(line, **contents.model_dump())
+        net = entry.build(**contents.model_dump())
     net.to(device, torch.float64 if settings.precision == "float64" else None)
     inputs = {
-        "model": line,
+        "model": entry.model_dump(mode="json"),
         "train": settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
         "splits": job.splits,
@@ -76,7 +77,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
             "processes differ in code, settings, graphs or labels", job.name, "Update all clones: git pull, dvc pull"
         )
     state = job.pending / f"{key}.pt"
-    fitting = fit.Fit(net, line["window"], line["alpha"], settings, run.seed, world)
+    fitting = fit.Fit(net, entry.window, entry.alpha, settings, run.seed, world)
     target = predict.Target.from_drives(train)
     metadata: dict[str, Any] = {
         "name": job.name,
@@ -87,7 +88,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         **inputs,
     }
     fitting.run(train, val, target, state, metadata, f"{job.name} {run}")
-    if line["uncertainty"] and val:
+    if entry.uncertainty and val:
         metadata["target"] = vars(fitting.calibrate(val, target))
     if world.is_main:
         figures = {

@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
+from pipeline.graphs.graph_file import MeasuredMotion
 from pipeline.labels import label
 
 Batch = dict[str, np.ndarray]
@@ -48,18 +49,25 @@ class Timeline:
 
         Raises InputError if the file has no motion of this kind.
         """
+        measured = None if motion == "none" else graphs.motion(motion)
+        return cls.of(graphs.path, graphs.frame, graphs.time_s, measured, car)
+
+    @classmethod
+    def of(
+        cls, graphs: Path, frame: np.ndarray, time_s: np.ndarray, motion: MeasuredMotion | None, car: label.Car | None
+    ) -> "Timeline":
+        """Return the timeline of frames with these numbers, times, and measured motion of a `car`."""
         from models.steering.core.recurrent import NOMINAL_STEP_S
 
-        runs = consecutive(graphs.frame)
-        dt_s = np.diff(graphs.time_s, prepend=np.nan)
+        runs = consecutive(frame)
+        dt_s = np.diff(time_s, prepend=np.nan)
         dt_s[[start for start, _ in runs]] = NOMINAL_STEP_S
-        base_rad, columns = np.zeros(len(graphs.frame)), None
-        if motion != "none":
+        base_rad, columns = np.zeros(len(frame)), None
+        if motion is not None:
             assert car is not None, "the steering angle needs a wheelbase"
-            measured = graphs.motion(motion)
-            base_rad = label.measured_angle(*measured, **vars(car))
-            columns = np.stack([base_rad, *measured], axis=1).astype(np.float32)
-        return cls(graphs.path, graphs.frame, graphs.time_s, dt_s.astype(np.float32), runs, base_rad, columns)
+            base_rad = label.measured_angle(*motion, **vars(car))
+            columns = np.stack([base_rad, *motion], axis=1).astype(np.float32)
+        return cls(graphs, frame, time_s, dt_s.astype(np.float32), runs, base_rad, columns)
 
     def rows(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the rows of frame `numbers`. Raises InputError for the first number that is not in the file."""
@@ -169,7 +177,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
             curvature_1pm=np.where(ahead >= 0, truth["curvature_1pm"][ahead], np.nan),
             valid=(ahead >= 0) & valid[ahead],
             speed_mps=truth["speed_mps"][here],
-            persistence_rad=_hold(steering_rad[here], valid[here], own=horizon > 0),
+            persistence_rad=_hold(steering_rad[here], valid[here], including=horizon > 0),
             measured_rad={
                 kind: label.measured_angle(*file.motion(kind), **vars(car)) if any_valid else np.full(len(here), np.nan)
                 for kind, any_valid in measured.items()
@@ -177,10 +185,10 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
         )
 
 
-def _hold(steering_rad: np.ndarray, valid: np.ndarray, own: bool) -> np.ndarray:
-    """Return for each frame [F] of a drive the last valid label before it, or up to its `own`; else 0."""
+def _hold(steering_rad: np.ndarray, valid: np.ndarray, including: bool) -> np.ndarray:
+    """Return for each frame [F] of a drive the last valid label before it, or `including` it; else 0."""
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    last = last if own else np.concatenate([[-1], last])[: len(valid)]
+    last = last if including else np.concatenate([[-1], last])[: len(valid)]
     return np.where(last >= 0, steering_rad[last], 0.0)
 
 
@@ -250,15 +258,42 @@ def batches(
             yield read | _windows(timelines, group, window)
 
 
+class Stream:
+    """The windows of frames that arrive one by one, as :func:`batches` reads them from a file."""
+
+    def __init__(self, window: int, car: label.Car | None) -> None:
+        """`car`: None for a network without motion."""
+        self._window, self._car = window, car
+        # The frames of the next window and the one before, behind the last older one with a measured angle.
+        self._frames: list[tuple[int, float, float, float, int]] = []
+
+    def add(self, number: int, time_s: float, motion: tuple[float, float] | None) -> Batch | None:
+        """Return the window that ends with this frame, without the frames' arrays; None if it is not complete.
+
+        `motion`: yaw rate and speed; None if they are not measured.
+        """
+        self._frames.append((number, time_s, *(motion or (0.0, 0.0)), int(motion is not None)))
+        frame, times, yaw_rate, speed, valid = map(np.array, zip(*self._frames, strict=True))
+        measured = MeasuredMotion(yaw_rate.astype(np.float32), speed.astype(np.float32), valid.astype(np.uint8))
+        last = len(frame) - 1
+        timeline = Timeline.of(Path(), frame, times, measured if self._car else None, self._car)
+        older = slice(0, max(0, len(frame) - self._window))
+        usable = label.is_usable(measured.speed_mps, valid, self._car.min_speed_mps if self._car else 0.0)
+        held = np.flatnonzero(usable[older])[-1:]
+        self._frames = [self._frames[row] for row in held] + self._frames[-self._window :]
+        group = spans([timeline], self._window, 1, [np.array([last])])
+        return _windows([timeline], group, self._window) if group else None
+
+
 def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) -> Batch:
     columns: dict[str, list[np.ndarray]] = defaultdict(list)
     before = 0  # frames of the batch before the span
     for span in group:
         timeline = timelines[span.drive]
         rows, ends = slice(span.start, span.stop), slice(span.start + window - 1, span.stop)
-        own = np.arange(span.stop - span.start - window + 1)[:, None] + np.arange(window)  # [W,T]
-        columns["windows"].append(own + before)
-        columns["dt_s"].append(timeline.dt_s[rows][own])
+        members = np.arange(span.stop - span.start - window + 1)[:, None] + np.arange(window)  # [W,T]
+        columns["windows"].append(members + before)
+        columns["dt_s"].append(timeline.dt_s[rows][members])
         columns["base_rad"].append(timeline.base_rad[ends].astype(np.float32))
         if timeline.motion is not None:
             columns["motion"].append(timeline.motion[rows])

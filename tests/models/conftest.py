@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.core import knobs
+from models.steering.core import options
 from models.steering.core.batch import GraphBatch, SetBatch, from_arrays
 from pipeline.graphs import graph_file, neighbourhoods
 
@@ -78,8 +78,8 @@ def make_line() -> MakeLine:
     def make(spatial: str = "gnn", temporal: str = "ncp", **changes: object) -> dict[str, object]:
         line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": 4, "features": 8}
         known = {
-            *knobs.load("spatial", spatial).model_fields,
-            *knobs.load("temporal", temporal).model_fields,
+            *options.load("spatial", spatial).model_fields,
+            *options.load("temporal", temporal).model_fields,
         }
         return line | {"equivariant": False} | {key: SMALL[key] for key in SMALL if key in known} | changes
 

@@ -1,18 +1,31 @@
-"""Input of the spatial networks: B frames as images, or as concatenated point clouds."""
+"""Input of the spatial networks: B frames as images, or as concatenated point clouds.
+
+:func:`from_arrays` alone maps the arrays of a graph file (pipeline/graphs/graph_file.py) to a batch.
+"""
 
 import dataclasses
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 Array = np.ndarray | Tensor
-Kind = Literal["graph", "pointnet2", "image"]
-"""Kinds of input: GraphBatch, SetBatch, ImageBatch."""
+INPUTS = {
+    "image": "uint8 [1, H, W, 3], RGB",
+    "xyz": "float32 [points, 3], metres, camera frame: x right, y down, z forward",
+    "cls": "uint8 [points], Cityscapes trainId, 255 = void",
+    "degree": "uint8 [points], number of neighbours",
+    "neighbours": "int64 [points, slots], neighbours of each point, in the first `degree` slots; the others are 0",
+    "centres_": "int64 [centres], indices of points, or of centres of the previous level",
+    "neighbours_": "int64 [centres, n], the same for the points in the ball around each centre",
+}
+"""Inputs of an exported spatial network, without the number of the level."""
+FrameKind = Literal["graph", "pointnet2", "image"]
+"""Kinds of frames: GraphBatch or PaddedGraph, SetBatch, ImageBatch."""
 
 
 class _Movable:
@@ -40,6 +53,11 @@ class _Points(_Movable):
     cls: Tensor
     ptr: Tensor
 
+    @property
+    def frames(self) -> int:
+        """B, the number of frames."""
+        return len(self.ptr) - 1
+
     def mirrored(self) -> Self:
         """Return the frames mirrored left-right."""
         return dataclasses.replace(self, xyz=self.xyz * self.xyz.new_tensor([-1.0, 1.0, 1.0]))
@@ -55,11 +73,6 @@ class GraphBatch(_Points):
 
     degree: Tensor
     indices: Tensor
-
-    @property
-    def frames(self) -> int:
-        """B, the number of frames."""
-        return len(self.ptr) - 1
 
     def blocks(self, points: int) -> Iterator[Self]:
         """Split the batch into blocks of complete frames with at most `points` points, or of one larger frame."""
@@ -77,6 +90,31 @@ class GraphBatch(_Points):
                 self.indices[ends[first] : ends[last]] - ptr[first],
             )
             first = last
+
+
+class Padded(NamedTuple):
+    """Neighbours of N points in rows of equal length: numbers int64 [N,D], and which of them count, bool [N,D]."""
+
+    numbers: Tensor
+    valid: Tensor
+
+
+@dataclass(frozen=True)
+class PaddedGraph(_Points):
+    """Points of one frame with padded neighbours, which exported programs take instead of sparse matrices.
+
+    neighbours int64 [N,D]: the first `degree` of each row count, the others are 0.
+    """
+
+    degree: Tensor
+    neighbours: Tensor
+
+    def padded(self) -> Padded:
+        """Return the neighbours with a mask."""
+        return Padded(self.neighbours, torch.arange(self.neighbours.shape[1]) < self.degree[:, None])
+
+
+AnyGraph = GraphBatch | PaddedGraph
 
 
 @dataclass(frozen=True)
@@ -110,24 +148,42 @@ class ImageBatch(_Movable):
         return dataclasses.replace(self, image=self.image.flip(2))
 
 
-Batch = GraphBatch | SetBatch | ImageBatch
+Batch = GraphBatch | PaddedGraph | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array]) -> Batch:
-    """Return a batch of arrays or tensors by name; other names are ignored.
+    """Return a batch of arrays or tensors by name, as in a graph file or from :func:`pad`; other names are ignored.
 
-    `image`; or xyz, cls, ptr with degree and indices; or xyz, cls, ptr with centres_l, neighbours_l, centres_l_ptr of
-    the levels l = 1, 2, …
+    Without pointers, the arrays are one frame.
     """
-    if "image" in arrays:
-        return ImageBatch(torch.as_tensor(arrays["image"]))
-    if "degree" in arrays:
-        return GraphBatch(*_tensors(arrays, "xyz", "cls", "ptr", "degree", "indices"))
-    xyz, cls, ptr = _tensors(arrays, "xyz", "cls", "ptr")
-    count = sum(name.startswith("neighbours_") for name in arrays)
-    levels = [_tensors(arrays, f"centres_{n}", f"neighbours_{n}", f"centres_{n}_ptr") for n in range(1, count + 1)]
-    return SetBatch(xyz, cls, ptr, tuple(Level(*level) for level in levels))
+    tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
+    if "image" in tensors:
+        return ImageBatch(tensors["image"])
+
+    def pointer(name: str, rows: Tensor) -> Tensor:
+        return tensors[name] if name in tensors else torch.cat([torch.zeros(1).long(), torch.full((1,), rows.shape[0])])
+
+    xyz, cls = tensors["xyz"], tensors["cls"]
+    points = xyz, cls, pointer("ptr", xyz)
+    if "neighbours" in tensors:
+        return PaddedGraph(*points, tensors["degree"], tensors["neighbours"])
+    if "degree" in tensors:
+        return GraphBatch(*points, tensors["degree"], tensors["indices"])
+    levels: list[Level] = []
+    while (name := f"centres_{len(levels) + 1}") in tensors:
+        neighbours = tensors[f"neighbours_{len(levels) + 1}"]
+        levels.append(Level(tensors[name], neighbours, pointer(f"{name}_ptr", tensors[name])))
+    return SetBatch(*points, tuple(levels))
 
 
-def _tensors(arrays: Mapping[str, Array], *names: str) -> list[Tensor]:
-    return [torch.as_tensor(arrays[name]) for name in names]
+def pad(frame: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays of a batch of one frame as exported programs take them, described by INPUTS.
+
+    Pointers are left out, and a graph's neighbours are rows of equal length.
+    """
+    if "degree" in frame:
+        degree = frame["degree"].astype(np.int64)
+        neighbours = np.zeros((len(degree), max(2, degree.max(initial=0))), np.int64)
+        neighbours[np.arange(neighbours.shape[1]) < degree[:, None]] = frame["indices"]
+        return {**{name: frame[name] for name in ("xyz", "cls", "degree")}, "neighbours": neighbours}
+    return {name: array for name, array in frame.items() if not name.endswith("ptr")}

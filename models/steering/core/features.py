@@ -1,5 +1,7 @@
 """Node features of points, and pooling of a frame's points."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -35,13 +37,18 @@ def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
     """Return mean ‖ max over each frame's points: [N,C], ptr [B+1] → [B,2C]; zeros for a frame without points."""
     # A loop over frames is faster here than segment_reduce (8x, 2 cores) and, unlike index_add, deterministic on CUDA.
     pooled = [
-        torch.cat([points.mean(0), points.amax(0)]) if len(points) else points.new_zeros(2 * x.shape[1])
-        for points in torch.split(x, ptr.diff().tolist())
+        torch.cat([points.mean(0), points.amax(0)]) if points.shape[0] else points.new_zeros(2 * x.shape[1])
+        for points in _by_frame(x, ptr)
     ]
     return torch.stack(pooled)
 
 
 def max_pool(x: Tensor, ptr: Tensor) -> Tensor:
     """Return the max over each frame's points: [N,C], ptr [B+1] → [B,C]; zeros for a frame without points."""
-    frames = torch.split(x, ptr.diff().tolist())
-    return torch.stack([points.amax(0) if len(points) else points.new_zeros(x.shape[1]) for points in frames])
+    pooled = [points.amax(0) if points.shape[0] else points.new_zeros(x.shape[1]) for points in _by_frame(x, ptr)]
+    return torch.stack(pooled)
+
+
+def _by_frame(x: Tensor, ptr: Tensor) -> Sequence[Tensor]:
+    """Return the rows of each frame. With one frame `ptr` is not read: an exporter does not know its values."""
+    return torch.split(x, ptr.diff().tolist()) if len(ptr) > 2 else [x]

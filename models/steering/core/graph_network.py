@@ -5,15 +5,15 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import GraphBatch, Kind
+from models.steering.core.batch import AnyGraph, FrameKind
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
-from models.steering.core.knobs import Fraction, NetworkKnobs, Widths
+from models.steering.core.options import Fraction, NetworkOptions, Widths
 
 
-class GraphKnobs(NetworkKnobs):
+class GraphOptions(NetworkOptions):
     """Options of the networks on graphs."""
 
-    kind: ClassVar[Kind] = "graph"
+    kind: ClassVar[FrameKind] = "graph"
     layers: Widths = (32, 32, 64)
     semantics: Fraction = 0.0  # λ of paper eq. 7, weight of the classes; 0: geometry alone
 
@@ -27,19 +27,19 @@ class GraphNetwork(nn.Module):
         features: F, numbers per frame for the recurrent network.
     """
 
-    def __init__(self, layer: type[nn.Module], features: int, knobs: GraphKnobs = GraphKnobs()) -> None:
+    def __init__(self, layer: type[nn.Module], features: int, options: GraphOptions = GraphOptions()) -> None:
         super().__init__()
-        self.semantics, widths = knobs.semantics, knobs.layers
+        self.semantics, widths = options.semantics, options.layers
         self.layers = nn.ModuleList(
             layer(inputs, outputs) for inputs, outputs in zip([NODE_FEATURES, *widths[:-1]], widths, strict=True)
         )
         self.read_out = nn.Linear(2 * widths[-1], features)
 
-    def forward(self, batch: GraphBatch) -> Tensor:
+    def forward(self, batch: AnyGraph) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         return self.project(self.pooled(batch))
 
-    def pooled(self, batch: GraphBatch) -> Tensor:
+    def pooled(self, batch: AnyGraph) -> Tensor:
         """Return mean ‖ max over each frame's points after the last layer: [B, 2 width]."""
         dtype = self.read_out.weight.dtype
         operator = self.layers[0].operator(batch, dtype)  # type: ignore[operator]

@@ -15,20 +15,20 @@ State = tuple[Tensor, ...]
 class RecurrentCell(nn.Module):
     """Recurrent network from a window of frame features to one number per frame.
 
-    It has two parts, so that windows share frames: `sense` depends on a frame alone and runs once per frame; `forward`
-    is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per frame, S
-    numbers from `sense`.
+    It has two parts, so that windows share frames: `project_inputs` depends on a frame alone and runs once per frame;
+    `forward` is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per
+    frame, S numbers from `project_inputs`.
     """
 
-    def sense(self, x: Tensor) -> Tensor:
+    def project_inputs(self, x: Tensor) -> Tensor:
         """Return the per-frame part: [..., D] → [..., S]."""
         raise NotImplementedError
 
-    def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
         """Run the recursion over the frames.
 
         Args:
-            sensed: [W,T,S] from `sense`.
+            projected: [W,T,S] from `project_inputs`.
             dt_s: [W,T] seconds since the previous frame.
             state: from an earlier call, to continue a window; None: zero state.
         Returns:
@@ -38,7 +38,7 @@ class RecurrentCell(nn.Module):
 
     def state_size(self, inputs: int) -> int:
         """Return U, the numbers in the state of one window, for `inputs` numbers per frame."""
-        _, state = self.forward(self.sense(torch.zeros(1, 1, inputs)), torch.full((1, 1), NOMINAL_STEP_S))
+        _, state = self.forward(self.project_inputs(torch.zeros(1, 1, inputs)), torch.full((1, 1), NOMINAL_STEP_S))
         return sum(part.shape[1] for part in state)
 
     __call__: Any  # nn.Module's, untyped

@@ -5,8 +5,8 @@ A network is a file. `spatial: mean` in params.yaml is models/steering/spatial/m
     class Mean(nn.Module):                      # batch of B frames (core/batch.py) → features [B,F]
         def __init__(self, features: int, scale_m: float) -> None: ...
 
-    class Knobs(NetworkKnobs):                  # the options that an entry of `models` may set
-        kind: ClassVar[Kind] = "graph"          # its input: "graph" | "pointnet2" | "image"; spatial networks only
+    class Options(NetworkOptions):              # the options that an entry of `models` may set
+        kind: ClassVar[FrameKind] = "graph"     # its input: "graph" | "pointnet2" | "image"; spatial networks only
         scale_m: Annotated[float, Field(gt=0)] = 10.0
 
         def build(self, sizes: Sizes) -> nn.Module:
@@ -15,6 +15,9 @@ A network is a file. `spatial: mean` in params.yaml is models/steering/spatial/m
 A temporal file is the same with a RecurrentCell (core/recurrent.py). A cell of `temporal: ncp` is a file of core/cell/
 and a line of temporal/ncp.py. DVC retrains a model when core or one of its two files changes, so a network's file may
 import only core and pipeline.camera.classes; tests/test_dvc_yaml.py checks it.
+
+`steer export` traces the network on one frame, a graph as PaddedGraph. Layers made of `aggregate` or `propagate`, and
+the pooling of core/features.py, need no other form for it.
 """
 
 from collections.abc import Mapping
@@ -24,24 +27,18 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import Array, Batch, Kind, from_arrays
-from models.steering.core.knobs import NetworkKnobs, Part, Sizes, load
+from models.steering.core.batch import Array, Batch, from_arrays
+from models.steering.core.options import NetworkOptions, Sizes
 from models.steering.core.recurrent import RecurrentCell
 
-Line = Mapping[str, Any]
-"""A model's entry of params.yaml: general keys as in pipeline/sections/models.py, and knobs of its networks."""
 HIDDEN = 16  # neurons of the network for log σ
-MOTION = 4
-"""Columns of `motion`: measured angle (rad) and yaw rate (rad/s), both left +; speed (m/s) and valid (0 or 1)."""
 MOTION_MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
-"""Factor of each column under left-right mirroring."""
+"""Factor of each column of `motion` under left-right mirroring.
+
+The columns are the measured angle (rad) and yaw rate (rad/s), both left +, speed (m/s) and valid (0 or 1).
+"""
 # Scales: a sharp corner for the columns that change sign, a fast street for the others.
 ODD_SCALE, EVEN_SCALE = (0.25, 0.4), (15.0, 1.0)  # rad, rad/s; m/s, 1
-KINDS: dict[Kind, str] = {
-    "graph": "kNN graphs",
-    "pointnet2": "points with neighbourhood: pointnet2",
-    "image": "images",
-}
 
 
 class SteeringNet(nn.Module):
@@ -96,23 +93,23 @@ class SteeringNet(nn.Module):
             batch: B frames.
             windows: int64 [W,T], the frames of each window, oldest first.
             dt_s: [W,T] seconds since the previous frame.
-            motion: [B,4], columns MOTION; required with motion.
+            motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
             pairs: predict for the windows and for their mirror images.
         Returns:
             [W], or with uncertainty [W,2], the second is log σ. With pairs the mirror images follow: [2W], [2W,2].
         """
         if not pairs:
-            return self.recall(self.encode(batch), windows, dt_s, motion)
+            return self.run_windows(self.encode(batch), windows, dt_s, motion)
         if self.equivariant:
-            out = self.recall(self.encode(batch), windows, dt_s, motion)
+            out = self.run_windows(self.encode(batch), windows, dt_s, motion)
             return torch.cat([out, self._mirror(out)])
         original, mirrored = self.encode_both(batch)
         windows = torch.cat([windows, windows + len(original)])
         if motion is not None:
             motion = torch.cat([motion, motion * motion.new_tensor(MOTION_MIRROR_SIGNS)])
-        return self.recall(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
+        return self.run_windows(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
 
-    def recall(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
+    def run_windows(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
         """Predict as `forward`, from the features [B,F] of encoded frames."""
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
             odd, even = self._recurrent_inputs(features, motion)
@@ -138,7 +135,7 @@ class SteeringNet(nn.Module):
         return from_arrays(arrays).to(self.device)
 
     def windows(self, arrays: Mapping[str, Array]) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Return the arguments of `recall` behind the features, on the network's device."""
+        """Return the arguments of `run_windows` behind the features, on the network's device."""
         windows, dt_s = (torch.as_tensor(arrays[name]).to(self.device) for name in ("windows", "dt_s"))
         motion = torch.as_tensor(arrays["motion"]).to(self.device) if "motion" in arrays else None
         return windows, dt_s, motion
@@ -149,7 +146,7 @@ class SteeringNet(nn.Module):
         return next(self.parameters()).device
 
     def _recurrent_inputs(self, features: Tensor, motion: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Return what changes sign in the mirror and what does not, each [B,..]; without motion, all and nothing."""
+        """Return mirror-odd and mirror-even inputs, each [B,..]; without motion, all inputs are odd."""
         features = features.to(next(self.temporal.parameters()).dtype)
         if not self.motion:
             return features, features.new_empty(len(features), 0)
@@ -160,8 +157,8 @@ class SteeringNet(nn.Module):
 
     def _last(self, inputs: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
         """Run the recurrent network on inputs [B,D]; return its output at each window's end."""
-        sensed = self.temporal.sense(inputs)  # [B,S]
-        out, state = self.temporal(sensed[windows], dt_s.to(sensed))  # [W,T,1]
+        projected = self.temporal.project_inputs(inputs)  # [B,S]
+        out, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,1]
         if self.uncertainty is None:
             return out[:, -1, 0]
         log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1]
@@ -177,40 +174,25 @@ def odd_and_even(motion: Tensor) -> tuple[Tensor, Tensor]:
     return odd, motion[:, 2:] / motion.new_tensor(EVEN_SCALE)
 
 
-def build(line: Line, kind: Kind = "graph", levels: int = 0, image_size: tuple[int, int] | None = None) -> SteeringNet:
-    """Build the network of a model's entry, with new weights from torch's random state.
-
-    Args:
-        line: spatial, temporal, window, features, equivariant, motion, uncertainty, and knobs of the two networks;
-            others are ignored.
-        kind: of the frames in the entry's input.
-        levels: samplings of an input of kind pointnet2.
-        image_size: (H,W) pixels of an input of kind image.
-    Raises:
-        ValueError: no such network, an input of another kind, or a knob out of range.
-    """
-    spatial, temporal = knobs("spatial", line), knobs("temporal", line)
-    expected: Any = spatial.kind
-    if expected != kind:
-        raise ValueError(
-            f"spatial = {line['spatial']!r} expects {KINDS[expected]}, but input: {line['input']} holds {KINDS[kind]}"
-        )
-    motion = line.get("motion", "none") != "none"
-    sizes = Sizes(line["features"], line["window"], levels, image_size or (0, 0))
+def build(
+    spatial: NetworkOptions,
+    temporal: NetworkOptions,
+    sizes: Sizes,
+    *,
+    equivariant: bool = False,
+    motion: bool = False,
+    uncertainty: bool = False,
+) -> SteeringNet:
+    """Build the network with new weights from torch's random state. Raises ValueError if an option is out of range."""
     # Random numbers are drawn in this order: a seed's weights depend on it.
-    each = spatial.build(sizes)
-    over: Any = temporal.build(replace(sizes, features=sizes.features + motion * MOTION))
-    uncertainty = None
-    if line.get("uncertainty", False):
-        units = over.state_size(sizes.features + motion * MOTION)
-        uncertainty = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
-    return SteeringNet(each, over, line["equivariant"], motion, uncertainty)
-
-
-def knobs(part: Part, line: Line) -> NetworkKnobs:
-    """Return the knobs of an entry's spatial or temporal network: the entry's values or defaults."""
-    network = load(part, line[part])
-    return network(**{key: line[key] for key in network.model_fields if key in line})
+    spatial_net = spatial.build(sizes)
+    inputs = sizes.features + motion * len(MOTION_MIRROR_SIGNS)
+    temporal_net: Any = temporal.build(replace(sizes, features=inputs))
+    sigma_net = None
+    if uncertainty:
+        units = temporal_net.state_size(inputs)
+        sigma_net = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
+    return SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net)
 
 
 def parameter_count(model: nn.Module) -> int:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor, nn
 
-from models.steering.core.knobs import Count, Group, Seed
+from models.steering.core.options import Count, OptionGroup, Seed
 
 Polarity = NDArray[np.int8]
 Neurons = NDArray[np.int64]
@@ -33,7 +33,7 @@ class Wiring:
         return self.motor + self.command + self.inter
 
 
-class Layout(Group):
+class Layout(OptionGroup):
     """Option `wiring`: neurons per layer, synapses per neuron, and the seed of the random choice."""
 
     inter: Count = 12

@@ -5,8 +5,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import GraphBatch, Kind
-from models.steering.core.knobs import NetworkKnobs, Sizes
+from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.options import NetworkOptions, Sizes
 
 
 class Blind(nn.Module):
@@ -21,10 +21,10 @@ class Blind(nn.Module):
         return torch.zeros(batch.frames, self.features, device=batch.xyz.device)
 
 
-class Knobs(NetworkKnobs):
+class Options(NetworkOptions):
     """No options."""
 
-    kind: ClassVar[Kind] = "graph"
+    kind: ClassVar[FrameKind] = "graph"
 
     def build(self, sizes: Sizes) -> nn.Module:
         return Blind(sizes.features)

@@ -5,8 +5,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import ImageBatch, Kind
-from models.steering.core.knobs import NetworkKnobs, Sizes
+from models.steering.core.batch import FrameKind, ImageBatch
+from models.steering.core.options import NetworkOptions, Sizes
 
 CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]  # maps, kernel size, stride
 
@@ -51,10 +51,10 @@ def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:
     return (pixels - mean) / deviation.clamp_min(pixels[0].numel() ** -0.5)  # uniform image: 0
 
 
-class Knobs(NetworkKnobs):
+class Options(NetworkOptions):
     """No options."""
 
-    kind: ClassVar[Kind] = "image"
+    kind: ClassVar[FrameKind] = "image"
 
     def build(self, sizes: Sizes) -> nn.Module:
         return SteeringCNN(sizes.features, sizes.image_size)

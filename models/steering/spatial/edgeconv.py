@@ -4,9 +4,9 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.aggregate import Chunks, aggregate, neighbourhoods
-from models.steering.core.batch import GraphBatch
-from models.steering.core.graph_network import GraphKnobs, GraphNetwork
-from models.steering.core.knobs import Sizes
+from models.steering.core.batch import AnyGraph, Padded
+from models.steering.core.graph_network import GraphNetwork, GraphOptions
+from models.steering.core.options import Sizes
 
 
 class EdgeConvLayer(nn.Module):
@@ -23,24 +23,25 @@ class EdgeConvLayer(nn.Module):
         self.linear = nn.Linear(2 * inputs, outputs)
 
     @staticmethod
-    def operator(batch: GraphBatch, dtype: torch.dtype) -> Chunks:
+    def operator(batch: AnyGraph, dtype: torch.dtype) -> Chunks | Padded:
         """Return the neighbourhoods of a batch's graph, for all layers."""
-        return neighbourhoods(batch.degree, batch.indices, loops=False)
+        return neighbourhoods(batch, loops=False)
 
-    def forward(self, x: Tensor, chunks: Chunks) -> Tensor:
-        own_weight, difference_weight = self.linear.weight.chunk(2, dim=1)
-        own = nn.functional.linear(x, own_weight - difference_weight, self.linear.bias)
+    def forward(self, x: Tensor, graph: Chunks | Padded) -> Tensor:
+        centre_weight, difference_weight = self.linear.weight.chunk(2, dim=1)
+        centre = nn.functional.linear(x, centre_weight - difference_weight, self.linear.bias)
         difference = nn.functional.linear(x, difference_weight)
         dtype = self.linear.weight.dtype  # under autocast the products are bfloat16, too coarse to add up gradients
-        return aggregate(own_plus_max, chunks, difference.to(dtype), own.to(dtype))
+        return aggregate(centre_plus_max, graph, difference.to(dtype), centre.to(dtype))
 
 
-def own_plus_max(rows: Tensor, own: Tensor) -> Tensor:
-    """Return own [n,C] + max over the neighbours' rows [n,d,C]; equal maxima share the gradient."""
-    return own + rows.amax(dim=1)
+def centre_plus_max(rows: Tensor, centre: Tensor, valid: Tensor | None = None) -> Tensor:
+    """Return centre [n,C] + max over the `valid` neighbours' rows [n,d,C]; equal maxima share the gradient."""
+    rows = rows if valid is None else rows.masked_fill(~valid[..., None], -torch.inf)
+    return centre + rows.amax(dim=1)
 
 
-class Knobs(GraphKnobs):
+class Options(GraphOptions):
     """Options of GraphNetwork."""
 
     def build(self, sizes: Sizes) -> nn.Module:

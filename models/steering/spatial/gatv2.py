@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.aggregate import Chunks, aggregate, neighbourhoods
-from models.steering.core.batch import GraphBatch
-from models.steering.core.graph_network import GraphKnobs, GraphNetwork
-from models.steering.core.knobs import Sizes
+from models.steering.core.batch import AnyGraph, Padded
+from models.steering.core.graph_network import GraphNetwork, GraphOptions
+from models.steering.core.options import Sizes
 
 HEADS = 4
 SLOPE = 0.2  # of LeakyReLU, as in the paper
@@ -33,25 +33,30 @@ class GATv2Layer(nn.Module):
             nn.init.zeros_(linear.bias)
 
     @staticmethod
-    def operator(batch: GraphBatch, dtype: torch.dtype) -> Chunks:
+    def operator(batch: AnyGraph, dtype: torch.dtype) -> Chunks | Padded:
         """Return the neighbourhoods of a batch's graph, for all layers."""
-        return neighbourhoods(batch.degree, batch.indices, loops=True)
+        return neighbourhoods(batch, loops=True)
 
-    def forward(self, x: Tensor, chunks: Chunks) -> Tensor:
+    def forward(self, x: Tensor, graph: Chunks | Padded) -> Tensor:
         dtype = self.attention.dtype  # scores and softmax in full precision under autocast
-        return aggregate(attend, chunks, self.left(x).to(dtype), self.right(x).to(dtype), self.attention) + self.bias
+        return aggregate(attend, graph, self.left(x).to(dtype), self.right(x).to(dtype), self.attention) + self.bias
 
 
-def attend(rows: Tensor, own: Tensor, attention: Tensor) -> Tensor:
-    """Return the attention-weighted sum [n,C]: neighbours' rows [n,d,C], nodes' own [n,C], a [heads,C/heads]."""
+def attend(rows: Tensor, centre: Tensor, attention: Tensor, valid: Tensor | None = None) -> Tensor:
+    """Return the attention-weighted sum [n,C] of the `valid` neighbours' rows [n,d,C].
+
+    centre: [n,C], the nodes' own values; attention: a [heads,C/heads].
+    """
     n, d, _ = rows.shape
     values = rows.view(n, d, *attention.shape)  # [n,d,heads,C/heads]
-    hidden = nn.functional.leaky_relu(values + own.view(n, 1, *attention.shape), SLOPE)
-    alpha = (hidden * attention).sum(3).softmax(dim=1)  # [n,d,heads]
+    hidden = nn.functional.leaky_relu(values + centre.view(n, 1, *attention.shape), SLOPE)
+    scores = (hidden * attention).sum(3)  # [n,d,heads]
+    scores = scores if valid is None else scores.masked_fill(~valid[..., None], -torch.inf)
+    alpha = scores.softmax(dim=1)
     return (alpha[..., None] * values).sum(1).flatten(1)
 
 
-class Knobs(GraphKnobs):
+class Options(GraphOptions):
     """Options of GraphNetwork."""
 
     def build(self, sizes: Sizes) -> nn.Module:

@@ -6,11 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.adjacency import normalised_adjacency, propagate
-from models.steering.core.batch import GraphBatch
+from models.steering.core.batch import AnyGraph, GraphBatch, Padded, PaddedGraph
 from models.steering.core.convolutions import convolve
 from models.steering.core.features import FEATURE_MIRROR_SIGNS, NODE_FEATURES
-from models.steering.core.graph_network import GraphKnobs, GraphNetwork
-from models.steering.core.knobs import Sizes
+from models.steering.core.graph_network import GraphNetwork, GraphOptions
+from models.steering.core.options import Sizes
 
 ORIGINAL_SIGNS = (1.0,) * NODE_FEATURES
 
@@ -25,11 +25,13 @@ class GCNLayer(nn.Module):
         nn.init.xavier_uniform_(self.weight)
 
     @staticmethod
-    def operator(batch: GraphBatch, dtype: torch.dtype) -> Tensor:
-        """Return the normalised adjacency matrix, sparse [N,N], for all layers."""
+    def operator(batch: AnyGraph, dtype: torch.dtype) -> Tensor | Padded:
+        """Return the normalised adjacency matrix, sparse [N,N], for all layers; of a padded graph the neighbours."""
+        if isinstance(batch, PaddedGraph):
+            return batch.padded()
         return normalised_adjacency(batch.degree, batch.indices, dtype)
 
-    def forward(self, x: Tensor, adjacency: Tensor) -> Tensor:
+    def forward(self, x: Tensor, adjacency: Tensor | Padded) -> Tensor:
         inputs, outputs = self.weight.shape
         if inputs <= outputs:  # the sparse product runs on the narrower side
             return propagate(adjacency, x) @ self.weight + self.bias
@@ -39,18 +41,20 @@ class GCNLayer(nn.Module):
 class GCN(GraphNetwork):
     """Graph convolution network, tile by tile on a CPU (core/convolutions.py).
 
-    On a GPU and in mixed precision it runs layer by layer, as the other networks on graphs.
+    On a GPU, in mixed precision and for export it runs layer by layer, as the other networks on graphs.
     """
 
-    def __init__(self, features: int, knobs: GraphKnobs = GraphKnobs()) -> None:
-        super().__init__(GCNLayer, features, knobs)
+    def __init__(self, features: int, options: GraphOptions = GraphOptions()) -> None:
+        super().__init__(GCNLayer, features, options)
 
-    def pooled(self, batch: GraphBatch) -> Tensor:
-        return super().pooled(batch) if _layer_by_layer(batch) else self._convolve(batch, [ORIGINAL_SIGNS])[:, 0]
+    def pooled(self, batch: AnyGraph) -> Tensor:
+        if isinstance(batch, PaddedGraph) or _layer_by_layer(batch):
+            return super().pooled(batch)
+        return self._convolve(batch, [ORIGINAL_SIGNS])[:, 0]
 
-    def both(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
+    def both(self, batch: AnyGraph) -> tuple[Tensor, Tensor]:
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
-        if _layer_by_layer(batch):
+        if isinstance(batch, PaddedGraph) or _layer_by_layer(batch):
             return self(batch), self(batch.mirrored())
         original, mirrored = self.project(self._convolve(batch, [ORIGINAL_SIGNS, FEATURE_MIRROR_SIGNS])).unbind(1)
         return original, mirrored
@@ -68,7 +72,7 @@ def _layer_by_layer(batch: GraphBatch) -> bool:
     return kind != "cpu" or torch.is_autocast_enabled(kind)
 
 
-class Knobs(GraphKnobs):
+class Options(GraphOptions):
     """Options of GraphNetwork."""
 
     def build(self, sizes: Sizes) -> nn.Module:

@@ -7,9 +7,9 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from models.steering.core.batch import Kind, SetBatch
+from models.steering.core.batch import FrameKind, SetBatch
 from models.steering.core.features import NODE_FEATURES, max_pool, node_features
-from models.steering.core.knobs import Fraction, NetworkKnobs, Sizes
+from models.steering.core.options import Fraction, NetworkOptions, Sizes
 
 OFFSET_M = 10.0  # scale of a neighbour's offset: balls on a street are 8 to 16 m wide
 
@@ -44,10 +44,10 @@ class SetAbstraction(nn.Module):
         return h.amax(1)
 
 
-class Knobs(NetworkKnobs):
+class Options(NetworkOptions):
     """Options of PointNet2."""
 
-    kind: ClassVar[Kind] = "pointnet2"
+    kind: ClassVar[FrameKind] = "pointnet2"
     width: Annotated[float, Field(gt=0, le=4)] = 1.0  # factor on the reference's channels
     semantics: Fraction = 0.0  # λ of paper eq. 7, weight of the classes; 0: geometry alone
 
@@ -66,10 +66,10 @@ class PointNet2(nn.Module):
         levels: set abstractions before the one over the complete frame; equal to the variant's levels.
     """
 
-    def __init__(self, features: int, levels: int, knobs: Knobs = Knobs()) -> None:
+    def __init__(self, features: int, levels: int, options: Options = Options()) -> None:
         super().__init__()
-        self.semantics = knobs.semantics
-        base = [max(1, round(knobs.width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …
+        self.semantics = options.semantics
+        base = [max(1, round(options.width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …
         sizes = [[base[level], base[level], base[level + 1]] for level in range(levels)]
         inputs = [NODE_FEATURES, *(widths[-1] for widths in sizes)]
         self.levels = nn.ModuleList(SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False))

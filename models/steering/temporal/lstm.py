@@ -3,11 +3,11 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.knobs import Count, NetworkKnobs, Sizes
+from models.steering.core.options import Count, NetworkOptions, Sizes
 from models.steering.core.recurrent import RecurrentCell, State
 
 
-class Knobs(NetworkKnobs):
+class Options(NetworkOptions):
     """Options of an LSTM."""
 
     units: Count = 32
@@ -19,21 +19,21 @@ class Knobs(NetworkKnobs):
 class LSTM(RecurrentCell):
     """torch.nn.LSTM's cell (parameters, gate order and initialisation) with a linear read-out; dt has no effect."""
 
-    def __init__(self, features: int, knobs: Knobs = Knobs()) -> None:
+    def __init__(self, features: int, options: Options = Options()) -> None:
         super().__init__()
-        units = knobs.units
+        units = options.units
         reference = nn.LSTMCell(features, units)
         self.weight_ih, self.weight_hh = reference.weight_ih, reference.weight_hh  # [4U,D], [4U,U]: gates i, f, g, o
         self.bias_ih, self.bias_hh = reference.bias_ih, reference.bias_hh  # [4U]
         self.read_out = nn.Linear(units, 1)
 
-    def sense(self, x: Tensor) -> Tensor:
+    def project_inputs(self, x: Tensor) -> Tensor:
         return nn.functional.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)  # [..., 4U]
 
-    def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
-        h, c = state or 2 * (sensed.new_zeros(len(sensed), self.weight_hh.shape[1]),)
+    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+        h, c = state or 2 * (projected.new_zeros(len(projected), self.weight_hh.shape[1]),)
         hidden = []
-        for frame in sensed.unbind(1):
+        for frame in projected.unbind(1):
             i, f, g, o = torch.addmm(frame, h, self.weight_hh.T).chunk(4, dim=1)  # each [W,U]
             c = f.sigmoid() * c + i.sigmoid() * g.tanh()
             h = o.sigmoid() * c.tanh()

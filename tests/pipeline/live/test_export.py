@@ -9,23 +9,24 @@ import pytest
 import torch
 from torch import nn
 
-from models.steering.core.batch import GraphBatch
-from models.steering.core.knobs import Sizes
+from models.steering.core.batch import GraphBatch, pad
+from models.steering.core.features import mean_max_pool
+from models.steering.core.options import Sizes
 from models.steering.core.steering_net import SteeringNet
 from models.steering.spatial import blind, edgeconv, gatv2, gnn
 from models.steering.temporal.lstm import LSTM
-from pipeline.live.export import _pad, export, read_examples
-from pipeline.live.export_modules import Spatial
+from pipeline.base.errors import InputError
+from pipeline.live.export import Spatial, export, read_examples
 from tests.pipeline.live import untrained
 
 POINTS = 50
 SIZES = Sizes(features=6)
 NETWORKS = [
-    gnn.Knobs(layers=(32, 8), semantics=1.0).build(SIZES),  # wider than its input, then narrower
-    gnn.Knobs(layers=(16,)).build(SIZES),
-    edgeconv.Knobs(layers=(16, 8), semantics=0.5).build(SIZES),
-    gatv2.Knobs(layers=(16, 6), semantics=1.0).build(SIZES),  # four heads, and two
-    blind.Knobs().build(SIZES),
+    gnn.Options(layers=(32, 8), semantics=1.0).build(SIZES),  # wider than its input, then narrower
+    gnn.Options(layers=(16,)).build(SIZES),
+    edgeconv.Options(layers=(16, 8), semantics=0.5).build(SIZES),
+    gatv2.Options(layers=(16, 6), semantics=1.0).build(SIZES),  # four heads, and two
+    blind.Options().build(SIZES),
 ]
 
 
@@ -46,9 +47,9 @@ def frame() -> GraphBatch:
 @pytest.mark.parametrize("network", NETWORKS, ids=lambda network: type(network).__name__)
 def test_the_module_equals_the_network(network: nn.Module, equivariant: bool) -> None:
     net, batch = SteeringNet(network, LSTM(6), equivariant), frame()
-    arrays = _pad({name: getattr(batch, name).numpy() for name in ("xyz", "cls", "degree", "indices")})
+    arrays = pad({name: getattr(batch, name).numpy() for name in ("xyz", "cls", "degree", "indices")})
     with torch.no_grad():
-        features = Spatial(net, "graph")(*map(torch.from_numpy, arrays.values()))
+        features = Spatial(net, [*arrays])(*map(torch.from_numpy, arrays.values()))
         torch.testing.assert_close(features, net.encode(batch), rtol=0, atol=2e-6)
 
 
@@ -77,3 +78,47 @@ def test_each_kind_of_network_is_exported(tmp_path: Path, settings: dict[str, An
     window = [torch.from_numpy(example.window[name]) for name in manifest["inputs"]["recurrent"]]
     window[0] = torch.from_numpy(np.frombuffer(features.pop(), np.float32).reshape(window[0].shape).copy())
     assert float(recurrent(*window)[0]) == pytest.approx(example.output, abs=1e-5)
+
+
+class Height(nn.Module):
+    """The network of docs/models.md, which knows nothing about export."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.read_out = nn.Linear(6, 8)
+
+    def forward(self, batch: GraphBatch) -> torch.Tensor:
+        return torch.tanh(self.read_out(mean_max_pool(batch.xyz, batch.ptr)))
+
+
+@pytest.mark.slow
+def test_a_new_network_needs_nothing_for_export(tmp_path: Path) -> None:
+    model = untrained.model(tmp_path, "blind")
+    model.net.spatial = Height()
+    manifest = export(model, tmp_path / "graphs/semantic", tmp_path / "out", 1e-5)
+    assert manifest["largest_difference"]["spatial"] < 1e-6
+
+
+def test_only_an_unchanged_export_is_replaced(tmp_path: Path) -> None:
+    model, out = untrained.model(tmp_path, "blind"), tmp_path / "out"
+
+    def run() -> None:
+        export(model, tmp_path / "graphs/semantic", out, 1e-5)
+
+    run()
+    run()
+    (out / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"no export wrote: thesis\.tex"):
+        run()
+    (out / "thesis.tex").rename(out / "spatial.pt2")
+    with pytest.raises(InputError, match=r"no export wrote: spatial\.pt2"):
+        run()
+    assert (out / "spatial.pt2").read_text() == "years of work"
+    for text in ("{}", '{"sha256": ["spatial.pt2"]}', "[]", ""):
+        (out / "export.json").write_text(text)
+        with pytest.raises(InputError):
+            run()
+    (out / "export.json").unlink()
+    with pytest.raises(InputError, match="is not an earlier export"):
+        run()
+    assert (out / "spatial.pt2").read_text() == "years of work"

@@ -6,10 +6,9 @@ from typing import Any
 
 import torch
 
-from models.steering.core import steering_net
 from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
-from pipeline.sections.models import Model, resolve
+from pipeline.sections.models import Entry
 from pipeline.train import predict
 from pipeline.train.predict import Target, Trained
 from tests import artefacts
@@ -34,15 +33,20 @@ def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings
     with graph_file.open_graphs(folder / f"graphs/semantic/{next(iter(DRIVES))}.h5") as graphs:
         contents = graphs.contents
     torch.manual_seed(0)
-    net = steering_net.build(line, **contents.model_dump()).eval()
+    entry = Entry.model_validate(line)
+    net = entry.build(**contents.model_dump()).eval()
     target = Target(0.0, 0.1, artefacts.WHEELBASE_M, 1.0)
-    return Trained("net", 0, None, resolve(Model.model_validate(line)), contents, target, net)
+    return Trained("net", 0, None, entry, contents, target, net)
 
 
 def save(trained: Trained, folder: Path) -> Path:
     """Write the model as training does, and return its folder."""
     about = {name: getattr(trained, name) for name in ("name", "seed", "fold")}
     about |= {"contents": trained.contents.model_dump(exclude_defaults=True)}
-    about |= {"model": trained.line, "target": vars(trained.target), "net": trained.net.state_dict()}
+    about |= {
+        "model": trained.entry.model_dump(mode="json"),
+        "target": vars(trained.target),
+        "net": trained.net.state_dict(),
+    }
     checkpoint.write(folder / trained.name / "best.pt", {**about, "kind": predict.KIND})
     return folder / trained.name

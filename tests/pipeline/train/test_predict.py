@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from models.steering.core import steering_net
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
-from pipeline.sections.models import Model, resolve
+from pipeline.sections.models import Entry
 from pipeline.train import predict, windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES
@@ -26,10 +25,11 @@ def write_model(folder: Path, contents: dict[str, Any] | None = None, **line: ob
     """Write a best.pt with random weights."""
     torch.manual_seed(0)
     general = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 8}
-    resolved, contents = resolve(Model.model_validate(general | line)), contents or {"kind": "graph"}
+    entry, contents = Entry.model_validate(general | line), contents or {"kind": "graph"}
     target = {"mean_rad": 0.01, "std_rad": 0.12, "wheelbase_m": 2.7, "min_speed_mps": 1.0}
-    net = steering_net.build(resolved, **contents).state_dict()
-    best = {"name": "net", "seed": 0, "fold": None, "contents": contents, "model": resolved, "target": target}
+    net = entry.build(**contents).state_dict()
+    best = {"name": "net", "seed": 0, "fold": None, "contents": contents, "target": target}
+    best |= {"model": entry.model_dump(mode="json")}
     checkpoint.write(folder / "best.pt", best | {"net": net, "kind": predict.KIND})
     return folder
 
@@ -74,7 +74,7 @@ def test_output_zero_is_the_measured_angle(tmp_path: Path) -> None:
     drive = tmp_path / "drive.h5"
     artefacts.write_graphs(drive, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
     model = predict.load(write_model(tmp_path / "net", motion="visual", horizon=3), "cpu")
-    assert model.horizon == 3
+    assert model.entry.horizon == 3
     with graph_file.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"no motion of kind visual"):
         model.predict(graphs)
     artefacts.add_motion(drive, "visual", STEERING)
@@ -99,13 +99,14 @@ def test_a_symlink_loop_is_no_model(tmp_path: Path) -> None:
 def test_folder_of_a_model(tmp_path: Path) -> None:
     folder = write_model(tmp_path / "train/net")
     model = predict.load(str(folder), device="cpu")
-    assert (model.name, model.seed, model.window, model.line["temporal"]) == ("net", 0, WINDOW, "ncp")
+    assert (model.name, model.seed, model.entry.window, model.entry.temporal) == ("net", 0, WINDOW, "ncp")
     assert not model.net.training
     for missing, fix in (("nott", "train@nott"), ("train", "net"), ("train/nott", "beside it: net")):
         with pytest.raises(InputError, match=r"best\.pt is missing") as raised:
             predict.load(tmp_path / missing)
         assert fix in raised.value.fix
-    store.write_json(folder / "config.json", {"model": model.line, "seeds": [0], "parameters": 1, "best_sha256": "0"})
+    config = {"model": model.entry.model_dump(mode="json"), "seeds": [0], "parameters": 1, "best_sha256": "0"}
+    store.write_json(folder / "config.json", config)
     with pytest.raises(InputError, match="different runs"):
         predict.load(folder)
 
@@ -126,3 +127,58 @@ def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
     assert target.coefficients == {"lidar": pytest.approx(held @ steering / (held @ held))}
     drive.base_rad[:] = np.nan_to_num(drive.steering_rad) - 0.02
     assert predict.Target.from_drives([drive]).std_rad == pytest.approx(1e-6)
+
+
+FORGED: dict[str, Any] = {
+    "contents.kind": "cloud",
+    "contents.levels": 10**6,
+    "contents.size": 3,
+    "contents": None,
+    "model.spatial": "../../os",
+    "model.layers": [0],
+    "model.layerz": "wide",
+    "model.window": True,
+    "model": [1],
+    "target.std_rad": float("nan"),
+    "target.coefficients": {"visual": "x"},
+    "card": {"drives": 3},
+    "seed": None,
+    "net": {"weight": 1},
+    "name": ["net"],
+}
+
+
+@pytest.mark.parametrize("key", FORGED)
+def test_a_forged_checkpoint_is_one_line(tmp_path: Path, key: str) -> None:
+    path = write_model(tmp_path / "train/net") / "best.pt"
+    content: Any = checkpoint.read(path, predict.KIND)
+    section, _, name = key.partition(".")
+    if name:
+        content[section][name] = FORGED[key]
+    else:
+        content[section] = FORGED[key]
+    checkpoint.write(path, content)
+    with pytest.raises(InputError) as raised:
+        predict.load(path.parent, "cpu")
+    assert str(path) in raised.value.where
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"model": 3}', '{"model": {"spatial": []}, "seeds": [0]}', "{" * 10**5])
+def test_a_forged_config_is_one_line(tmp_path: Path, text: str) -> None:
+    folder = write_model(tmp_path / "train/net")
+    (folder / "config.json").write_text(text)
+    with pytest.raises(InputError) as raised:
+        predict.load(folder, "cpu")
+    assert "config.json" in raised.value.where
+    assert "\n" not in str(raised.value)
+
+
+def test_a_loop_of_links_is_no_model(tmp_path: Path) -> None:
+    (tmp_path / "net").symlink_to(tmp_path / "net")
+    with pytest.raises(InputError, match=r"best\.pt is missing"):
+        predict.load(tmp_path / "net")
+    (tmp_path / "seed-1").mkdir()
+    (tmp_path / "seed-1/best.pt").symlink_to("best.pt")
+    with pytest.raises(InputError, match=r"best\.pt is missing"):
+        predict.load(tmp_path / "seed-1")

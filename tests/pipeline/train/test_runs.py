@@ -7,12 +7,11 @@ import torch
 from pipeline.train import fit, runs
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 
-PLAIN = {"fit_to": "train", "roads": None}
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
 
 
 def test_without_folds_the_first_seed_has_the_models_folder() -> None:
-    result = runs.runs(Path("data/train/gnn"), [3, 0, 7], runs.folds(SPLITS, PLAIN))
+    result = runs.runs(Path("data/train/gnn"), [3, 0, 7], runs.folds(SPLITS, "train", None))
     assert [(run.seed, str(run.folder), str(run)) for run in result] == [
         (3, "data/train/gnn", "seed 3"), (0, "data/train/gnn/seed-0", "seed 0"), (7, "data/train/gnn/seed-7", "seed 7"),
     ]  # fmt: skip
@@ -22,7 +21,7 @@ def test_without_folds_the_first_seed_has_the_models_folder() -> None:
 
 @pytest.mark.parametrize(("fit_to", "left"), [("others", ()), ("both", ("a", "b"))])
 def test_leave_one_out(fit_to: str, left: tuple[str, ...]) -> None:
-    folds = runs.folds(SPLITS, PLAIN | {"fit_to": fit_to})
+    folds = runs.folds(SPLITS, fit_to, None)
     assert [fold.name for fold in folds] == ["x", "y", "z"]
     val = ("v",) if fit_to == "both" else ()
     assert folds[1] == runs.Fold("y", (*left, "x", "z"), val, ("y",))
@@ -34,8 +33,8 @@ def test_leave_one_out(fit_to: str, left: tuple[str, ...]) -> None:
 
 
 def test_roads_are_the_first_training_drives() -> None:
-    assert runs.folds(SPLITS, PLAIN | {"roads": 1})[0].train == ("a",)
-    assert runs.folds(SPLITS, PLAIN | {"roads": 2, "fit_to": "both"})[0].train == ("a", "b", "y", "z")
+    assert runs.folds(SPLITS, "train", 1)[0].train == ("a",)
+    assert runs.folds(SPLITS, "both", 2)[0].train == ("a", "b", "y", "z")
 
 
 def epochs(*val_nmse):

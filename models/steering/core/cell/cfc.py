@@ -30,15 +30,15 @@ class CfC(RecurrentCell):
         self.output_scale = nn.Parameter(torch.full((wiring.motor,), OUTPUT_SCALE))
         self.output_shift = nn.Parameter(torch.zeros(wiring.motor))
 
-    def sense(self, x: Tensor) -> Tensor:
+    def project_inputs(self, x: Tensor) -> Tensor:
         return x @ self.inter.weight.dense()[: self.inputs] + self.inter.bias  # [..., 4 inter], share of f ‖ g ‖ a ‖ b
 
-    def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
         layers = [self.inter, self.command, self.motor]
         weights = [layer.weight.dense() for layer in layers]
-        inter, command, motor = state or (sensed.new_zeros(len(sensed), layer.neurons) for layer in layers)
+        inter, command, motor = state or (projected.new_zeros(len(projected), layer.neurons) for layer in layers)
         out = []
-        for frame, dt in zip(sensed.unbind(1), (dt_s[..., None] / NOMINAL_STEP_S).unbind(1), strict=True):
+        for frame, dt in zip(projected.unbind(1), (dt_s[..., None] / NOMINAL_STEP_S).unbind(1), strict=True):
             inter = closed_form(torch.addmm(frame, inter, weights[0][self.inputs :]), dt)  # [W, inter]
             below = torch.cat([inter, command], dim=1)
             command = closed_form(torch.addmm(self.command.bias, below, weights[1]), dt)  # [W, command]

@@ -39,12 +39,12 @@ class Eq4(RecurrentCell):
         self.output_scale = nn.Parameter(torch.full((wiring.motor,), 2 * OUTPUT_SCALE))
         self.output_shift = nn.Parameter(torch.full((wiring.motor,), -OUTPUT_SCALE))
 
-    def sense(self, x: Tensor) -> Tensor:
+    def project_inputs(self, x: Tensor) -> Tensor:
         return torch.cat([x @ self.sensory.dense() + self.bias, self.theta(x)], dim=-1)  # [..., 2U], drive ‖ log τ
 
-    def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
         internal = self.internal.dense()
-        drive, log_tau = sensed.chunk(2, dim=-1)  # each [W,T,U]
+        drive, log_tau = projected.chunk(2, dim=-1)  # each [W,T,U]
         (h,) = state or (torch.zeros_like(drive[:, 0]),)  # [W,U]
         z = dt_s[..., None] / (NOMINAL_STEP_S * self.unfolds) / log_tau.clamp(-MAX_LOG_TAU, MAX_LOG_TAU).exp()
         share = -torch.expm1(-z)  # relaxation of h towards N per step, [W,T,U]

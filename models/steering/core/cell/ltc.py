@@ -21,8 +21,8 @@ class LTC(RecurrentCell):
         v ← (c v + g v_leak + Σ w σ(s (v_pre - μ)) e) / (c + g + Σ w σ(s (v_pre - μ)) + ε),   c = cm unfolds / dt,
 
     where the sums run over internal and sensory synapses. The internal sums change at each step, the sensory ones once
-    per frame: `sense` computes them. The equation is from ncps 1.0.1; here dt differs per window and frame, and only
-    existing synapses are parameters. The motor neurons' potentials, scaled and shifted, are the output.
+    per frame: `project_inputs` computes them. The equation is from ncps 1.0.1; here dt differs per window and frame,
+    and only existing synapses are parameters. The motor neurons' potentials, scaled and shifted, are the output.
     """
 
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
@@ -37,16 +37,16 @@ class LTC(RecurrentCell):
         self.output_scale = nn.Parameter(torch.full((wiring.motor,), OUTPUT_SCALE))
         self.output_shift = nn.Parameter(torch.zeros(wiring.motor))
 
-    def sense(self, x: Tensor) -> Tensor:
+    def project_inputs(self, x: Tensor) -> Tensor:
         slope, threshold, sums = self.sensory.matrices()
         open_ = torch.sigmoid((x * self.input_scale + self.input_shift) @ slope - threshold)  # [..., synapses]
         return open_ @ sums  # [..., 2U], Σ w σ e ‖ Σ w σ
 
-    def forward(self, sensed: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
         leak = softplus(self.leak)
-        (v,) = state or (sensed.new_zeros(len(sensed), len(leak)),)  # [W,U]
+        (v,) = state or (projected.new_zeros(len(projected), len(leak)),)  # [W,U]
         c = softplus(self.capacity) * self.unfolds * NOMINAL_STEP_S / dt_s[..., None]  # [W,T,U]
-        fixed = sensed + torch.cat([leak * self.rest, leak + EPSILON])  # numerator ‖ denominator, [W,T,2U]
+        fixed = projected + torch.cat([leak * self.rest, leak + EPSILON])  # numerator ‖ denominator, [W,T,2U]
         unfolded: tuple[Tensor, Tensor] = Unfolded.apply(  # type: ignore[no-untyped-call]
             v, c, fixed, *self.internal.matrices(), self.unfolds
         )

@@ -3,7 +3,7 @@ import torch
 
 from models.steering.core import aggregate as module
 from models.steering.core.aggregate import aggregate, neighbourhoods
-from models.steering.spatial.edgeconv import EdgeConvLayer, own_plus_max
+from models.steering.spatial.edgeconv import EdgeConvLayer, centre_plus_max
 from models.steering.spatial.gatv2 import GATv2Layer, attend
 
 
@@ -14,20 +14,20 @@ def test_chunks_have_each_node_once_with_its_neighbours(make_batch, monkeypatch,
     batch = make_batch([13, 0, 1, 30])
     rows = [row.tolist() for row in batch.indices.split(batch.degree.tolist())]
     expected = {node: [node] * loops + row for node, row in enumerate(rows) if row or loops}
-    chunks = neighbourhoods(batch.degree, batch.indices, loops=loops)
+    chunks = neighbourhoods(batch, loops=loops)
     assert sum(len(nodes) for nodes, _ in chunks) == len(expected)
-    assert {n: row for nodes, near in chunks for n, row in zip(nodes.tolist(), near.tolist(), strict=True)} == expected
-    assert all(len(nodes) == 1 or near.numel() <= edges for nodes, near in chunks)
+    assert {n: row for nodes, rows in chunks for n, row in zip(nodes.tolist(), rows.tolist(), strict=True)} == expected
+    assert all(len(nodes) == 1 or rows.numel() <= edges for nodes, rows in chunks)
 
 
-@pytest.mark.parametrize("function", [own_plus_max, attend])
+@pytest.mark.parametrize("function", [centre_plus_max, attend])
 def test_gradients(make_batch, monkeypatch, function):
     monkeypatch.setattr(module, "EDGES", 10)
     batch = make_batch([9, 1])
-    chunks = neighbourhoods(batch.degree, batch.indices, loops=False)
+    chunks = neighbourhoods(batch, loops=False)
     shared = [torch.randn(2, 2, dtype=torch.float64, requires_grad=True)] * (function is attend)
-    x, own = torch.randn(2, 10, 4, dtype=torch.float64).requires_grad_()
-    assert torch.autograd.gradcheck(lambda *inputs: aggregate(function, chunks, *inputs), (x, own, *shared))
+    x, centre = torch.randn(2, 10, 4, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(lambda *inputs: aggregate(function, chunks, *inputs), (x, centre, *shared))
 
 
 @pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])

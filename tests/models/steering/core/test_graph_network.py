@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from models.steering.core.batch import GraphBatch
-from models.steering.core.graph_network import GraphKnobs, GraphNetwork
+from models.steering.core.graph_network import GraphNetwork, GraphOptions
 from models.steering.spatial.edgeconv import EdgeConvLayer
 from models.steering.spatial.gatv2 import GATv2Layer
 from models.steering.spatial.gnn import GCNLayer
@@ -13,7 +13,7 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 @pytest.fixture(params=[GCNLayer, EdgeConvLayer, GATv2Layer])
 def network(request):
     torch.manual_seed(0)
-    return GraphNetwork(request.param, 5, GraphKnobs(layers=(8, 16), semantics=1.0)).double()
+    return GraphNetwork(request.param, 5, GraphOptions(layers=(8, 16), semantics=1.0)).double()
 
 
 def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:

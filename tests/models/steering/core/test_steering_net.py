@@ -1,15 +1,16 @@
 """Networks of each combination: shared frames, mirroring, motion, mixed precision."""
 
 import json
+import pickle
 
 import pytest
 import torch
 
 from models.steering.core.batch import GraphBatch, ImageBatch
-from models.steering.core.knobs import load, names
-from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, build, odd_and_even
+from models.steering.core.options import load, names
+from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, odd_and_even
 from models.steering.temporal.ncp import CELLS
-from pipeline.sections.models import Model, resolve
+from pipeline.sections.models import Entry
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
@@ -27,7 +28,7 @@ def build_any(line: dict[str, object]) -> SteeringNet:
     """Build the network of an entry with an input of its kind."""
     torch.manual_seed(0)
     kind = KIND.get(line["spatial"], "graph")
-    return build(line, kind, **CONTENTS[kind])
+    return Entry.model_validate(line).build(kind, **CONTENTS[kind])
 
 
 @pytest.fixture
@@ -56,10 +57,10 @@ def select(batch: GraphBatch, frames: list[int]) -> GraphBatch:
     return GraphBatch(xyz, cls, torch.tensor([0, *(len(piece[0]) for piece in pieces)]).cumsum(0), degree, indices)
 
 
-@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
+@pytest.mark.parametrize(("temporal", "options"), RECURRENT)
 @pytest.mark.parametrize("spatial", [name for name in KIND if KIND[name] == "graph"])
-def test_shared_frames_equal_naive_windows(make_batch, make_line, dt_s, spatial, temporal, knobs):
-    net = build_any(make_line(spatial, temporal, **knobs)).double()
+def test_shared_frames_equal_naive_windows(make_batch, make_line, dt_s, spatial, temporal, options):
+    net = build_any(make_line(spatial, temporal, **options)).double()
     batch = make_batch([9, 12, 7, 9, 0, 20])
 
     def loss_and_gradients(predictions):
@@ -82,18 +83,18 @@ def test_shared_sets_and_images_equal_single_ones(make_sets, make_line, frames, 
     sets = KIND[spatial] == "pointnet2"
     singles = [make_sets(COUNTS, only=n) if sets else ImageBatch(IMAGE[n : n + 1]) for n in range(6)]
     features = torch.cat([net.encode(frame) for frame in singles])
-    torch.testing.assert_close(shared, net.recall(features, WINDOWS, dt_s), **TOLERANCE)
+    torch.testing.assert_close(shared, net.run_windows(features, WINDOWS, dt_s), **TOLERANCE)
     gradients = torch.autograd.grad(shared.square().sum(), list(net.parameters()))
     assert all(gradient.abs().sum() > 0 for gradient in gradients)
 
 
-@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
+@pytest.mark.parametrize(("temporal", "options"), RECURRENT)
 @pytest.mark.parametrize("spatial", KIND)
-def test_mirrored_input_negates_an_equivariant_network(make_line, frames, dt_s, spatial, temporal, knobs):
+def test_mirrored_input_negates_an_equivariant_network(make_line, frames, dt_s, spatial, temporal, options):
     batch, signs = frames(spatial), torch.tensor([-1, -1, 1, 1])
     for motion, steered in ((None, None), (MOTION.clone().requires_grad_(), MOTION * signs)):
         kind = "none" if motion is None else "visual"
-        net = build_any(make_line(spatial, temporal, motion=kind, equivariant=True, **knobs)).double()
+        net = build_any(make_line(spatial, temporal, motion=kind, equivariant=True, **options)).double()
         output = net(batch, WINDOWS, dt_s, motion)
         torch.testing.assert_close(net(batch.mirrored(), WINDOWS, dt_s, steered), -output, **TOLERANCE)
         assert output.abs().min() > 1e-6
@@ -101,22 +102,22 @@ def test_mirrored_input_negates_an_equivariant_network(make_line, frames, dt_s, 
         torch.testing.assert_close(pairs, torch.cat([output, -output]), **TOLERANCE)
     (gradient,) = torch.autograd.grad(output.square().sum(), motion)
     assert (gradient.abs() > 0).all()
-    plain = build_any(make_line(spatial, temporal, motion="visual", **knobs)).double()
+    plain = build_any(make_line(spatial, temporal, motion="visual", **options)).double()
     sides = plain(batch, WINDOWS, dt_s, MOTION), plain(batch.mirrored(), WINDOWS, dt_s, MOTION * signs)
     assert (sides[0] + sides[1]).abs().max() > 1e-6
     torch.testing.assert_close(plain(batch, WINDOWS, dt_s, MOTION, pairs=True), torch.cat(sides), **TOLERANCE)
 
 
-@pytest.mark.parametrize(("temporal", "knobs"), RECURRENT)
-def test_a_mirrored_scene_has_the_same_uncertainty(make_line, frames, dt_s, temporal, knobs):
+@pytest.mark.parametrize(("temporal", "options"), RECURRENT)
+def test_a_mirrored_scene_has_the_same_uncertainty(make_line, frames, dt_s, temporal, options):
     batch, signs = frames("gnn"), torch.tensor([-1.0, 1.0], dtype=torch.float64)
-    net = build_any(make_line("gnn", temporal, equivariant=True, uncertainty=True, **knobs)).double()
+    net = build_any(make_line("gnn", temporal, equivariant=True, uncertainty=True, **options)).double()
     output = net(batch, WINDOWS, dt_s)
     assert output.shape == (3, 2)
     torch.testing.assert_close(net(batch.mirrored(), WINDOWS, dt_s), output * signs, **TOLERANCE)
     pairs = net(batch, WINDOWS, dt_s, pairs=True)
     torch.testing.assert_close(pairs, torch.cat([output, output * signs]), **TOLERANCE)
-    plain = build_any(make_line("gnn", temporal, uncertainty=True, **knobs)).double()
+    plain = build_any(make_line("gnn", temporal, uncertainty=True, **options)).double()
     sides = torch.cat([plain(each, WINDOWS, dt_s) for each in (batch, batch.mirrored())])
     torch.testing.assert_close(plain(batch, WINDOWS, dt_s, pairs=True), sides, **TOLERANCE)
 
@@ -125,7 +126,7 @@ def test_a_mirrored_scene_has_the_same_uncertainty(make_line, frames, dt_s, temp
 def test_a_seed_gives_the_same_numbers_in_all_versions(make_batch, make_line, temporal, expected):
     batch, dt_s = make_batch([9, 12, 7, 9, 5, 20]), torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)
     torch.manual_seed(3)
-    net = build(make_line("gnn", temporal)).double()
+    net = Entry.model_validate(make_line("gnn", temporal)).build("graph").double()
     # Initial weights are drawn in float32, whose logarithms differ between CPUs in the last bit.
     assert net(batch, WINDOWS, dt_s)[0].item() == pytest.approx(expected, rel=1e-7)
 
@@ -145,12 +146,13 @@ def test_mixed_precision_keeps_the_recursion_in_float32(make_line, frames, spati
 
 @pytest.mark.parametrize("temporal", names("temporal"))
 @pytest.mark.parametrize("spatial", KIND)
-def test_resolved_entry_is_complete_and_builds_the_same_network(make_line, spatial, temporal):
-    line = make_line(spatial, temporal)
-    resolved = resolve(Model.model_validate(line))
-    assert json.loads(json.dumps(resolved)) == resolved == resolve(Model.model_validate(resolved))
-    weights = [build_any(each).state_dict() for each in (line, resolved)]
-    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
+def test_an_entry_is_complete_and_survives_json_and_pickle(make_line, spatial, temporal):
+    entry = Entry.model_validate(make_line(spatial, temporal))
+    dumped = entry.model_dump(mode="json")
+    for copy in (Entry.model_validate(json.loads(json.dumps(dumped))), pickle.loads(pickle.dumps(entry))):
+        assert copy == entry
+        assert copy.model_dump(mode="json") == dumped
+    assert {*load("spatial", spatial).model_fields, *load("temporal", temporal).model_fields} <= dumped.keys()
 
 
 def test_columns_are_of_order_one_and_the_odd_ones_are_odd():

@@ -7,7 +7,7 @@ import torch
 from models.steering.core import convolutions
 from models.steering.core.adjacency import normalised_adjacency, propagate
 from models.steering.core.graph_network import GraphNetwork
-from models.steering.spatial.gnn import GCN, GCNLayer, Knobs
+from models.steering.spatial.gnn import GCN, GCNLayer, Options
 
 with warnings.catch_warnings():  # PyG's own use of torch.jit is deprecated there, and not ours to mend
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -83,7 +83,7 @@ def test_tiles_equal_layers(make_batch, monkeypatch, dtype, layers, tile):
     monkeypatch.setattr(convolutions, "TILE", tile)
     batch = make_batch([13, 0, 1, 30, 22, 7])
     torch.manual_seed(0)
-    net = GCN(5, Knobs(layers=layers, semantics=0.7)).to(dtype)
+    net = GCN(5, Options(layers=layers, semantics=0.7)).to(dtype)
     for layer in net.layers:
         torch.nn.init.normal_(layer.bias)
     upstream = torch.randn(2, batch.frames, 5, dtype=dtype)

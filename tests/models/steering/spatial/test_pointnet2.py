@@ -6,7 +6,7 @@ from torch.nn import functional
 
 from models.steering.core.batch import SetBatch
 from models.steering.core.features import node_features
-from models.steering.spatial.pointnet2 import OFFSET_M, Knobs, PointNet2
+from models.steering.spatial.pointnet2 import OFFSET_M, Options, PointNet2
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 
@@ -14,7 +14,7 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 @pytest.fixture
 def network():
     torch.manual_seed(0)
-    return PointNet2(5, 2, Knobs(width=0.125, semantics=1.0)).double()
+    return PointNet2(5, 2, Options(width=0.125, semantics=1.0)).double()
 
 
 def plain_mlp(layers, row):

@@ -51,7 +51,7 @@ def test_equals_ncps_forward_and_gradients(motor):
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
     dt_s = torch.rand(3, 5, dtype=torch.float64) * 0.3 + 0.01  # irregular, and different in each window
 
-    out, state = ours(ours.sense(x), dt_s)
+    out, state = ours(ours.project_inputs(x), dt_s)
     hidden, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
     for t in range(5):
         motor_out, hidden = peer(x[:, t], hidden, dt_s[:, t, None] / NOMINAL_STEP_S)

@@ -58,7 +58,7 @@ def test_small_steps_reach_the_ode_solvers_solution():
         runs = []
         for steps in unfolds:
             cell = cell_of(steps)
-            out, (last,) = cell(cell.sense(x), DT_S)
+            out, (last,) = cell(cell.project_inputs(x), DT_S)
             y = exact[..., :2].sigmoid() * cell.output_scale + cell.output_shift
             runs.append(torch.cat([(out - y).flatten(), (last - exact[:, -1]).flatten()]))  # errors
     sizes = [run.abs().max().item() for run in runs]
@@ -73,4 +73,6 @@ def test_small_steps_reach_the_ode_solvers_solution():
 def test_gradients():
     cell, x = cell_of(2), features().requires_grad_()
     dt_s = DT_S.clone().requires_grad_()
-    assert torch.autograd.gradcheck(lambda x, dt_s, *_: cell(cell.sense(x), dt_s)[0], (x, dt_s, *cell.parameters()))
+    assert torch.autograd.gradcheck(
+        lambda x, dt_s, *_: cell(cell.project_inputs(x), dt_s)[0], (x, dt_s, *cell.parameters())
+    )

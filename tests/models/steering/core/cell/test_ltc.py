@@ -52,7 +52,7 @@ def test_equals_ncps_forward_and_gradients(motor):
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
     dt_s = torch.rand(3, 5, dtype=torch.float64) * 0.3 + 0.01  # irregular, and different in each window
 
-    out, (v,) = ours(ours.sense(x), dt_s)
+    out, (v,) = ours(ours.project_inputs(x), dt_s)
     state, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
     for t in range(5):
         motor_out, state = peer(x[:, t], state, dt_s[:, t, None] / NOMINAL_STEP_S)
@@ -78,7 +78,7 @@ def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
     units = len(cell.leak)
     v = torch.rand(windows, units, dtype=dtype)
     c = torch.rand(windows, frames, units, dtype=dtype) * 30 + 1
-    fixed = cell.sense(torch.randn(windows, frames, 5, dtype=dtype)) + 0.1
+    fixed = cell.project_inputs(torch.randn(windows, frames, 5, dtype=dtype)) + 0.1
     return [each.detach().requires_grad_() for each in (v, c, fixed, *cell.internal.matrices())]
 
 

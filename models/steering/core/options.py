@@ -1,0 +1,63 @@
+"""Options of the networks: keys of a model's entry in params.yaml, with types and defaults, found by name."""
+
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field
+from torch import nn
+
+from models.steering.core.batch import FrameKind
+
+Part = Literal["spatial", "temporal"]
+Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
+"""Channels after each layer."""
+
+
+class OptionGroup(BaseModel):
+    """Options below one key, for example `wiring`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes that a network takes from its input and from the general keys of its entry."""
+
+    features: int  # F, numbers per frame between the two networks
+    window: int = 1  # T, frames per prediction
+    levels: int = 0  # samplings in an input of kind pointnet2
+    image_size: tuple[int, int] = (0, 0)  # (H,W) pixels of an input of kind image
+
+
+class NetworkOptions(OptionGroup):
+    """Base class of the class `Options` in a network's file: an option per field, and how to build the network."""
+
+    kind: ClassVar[FrameKind | None] = None
+    """Frames that the network reads. Spatial networks only."""
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        """Build the network with new weights from torch's random state."""
+        raise NotImplementedError
+
+
+def names(part: Part) -> list[str]:
+    """Return the names of the part's networks, sorted."""
+    return sorted(path.stem for path in (Path(__file__).parents[1] / part).glob("[!_]*.py"))
+
+
+def load(part: Part, name: str) -> type[NetworkOptions]:
+    """Return the class `Options` of a network's file. Raises ValueError if file or class is missing or incomplete."""
+    path = f"models/steering/{part}/{name}.py"
+    if name not in (known := names(part)):
+        raise ValueError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
+    options = getattr(importlib.import_module(f"models.steering.{part}.{name}"), "Options", None)
+    if not (isinstance(options, type) and issubclass(options, NetworkOptions)):
+        raise ValueError(f"{path} defines no class Options(NetworkOptions), see models/steering/core/steering_net.py")
+    if part == "spatial" and options.kind not in (kinds := get_args(FrameKind)):
+        raise ValueError(f"{path}: Options.kind = {options.kind!r}, expected one of {', '.join(kinds)}")
+    return options

@@ -15,7 +15,6 @@ from pipeline.evaluate.schema import Metrics
 from pipeline.evaluate.split import Case, inputs, metrics
 from pipeline.graphs import graph_file
 from pipeline.sections.evaluate import Evaluate
-from pipeline.sections.models import Entry
 from pipeline.train import predict, runs, windows
 
 
@@ -43,7 +42,7 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
     folds = runs.drop_untestable(folds, variant, labels, entry)
     models = {run: _load(run, name, config) for run in runs.runs(train / name, seeds, folds)}
-    cases = _predict(models, variant, labels, entry)
+    cases = _predict(models, variant, labels, config)
     tested = [case.drive for case in cases["test"]]
 
     result: dict[str, Any] = {
@@ -78,7 +77,7 @@ def _load(run: runs.Run, name: str, config: runs.Config) -> predict.Trained:
 
 
 def _predict(
-    models: Mapping[runs.Run, predict.Trained], variant: Path, labels: Path, entry: Entry
+    models: Mapping[runs.Run, predict.Trained], variant: Path, labels: Path, config: runs.Config
 ) -> dict[str, list[Case]]:
     """Return split → drives with the predictions of all seeds; a drive of several folds once, from the first."""
     cases: dict[str, dict[str, Case]] = {part: {} for part in SPLITS}
@@ -86,7 +85,7 @@ def _predict(
         seeds = [model for run, model in models.items() if run.fold == fold]
         for part, drives in cases.items():
             for name in (name for name in getattr(fold, part) if name not in drives):
-                drive = windows.read_drive(variant, labels, name, entry.horizon, entry.motion)
+                drive = windows.read_drive(variant, labels, name, config.model.horizon, config.model.motion)
                 with graph_file.open_graphs(drive.graphs) as graphs:
                     predictions = [model.predict_with_sigma(graphs) for model in seeds]
                 drives[name] = Case(drive, predictions, seeds[0].target)

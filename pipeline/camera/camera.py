@@ -1,4 +1,4 @@
-"""The pinhole camera of a drive or a video: intrinsics, image size, height over the road, pose of the LiDAR."""
+"""The pinhole camera of a drive or a video, and the frames that it records."""
 
 from dataclasses import dataclass, replace
 
@@ -65,6 +65,18 @@ class Camera:
 def _around(centre: float, length: int, limit: int) -> slice:
     start = min(max(round(centre + 0.5 - length / 2), 0), limit - length)
     return slice(start, start + length)
+
+
+@dataclass
+class Frame:
+    """Sensor data and perception of one frame; None where the frame lacks it."""
+
+    number: int  # KITTI's, or counted from 0
+    time_s: float  # since the start of the drive
+    image: np.ndarray | None = None  # RGB uint8 [H,W,3], at the size of depth and classes
+    depth_m: np.ndarray | None = None  # [H,W] metres, rounded as in the file of stage perception; 0: none
+    cls: np.ndarray | None = None  # trainIds uint8 [H,W]
+    scan: np.ndarray | None = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
 
 
 def write_camera(file: DriveWriter, camera: Camera) -> None:

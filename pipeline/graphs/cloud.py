@@ -13,8 +13,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
-from pipeline.camera.camera import Camera
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Camera, Frame
 
 if TYPE_CHECKING:
     from pipeline.sections.clouds import Clouds

@@ -58,7 +58,7 @@ class RawDrive:
 
     @property
     def steering(self) -> Path | None:
-        """Recorded steering angles, which KITTI itself lacks; None without. Raises InputError for other than a file."""
+        """Recorded steering angles, which KITTI itself lacks; None without. Raises InputError if it is no file."""
         path = self.folder / steering_file.FILE
         if not path.is_file() and (path.exists() or path.is_symlink()):
             raise InputError("expected a regular file", path, "Replace it, or take it away")

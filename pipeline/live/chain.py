@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from pipeline.camera.camera import Camera
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import resized, rounded_as_stored
 from pipeline.fitting.prefetch import prefetch
 from pipeline.labels.label import Car

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.camera.camera import Camera
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Camera, Frame
 from pipeline.motion import lidar, visual
 from pipeline.motion.step import Step, StepClock, rates
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Frame
 from pipeline.motion.step import Step, is_standstill, plausible
 
 if TYPE_CHECKING:

@@ -3,8 +3,7 @@
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road

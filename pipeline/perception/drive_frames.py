@@ -8,8 +8,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError, named_frames
 from pipeline.base.store import DriveReader, fix_hint
-from pipeline.camera.camera import read_camera
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Frame, read_camera
 from pipeline.camera.images import to_metres
 
 LIDAR = "lidar"  # the kind of motion and of clouds that is made from scans; other kinds are made from images

@@ -4,7 +4,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Frame
 from pipeline.motion import lidar, step
 from tests import rendered_street as street
 

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from pipeline.camera.camera import Camera
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Camera, Frame
 from pipeline.motion import lidar, step
 from pipeline.motion.estimator import MotionEstimator
 from tests import rendered_street as street

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.camera import classes
-from pipeline.camera.frame import Frame
+from pipeline.camera.camera import Frame
 from pipeline.motion import step, visual
 from tests import rendered_street as street
 

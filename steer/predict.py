@@ -43,8 +43,9 @@ def predict(
     steer predict data/town/2026_01_03/2026_01_03_drive_0001_sync --out out/
     steer predict street.mp4 --fov 65 --model data/train/motion
     """
-    from pipeline.live import predictor, settings
+    from pipeline.live import predictor
     from pipeline.live.results import PREDICTED_FILES, STEERING, VIDEO, check_out
+    from pipeline.live.settings import load_settings
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.train.predict import load
 
@@ -52,7 +53,7 @@ def predict(
     check_out(out, PREDICTED_FILES, source)
     trained = load(model)
     data = _data_folder(model, encoder, params)
-    sections = settings.read(params or data.parent / "params.yaml", trained.entry.input, data)
+    sections = load_settings(params or data.parent / "params.yaml", trained.entry.input, data)
     scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras
     lens, height_m = Lens(calib, fov, k), camera_height or sections.perception.camera_height_m
     opened = open_source(source, cameras, lens, size, scans, trained.target.car, Clock(fps, times), height_m)

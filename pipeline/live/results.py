@@ -2,12 +2,12 @@
 
 import csv
 import os
+import re
 import sys
 import time
 from collections import Counter, deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -42,6 +42,7 @@ COLUMNS = {
 """Angles in rad, left positive, empty if unknown: `predicted` for `horizon` frames later, `sigma` its
 standard deviation, the others for the frame."""
 FIRST_COLUMNS = "drive,frame,time_s,"
+LEFTOVER = re.compile(rf"\.({'|'.join(map(re.escape, sorted(FILES)))})\..{{8}}\.tmp")  # of a killed process
 LINE_S = 30.0  # between lines of progress without a terminal
 RECENT = 2000  # frames that latency quantiles are computed from
 
@@ -52,14 +53,14 @@ def check_out(out: Path, names: Sequence[str], source: Path | None = None) -> No
     Raises it also if they would replace the `source`.
     """
     folder, fix = out / UNFINISHED, "Pass another folder: --out"
-    if os.path.lexists(out) and not out.is_dir():
-        raise InputError("expected a folder, got a file or a broken link", out, fix)
-    if os.path.lexists(folder) and (folder.is_symlink() or not folder.is_dir()):
-        raise InputError("expected a folder, got a file or a link", folder, fix)
+    for place in (out, folder):
+        if (os.path.lexists(place) and not place.is_dir()) or (place == folder and folder.is_symlink()):
+            raise InputError("expected a folder, got a file or a link", place, fix)
     for path in folder.iterdir() if folder.is_dir() else ():
-        if not _is_leftover(path):
+        temporary = path.is_dir() and LEFTOVER.fullmatch(path.name)
+        if path.is_symlink() or not (temporary or (path.is_file() and path.name in FILES)):
             raise InputError("expected only files of an interrupted run here", path, "Move it to another folder")
-    earlier = [name for name in COLUMNS if _is_result(out / name)]
+    earlier = [name for name in COLUMNS if _is_csv(out / name)]
     for name in names:
         path = out / name
         written = name in earlier if name in COLUMNS else earlier and path.is_file() and not path.is_symlink()
@@ -69,21 +70,12 @@ def check_out(out: Path, names: Sequence[str], source: Path | None = None) -> No
             raise InputError("the results would replace the source", source, fix)
 
 
-def _is_result(path: Path) -> bool:
+def _is_csv(path: Path) -> bool:
     """Return whether a path is a CSV file that this program wrote."""
     if path.is_symlink() or not path.is_file():
         return False
     with path.open("rb") as file:
         return file.read(len(FIRST_COLUMNS)) == FIRST_COLUMNS.encode()
-
-
-def _is_leftover(path: Path) -> bool:
-    """Return whether a path in .unfinished has the name of a result or of a temporary folder of one."""
-    if path.is_symlink():
-        return False
-    if path.is_dir():
-        return any(fnmatch(path.name, f".{name}.????????.tmp") for name in FILES)
-    return path.is_file() and path.name in FILES
 
 
 @contextmanager

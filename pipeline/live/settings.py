@@ -3,10 +3,11 @@
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.base.params import Section, load, load_entry
+from pipeline.base.params import load, load_entry
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
@@ -25,20 +26,23 @@ class Settings:
     variant: Variant
 
 
-def read(params: Path, variant: str, data: Path) -> Settings:
-    """Read the sections for a model with graph variant `variant` as input.
+def load_settings(params: Path, variant: str, data: Path) -> Settings:
+    """Load the sections for a model with graph variant `variant` as input.
 
     Raises InputError if artefacts below `data` were made with other settings: the network was trained on those.
     Artefacts that this machine lacks are not compared.
     """
     sections = load(Ingest, params), load(Perception, params), load(Motion, params), load(Clouds, params)
     settings = Settings(*sections, load_entry(Variant, "graphs", variant, params))
-    source = settings.variant.source
-    _compare(settings.ingest, data / "ingest", params, {"image_size"})
-    _compare(settings.perception, data / "perception", params, {*Perception.model_fields} - {"batch"})
-    _compare(settings.variant, data / "graphs" / variant, params, {*Variant.model_fields})
-    if source != "ingest":
-        _compare(settings.clouds, data / source, params, {*Clouds.model_fields})
+    current = {
+        "ingest": settings.ingest.model_dump(mode="json", include={"image_size"}),
+        "perception": settings.perception.model_dump(mode="json", exclude={"batch"}),
+        f"graphs/{variant}": settings.variant.model_dump(mode="json"),
+    }
+    if settings.variant.source != "ingest":
+        current[settings.variant.source] = settings.clouds.model_dump(mode="json")
+    for folder, values in current.items():
+        _compare(values, data / folder, folder.split("/")[0], params)
     return settings
 
 
@@ -48,13 +52,11 @@ def focal_by_width(data: Path) -> float | None:
         return float(file["K"][0, 0] / file.shape("image")[2]) if file and "K" in file else None
 
 
-def _compare(section: Section, folder: Path, params: Path, keys: set[str]) -> None:
-    """Raise InputError if the first file of a stage's folder was made with another value of one of `keys`."""
-    stage = getattr(type(section), "key", "graphs")  # an entry of graphs has no key of its own
+def _compare(current: dict[str, Any], folder: Path, stage: str, params: Path) -> None:
+    """Raise InputError if the first file of a stage's folder was made with other settings than the `current` ones."""
     with _first_file(folder, stage) as file:
         stored = file.params.get(stage, {}) if file else {}
-    current = section.model_dump(mode="json")
-    for key in sorted(keys & stored.keys()):
+    for key in sorted(current.keys() & stored.keys()):
         if stored[key] != current[key]:
             problem = f"{key} = {current[key]}, but {folder}, on which the model depends, was made with {stored[key]}"
             fix = "Run dvc repro, or pass the params file of the model: --params"

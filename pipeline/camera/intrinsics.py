@@ -22,7 +22,7 @@ _TOLERANCE = 1e-3  # of a rotation written as text
 
 
 def pinhole(size: Size, *, calib: Path | None = None, fov_deg: float | None = None, K: str | None = None) -> Camera:
-    """Return the camera of images of `size` (H, W); pass exactly one of the others.
+    """Return the camera of images of `size` (H, W); pass exactly one of `calib`, `fov_deg` and `K`.
 
     Args:
         calib: a file like KITTI's ``calib_cam_to_cam.txt``; a rectified camera of another size is scaled.

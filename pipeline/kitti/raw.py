@@ -61,7 +61,7 @@ class RawDrive:
         """Recorded steering angles, which KITTI itself lacks; None without. Raises InputError if it is no file."""
         path = self.folder / steering_file.FILE
         if not path.is_file() and (path.exists() or path.is_symlink()):
-            raise InputError("expected a regular file", path, "Replace it, or take it away")
+            raise InputError("expected a regular file", path, "Replace or remove it")
         return path if path.is_file() else None
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:

@@ -1,8 +1,6 @@
 """Write a drive's folder in KITTI raw's layout: images, oxts packets, calibration."""
 
-from collections import deque
-from collections.abc import Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Generator, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +11,7 @@ from pipeline.base.params import Drive
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import format_size, write_png
 from pipeline.camera.intrinsics import write_entries
+from pipeline.fitting.prefetch import side_by_side
 from pipeline.kitti.calibration import read_calibration
 from pipeline.kitti.oxts import (
     GRAVITY_MPS2,
@@ -50,21 +49,20 @@ def drive_folder(out: Path, drive: str, force: bool) -> Path:
     return folder
 
 
-def write_images(folder: Path, images: Iterable[tuple[int, np.ndarray]], threads: int) -> None:
+def write_images(folder: Path, images: Generator[tuple[int, np.ndarray]], threads: int) -> None:
     """Write numbered RGB images [H,W,3] as PNG files of camera 2, encoded by `threads` threads.
 
     At most twice as many images as threads are in memory.
     """
     data = folder / IMAGES / "data"
     data.mkdir(parents=True)
-    pending: deque[Future[None]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
-        for number, image in images:
-            if len(pending) == 2 * threads:
-                pending.popleft().result()
-            pending.append(pool.submit(write_png, data / f"{number:010d}.png", image))
-        for future in pending:
-            future.result()
+
+    def write(numbered: tuple[int, np.ndarray]) -> None:
+        number, image = numbered
+        write_png(data / f"{number:010d}.png", image)
+
+    for _ in side_by_side(write, images, threads, ahead=2 * threads):
+        pass
 
 
 def write_times(folder: Path, usable: np.ndarray, time_s: np.ndarray, sensors: Iterable[str]) -> None:

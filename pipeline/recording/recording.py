@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,7 +98,7 @@ class Recording:
         hidden = not (visible and sys.stderr.isatty())
         frames = tqdm(self.footage.frames(), total=self.footage.count, unit=" images", disable=hidden)
 
-        def images() -> Iterator[tuple[int, np.ndarray]]:
+        def images() -> Generator[tuple[int, np.ndarray]]:
             for number, time_s, image in frames:
                 all_s.append(time_s)
                 if self._coverage(np.array([time_s]))[0][0]:

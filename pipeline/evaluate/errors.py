@@ -54,10 +54,11 @@ def by_curvature(
 
 
 def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, settings: Evaluate) -> tuple[float, float]:
-    """Return the 95 % interval of Σ error / Σ Θ² over other roads, from a moving-block bootstrap.
+    """Return the 95 % interval of Σ error / Σ Θ² over other roads, from a circular block bootstrap of resampled drives.
 
-    Errors of neighbouring frames are correlated, so blocks of consecutive rows are drawn, each within a drive; a
-    shorter drive is one block.
+    Drives are drawn with replacement, and within each drawn drive blocks of consecutive rows, since errors of
+    neighbouring frames are correlated. A block that passes the end of its drive continues at its start, so that the
+    first and last rows are drawn as often as the others. A drive that is not longer than a block is drawn completely.
 
     Args:
         error: [N] in time order; squared errors of a model, for the interval of its nmse. For the interval of a
@@ -66,24 +67,38 @@ def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, set
         steering_rad: [N], Θ.
         drive: [N], the number of each row's drive.
     """
-    block, seed = settings.bootstrap_block_frames, settings.seed
     first = np.flatnonzero(np.diff(drive, prepend=drive[0] - 1))  # [D] first row of each drive
-    length = np.minimum(block, np.diff(first, append=len(drive)))
-    last = np.append(first[1:], len(drive)) - length  # [D] last row at which a block can start
-    starts = np.concatenate([np.arange(a, b + 1) for a, b in zip(first, last, strict=True)])
-    length = np.repeat(length, last - first + 1)
-    sums = np.concatenate([np.zeros((2, 1)), np.cumsum(np.stack([error, steering_rad**2]), axis=1)], axis=1)
-    block_sums = sums[:, starts + length] - sums[:, starts]  # [2, blocks]
-    count = int(np.ceil(len(drive) / length.mean()))
-    rng, step = np.random.default_rng(seed), max(1, _DRAWS_AT_ONCE // count)
+    rows = np.diff(first, append=len(drive))  # [D]
+    blocks = -(-rows // settings.bootstrap_block_frames)  # [D] of equal length, which together cover the drive
+    length = np.round(rows / blocks).astype(int)
+    block_sums = np.concatenate(  # [2,N] sums of error and Θ² over the block that starts at each row
+        [
+            _circular_sums(values, size)
+            for values, size in zip(
+                np.split(np.stack([error, steering_rad**2]), first[1:], axis=1), length, strict=True
+            )
+        ],
+        axis=1,
+    )
+    rng, step = np.random.default_rng(settings.seed), max(1, _DRAWS_AT_ONCE // len(first))
     ratios = []
     for done in range(0, settings.bootstrap_samples, step):
-        draws = rng.integers(len(starts), size=(min(step, settings.bootstrap_samples - done), count))
-        errors, zeros = block_sums[:, draws].sum(axis=2)
+        drawn = rng.integers(len(first), size=(min(step, settings.bootstrap_samples - done), len(first)))
+        errors, zeros = np.zeros((2, len(drawn)))
+        for block in range(blocks.max()):
+            start = first[drawn] + rng.integers(rows[drawn])
+            sums = block_sums[:, start] * (block < blocks[drawn])
+            errors, zeros = errors + sums[0].sum(axis=1), zeros + sums[1].sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios.append(np.where(zeros > 0, errors / zeros, np.nan))
     low, high = np.nanpercentile(np.concatenate(ratios), [2.5, 97.5])
     return float(low), float(high)
+
+
+def _circular_sums(values: np.ndarray, length: int) -> np.ndarray:
+    """Return the sums [K,n] of `length` consecutive columns of [K,n], from each column, continued at the first."""
+    repeated = np.concatenate([np.zeros((len(values), 1)), values, values[:, : length - 1]], axis=1).cumsum(axis=1)
+    return repeated[:, length:] - repeated[:, : values.shape[1]]
 
 
 def uncertainty(

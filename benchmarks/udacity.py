@@ -26,9 +26,9 @@ from pipeline.base.errors import InputError
 from pipeline.kitti import steering_file
 
 FITTED_S = 60.0
-# Udacity published 2152 px for the right-hand camera of this rig. Of 640, 1400, 2000 and 2800 px, the last two have the least error on the
-# first minute, cross-validated in four parts, and the check of steer measure calls all shorter ones too short. The same
-# comparison chose the deviation of the speed's Gaussian mean, of 0.5, 1 and 3 s.
+# Udacity published 2152 px for the right-hand camera of this rig. Of 640, 1400, 2000 and 2800 px, the last two have the
+# least error on the first minute, cross-validated in four parts, and the check of steer measure calls all shorter ones
+# too short. The same comparison chose the deviation of the speed's Gaussian mean, of 0.5, 1 and 3 s.
 FOV_DEG = 18.2
 SPEED_SIGMA_S = 3.0
 CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images

@@ -85,7 +85,7 @@ class Variant(_Form, extra="allow"):
     """The graph variant: the settings that the report uses, and others."""
 
     k: Annotated[int, Field(ge=1, le=1000)] | None = None
-    keep_inter_class: Fraction | None = None
+    keep_inter_class: Fraction = 1.0
     accumulate: dict[str, Any] | None = None
 
 

@@ -60,7 +60,7 @@ def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path
         return {}
     drive, view = views[0]
     captions = {}
-    if pd.notna(model.get("variant.k")):
+    if pd.notna(model["variant.k"]):
         _draw_chain(out / "chain", model, view, steering[steering["drive"] == drive])
         captions["chain"] = (
             f"Figure 1. From image to steering: frame {view.frame} of {drive}. {model['model']} gets the graphs of "
@@ -129,7 +129,7 @@ def _draw_graph(
 def _draw_pruning(out: Path, model: pd.Series, evaluate: Path) -> Captions:
     """Draw the kNN graph of the first frame in structure.json, before and after pruning."""
     structures = load_structures(evaluate / model["model"])
-    if not structures:
+    if not structures or pd.isna(model["variant.k"]):
         return {}
     drive, structure = next(iter(structures.items()))
     xyz, cls = np.array(structure.xyz_m, np.float32), np.array(structure.cls, np.uint8)

@@ -101,7 +101,8 @@ def _steering(results: Results) -> dict[str, Content]:
 
 def _graphs(results: Results, evaluate: Path) -> Content:
     for _, row in results.models.iterrows():
-        if graphs := load_structures(evaluate / row["model"]):
+        graphs = load_structures(evaluate / row["model"])
+        if graphs and pd.notna(row["variant.k"]):
             text = (
                 f"Input of {row['model']} where each test drive bends most. Turn with the mouse; the legend shows and "
                 "hides classes, and edges before and after semantic pruning."

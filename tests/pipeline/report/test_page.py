@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.base import store
-from pipeline.report import tables
+from pipeline.report import figures, tables
 from pipeline.report.page import write_page
 from pipeline.report.results import load_results
 from tests.pipeline.report import examples
@@ -43,8 +43,8 @@ def data(tmp_path: Path) -> Path:
 
 def write(data: Path, story: list[str] | None = None) -> str:
     results = load_results(data / "evaluate", ["net", "ahead"])
-    figures = {"chain": "Figure 1.", "paths": "Figure 5."}
-    write_page(data / "index.html", story or [], results, tables.steering_tables(results), [], figures, data)
+    captions = {"chain": "Figure 1.", "paths": "Figure 5."}
+    write_page(data / "index.html", story or [], results, tables.steering_tables(results), [], captions, data)
     return (data / "index.html").read_text(encoding="utf-8")
 
 
@@ -63,6 +63,14 @@ def test_the_page_is_complete_self_contained_and_repeats(data: Path) -> None:
     assert own.index("A sentence") < own.index("Figure 1.") < own.index("<h2>Results")
     captions = re.findall(r"<figcaption>(.*?)</figcaption>\s*<div class=\"plot\">", own)
     assert captions[:2] == [f"{drive}: steering over time" for drive in examples.DRIVES]
+
+
+def test_a_structure_without_neighbours_in_the_metrics_is_left_out(data: Path) -> None:
+    content = examples.metrics("net") | {"variant": {}}
+    store.write_json(data / "evaluate/net/metrics.json", content)
+    assert "Graphs in 3D" not in headings(write(data))
+    results = load_results(data / "evaluate", ["net", "ahead"])
+    assert "pruning" not in figures.draw(data / "figures", results, data)
 
 
 def test_a_name_with_a_script_is_text(data: Path) -> None:

@@ -103,7 +103,7 @@ def _compare_column(name: str, key: str, a: Column, b: Column, tolerance: float)
 
 
 def _distances(x: Any, y: Any) -> np.ndarray:
-    """Return absolute differences; infinity where values differ, but not as numbers of one dtype and shape.
+    """Return absolute differences; infinity where values differ that are not numbers of one dtype and shape.
 
     NaN equals NaN.
     """

@@ -18,7 +18,7 @@ _DEPTH = (
 )
 _MOTION = (
     "Motion since the previous frame, measured without oxts and compared with it at or above labels.min_speed_mps; "
-    "wheel: recorded steering angles, with which …-wheel is compared. "
+    "wheel: recorded steering angles; rows named …-wheel are compared with these angles. "
     "nmse: of the steering angle from the last measurement, from a drive's first measured frame on. Drives without "
     "scans count for visual only."
 )

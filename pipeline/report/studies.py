@@ -1,7 +1,7 @@
 """Compare models that differ in one setting (presets/studies.yaml): a table and a figure per setting.
 
 A model of a study is called STUDY-VALUE; sa-gnn-ncp has the default of every study and is a point of each. Pairs of
-models, also of other presets, test claims: those of the paper, and that the scene helps beside motion.
+models, also of other presets, test claims: claims of the paper, and whether the scene helps beyond odometry.
 """
 
 from pathlib import Path
@@ -55,8 +55,8 @@ CLAIMS = (
     Claim("pruning: 20 % of the edges between classes kept, against all", DEFAULT, "keep-100"),
     Claim("semantics: λ = 1 against 0", DEFAULT, "lambda-0"),
     Claim("NCP against LSTM", DEFAULT, "lstm"),
-    Claim("the scene, beside motion, one second ahead", "motion-10", "motion-10-blind"),
-    Claim("the scene, beside motion, one second ahead, leave-one-out", "motion-others-10", "blind-others-10"),
+    Claim("the scene, beyond odometry, one second ahead", "motion-10", "motion-10-blind"),
+    Claim("the scene, beyond odometry, one second ahead, leave-one-out", "motion-others-10", "blind-others-10"),
 )
 
 

@@ -29,14 +29,14 @@ _METRICS = (
 )
 _PAPER = (
     "MSE in rad². paper: its Table 2, for models with the settings of one of its networks. With the paper's own label, "
-    "always predicting zero has 0.0137 rad² on KITTI's longest drive, below all of its test errors, so its unit cannot "
-    "be rad² of this label: compare order and ratio only."
+    "always predicting zero has 0.0137 rad² on KITTI's longest drive, below all of its test errors, so the paper's "
+    "unit cannot be rad² of this label: compare order and ratio only."
 )
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats of the angle in rad under a normal distribution with the predicted σ, "
     "which is scaled on the validation drives; constant σ: the same with the best single σ for these frames. within "
-    "σ: share of the true angles that differ from the prediction by at most σ. in 95 % interval: by at most a multiple "
-    "of σ, below which 95 % of the validation errors are. certain half: the frames with the smaller σ."
+    "σ: share of the true angles that differ from the prediction by at most σ. in 95 % interval: by at most the "
+    "multiple of σ that covers 95 % of the validation errors. certain half: the frames with the smaller σ."
 )
 
 

@@ -24,7 +24,7 @@ def measure(
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
     wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
-    max_frames: Annotated[int | None, typer.Option(min=2, help="measure only the first frames")] = None,
+    max_frames: Annotated[int | None, typer.Option(min=2, max=10**9, help="measure only the first frames")] = None,
     video: options.Video = True,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
         "weights/street"

@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, fix_hint
 from pipeline.camera.images import Crop, Size
-from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height
+from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height, check_height
 
 SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
 
@@ -98,4 +98,7 @@ def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
     if image.ndim != 4 or image.shape[3] != 3 or image.dtype != np.uint8 or min(K[0, 0], K[1, 1], K[2, 2]) <= 0:
         raise InputError("no camera: image or K is damaged", file.path, fix_hint(file.path, "ingest"))
     height, width = image.shape[1:3]
-    return Camera(K, (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
+    camera = Camera(K, (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
+    if height_m is None:
+        check_height(camera.height_m)
+    return camera

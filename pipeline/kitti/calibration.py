@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
 from pipeline.camera.intrinsics import matrix, projection, read_entries, rotation
-from pipeline.camera.mount import height_over_ground
+from pipeline.camera.mount import camera_height
 
 _EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
 _FARTHEST_M = 20.0  # between LiDAR and camera
@@ -42,7 +42,7 @@ def read_calibration(folder: Path, number: int) -> Camera:
         if np.abs(t).max() > _FARTHEST_M:
             raise InputError(f"T puts the LiDAR {np.abs(t).max():g} m away from the camera", velo)
         T_cam_velo = shift @ rectify @ _rigid(rotation(entries, "R", velo), t)
-        return Camera(K, size, height_over_ground(T_cam_velo), T_cam_velo)
+        return Camera(K, size, camera_height(T_cam_velo), T_cam_velo)
 
 
 def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:

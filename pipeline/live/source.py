@@ -14,7 +14,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.footage import open_footage
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.camera.intrinsics import pinhole
-from pipeline.camera.mount import camera_height
+from pipeline.camera.mount import check_height
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.labels import label
@@ -99,7 +99,7 @@ def open_source(
     if height_m is not None:
         source.camera, source.height_known = replace(source.camera, height_m=height_m), True
     elif source.height_known:
-        camera_height(source.camera.T_cam_velo)  # raises InputError if it is implausible
+        check_height(source.camera.height_m)
     if min(source.camera.size) < MIN_SIDE:
         height, width = source.camera.size
         raise InputError(f"images are too small (got {width} x {height} px after cropping, at least {MIN_SIDE})", path)

@@ -50,10 +50,10 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
 
     points = np.ascontiguousarray(xyz, np.float32)
     neighbours, _ = cv2.flann_Index(points, _FLANN).knnSearch(points, k + 1, params=_EXACT)  # type: ignore[attr-defined]
-    own = neighbours == np.arange(count, dtype=np.int32)[:, None]  # usually the first column
+    itself = neighbours == np.arange(count, dtype=np.int32)[:, None]  # usually the first column
     # Among coinciding points, a point may be missing from its own k+1 neighbours: then the last one is dropped.
-    own[~own.any(axis=1), -1] = True
-    return neighbours[~own].reshape(count, k)
+    itself[~itself.any(axis=1), -1] = True
+    return neighbours[~itself].reshape(count, k)
 
 
 def undirected(neighbours: np.ndarray) -> Any:

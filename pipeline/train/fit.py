@@ -110,9 +110,9 @@ class Fit:
         shares = [self.world.share(len(group)) for group in groups]
         steps = []
         for group, share in zip(groups, shares, strict=True):
-            own = share or [0]  # a process without a run takes part with a run of weight 0
-            factor = settings.rescale ** rng.uniform(-1, 1, len(group))[own]  # drawn for all processes' runs
-            steps.append(reading.Step(tuple(group[run] for run in own), factor.astype(np.float32)))
+            members = share or [0]  # a process without a run takes part with a run of weight 0
+            factor = settings.rescale ** rng.uniform(-1, 1, len(group))[members]  # drawn for all processes' runs
+            steps.append(reading.Step(tuple(group[run] for run in members), factor.astype(np.float32)))
         return shares, steps
 
     def _train(
@@ -174,10 +174,9 @@ class Fit:
         """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""
         net: Any = self.average.module
         columns = []
-        for drive, found in zip(
-            drives, predict.predict_drives(net, drives, self.window, target, self.world), strict=True
-        ):
-            error, sigma = found.steering_rad - drive.steering_rad, found.sigma_rad
+        predictions = predict.predict_drives(net, drives, self.window, target, self.world)
+        for drive, predicted in zip(drives, predictions, strict=True):
+            error, sigma = predicted.steering_rad - drive.steering_rad, predicted.sigma_rad
             rows = np.stack([drive.steering_rad, error, np.full(len(error), np.nan) if sigma is None else sigma])
             columns.append(rows[:, drive.valid & ~np.isnan(error)])
         return np.concatenate(columns, axis=1)
@@ -185,8 +184,8 @@ class Fit:
     def _resume(self, path: Path, title: str) -> None:
         """Load the state of an interrupted run, if the main process has one."""
         with error_context(fix=f"Delete {path} to start again"):
-            own = checkpoint.read(path, predict.KIND) if self.world.is_main and path.is_file() else None
-            state = self.world.gather(own)[0]  # other machines may not share the file
+            stored = checkpoint.read(path, predict.KIND) if self.world.is_main and path.is_file() else None
+            state = self.world.gather(stored)[0]  # other machines may not share the file
             if not state:
                 return
             self.net.load_state_dict(state["net"])

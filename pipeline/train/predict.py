@@ -210,14 +210,14 @@ def predict_drives(
     import torch
 
     spans = windows.spans(timelines, window, WINDOWS, rows)
-    own = [spans[index] for index in world.share(len(spans))]
+    share = [spans[index] for index in world.share(len(spans))]
     net.eval()
     with torch.inference_mode():
-        read = prefetch(windows.batches(timelines, [[span] for span in own], window, opened))
+        read = prefetch(windows.batches(timelines, [[span] for span in share], window, opened))
         predicted = [angles(net(*net.inputs(batch)), batch["base_rad"], target) for batch in read]
     columns = 1 if net.uncertainty is None else 3
     result = [np.full((columns, len(timeline.frame)), np.nan) for timeline in timelines]
-    for part in world.gather(list(zip(own, predicted, strict=True))):
+    for part in world.gather(list(zip(share, predicted, strict=True))):
         for span, values in part:
             result[span.drive][:, span.start + window - 1 : span.stop] = values
     return [Prediction(*values) for values in result]

@@ -24,11 +24,9 @@ Batch = dict[str, np.ndarray]
 """Input of a network as arrays. B frames, W windows of T frames. Frames as in pipeline/graphs/graph_file.py;
 windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base_rad float32
 [W] (angle of the window's last frame to which the network's output is added).
-With motion: motion float32 [B,4], columns MOTION.
+With motion: motion float32 [B,4], since the previous frame: the measured steering angle (also `base_rad`), yaw rate,
+speed, and whether they were measured. The first two change sign under mirroring.
 With targets: steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame."""
-MOTION = ("measured_rad", "yaw_rate_radps", "speed_mps", "valid")
-"""Motion since the previous frame: the measured steering angle (also `base_rad`), yaw rate, speed, and whether it was
-measured. The first two change sign under mirroring."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class Timeline:
     dt_s: np.ndarray  # float32 [G], time since the previous frame; nominal at the start of a run
     runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
     base_rad: np.ndarray  # float64 [G], the measured steering angle; 0 without motion
-    motion: np.ndarray | None  # float32 [G,4], columns MOTION; None without motion
+    motion: np.ndarray | None  # float32 [G,4], see Batch; None without motion
 
     @classmethod
     def read(cls, graphs: graph_file.Graphs, motion: str = "none", car: label.Car | None = None) -> "Timeline":
@@ -74,8 +72,8 @@ class Timeline:
         numbers = np.asarray(numbers)
         unknown = numbers[~np.isin(numbers, self.frame)]
         if len(unknown):
-            found = f"{len(self.frame)} frames, {self.frame[0]} to {self.frame[-1]}" if len(self.frame) else "none"
-            raise InputError(f"no frame {unknown[0]} (found: {found})", self.graphs)
+            stored = f"{len(self.frame)} frames, {self.frame[0]} to {self.frame[-1]}" if len(self.frame) else "none"
+            raise InputError(f"no frame {unknown[0]} (found: {stored})", self.graphs)
         return np.searchsorted(self.frame, numbers)
 
 

@@ -5,6 +5,8 @@ import pytest
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.graphs.graph_file import open_graphs
+from pipeline.labels import label
 from pipeline.train import windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES
@@ -121,7 +123,7 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     assert without[0].measured_rad["visual"] == pytest.approx(drives[0].base_rad)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
     (batch,), (plain,) = windows.batches(drives, [group], 8), windows.batches(without, [group], 8)
-    assert batch["motion"].shape == (11 + 9, len(windows.MOTION))
+    assert batch["motion"].shape == (11 + 9, 4)
     assert batch["motion"].dtype == batch["base_rad"].dtype == np.float32
     assert (batch["base_rad"] == batch["motion"][batch["windows"][:, -1], 0]).all()
     assert batch["base_rad"] == pytest.approx(np.r_[drives[1].base_rad[10:14], drives[0].base_rad[7:9]])
@@ -129,3 +131,27 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     assert batch["motion"][11 + 6, 2:].tolist() == [8, 1]
     assert "motion" not in plain
     assert not plain["base_rad"].any()
+
+
+def test_a_stream_has_the_windows_of_the_file(folder: Path) -> None:
+    """With a gap, motion that is not measured, and an angle that is held over more than a window."""
+    name = next(iter(DRIVES))
+    frame = np.setdiff1d(np.arange(23), [4])
+    valid = (np.arange(22) > 2) & (np.arange(22) < 7)
+    rng = np.random.default_rng(0)
+    artefacts.write_graphs(folder / f"graphs/semantic/{name}.h5", name, np.zeros(22), frame, 12, rng)
+    artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.2, 22), valid)
+    with open_graphs(folder / f"graphs/semantic/{name}.h5") as graphs:
+        car, motion = label.Car(artefacts.WHEELBASE_M, 1.0), graphs.motion("visual")
+        timeline = windows.Timeline.read(graphs, "visual", car)
+        stream, ends = windows.Stream(3, car), []
+        for row, number in enumerate(graphs.frame.tolist()):
+            measured = (float(motion.yaw_rate_radps[row]), float(motion.speed_mps[row])) if valid[row] else None
+            if arrays := stream.add(number, float(graphs.time_s[row]), measured):
+                ends.append(row)
+                span = windows.Span(0, row - 2, row + 1)
+                (expected,) = windows.batches([timeline], [[span]], 3, {0: graphs})
+                assert all(np.array_equal(arrays[key], expected[key]) for key in arrays)
+                assert {"windows", "dt_s", "base_rad", "motion"} == arrays.keys()
+    assert ends == [2, 3, *range(6, 22)]
+    assert timeline.base_rad[-1] != 0

@@ -112,7 +112,7 @@ class Unfolded(torch.autograd.Function):
         grad_term, grad_gate = torch.cat(grad_terms[::-1]) * sign, torch.cat(grad_gates[::-1])
         grad_c = torch.addcmul(grad_term[:, units:], grad_term[:, :units], before)
         grad_fixed, grad_c = (
-            each.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for each in (grad_term, grad_c)
+            gradient.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for gradient in (grad_term, grad_c)
         )
         return upstream, grad_c, grad_fixed, before.T @ grad_gate, -grad_gate.sum(0), open_.T @ grad_term, None
 

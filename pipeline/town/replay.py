@@ -77,18 +77,18 @@ def _lay_road(xy: np.ndarray, heading: np.ndarray, driven: np.ndarray, lane_m: f
     end = min(round(_END_M / STEP_M), len(grid) - 1)
     behind = _run_out(yaw[0] + np.pi, (yaw[0] - yaw[end]) / _END_M, BEHIND_M + spare * STEP_M)[::-1]
     ahead = _run_out(yaw[-1], (yaw[-1] - yaw[-1 - end]) / _END_M, AHEAD_M + spare * STEP_M)
-    line = np.concatenate([track[0] + behind, track, track[-1] + ahead])
+    path = np.concatenate([track[0] + behind, track, track[-1] + ahead])
     kernel = np.exp(-((np.arange(-spare, spare + 1) * STEP_M / _SMOOTH_M) ** 2) / 2)
-    line = np.stack([np.convolve(line[:, axis], kernel / kernel.sum(), "valid") for axis in (0, 1)], axis=-1)
+    path = np.stack([np.convolve(path[:, axis], kernel / kernel.sum(), "valid") for axis in (0, 1)], axis=-1)
 
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     first = len(behind) - spare  # index of the track's first sample in the line
     s_of_grid = length[first : first + len(grid)] - length[first]
     s = np.arange(0.0, length[-1], STEP_M)
-    line = np.stack([np.interp(s, length, line[:, axis]) for axis in (0, 1)], axis=-1)
-    along = np.gradient(line, axis=0)
+    path = np.stack([np.interp(s, length, path[:, axis]) for axis in (0, 1)], axis=-1)
+    along = np.gradient(path, axis=0)
     road_heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
-    route = Route(s - length[first], line, road_heading, np.gradient(road_heading) / STEP_M, lane_m, (), ())
+    route = Route(s - length[first], path, road_heading, np.gradient(road_heading) / STEP_M, lane_m, (), ())
     return route, np.interp(driven, grid, s_of_grid)
 
 

@@ -88,15 +88,15 @@ def _barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
     return parts
 
 
-def _houses(line: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _houses(frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     parts, i = [], int(rng.integers(4))
     setback = rng.uniform(*character.setback_m)
-    while i < len(line.edge):
+    while i < len(frontage.edge):
         length, depth = rng.uniform(7, 15), rng.uniform(7, 11)
-        middle = min(i + int(length), len(line.edge) - 1)  # half the length in half-metre steps
-        outward = line.outward_rad[middle]
+        middle = min(i + int(length), len(frontage.edge) - 1)  # half the length in half-metre steps
+        outward = frontage.outward_rad[middle]
         back = character.pavement_m + setback + rng.uniform(0, 0.8) + depth / 2
-        xy = line.edge[middle] + back * unit(outward)
+        xy = frontage.edge[middle] + back * unit(outward)
         if ground.claim(footprint(xy, outward, (length, depth)), character.pavement_m + character.setback_m[0] * 0.6):
             wall = np.array(_WALLS[rng.integers(len(_WALLS))]) * rng.uniform(0.85, 1.1)
             storeys = rng.integers(character.storeys[0], character.storeys[1] + 1)
@@ -112,24 +112,24 @@ def _houses(line: Frontage, ground: Ground, character: Character, rng: np.random
     return parts
 
 
-def _furniture(line: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _furniture(frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     parts: list[Mesh] = []
     clear = character.pavement_m
-    for i in range(int(rng.integers(20)), len(line.edge), int(rng.integers(38, 56))):  # lamp posts near the kerb
-        xy = line.edge[i] + 0.75 * unit(line.outward_rad[i])
+    for i in range(int(rng.integers(20)), len(frontage.edge), int(rng.integers(38, 56))):  # lamp posts near the kerb
+        xy = frontage.edge[i] + 0.75 * unit(frontage.outward_rad[i])
         if ground.claim(footprint(xy, 0.0, (0.5, 0.5)), 0.4):
             post = shapes.lamp_post(rng.uniform(5.5, 7.5))
-            parts.append(post.placed(xy, line.outward_rad[i] + np.pi, KERB_M))
-    for i in range(int(rng.integers(10)), len(line.edge), 9):
-        outward = line.outward_rad[i]
+            parts.append(post.placed(xy, frontage.outward_rad[i] + np.pi, KERB_M))
+    for i in range(int(rng.integers(10)), len(frontage.edge), 9):
+        outward = frontage.outward_rad[i]
         if rng.random() < character.hedges:
-            xy = line.edge[i] + (clear + 0.5) * unit(outward)
+            xy = frontage.edge[i] + (clear + 0.5) * unit(outward)
             if ground.claim(footprint(xy, outward, (4.4, 0.7)), clear):
                 parts.append(_hedge(rng).placed(xy, outward - np.pi / 2, KERB_M))
         if rng.random() < character.trees * 0.5:
             # Street trees stand in the pavement, garden trees behind it.
             back = clear - 0.5 if character.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
-            xy = line.edge[i] + back * unit(outward)
+            xy = frontage.edge[i] + back * unit(outward)
             if ground.claim(footprint(xy, 0.0, (1.2, 1.2)), min(back - 0.7, clear)):
                 parts.append(_tree(rng, 5, 9).placed(xy, rng.uniform(0, 6.28), KERB_M))
     return parts

@@ -58,9 +58,9 @@ def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
     neither appears nor vanishes in sight.
     """
     to = xy - journey.xy
-    near = np.linalg.norm(to, axis=1) < SIGHT_M
+    in_sight = np.linalg.norm(to, axis=1) < SIGHT_M
     c, s = np.cos(journey.heading_rad), np.sin(journey.heading_rad)
     along, across = to[:, 0] * c + to[:, 1] * s - _AXLE_TO_MIDDLE_M, to[:, 1] * c - to[:, 0] * s + IMU_LEFT_M
     touches = (np.abs(along) < _ROOM_M[0]) & (np.abs(across) < _ROOM_M[1])
-    encounter = np.cumsum(np.diff(near, prepend=False)) * near  # numbered; 0: out of sight
-    return near & ~np.isin(encounter, encounter[touches & near])
+    encounter = np.cumsum(np.diff(in_sight, prepend=False)) * in_sight  # numbered; 0: out of sight
+    return in_sight & ~np.isin(encounter, encounter[touches & in_sight])

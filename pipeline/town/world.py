@@ -57,10 +57,10 @@ class World:
         distance, surface = np.full(count, np.inf, np.float32), np.full(count, _SKY)
         normal = np.zeros((3, count), np.float32)
         for layer in self._layers:
-            near = layer.near(rays)
-            t, triangle, facing = layer.cast(rays[:, near])
-            nearer = t < distance[near]
-            ray = near[nearer]
+            candidates = layer.near(rays)
+            t, triangle, facing = layer.cast(rays[:, candidates])
+            nearer = t < distance[candidates]
+            ray = candidates[nearer]
             distance[ray], surface[ray], normal[:, ray] = t[nearer], triangle[nearer] + first, facing[:, nearer]
             first += len(layer.mesh.cls)
         ground = self._cast_ground(rays, distance)
@@ -84,8 +84,8 @@ class World:
         down = np.flatnonzero(rays[5] < -1e-6)
         for level, on_road in ((KERB_M, False), (0.0, True)):
             t = (level - rays[2].take(down)) / rays[5].take(down)
-            near = (t < distance.take(down)) & (t < FAR_M)
-            down, t = down[near], t[near]
+            hit = (t < distance.take(down)) & (t < FAR_M)
+            down, t = down[hit], t[hit]
             x, y = (rays[axis].take(down) + t * rays[3 + axis].take(down) for axis in (0, 1))
             there = self.plan.kind[self.plan.cells(x, y)]
             # A ray over road at kerb height continues down to the road.
@@ -120,8 +120,8 @@ class _Layer:
 
     def blocks(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays that hit."""
-        near = self.near(rays)
-        return near[self._scene.test_occlusions(_tensor(rays[:, near].T), 0.02, _SHADOW_M).numpy()]
+        candidates = self.near(rays)
+        return candidates[self._scene.test_occlusions(_tensor(rays[:, candidates].T), 0.02, _SHADOW_M).numpy()]
 
     def near(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays whose line intersects the mesh's bounding sphere."""

@@ -3,13 +3,14 @@
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import BaseModel
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.base.params import MotionKind
 from pipeline.base.store import DriveReader, DriveWriter
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ MAX_RATE = 1000.0  # m/s and rad/s: no car, not even at 100 frames per second
 class Index(BaseModel):
     """Content of index.json."""
 
-    kinds: list[Literal["visual", "lidar"]]
+    kinds: list[MotionKind]
 
 
 def write_index(folder: Path, kinds: Iterable[str]) -> None:

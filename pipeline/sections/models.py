@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, create_model, model_validator
 
 from pipeline.base.errors import closest
-from pipeline.base.params import Count, Rate, Section
+from pipeline.base.params import Count, MotionKind, Rate, Section
 
 if TYPE_CHECKING:
     from models.steering.core.options import NetworkOptions
@@ -34,7 +34,7 @@ class Entry(Section):
         int, Field(ge=0, le=10_000, description="predict the steering this number of frames after the window")
     ] = 0
     motion: Annotated[
-        Literal["none", "visual", "lidar"],
+        Literal["none", MotionKind],
         Field(description="measured motion as a second input; the network predicts the residual to its angle"),
     ] = "none"
     uncertainty: Annotated[bool, Field(description="predict the standard deviation of the error, too")] = False

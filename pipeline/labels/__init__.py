@@ -1,1 +1,1 @@
-"""Steering labels: the bicycle model, sources of labels, recorded angles, and their comparison."""
+"""Steering labels: the bicycle model, sources of labels, and their comparison."""

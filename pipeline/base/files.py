@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError
 
 MiB = 1 << 20
+_MOST_YAML_BYTES = 16 * MiB
 
 
 def check_file(path: Path, limit: int) -> int:
@@ -100,13 +101,14 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path)
 def read_yaml(path: Path, *, comments: bool = False) -> Any:
     """Return the content of a YAML 1.2 file, as DVC reads it, for ruamel's writer with `comments`.
 
-    Raises InputError if it is invalid or has a key twice.
+    Raises InputError if it is invalid, has a key twice, or is not a regular file.
     """
     from ruamel.yaml import YAML  # here, as workers read no YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     try:
-        return YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text(encoding="utf-8-sig"))
+        text = read_bytes(path, _MOST_YAML_BYTES).decode("utf-8-sig")
+        return YAML(typ="rt" if comments else "safe", pure=True).load(text)
     except UnicodeDecodeError as error:
         raise InputError(f"invalid UTF-8 ({error})", path) from error
     except MarkedYAMLError as error:

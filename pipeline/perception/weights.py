@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 from torch import Tensor, hub, nn
 
@@ -121,6 +122,8 @@ def _check_available(file: WeightFile) -> None:
         raise InputError("expected a regular file", file.path)
     if not exists and not file.is_url:
         raise InputError("file is missing", file.path, "Put it there, or name another one")
+    if not exists and file.url.startswith("file://") and not Path(unquote(urlsplit(file.url).path)).is_file():
+        raise InputError("expected a regular file", file.url, _by_hand(file))  # a device never ends
     if not exists and not file.sha256:
         raise InputError("file is missing, and a URL without sha256 is not downloaded", file.path, _by_hand(file))
 

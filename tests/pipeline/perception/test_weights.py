@@ -62,6 +62,11 @@ def test_what_is_no_file_of_weights_is_refused(kind: str, problem: str) -> None:
             check(Weights.model_validate("net.pth"))
 
 
+def test_a_device_is_not_downloaded() -> None:
+    with pytest.raises(InputError, match="file:///dev/zero: expected a regular file"):
+        check_available(Weights.model_validate({"url": "file:///dev/zero", "sha256": SHA256}))
+
+
 STATE = {"conv.weight": torch.arange(3.0)}
 
 

@@ -1,1 +1,1 @@
-"""Prediction on a stream of frames, and export of trained models."""
+"""Measure motion and predict steering on a stream of frames, and export trained models."""

@@ -144,10 +144,10 @@ class _Track:
         self._yaw_rate_radps = self._speed_mps = 0.0
         self._measured_s, self._last_s = -math.inf, math.nan
 
-    def add(self, frame: FrameState, around: Iterable[FrameState]) -> FrameState:
-        """Add the course to the next frame, with means over the frames `around` it."""
+    def add(self, frame: FrameState, neighbours: Iterable[FrameState]) -> FrameState:
+        """Add the course to the next frame, with means over its `neighbours`, itself included."""
         if frame.estimate:
-            measured = [(near.time_s - frame.time_s, near.estimate) for near in around if near.estimate]
+            measured = [(other.time_s - frame.time_s, other.estimate) for other in neighbours if other.estimate]
             self._yaw_rate_radps = _mean([(s, estimate.yaw_rate_radps) for s, estimate in measured], YAW_SIGMA_S)
             self._speed_mps = _mean([(s, estimate.speed_mps) for s, estimate in measured], SPEED_SIGMA_S)
             self._measured_s = frame.time_s

@@ -11,7 +11,7 @@ from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.evaluate.split import Case
 from pipeline.graphs import graph_file
-from pipeline.train.windows import Drive
+from pipeline.train.windows import LabelledDrive
 
 MAX_POINTS = 5000  # more points slow a browser down
 
@@ -51,7 +51,7 @@ def _text(values: np.ndarray, digits: int) -> Iterator[str]:
     return ("" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
 
 
-def write_structure(path: Path, drives: Sequence[Drive]) -> None:
+def write_structure(path: Path, drives: Sequence[LabelledDrive]) -> None:
     """Write drive → frame, points, xyz_m [[x,y,z],…], cls [P], edges [[a,b],…] with a < b, where the drive bends most.
 
     Only kNN graphs are written. Points beyond the nearest MAX_POINTS are left out; `points` counts all.

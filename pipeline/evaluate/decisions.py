@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base import store
-from pipeline.train.windows import Drive
+from pipeline.train.windows import LabelledDrive
 
 STRAIGHT_1PM = 0.015  # radius 67 m; a car that keeps its lane stays below
 TURN_RAD = np.pi / 4
@@ -50,7 +50,7 @@ class Turns(NamedTuple):
     time_s: np.ndarray
 
 
-def read_turns(drive: Drive) -> Turns:
+def read_turns(drive: LabelledDrive) -> Turns:
     """Return the onsets in a drive's labels."""
     with store.DriveReader(drive.labels, stage="labels") as labels:
         motion = (labels.time_s, labels["yaw_rate_radps"], labels["speed_mps"])
@@ -58,7 +58,7 @@ def read_turns(drive: Drive) -> Turns:
         return Turns(labels.frame[rows], labels.time_s[rows])
 
 
-def near_onsets(drive: Drive, turns: Turns) -> np.ndarray:
+def near_onsets(drive: LabelledDrive, turns: Turns) -> np.ndarray:
     """Return the mask [G] of a drive's frames that are close to an onset.
 
     The target of such a frame is at an onset or later, and the frame itself at most one second after the onset.

@@ -11,14 +11,14 @@ from pipeline.evaluate import decisions, errors, paths
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train.predict import Prediction, Target
-from pipeline.train.windows import Drive
+from pipeline.train.windows import LabelledDrive
 
 
 @dataclass(frozen=True)
 class Case:
     """A drive with the predictions of a model's S seeds for its G frames."""
 
-    drive: Drive
+    drive: LabelledDrive
     predictions: Sequence[Prediction]  # [S]
     target: Target
 
@@ -125,7 +125,7 @@ def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def inputs(drives: Sequence[Drive]) -> dict[str, Any]:
+def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
     """Return settings of the drives' graph variant, and means per frame; None where a file has none.
 
     Means are of points, and of directed kNN edges after and before pruning.

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Size = tuple[int, float, int]
+LevelSize = tuple[int, float, int]
 """Centres, radius in metres, neighbours per centre."""
 
 
 @dataclass(frozen=True)
-class Level:
+class Grouping:
     """Sampling and grouping of P points for one set abstraction.
 
     centres: int64 [M], the sampled points.
@@ -21,7 +21,7 @@ class Level:
     neighbours: np.ndarray
 
 
-def levels(xyz: np.ndarray, sizes: Iterable[Size], rng: np.random.Generator) -> list[Level]:
+def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:
     """Sample and group the points [P,3], then the resulting centres, and so on: a level for each of `sizes`."""
     result = []
     # Points are stored in Morton order, so the first points of a ball would be one corner of it. In the reference the
@@ -30,7 +30,7 @@ def levels(xyz: np.ndarray, sizes: Iterable[Size], rng: np.random.Generator) -> 
     order = rng.permutation(len(xyz))
     for count, radius_m, neighbours in sizes:
         centres = farthest_points(xyz, count)
-        result.append(Level(centres, ball_query(xyz, centres, radius_m, neighbours, order)))
+        result.append(Grouping(centres, ball_query(xyz, centres, radius_m, neighbours, order)))
         xyz = xyz[centres]
         order = np.arange(len(xyz))
     return result

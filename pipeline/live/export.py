@@ -2,7 +2,7 @@
 
 import logging
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,10 +19,10 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from pipeline.base.resume import file_hash
 from pipeline.graphs import graph_file
+from pipeline.graphs.graph_file import Arrays
 from pipeline.train import windows
 from pipeline.train.predict import Trained
 
-Arrays = Mapping[str, np.ndarray]
 MANIFEST = "export.json"
 MAX_DRIVES, WINDOWS_PER_DRIVE = 4, 4
 USE = "steering_rad = base_rad + std_rad * recurrent(spatial features of a window, oldest first, ...), left positive"

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from pipeline.train.windows import Batch
+from pipeline.graphs.graph_file import Arrays
 
 
-def rescale(batch: Batch, factor: np.ndarray) -> Batch:
+def rescale(batch: Arrays, factor: np.ndarray) -> Arrays:
     """Multiply lengths, radii and speed of each frame by `factor` [B]; equal for all frames of a span.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
@@ -19,7 +19,7 @@ def rescale(batch: Batch, factor: np.ndarray) -> Batch:
     return scaled
 
 
-def scale_speed(batch: Batch, factor: np.ndarray) -> Batch:
+def scale_speed(batch: Arrays, factor: np.ndarray) -> Arrays:
     """Return motion and base angle with the speed multiplied by `factor` [B], at the same yaw rate."""
     changed = {"base_rad": scale_radius(batch["base_rad"], factor[batch["windows"][:, -1]])}
     if "motion" in batch:

@@ -60,8 +60,8 @@ class Fit:
 
     def run(
         self,
-        train: Sequence[windows.Drive],
-        val: Sequence[windows.Drive],
+        train: Sequence[windows.LabelledDrive],
+        val: Sequence[windows.LabelledDrive],
         target: predict.Target,
         state: Path,
         metadata: Mapping[str, Any],
@@ -99,7 +99,9 @@ class Fit:
             sys.stdout.write(f"{line}\n")
             sys.stdout.flush()
 
-    def _plan(self, drives: Sequence[windows.Drive], epoch: int) -> tuple[list[list[int]], list[reading.Step]]:
+    def _plan(
+        self, drives: Sequence[windows.LabelledDrive], epoch: int
+    ) -> tuple[list[list[int]], list[reading.TrainStep]]:
         """Return which of each step's runs of frames are this process's, and this process's steps.
 
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
@@ -112,11 +114,11 @@ class Fit:
         for group, share in zip(groups, shares, strict=True):
             members = share or [0]  # a process without a run takes part with a run of weight 0
             factor = settings.rescale ** rng.uniform(-1, 1, len(group))[members]  # drawn for all processes' runs
-            steps.append(reading.Step(tuple(group[run] for run in members), factor.astype(np.float32)))
+            steps.append(reading.TrainStep(tuple(group[run] for run in members), factor.astype(np.float32)))
         return shares, steps
 
     def _train(
-        self, reader: reading.Reader, drives: Sequence[windows.Drive], target: predict.Target, epoch: int
+        self, reader: reading.Reader, drives: Sequence[windows.LabelledDrive], target: predict.Target, epoch: int
     ) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
         settings, device = self.settings, self.net.device
@@ -151,7 +153,7 @@ class Fit:
         error_sum, weight_sum = self.world.sum(total).tolist()
         return error_sum / weight_sum, rate
 
-    def _validate(self, drives: Sequence[windows.Drive], target: predict.Target) -> tuple[float, float]:
+    def _validate(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> tuple[float, float]:
         """Return MSE in rad² and nmse of the averaged weights; NaN without drives."""
         if not drives:
             return math.nan, math.nan
@@ -159,7 +161,7 @@ class Fit:
         mse, zero = float(np.mean(error**2)), float(np.mean(steering**2))
         return mse, mse / zero if zero > 0 else math.nan
 
-    def calibrate(self, drives: Sequence[windows.Drive], target: predict.Target) -> predict.Target:
+    def calibrate(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> predict.Target:
         """Return the target with the scale of σ and the 95 % interval that fit the drives' errors; best weights.
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
@@ -170,7 +172,7 @@ class Fit:
         factor = np.sqrt(np.mean(ratio**2))
         return replace(target, sigma_factor=float(factor), interval_95=float(np.quantile(ratio, 0.95) / factor))
 
-    def _predict(self, drives: Sequence[windows.Drive], target: predict.Target) -> np.ndarray:
+    def _predict(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> np.ndarray:
         """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""
         net: Any = self.average.module
         columns = []

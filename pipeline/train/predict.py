@@ -56,7 +56,7 @@ class Target:
     interval_95: FiniteFloat = 1.96
 
     @classmethod
-    def from_drives(cls, drives: Sequence[windows.Drive]) -> "Target":
+    def from_drives(cls, drives: Sequence[windows.LabelledDrive]) -> "Target":
         steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
         residual = np.concatenate([(drive.steering_rad - drive.base_rad)[drive.valid] for drive in drives])
         std = max(float(residual.std()), 1e-6)  # 0 for a straight road
@@ -91,7 +91,7 @@ class Card(BaseModel):
     fps: Annotated[FiniteFloat, Field(gt=0)]
 
     @classmethod
-    def from_drives(cls, drives: Sequence[windows.Drive]) -> "Card":
+    def from_drives(cls, drives: Sequence[windows.LabelledDrive]) -> "Card":
         steps_s = np.concatenate([np.diff(drive.time_s) for drive in drives])
         return cls(drives=[drive.name for drive in drives], fps=float(1 / np.median(steps_s)))
 

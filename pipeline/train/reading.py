@@ -24,7 +24,7 @@ AHEAD = 4  # batches per process
 
 
 @dataclass(frozen=True)
-class Step:
+class TrainStep:
     """One batch: spans of frames, and the factors of their lengths."""
 
     runs: tuple[windows.Span, ...]
@@ -32,19 +32,19 @@ class Step:
 
 
 class Reader(Dataset[dict[str, Any]]):
-    """Batches with targets, indexed by :class:`Step`; a context manager.
+    """Batches with targets, indexed by :class:`TrainStep`; a context manager.
 
     Files stay open in the process that reads them.
     """
 
     def __init__(
-        self, drives: Sequence[windows.Drive], window: int, device: torch.device, workers: int | None = None
+        self, drives: Sequence[windows.LabelledDrive], window: int, device: torch.device, workers: int | None = None
     ) -> None:
         """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
         self._drives, self._window = drives, window
         self._opened: dict[int, graph_file.Graphs] = {}
         self._files = ExitStack()
-        self._epoch: list[Step] = []  # the loader's sampler; its processes live for several epochs
+        self._epoch: list[TrainStep] = []  # the loader's sampler; its processes live for several epochs
         if workers is None:
             workers = default_workers() if device.type == "cuda" else 0
         self._loader: DataLoader[dict[str, Any]] | None = None
@@ -60,7 +60,7 @@ class Reader(Dataset[dict[str, Any]]):
                 multiprocessing_context="forkserver",
             )
 
-    def batches(self, steps: Sequence[Step]) -> Generator[dict[str, Any]]:
+    def batches(self, steps: Sequence[TrainStep]) -> Generator[dict[str, Any]]:
         """Yield the steps' batches in order."""
         self._epoch[:] = steps
         if self._loader:
@@ -68,7 +68,7 @@ class Reader(Dataset[dict[str, Any]]):
         else:
             yield from prefetch(self[step] for step in steps)
 
-    def __getitem__(self, step: Step) -> dict[str, Any]:
+    def __getitem__(self, step: TrainStep) -> dict[str, Any]:
         """Return the arrays of a batch as tensors, which can be pinned."""
         for drive in {run.drive for run in step.runs} - self._opened.keys():
             graphs = graph_file.open_graphs(self._drives[drive].graphs)

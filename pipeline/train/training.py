@@ -39,7 +39,7 @@ class Job:
     files: dict[str, list[str]]  # training or validation drive → hashes of its files
     pending: Path  # folder for the states of interrupted runs
 
-    def read_drives(self, names: tuple[str, ...]) -> list[windows.Drive]:
+    def read_drives(self, names: tuple[str, ...]) -> list[windows.LabelledDrive]:
         """Read drives with targets for this model."""
         entry = self.entry
         return windows.read_drives(self.variant, self.labels, names, entry.window, entry.horizon, entry.motion)

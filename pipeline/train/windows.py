@@ -3,6 +3,14 @@
 A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last frame; that frame
 needs a label but no graph. A span is a run of consecutive frames that is read and encoded once for all its windows.
 Frames are consecutive by KITTI frame number, never by position: a missing frame ends a run.
+
+A batch is a dict of arrays: B frames as in pipeline/graphs/graph_file.py, and for W windows of T frames
+
+- windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base_rad float32
+  [W] (angle of the window's last frame to which the network's output is added);
+- with motion, motion float32 [B,4] since the previous frame: the measured steering angle (also `base_rad`), yaw rate,
+  speed, and whether they were measured; the first two change sign under mirroring;
+- with targets, steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame.
 """
 
 from collections import defaultdict
@@ -17,16 +25,8 @@ import numpy as np
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
-from pipeline.graphs.graph_file import MeasuredMotion
+from pipeline.graphs.graph_file import Arrays, MeasuredMotion
 from pipeline.labels import label
-
-Batch = dict[str, np.ndarray]
-"""Input of a network as arrays. B frames, W windows of T frames. Frames as in pipeline/graphs/graph_file.py;
-windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base_rad float32
-[W] (angle of the window's last frame to which the network's output is added).
-With motion: motion float32 [B,4], since the previous frame: the measured steering angle (also `base_rad`), yaw rate,
-speed, and whether they were measured. The first two change sign under mirroring.
-With targets: steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Timeline:
     dt_s: np.ndarray  # float32 [G], time since the previous frame; nominal at the start of a run
     runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
     base_rad: np.ndarray  # float64 [G], the measured steering angle; 0 without motion
-    motion: np.ndarray | None  # float32 [G,4], see Batch; None without motion
+    motion: np.ndarray | None  # float32 [G,4], see above; None without motion
 
     @classmethod
     def read(cls, graphs: graph_file.Graphs, motion: str = "none", car: label.Car | None = None) -> "Timeline":
@@ -78,7 +78,7 @@ class Timeline:
 
 
 @dataclass(frozen=True)
-class Drive(Timeline):
+class LabelledDrive(Timeline):
     """A drive's frames with their targets, `horizon` frames after each; arrays [G]."""
 
     name: str
@@ -106,7 +106,7 @@ class Span:
 
 def read_drives(
     graphs: Path, labels: Path, names: Sequence[str], window: int, horizon: int = 0, motion: str = "none"
-) -> list[Drive]:
+) -> list[LabelledDrive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
     Raises InputError as :func:`read_drive`, or a :func:`target_fault`.
@@ -117,7 +117,7 @@ def read_drives(
     return drives
 
 
-def target_fault(drives: Sequence[Drive], window: int) -> InputError | None:
+def target_fault(drives: Sequence[LabelledDrive], window: int) -> InputError | None:
     """Return why drives can neither train nor evaluate a network: no point, no window with a target, all labels 0."""
     names = ", ".join(drive.name for drive in drives)
     filled = [drive for drive in drives if not drive.empty]
@@ -138,7 +138,7 @@ def target_fault(drives: Sequence[Drive], window: int) -> InputError | None:
     return None
 
 
-def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: str = "none") -> Drive:
+def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: str = "none") -> LabelledDrive:
     """Read one drive's labels.
 
     Args:
@@ -164,7 +164,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
                 graphs,
                 f"Remove {name} from ingest.drives or choose another motion",
             )
-        return Drive(
+        return LabelledDrive(
             **vars(Timeline.read(file, motion, car)),
             name=name,
             empty=file.empty,
@@ -198,7 +198,7 @@ def consecutive(frame: np.ndarray) -> tuple[tuple[int, int], ...]:
     return tuple(pairwise(edges))
 
 
-def random_spans(drives: Sequence[Drive], window: int, windows: int, rng: np.random.Generator) -> list[Span]:
+def random_spans(drives: Sequence[LabelledDrive], window: int, windows: int, rng: np.random.Generator) -> list[Span]:
     """Split all runs into spans of at most `windows` windows of `window` frames; each window is in one span.
 
     Spans start at a random phase and are shuffled, so that epochs have different batches. Spans without a valid target
@@ -242,7 +242,7 @@ def batches(
     groups: Sequence[Sequence[Span]],
     window: int,
     opened: Mapping[int, graph_file.Graphs] | None = None,
-) -> Generator[Batch]:
+) -> Generator[Arrays]:
     """Read each group of spans as one batch, with targets if the timelines are drives.
 
     Files stay open while the iterator lives. `opened`: timeline number → its file, if already open.
@@ -265,7 +265,7 @@ class Stream:
         # The frames of the next window and the one before, behind the last older one with a measured angle.
         self._frames: list[tuple[int, float, float, float, int]] = []
 
-    def add(self, number: int, time_s: float, motion: tuple[float, float] | None) -> Batch | None:
+    def add(self, number: int, time_s: float, motion: tuple[float, float] | None) -> Arrays | None:
         """Return the window that ends with this frame, without the frames' arrays; None if it is not complete.
 
         `motion`: yaw rate and speed; None if they are not measured.
@@ -283,7 +283,7 @@ class Stream:
         return _windows([timeline], group, self._window) if group else None
 
 
-def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) -> Batch:
+def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) -> Arrays:
     columns: dict[str, list[np.ndarray]] = defaultdict(list)
     before = 0  # frames of the batch before the span
     for span in group:
@@ -295,7 +295,7 @@ def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) 
         columns["base_rad"].append(timeline.base_rad[ends].astype(np.float32))
         if timeline.motion is not None:
             columns["motion"].append(timeline.motion[rows])
-        if isinstance(timeline, Drive):
+        if isinstance(timeline, LabelledDrive):
             # Targets without a label have weight 0, but 0 × NaN is NaN.
             columns["steering_rad"].append(np.nan_to_num(timeline.steering_rad[ends]).astype(np.float32))
             columns["valid"].append(timeline.valid[ends])

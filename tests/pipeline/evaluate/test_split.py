@@ -16,12 +16,12 @@ PARAMS = Path(__file__).resolve().parents[3] / "params.yaml"
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
-def drives(folder: Path, write: object = artefacts.write_graphs, horizon: int = 0) -> list[windows.Drive]:
+def drives(folder: Path, write: object = artefacts.write_graphs, horizon: int = 0) -> list[windows.LabelledDrive]:
     artefacts.write_dataset(folder, dict.fromkeys(NAMES, "test"), frames=30, points=40, write=write)
     return windows.read_drives(folder / "graphs/semantic", folder / "labels", NAMES, 4, horizon)
 
 
-def case(drive: windows.Drive, *seeds: np.ndarray, mean: float = 0.0) -> split.Case:
+def case(drive: windows.LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> split.Case:
     return split.Case(drive, [Prediction(angles) for angles in seeds], Target(mean, 1.0, 2.7, 1.0, {"visual": 0.5}))
 
 

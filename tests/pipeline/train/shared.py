@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.graphs.graph_file import Arrays
 from pipeline.train import windows
 from tests import artefacts
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
 
 
-def read_batch(folder: Path, spans: Sequence[windows.Span]) -> windows.Batch:
+def read_batch(folder: Path, spans: Sequence[windows.Span]) -> Arrays:
     """Add visual motion to the drives in `folder`, and return one batch of windows of 8 frames."""
     for name in DRIVES:
         artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.4, 12))

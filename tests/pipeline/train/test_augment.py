@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.graphs.graph_file import Arrays
 from pipeline.train import augment, windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES, read_batch
@@ -13,7 +14,7 @@ TWICE = np.repeat(np.array([2.0, 1.0], np.float32), FRAMES)
 
 
 @pytest.fixture(scope="module", params=["graphs", "sets", "images"])
-def batch(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> windows.Batch:
+def batch(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Arrays:
     """Two spans of ten and nine frames with motion, of each kind of input."""
     folder = tmp_path_factory.mktemp("augment")
     write = {"graphs": artefacts.write_graphs, "sets": artefacts.write_sets, "images": artefacts.write_images}
@@ -21,7 +22,7 @@ def batch(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return read_batch(folder, [windows.Span(0, 0, 10), windows.Span(1, 1, 10)])
 
 
-def test_a_world_twice_as_large_has_bends_of_twice_the_radius(batch: windows.Batch) -> None:
+def test_a_world_twice_as_large_has_bends_of_twice_the_radius(batch: Arrays) -> None:
     scaled = augment.rescale(batch, TWICE)
     if "image" in batch:  # a larger world gives the same image
         assert all((scaled[key] == batch[key]).all() for key in batch)

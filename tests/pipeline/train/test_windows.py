@@ -27,7 +27,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _read(folder: Path, window: int = 8) -> list[windows.Drive]:
+def _read(folder: Path, window: int = 8) -> list[windows.LabelledDrive]:
     return windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), window)
 
 

@@ -70,6 +70,11 @@ def check_model(entry: Entry, settings: Params) -> None:
     variant = settings.graphs[entry.input]
     if entry.motion != "none":
         check_motion("motion", entry.motion, settings.motion)
+    if entry.motion == settings.labels.source and not entry.horizon:
+        raise InputError(
+            f"motion: {entry.motion} with labels.source: {entry.motion} at horizon: 0 makes the label an input",
+            fix="Set motion: none, a horizon above 0, or another labels.source, or remove the model",
+        )
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
     runs.folds(settings.ingest.drives.splits(), entry.fit_to, entry.roads)

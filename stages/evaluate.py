@@ -12,7 +12,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, load
 from pipeline.evaluate import by_frame
 from pipeline.evaluate.schema import Metrics
-from pipeline.evaluate.split import Case, inputs, metrics
+from pipeline.evaluate.split import Case, inputs, metrics, odometry
 from pipeline.graphs import graph_file
 from pipeline.sections.evaluate import Evaluate
 from pipeline.train import predict, runs, windows
@@ -53,6 +53,8 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
         "parameters": config.parameters,
         "wheelbase_m": tested[0].car.wheelbase_m,
         "path": settings.path,
+        "labels": tested[0].label_source,
+        "odometry": odometry(cases["test"]),
         **inputs(tested),
         **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
     }

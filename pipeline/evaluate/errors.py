@@ -4,7 +4,6 @@ Angles are in rad unless named deg. Predictions are [N], or [S,N] for S seeds, o
 """
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -35,20 +34,29 @@ def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> dict[str, Any
 
 
 def by_curvature(
-    steering_rad: np.ndarray, predicted_rad: np.ndarray, curvature_1pm: np.ndarray, edges: Sequence[float]
+    steering_rad: np.ndarray,
+    predicted_rad: np.ndarray,
+    curvature_1pm: np.ndarray,
+    drive: np.ndarray,
+    settings: Evaluate,
 ) -> list[dict[str, Any]]:
     """Return the scores in bins of |curvature|, straightest first, each with the scores of predicting `zero`.
+
+    Predictions are [S,N]; `nmse_ci95` is the interval of nmse in the bin, None if every angle is 0.
 
     A model that always drives straight ahead has a small mean error, but not in the bins of bends. A bin without frames
     has only its bounds and `frames` 0.
     """
     rows = []
-    for low, high in pairwise([0.0, *edges, np.inf]):
+    for low, high in pairwise([0.0, *settings.curvature_bins_1pm, np.inf]):
         inside = (np.abs(curvature_1pm) >= low) & (np.abs(curvature_1pm) < high)
         row: dict[str, Any] = {"from_1pm": low, "to_1pm": None if np.isinf(high) else high, "frames": 0}
         if inside.any():
             row |= scores(steering_rad[inside], predicted_rad[..., inside])
             row["zero"] = scores(steering_rad[inside], np.zeros(inside.sum()))
+            error = ((predicted_rad[:, inside] - steering_rad[inside]) ** 2).mean(axis=0)
+            known = steering_rad[inside].any()
+            row["nmse_ci95"] = list(interval(error, steering_rad[inside], drive[inside], settings)) if known else None
         rows.append(row)
     return rows
 

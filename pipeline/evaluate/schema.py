@@ -11,6 +11,7 @@ from pipeline.base.params import Fraction
 
 Number = Annotated[float, Field(ge=0, le=1e9)]
 Count = Annotated[int, Field(ge=0, le=10**12)]
+Interval = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
 
@@ -41,6 +42,7 @@ class Bin(Errors):
     from_1pm: Number
     to_1pm: Number | None
     zero: Errors | None = None
+    nmse_ci95: Interval | None = None
 
 
 class ErrorsAndBaselines(Errors):
@@ -57,7 +59,7 @@ class Uncertainty(_Form):
 
 class Split(ErrorsAndBaselines):
     nmse_std: Number | None
-    nmse_ci95: Annotated[list[Number], Field(min_length=2, max_length=2)]
+    nmse_ci95: Interval
     by_curvature: Annotated[list[Bin], Field(min_length=1)]
     by_drive: dict[str, ErrorsAndBaselines]
     without_decisions: ErrorsAndBaselines
@@ -89,6 +91,13 @@ class Variant(_Form, extra="allow"):
     accumulate: dict[str, Any] | None = None
 
 
+class Odometry(_Form):
+    """The kind of motion of baseline odometry, and its regression coefficient."""
+
+    kind: str
+    coefficient: float | None
+
+
 class Metrics(_Form):
     """Contents of metrics.json."""
 
@@ -99,6 +108,8 @@ class Metrics(_Form):
     parameters: Count
     wheelbase_m: Annotated[float, Field(gt=0, le=100)]
     path: Literal["bicycle", "paper"]
+    labels: str | None = None
+    odometry: Odometry | None = None
     variant: Variant
     points_per_frame: Number | None
     edges_per_frame: Number | None

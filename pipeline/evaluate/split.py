@@ -40,7 +40,7 @@ class Case:
         - persistence: the last true angle before the target frame. No model gets it as input.
         - odometry: the angle measured at the last input frame, of the first of `kinds` of motion; `odometry_<kind>` for
           a second kind. NaN in a drive without measurements, for instance without scans.
-        - regression: ahead only, odometry times its regression coefficient on the training drives.
+        - regression: odometry times its regression coefficient on the training drives.
         """
         angles = {
             "zero": np.zeros(len(self.drive.frame)),
@@ -49,7 +49,7 @@ class Case:
         }
         for number, kind in enumerate(kinds):
             angles[f"odometry_{kind}" if number else "odometry"] = self.drive.measured_rad[kind]
-        if self.drive.horizon and kinds and kinds[0] in self.target.coefficients:
+        if kinds and kinds[0] in self.target.coefficients:
             angles["regression"] = self.target.coefficients[kinds[0]] * angles["odometry"]
         return angles
 
@@ -69,8 +69,7 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
 
     Only frames with a valid target and a prediction count; `without_decisions` leaves out `decisions.near_onsets`.
     """
-    measured = [case.drive.measured_rad for case in cases]
-    kinds = [kind for kind in measured[0] if all(kind in kinds for kinds in measured)]
+    kinds = measured_kinds(cases)
     parts = [_counted(case, kinds) for case in cases]
     columns = {name: np.concatenate([part[name] for part in parts], axis=-1) for name in parts[0]}
     steering, predicted = columns.pop("steering"), columns.pop("predicted")  # [N], [S,N]
@@ -87,12 +86,26 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
     return scores(slice(None)) | {
         "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
         "nmse_ci95": list(errors.interval(error, steering, drive, settings)),
-        "by_curvature": errors.by_curvature(steering, predicted, curvature, settings.curvature_bins_1pm),
+        "by_curvature": errors.by_curvature(steering, predicted, curvature, drive, settings),
         "by_drive": {case.drive.name: scores(drive == number) for number, case in enumerate(cases)},
         "without_decisions": scores(~near_onset),
         "drift_m_per_100m": _drift(cases, settings),
         "uncertainty": None if certainty is None else errors.uncertainty(steering, predicted, *certainty),
     }
+
+
+def measured_kinds(cases: Sequence[Case]) -> list[str]:
+    """Return the kinds of motion that all drives have; baseline odometry uses the first."""
+    measured = [case.drive.measured_rad for case in cases]
+    return [kind for kind in measured[0] if all(kind in kinds for kinds in measured)]
+
+
+def odometry(cases: Sequence[Case]) -> dict[str, Any] | None:
+    """Return the kind of motion of baseline odometry and its regression coefficient, the mean over training runs."""
+    for kind in measured_kinds(cases)[:1]:
+        coefficients = [case.target.coefficients[kind] for case in cases if kind in case.target.coefficients]
+        return {"kind": kind, "coefficient": float(np.mean(coefficients)) if coefficients else None}
+    return None
 
 
 def _counted(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:

@@ -25,7 +25,7 @@ _METRICS = (
     "where the driver's choice is unknown (pipeline/evaluate/decisions.py). edges: directed kNN edges per frame "
     "after pruning, as in the paper. Baselines: zero and train_mean predict a constant; persistence repeats the last "
     "true angle, which no model gets; odometry repeats the angle measured from the last two images or scans; "
-    "ahead, regression multiplies it by its regression coefficient on the training drives."
+    "regression multiplies it by its regression coefficient on the training drives."
 )
 _PAPER = (
     "MSE in rad². paper: its Table 2, for models with the settings of one of its networks. With the paper's own label, "

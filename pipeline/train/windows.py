@@ -91,7 +91,9 @@ class LabelledDrive(Timeline):
     valid: np.ndarray  # bool; False without a label
     speed_mps: np.ndarray  # float64, at the frame itself
     persistence_rad: np.ndarray  # float64, last valid label before the target and not after the frame itself; or 0
-    # Kind of motion in the file → float64, the measured angle; NaN if no frame is measured, as without scans.
+    label_source: str  # labels.source: oxts | visual | lidar | wheel
+    # Kind of motion in the file → float64, the measured angle; NaN if no frame is measured, as without scans. At
+    # horizon 0 without the kind that the labels are from, since it is the same measurement.
     measured_rad: dict[str, np.ndarray]
 
 
@@ -156,7 +158,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
         here = np.array([row_of[int(number)] for number in file.frame], np.int64)
         ahead = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
         steering_rad, valid, section = truth["steering_rad"], truth["valid"].astype(bool), truth.params["labels"]
-        car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
+        car, source = label.Car(section["wheelbase_m"], section["min_speed_mps"]), section.get("source", "oxts")
         measured = {kind: file.motion(kind).valid.any() for kind in file.motions}
         if valid[here].any() and not measured.get(motion, True):
             raise InputError(
@@ -175,10 +177,12 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
             curvature_1pm=np.where(ahead >= 0, truth["curvature_1pm"][ahead], np.nan),
             valid=(ahead >= 0) & valid[ahead],
             speed_mps=truth["speed_mps"][here],
+            label_source=source,
             persistence_rad=_hold(steering_rad[here], valid[here], including=horizon > 0),
             measured_rad={
                 kind: label.measured_angle(*file.motion(kind), **vars(car)) if any_valid else np.full(len(here), np.nan)
                 for kind, any_valid in measured.items()
+                if horizon or kind != source
             },
         )
 

@@ -67,6 +67,21 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
     assert table2["models"].keys() >= PAPER
 
 
+@pytest.mark.parametrize("kind", ["visual", "lidar"])
+def test_a_label_is_not_its_models_input(tmp_path: Path, kind: str) -> None:
+    content = changed("labels.source", kind)
+    content["motion"]["kinds"], content["ingest"]["lidar"] = ["visual", "lidar"], True
+    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": kind}}
+    with pytest.raises(
+        InputError, match=f"models.net: motion: {kind} with labels.source: {kind} at horizon: 0"
+    ) as raised:
+        run(tmp_path, content)
+    assert "motion: none" in raised.value.fix
+    assert "\n" not in str(raised.value)
+    content["models"]["net"]["horizon"] = 10
+    run(tmp_path, content)
+
+
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [

@@ -21,11 +21,19 @@ def test_scores_by_hand() -> None:
 
 def test_errors_by_curvature_stand_beside_those_of_zero() -> None:
     steering, curvature = np.array([0.0, 0.01, 0.2, -0.3]), np.array([0.0, -0.001, 0.07, -0.1])
-    straight, slight, sharp = errors.by_curvature(steering, np.full(4, 0.01), curvature, [0.005, 0.03])
+    settings = Evaluate(
+        bootstrap_block_frames=2, bootstrap_samples=20, curvature_bins_1pm=[0.005, 0.03], path="bicycle", seed=0
+    )
+    predicted, drive = np.full((1, 4), 0.01), np.zeros(4)
+    straight, slight, sharp = errors.by_curvature(steering, predicted, curvature, drive, settings)
     assert slight == {"from_1pm": 0.005, "to_1pm": 0.03, "frames": 0}
     assert (straight["frames"], sharp["frames"], sharp["to_1pm"]) == (2, 2, None)
     assert sharp["zero"]["mse_rad2"] == pytest.approx((0.04 + 0.09) / 2)
     assert straight["mse_rad2"] == pytest.approx(0.0001 / 2)
+    low, high = sharp["nmse_ci95"]
+    assert low <= sharp["nmse"] <= high
+    zeros = errors.by_curvature(np.zeros(4), predicted, curvature, drive, settings)
+    assert zeros[0]["nmse_ci95"] is None
 
 
 def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> tuple:

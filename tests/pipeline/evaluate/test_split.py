@@ -80,7 +80,7 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
         windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4),
     )
     assert list(found) == ["zero", "train_mean", "persistence", "odometry", "regression"]
-    assert list(baselines(0)["baselines"]) == ["zero", "train_mean", "persistence", "odometry"]
+    assert list(baselines(0)["baselines"]) == ["zero", "train_mean", "persistence", "odometry", "regression"]
     ahead = np.concatenate([drive.steering_rad[5:] - drive.steering_rad[:25] for drive in (first, second)])
     assert found["odometry"]["mse_rad2"] == pytest.approx(np.mean(ahead**2), rel=1e-4)
     half = np.concatenate([drive.steering_rad[5:] - 0.5 * drive.steering_rad[:25] for drive in (first, second)])
@@ -90,3 +90,19 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
     found = baselines()
     assert [found["by_drive"][name]["baselines"]["odometry_lidar"]["nmse"] is None for name in NAMES] == [False, True]
     assert found["baselines"]["odometry_lidar"]["nmse"] is None
+
+
+@pytest.mark.parametrize(("horizon", "kinds"), [(0, ["lidar"]), (5, ["visual", "lidar"])])
+def test_odometry_is_not_compared_with_labels_from_the_same_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, horizon: int, kinds: list[str]
+) -> None:
+    monkeypatch.setitem(artefacts.LABELS["labels"], "source", "visual")
+    for drive in drives(tmp_path):
+        for kind in ("visual", "lidar"):
+            artefacts.add_motion(drive.graphs, kind, drive.steering_rad)
+    again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, horizon)
+    cases = [case(drive, np.zeros(30)) for drive in again]
+    assert split.measured_kinds(cases) == kinds
+    assert {drive.label_source for drive in again} == {"visual"}
+    assert split.odometry(cases) == {"kind": kinds[0], "coefficient": {"visual": 0.5}.get(kinds[0])}
+    assert ("odometry_lidar" in metrics(cases)["baselines"]) == (len(kinds) == 2)

@@ -83,11 +83,12 @@ def _predict(
 ) -> dict[str, list[Case]]:
     """Return split → drives with the predictions of all seeds; a drive of several folds once, from the first."""
     cases: dict[str, dict[str, Case]] = {part: {} for part in SPLITS}
+    entry = config.model
     for fold in dict.fromkeys(run.fold for run in models):
         seeds = [model for run, model in models.items() if run.fold == fold]
         for part, drives in cases.items():
             for name in (name for name in getattr(fold, part) if name not in drives):
-                drive = windows.read_drive(variant, labels, name, config.model.horizon, config.model.motion)
+                drive = windows.read_drive(variant, labels, name, entry.horizon, entry.motion, entry.base)
                 with graph_file.open_graphs(drive.graphs) as graphs:
                     predictions = [model.predict_with_sigma(graphs) for model in seeds]
                 drives[name] = Case(drive, predictions, seeds[0].target)

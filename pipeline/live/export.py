@@ -109,7 +109,9 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
                 "line": model.entry.model_dump(mode="json"),
             },
             "use": USE,
-            "base_rad": "measured angle of the last frame" if model.net.motion else "0",
+            "base_rad": "measured angle of the last frame"
+            if model.net.motion and model.entry.base == "motion"
+            else "0",
             "window": model.entry.window,
             "horizon": model.entry.horizon,
             **vars(model.target),
@@ -185,7 +187,7 @@ def read_examples(model: Trained, graphs: Path) -> list[Example]:
 
 def _read_drive(model: Trained, drive: str, graphs: graph_file.Graphs) -> Iterator[Example]:
     steering_rad = model.predict(graphs)
-    timeline = windows.Timeline.read(graphs, model.entry.motion, model.target.car)
+    timeline = windows.Timeline.read(graphs, model.entry.motion, model.target.car, model.entry.base)
     ends = np.flatnonzero(~np.isnan(steering_rad))
     for end in ends[np.linspace(0, len(ends) - 1, min(WINDOWS_PER_DRIVE, len(ends))).round().astype(int)].tolist():
         span = windows.Span(0, end - model.entry.window + 1, end + 1)

@@ -141,7 +141,7 @@ class Predictor:
     def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         """Add the angle predicted after each frame that completes a window."""
         net, target, entry = self.model.net, self.model.target, self.model.entry
-        stream = windows.Stream(entry.window, target.car if entry.motion != "none" else None)
+        stream = windows.Stream(entry.window, target.car if entry.motion != "none" else None, entry.base)
         features: deque[torch.Tensor] = deque(maxlen=entry.window)  # each [1,F]
         for frame in frames:
             estimate = frame.estimates.get(entry.motion)

@@ -35,8 +35,15 @@ class Entry(Section):
     ] = 0
     motion: Annotated[
         Literal["none", MotionKind],
-        Field(description="measured motion as a second input; the network predicts the residual to its angle"),
+        Field(description="kind of measured motion that is a second input"),
     ] = "none"
+    base: Annotated[
+        Literal["motion", "none"],
+        Field(
+            description="angle that the output is added to: motion: the measured angle of the last frame, 0 without "
+            "motion | none: 0, for motion whose speed is uncertain"
+        ),
+    ] = "motion"
     uncertainty: Annotated[bool, Field(description="predict the standard deviation of the error, too")] = False
     fit_to: Annotated[
         Literal["train", "others", "both"],

@@ -39,12 +39,12 @@ WINDOWS = 96  # per batch of predictions; limits the memory
 class Target:
     """Scale of the network's output, from the training drives: Θ = base + std · output.
 
-    base is the measured angle of the window's last frame, 0 without motion; std is the standard deviation of the
-    residual Θ - base. So output 0 means the base angle. The mean of Θ, and its regression coefficients on the measured
-    angles by kind of motion, are for baselines. With uncertainty, σ = std · sigma_factor · exp(second output), and the
-    95 % interval is ± interval_95 · σ. Both are chosen on the validation drives: the highest likelihood of their
-    errors, and the interval that contains 95 % of them, since large errors are more frequent than in a normal
-    distribution.
+    base is the measured angle of the window's last frame, or 0, see `base` of a model's entry; std is the standard
+    deviation of the residual Θ - base. So output 0 means the base angle. The mean of Θ, and its regression coefficients
+    on the measured angles by kind of motion, are for baselines. With uncertainty, σ = std · sigma_factor · exp(second
+    output), and the 95 % interval is ± interval_95 · σ. Both are chosen on the validation drives: the highest
+    likelihood of their errors, and the interval that contains 95 % of them, since large errors are more frequent than
+    in a normal distribution.
     """
 
     mean_rad: FiniteFloat
@@ -148,7 +148,7 @@ class Trained:
                 f"train@{self.name}",
             )
         with error_context(where=f"model {self.name}"):
-            timeline = windows.Timeline.read(graphs, self.entry.motion, self.target.car)
+            timeline = windows.Timeline.read(graphs, self.entry.motion, self.target.car, self.entry.base)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows(numbers)
         (predicted,) = predict_drives(
             self.net, [timeline], self.entry.window, self.target, rows=[rows], opened={0: graphs}

@@ -42,7 +42,9 @@ class Job:
     def read_drives(self, names: tuple[str, ...]) -> list[windows.LabelledDrive]:
         """Read drives with targets for this model."""
         entry = self.entry
-        return windows.read_drives(self.variant, self.labels, names, entry.window, entry.horizon, entry.motion)
+        return windows.read_drives(
+            self.variant, self.labels, names, entry.window, entry.horizon, entry.motion, entry.base
+        )
 
 
 def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu") -> None:

@@ -8,7 +8,7 @@ A batch is a dict of arrays: B frames as in pipeline/graphs/graph_file.py, and f
 
 - windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base_rad float32
   [W] (angle of the window's last frame to which the network's output is added);
-- with motion, motion float32 [B,4] since the previous frame: the measured steering angle (also `base_rad`), yaw rate,
+- with motion, motion float32 [B,4] since the previous frame: the measured steering angle, yaw rate,
   speed, and whether they were measured; the first two change sign under mirroring;
 - with targets, steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame.
 """
@@ -38,21 +38,29 @@ class Timeline:
     time_s: np.ndarray  # float64 [G]
     dt_s: np.ndarray  # float32 [G], time since the previous frame; nominal at the start of a run
     runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
-    base_rad: np.ndarray  # float64 [G], the measured steering angle; 0 without motion
+    base_rad: np.ndarray  # float64 [G], angle to which the output is added, see `base` of a model's entry
     motion: np.ndarray | None  # float32 [G,4], see above; None without motion
 
     @classmethod
-    def read(cls, graphs: graph_file.Graphs, motion: str = "none", car: label.Car | None = None) -> "Timeline":
-        """Read the times of an open graph file, and motion of kind `motion` of a `car`.
+    def read(
+        cls, graphs: graph_file.Graphs, motion: str = "none", car: label.Car | None = None, base: str = "motion"
+    ) -> "Timeline":
+        """Read the times of an open graph file, and motion of kind `motion` of a `car`; `base` as in a model's entry.
 
         Raises InputError if the file has no motion of this kind.
         """
         measured = None if motion == "none" else graphs.motion(motion)
-        return cls.of(graphs.path, graphs.frame, graphs.time_s, measured, car)
+        return cls.of(graphs.path, graphs.frame, graphs.time_s, measured, car, base)
 
     @classmethod
     def of(
-        cls, graphs: Path, frame: np.ndarray, time_s: np.ndarray, motion: MeasuredMotion | None, car: label.Car | None
+        cls,
+        graphs: Path,
+        frame: np.ndarray,
+        time_s: np.ndarray,
+        motion: MeasuredMotion | None,
+        car: label.Car | None,
+        base: str = "motion",
     ) -> "Timeline":
         """Return the timeline of frames with these numbers, times, and measured motion of a `car`."""
         from models.steering.core.recurrent import NOMINAL_STEP_S
@@ -63,8 +71,9 @@ class Timeline:
         base_rad, columns = np.zeros(len(frame)), None
         if motion is not None:
             assert car is not None, "the steering angle needs a wheelbase"
-            base_rad = label.measured_angle(*motion, **vars(car))
-            columns = np.stack([base_rad, *motion], axis=1).astype(np.float32)
+            measured_rad = label.measured_angle(*motion, **vars(car))
+            columns = np.stack([measured_rad, *motion], axis=1).astype(np.float32)
+            base_rad = measured_rad if base == "motion" else base_rad
         return cls(graphs, frame, time_s, dt_s.astype(np.float32), runs, base_rad, columns)
 
     def rows(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
@@ -107,13 +116,19 @@ class Span:
 
 
 def read_drives(
-    graphs: Path, labels: Path, names: Sequence[str], window: int, horizon: int = 0, motion: str = "none"
+    graphs: Path,
+    labels: Path,
+    names: Sequence[str],
+    window: int,
+    horizon: int = 0,
+    motion: str = "none",
+    base: str = "motion",
 ) -> list[LabelledDrive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
     Raises InputError as :func:`read_drive`, or a :func:`target_fault`.
     """
-    drives = [read_drive(graphs, labels, name, horizon, motion) for name in names]
+    drives = [read_drive(graphs, labels, name, horizon, motion, base) for name in names]
     if names and (fault := target_fault(drives, window)):
         raise fault
     return drives
@@ -140,12 +155,14 @@ def target_fault(drives: Sequence[LabelledDrive], window: int) -> InputError | N
     return None
 
 
-def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: str = "none") -> LabelledDrive:
+def read_drive(
+    graphs: Path, labels: Path, name: str, horizon: int = 0, motion: str = "none", base: str = "motion"
+) -> LabelledDrive:
     """Read one drive's labels.
 
     Args:
         graphs, labels: folders of the graph variant and of the labels.
-        horizon, motion: as in a model's entry.
+        horizon, motion, base: as in a model's entry.
     Raises:
         InputError: a label is missing, the file has no such motion, or the car drives and no frame is measured.
     """
@@ -167,7 +184,7 @@ def read_drive(graphs: Path, labels: Path, name: str, horizon: int = 0, motion: 
                 f"Remove {name} from ingest.drives or choose another motion",
             )
         return LabelledDrive(
-            **vars(Timeline.read(file, motion, car)),
+            **vars(Timeline.read(file, motion, car, base)),
             name=name,
             empty=file.empty,
             labels=labels,
@@ -263,9 +280,9 @@ def batches(
 class Stream:
     """The windows of frames that arrive one by one, as :func:`batches` reads them from a file."""
 
-    def __init__(self, window: int, car: label.Car | None) -> None:
-        """`car`: None for a network without motion."""
-        self._window, self._car = window, car
+    def __init__(self, window: int, car: label.Car | None, base: str = "motion") -> None:
+        """`car`: None for a network without motion; `base` as in a model's entry."""
+        self._window, self._car, self._base = window, car, base
         # The frames of the next window and the one before, behind the last older one with a measured angle.
         self._frames: list[tuple[int, float, float, float, int]] = []
 
@@ -278,7 +295,7 @@ class Stream:
         frame, times, yaw_rate, speed, valid = map(np.array, zip(*self._frames, strict=True))
         measured = MeasuredMotion(yaw_rate.astype(np.float32), speed.astype(np.float32), valid.astype(np.uint8))
         last = len(frame) - 1
-        timeline = Timeline.of(Path(), frame, times, measured if self._car else None, self._car)
+        timeline = Timeline.of(Path(), frame, times, measured if self._car else None, self._car, self._base)
         older = slice(0, max(0, len(frame) - self._window))
         usable = label.is_usable(measured.speed_mps, valid, self._car.min_speed_mps if self._car else 0.0)
         held = np.flatnonzero(usable[older])[-1:]

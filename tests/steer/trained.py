@@ -14,7 +14,10 @@ MODELS = {
         "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual",
         "uncertainty": True,
     },
-    "scans": {"input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "lidar", "horizon": 2},
+    "scans": {
+        "input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "lidar", "base": "none",
+        "horizon": 2,
+    },
     "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},
 }  # fmt: skip
 VARIANTS = {

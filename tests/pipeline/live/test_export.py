@@ -60,7 +60,7 @@ def test_the_module_equals_the_network(network: nn.Module, equivariant: bool) ->
         {"spatial": "gnn", "temporal": "ncp", "equivariant": True, "motion": "visual"},
         {"spatial": "gatv2", "temporal": "ncp", "cell": "eq4"},
         {"spatial": "pointnet2", "equivariant": True},
-        {"spatial": "cnn"},
+        {"spatial": "cnn", "motion": "visual", "base": "none"},
     ],
     ids=lambda settings: settings["spatial"],
 )
@@ -70,6 +70,8 @@ def test_each_kind_of_network_is_exported(tmp_path: Path, settings: dict[str, An
     manifest = export(model, tmp_path / "graphs/semantic", out, 1e-5)
     assert json.loads((out / "export.json").read_text()) == json.loads(json.dumps(manifest))
     assert {path.name for path in out.iterdir()} == {"spatial.pt2", "recurrent.pt2", "export.json"}
+    measured = settings.get("motion") == "visual" and settings.get("base") != "none"
+    assert manifest["base_rad"] == ("measured angle of the last frame" if measured else "0")
     spatial, recurrent = (torch.export.load(out / f"{part}.pt2").module() for part in manifest["inputs"])
     example = read_examples(model, tmp_path / "graphs/semantic")[-1]
     inputs = [[torch.from_numpy(each[name]) for name in manifest["inputs"]["spatial"]] for each in example.frames]

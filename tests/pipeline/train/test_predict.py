@@ -70,10 +70,11 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(model: predict.Train
                 model.predict(graphs, wrong)  # type: ignore[arg-type]
 
 
-def test_output_zero_is_the_measured_angle(tmp_path: Path) -> None:
+@pytest.mark.parametrize("base", ["motion", "none"])
+def test_output_zero_is_the_base_angle(tmp_path: Path, base: str) -> None:
     drive = tmp_path / "drive.h5"
     artefacts.write_graphs(drive, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
-    model = predict.load(write_model(tmp_path / "net", motion="visual", horizon=3), "cpu")
+    model = predict.load(write_model(tmp_path / "net", motion="visual", base=base, horizon=3), "cpu")
     assert model.entry.horizon == 3
     with graph_file.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"no motion of kind visual"):
         model.predict(graphs)
@@ -86,8 +87,9 @@ def test_output_zero_is_the_measured_angle(tmp_path: Path) -> None:
             model.net.temporal.output_shift.data.fill_(output)
             steering_rad = model.predict(graphs)
             finite = np.isfinite(steering_rad)
+            base_rad = STEERING[finite] if base == "motion" else 0.0
             assert finite.sum() == (12 - 3) + (11 - 3)
-            assert steering_rad[finite] == pytest.approx(STEERING[finite] + 0.12 * output, abs=1e-6)
+            assert steering_rad[finite] == pytest.approx(base_rad + 0.12 * output, abs=1e-6)
 
 
 def test_a_symlink_loop_is_no_model(tmp_path: Path) -> None:
@@ -105,6 +107,10 @@ def test_folder_of_a_model(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"best\.pt is missing") as raised:
             predict.load(tmp_path / missing)
         assert fix in raised.value.fix
+    best = checkpoint.read(folder / "best.pt", predict.KIND)
+    best["model"] = {key: value for key, value in best["model"].items() if key != "base"}  # as before this setting
+    checkpoint.write(folder / "best.pt", best | {"kind": predict.KIND})
+    assert predict.load(folder).entry.base == "motion"
     config = {"model": model.entry.model_dump(mode="json"), "seeds": [0], "parameters": 1, "best_sha256": "0"}
     store.write_json(folder / "config.json", config)
     with pytest.raises(InputError, match="different runs"):

@@ -131,9 +131,16 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     assert batch["motion"][11 + 6, 2:].tolist() == [8, 1]
     assert "motion" not in plain
     assert not plain["base_rad"].any()
+    without_base = windows.read_drives(
+        folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "visual", "none"
+    )
+    (batch_without_base,) = windows.batches(without_base, [group], 8)
+    assert (batch_without_base["motion"] == batch["motion"]).all()
+    assert not batch_without_base["base_rad"].any()
 
 
-def test_a_stream_has_the_windows_of_the_file(folder: Path) -> None:
+@pytest.mark.parametrize("base", ["motion", "none"])
+def test_a_stream_has_the_windows_of_the_file(folder: Path, base: str) -> None:
     """With a gap, motion that is not measured, and an angle that is held over more than a window."""
     name = next(iter(DRIVES))
     frame = np.setdiff1d(np.arange(23), [4])
@@ -143,8 +150,8 @@ def test_a_stream_has_the_windows_of_the_file(folder: Path) -> None:
     artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.2, 22), valid)
     with open_graphs(folder / f"graphs/semantic/{name}.h5") as graphs:
         car, motion = label.Car(artefacts.WHEELBASE_M, 1.0), graphs.motion("visual")
-        timeline = windows.Timeline.read(graphs, "visual", car)
-        stream, ends = windows.Stream(3, car), []
+        timeline = windows.Timeline.read(graphs, "visual", car, base)
+        stream, ends = windows.Stream(3, car, base), []
         for row, number in enumerate(graphs.frame.tolist()):
             measured = (float(motion.yaw_rate_radps[row]), float(motion.speed_mps[row])) if valid[row] else None
             if arrays := stream.add(number, float(graphs.time_s[row]), measured):
@@ -154,4 +161,4 @@ def test_a_stream_has_the_windows_of_the_file(folder: Path) -> None:
                 assert all(np.array_equal(arrays[key], expected[key]) for key in arrays)
                 assert {"windows", "dt_s", "base_rad", "motion"} == arrays.keys()
     assert ends == [2, 3, *range(6, 22)]
-    assert timeline.base_rad[-1] != 0
+    assert (timeline.base_rad[-1] != 0) == (base == "motion")

@@ -87,7 +87,8 @@ def _load_metrics(folder: Path) -> dict[str, Any]:
     if content["model"] != folder.name:
         raise InputError(f"expected model {folder.name}, got {content['model']}", path, _fix(folder.name))
     for scores in filter(None, (content[split] for split in SPLITS)):
-        scores["nmse_low"], scores["nmse_high"] = scores["nmse_ci95"]
+        for part in (scores, *scores["by_curvature"]):
+            part["nmse_low"], part["nmse_high"] = part["nmse_ci95"] or (None, None)
         scores["by_curvature"] = {
             _range(part): {"baselines": {"zero": part.pop("zero") or {}}, **part} for part in scores["by_curvature"]
         }

@@ -1,8 +1,31 @@
-"""Summarise the results in three sentences: how good the best model is, where it fails, and what to try next."""
+"""Summarise the results in a few sentences: how good the best model is, where it fails, and what to try next.
+
+The 95 % intervals decide the wording: a difference that they contain is called "not shown".
+"""
+
+from collections.abc import Sequence
+from typing import Literal, get_args
 
 import pandas as pd
 
+from pipeline.base.params import MotionKind
 from pipeline.report.results import Results, columns_below
+
+MAX_NAMES = 3  # models named in a sentence
+FACTOR, SHARE = 0.1, 0.5  # odometry is off by a factor that differs from 1 by FACTOR and leaves SHARE of its error
+Verdict = Literal["better", "worse", "unclear"]
+_AGAINST_ZERO: dict[Verdict, str] = {
+    "better": "beats always predicting zero",
+    "worse": "is worse than always predicting zero",
+    "unclear": "is not shown to be better than always predicting zero",
+}
+_AGAINST_ODOMETRY: dict[Verdict, str] = {
+    "better": "It beats {name}, which has {nmse} of the squared error of zero.",
+    "worse": "It is worse than {name}, which needs no learning and has {nmse} of the squared error of zero.",
+    "unclear": "It is not shown to be better than {name}, which has {nmse} of the squared error of zero.",
+}
+_SCALE = "the field of view (steer import --fov) and the camera's height (perception.camera_height_m)"
+_SCALES = {"wheel": f"{_SCALE}, and check the steering ratio (steer import --steering-ratio)"}
 
 
 def sentences(results: Results) -> list[str]:
@@ -14,55 +37,149 @@ def sentences(results: Results) -> list[str]:
         return []
     best = group.loc[group["test.nmse"].astype(float).idxmin()]
     bends = _bends(best)
-    return [_accuracy(best, len(group)), *([_weakness(bends)] if len(bends) > 1 else []), _next_step(best, bends)]
+    return [
+        _accuracy(best),
+        *_rank(best, group),
+        *_drives(best),
+        *_odometry_factor(best),
+        _odometry(best),
+        *_by_bend(bends),
+        _next_step(best, bends),
+    ]
 
 
-def _accuracy(best: pd.Series, count: int) -> str:
-    among = f", the best of {count} models," if count > 1 else ""
+def _verdict(row: pd.Series, reference: float = 1.0, key: str = "test") -> Verdict:
+    """Return whether the interval of nmse is below or above a reference; zero has 1."""
+    low, high = row.get(f"{key}.nmse_low"), row.get(f"{key}.nmse_high")
+    if pd.isna(low) or pd.isna(high):
+        return "unclear"
+    return "better" if high < reference else "worse" if low > reference else "unclear"
+
+
+def _accuracy(best: pd.Series) -> str:
     ahead = f" {best['line.horizon']} frames ahead" if best["line.horizon"] else ""
-    text = (
-        f"{best['model']}{among} predicts the steering angle{ahead} with a mean error of {best['test.mae_deg']:.1f}°; "
-        f"its mean squared error is {_times(best['test.nmse'])} the error of always predicting zero"
+    low, high = best["test.nmse_low"], best["test.nmse_high"]
+    return (
+        f"{best['model']} predicts the steering angle{ahead} with a mean error of {best['test.mae_deg']:.1f}° and "
+        f"{_AGAINST_ZERO[_verdict(best)]}: it has {_percent(best['test.nmse'])} of the squared error of zero "
+        f"(95 % interval {_percent(low)} to {_percent(high)})."
     )
-    odometry = best.get("test.baselines.odometry.nmse")
-    if pd.isna(odometry) or not odometry:
-        return f"{text}, and there is no odometry to compare with."
-    verdict = "so it beats odometry" if best["test.nmse"] < odometry else "which needs no learning"
-    return f"{text} and {_times(best['test.nmse'] / odometry)} the error of odometry, {verdict}."
+
+
+def _rank(best: pd.Series, group: pd.DataFrame) -> list[str]:
+    if len(group) == 1:
+        return []
+    text = f"It has the lowest error of {len(group)} models"
+    names = [*group["model"][(group["test.nmse"] <= best["test.nmse_high"]) & (group["model"] != best["model"])]]
+    if not names:
+        return [f"{text}."]
+    others = " and ".join(names) if len(names) <= MAX_NAMES else f"{len(names)} of them"
+    return [f"{text}, but is not shown to be better than {others}."]
+
+
+def _drives(best: pd.Series) -> list[str]:
+    folds, count = best["line.fit_to"] != "train", len(best["drives.test"])
+    rules = {
+        "Each test drive is predicted by a network that was not fitted to it.": folds,
+        "All test frames are of one drive, so the intervals say little about other roads.": count == 1,
+    }
+    return [text for text, holds in rules.items() if holds]
+
+
+def _factor(best: pd.Series) -> float | None:
+    """Return the factor that odometry is off by; None if it does not follow the angle, or its factor is near 1."""
+    factor, plain, scaled = (
+        best.get(key)
+        for key in ("odometry.coefficient", "test.baselines.odometry.nmse", "test.baselines.regression.nmse")
+    )
+    if best["line.horizon"] or pd.isna(factor) or pd.isna(plain) or pd.isna(scaled):
+        return None
+    return float(factor) if abs(factor - 1) > FACTOR and scaled < SHARE * min(plain, 1) else None
+
+
+def _odometry_factor(best: pd.Series) -> list[str]:
+    factor = _factor(best)
+    if factor is None:
+        return []
+    return [
+        f"Odometry follows the angle but is off by a constant factor: it fits best multiplied by {factor:.2f} "
+        f"(regression on the training drives). Set {_SCALES.get(best['labels'], _SCALE)}."
+    ]
+
+
+def _baseline(best: pd.Series) -> tuple[str, float | None]:
+    """Return the name and nmse of the baseline of measured motion; with its factor where it is off by one."""
+    factor = _factor(best)
+    name, key = ("odometry", "odometry") if factor is None else (f"odometry times {factor:.2f}", "regression")
+    nmse = best.get(f"test.baselines.{key}.nmse")
+    return name, None if pd.isna(nmse) else float(nmse)
+
+
+def _odometry(best: pd.Series) -> str:
+    name, nmse = _baseline(best)
+    if nmse is None:
+        if best.get("labels") in get_args(MotionKind) and not best["line.horizon"]:
+            return "The labels are measured motion themselves, so there is no odometry to compare with."
+        return "There is no odometry to compare with."
+    if nmse >= 1:
+        return f"Odometry is no better than zero: it has {_percent(nmse)} of its squared error."
+    return _AGAINST_ODOMETRY[_verdict(best, nmse)].format(name=name, nmse=_percent(nmse))
 
 
 def _bends(best: pd.Series) -> pd.DataFrame:
-    """Return a row per range of |curvature| with frames: its name, RMSE of the best model and of zero in degrees."""
+    """Return a row per range of |curvature| with frames: its name, RMSE in degrees, that of zero, and the verdict."""
     columns = columns_below(best.dropna().index, "test.by_curvature", "rmse_deg")
-    zero = "test.by_curvature.{}.baselines.zero.rmse_deg"
-    rows = [(name, best[column], best[zero.format(name)]) for name, column in columns.items()]
-    return pd.DataFrame(rows, columns=["range", "rmse", "zero"])
+    rows = []
+    for name, column in columns.items():
+        key = f"test.by_curvature.{name}"
+        road = "on straight road" if name.startswith("0 ") else "in sharp bends" if name.startswith("≥") else "in bends"
+        zero = best[f"{key}.baselines.zero.rmse_deg"]
+        rows.append((road, name, best[column], zero, _verdict(best, key=key) if zero else None))
+    bends = pd.DataFrame(rows, columns=["road", "range", "rmse", "zero", "verdict"])
+    return bends[bends["range"] != "≥ 0"]  # one bin has no bends
 
 
-def _weakness(bends: pd.DataFrame) -> str:
-    straight, sharp = bends.iloc[0], bends.iloc[-1]
-    worst = "It fails in sharp bends" if bends["rmse"].idxmax() == bends.index[-1] else "In sharp bends it does well"
-    steady = "wobbles" if straight["rmse"] > straight["zero"] else "is steady"
-    return (
-        f"{worst} (|curvature| {sharp['range']} 1/m): RMSE {sharp['rmse']:.1f}°, where always predicting zero has "
-        f"{sharp['zero']:.1f}°; on straight road ({straight['range']} 1/m) it {steady}: RMSE {straight['rmse']:.1f}°, "
-        f"where zero has {straight['zero']:.1f}°."
-    )
+def _by_bend(bends: pd.DataFrame) -> list[str]:
+    """Return a sentence about the sharpest bends with frames and the straight road."""
+    if not len(bends):
+        return []
+    parts = []
+    for _, row in bends.iloc[[-1, 0] if len(bends) > 1 else [0]].iterrows():
+        text = _AGAINST_ZERO[row["verdict"]] if row["verdict"] else "predicts bends where every angle is 0"
+        numbers = f"RMSE {row['rmse']:.1f}°, zero has {row['zero']:.1f}°"
+        parts.append(f"{row['road']} (|curvature| {row['range']} 1/m) it {text}: {numbers}")
+    text = "; ".join(parts)
+    unknown = [] if _has_bends(bends) else ["The test drives have no bends, so its error there is unknown."]
+    return [f"{text[0].upper()}{text[1:]}.", *unknown]
+
+
+def _has_bends(bends: pd.DataFrame) -> bool:
+    return bool((bends["road"] != "on straight road").any()) or not len(bends)
 
 
 def _next_step(best: pd.Series, bends: pd.DataFrame) -> str:
-    steps = []
-    odometry = best.get("test.baselines.odometry.nmse")
-    if pd.notna(odometry) and best["line.motion"] == "none" and best["test.nmse"] > odometry:
-        steps.append("motion: visual, so that the network corrects the odometry angle instead of replacing it")
-    if len(bends) and bends.iloc[0]["rmse"] > bends.iloc[0]["zero"] and best["line.equivariant"] is False:
-        steps.append("equivariant: true, so that a mirrored scene gives the opposite angle and a straight road no bias")
-    if not steps and not best["line.horizon"]:
-        steps.append("horizon: 10, a second ahead, which no odometry can measure")
-    if len(steps) < 2:
-        steps.append("more training drives with bends like those of the test drives (ingest.drives)")
-    return f"Try next in params.yaml: {'; and '.join(steps)}."
+    _, odometry = _baseline(best)
+    behind = odometry is not None and odometry < 1 and _verdict(best, odometry) == "worse"
+    wobbles = ((bends["road"] == "on straight road") & (bends["verdict"] == "worse")).any()
+    steps: Sequence[tuple[bool, str]] = (
+        (
+            behind and best["line.motion"] == "none" and _factor(best) is None and pd.notna(best.get("odometry.kind")),
+            f"motion: {best.get('odometry.kind')}, so that the network corrects the odometry angle instead of "
+            "replacing it",
+        ),
+        (
+            bool(wobbles) and best["line.equivariant"] is False,
+            "equivariant: true, so that a mirrored scene gives the opposite angle and a straight road no bias",
+        ),
+        (not _has_bends(bends), "test drives with bends (ingest.drives)"),
+    )
+    texts = [text for holds, text in steps if holds]
+    if not texts and not best["line.horizon"] and _verdict(best) == "better":
+        texts.append("horizon: 10, an angle ahead of the car, which no odometry can measure")
+    if len(texts) < 2:
+        texts.append("more training drives with bends like those of the test drives (ingest.drives)")
+    return f"Try next in params.yaml: {'; and '.join(texts)}."
 
 
-def _times(ratio: float) -> str:
-    return f"{100 * ratio:.2g} % of" if ratio < 1 else f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
+def _percent(ratio: float) -> str:
+    return f"{100 * ratio:.2g} %" if ratio < 0.995 else f"{100 * ratio:,.0f} %"

@@ -30,15 +30,25 @@ def part(nmse: float, odometry: dict[str, float | None], frames: int = 40) -> di
     return {**errors(nmse, frames), "baselines": baselines}
 
 
+def around(nmse: float) -> list[float]:
+    return [0.5 * nmse, 1.5 * nmse]
+
+
 def scores(nmse: float, drives: tuple[str, ...] = (), **odometry: float | None) -> dict[str, Any]:
     """Return the scores of a split; drives are 0.01, 0.02, … better than all together."""
     return {
         **part(nmse, odometry),
         "nmse_std": None,
-        "nmse_ci95": [0.5 * nmse, 1.5 * nmse],
+        "nmse_ci95": around(nmse),
         "by_curvature": [
-            {"from_1pm": 0.0, "to_1pm": 0.03, **errors(nmse), "zero": errors(1.0)},
-            {"from_1pm": 0.03, "to_1pm": 0.1, **errors(4 * nmse), "zero": errors(9.0)},
+            {"from_1pm": 0.0, "to_1pm": 0.03, **errors(nmse), "zero": errors(1.0), "nmse_ci95": around(nmse)},
+            {
+                "from_1pm": 0.03,
+                "to_1pm": 0.1,
+                **errors(4 * nmse),
+                "zero": errors(9.0),
+                "nmse_ci95": around(nmse * 4 / 9),
+            },
             {"from_1pm": 0.1, "to_1pm": None, "frames": 0},
         ],
         "by_drive": {drive: part(nmse - row / 100, odometry, 20) for row, drive in enumerate(drives, start=1)},

@@ -1,4 +1,4 @@
-"""Metrics and predictions of all models: order of the rows, baselines, networks of the paper, the story."""
+"""Metrics and predictions of all models: order of the rows, baselines, networks of the paper."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,6 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.report import paper
 from pipeline.report.results import load_results, load_structures
-from pipeline.report.story import sentences
 from tests.pipeline.report import examples
 
 PAPERS = {"input": "depth", "semantics": 0.0}  # do-gnn-ncp of the paper
@@ -137,25 +136,3 @@ def test_every_network_of_the_paper_is_found() -> None:
     for name, published in paper.PAPER.items():
         assert paper.name({key: values[0] for key, values in published.settings.items()}) == name
         assert published.train_mse < published.test_mse
-
-
-def test_a_model_behind_odometry(tmp_path: Path) -> None:
-    weak, best = (examples.metrics(name, nmse, {"odometry": 0.02}) for name, nmse in (("weak", 0.9), ("best", 0.2)))
-    accuracy, weakness, step = sentences(examples.results(tmp_path, weak, best))
-    assert accuracy.startswith("best, the best of 2 models, ")
-    assert "20 % of the error of always predicting zero" in accuracy
-    assert "10 times the error of odometry, which needs no learning" in accuracy
-    assert weakness.startswith("It fails in sharp bends (|curvature| 0.03 to 0.1 1/m): RMSE 5.1°")
-    assert "17.2°" in weakness
-    assert "is steady: RMSE 2.6°" in weakness
-    assert "motion: visual" in step
-
-
-@pytest.mark.parametrize("nmse", [None, 0.2])
-def test_missing_numbers_are_left_out(tmp_path: Path, nmse: float | None) -> None:
-    content = examples.metrics("net")
-    content["test"]["nmse"] = nmse
-    text = sentences(examples.results(tmp_path, content))
-    assert len(text) == (0 if nmse is None else 3)
-    assert nmse is None or "no odometry" in text[0]
-    assert sentences(load_results(tmp_path, [])) == []

@@ -33,9 +33,9 @@ class View:
     edges: np.ndarray | None = None  # rows of `xyz`, [E,2], each undirected edge once
 
     def images(self) -> dict[str, np.ndarray]:
-        """Return title → pixels of image, depth and classes."""
+        """Return title → pixels of image, depth and classes; no classes if all pixels are void."""
         depth = None if self.depth_m is None else colourise_depth(self.depth_m)
-        cls = None if self.cls is None else classes.colourise(self.cls)
+        cls = None if self.cls is None or (self.cls == classes.VOID).all() else classes.colourise(self.cls)
         images = {f"frame {self.frame}": self.rgb, "depth": depth, "classes": cls}
         return {title: pixels for title, pixels in images.items() if pixels is not None}
 

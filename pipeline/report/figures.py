@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipeline.base import store
+from pipeline.camera import classes
 from pipeline.drawing import figure_file, street_view
 from pipeline.evaluate.paths import Track, segments
 from pipeline.graphs import graph, graph_file
@@ -68,7 +69,8 @@ def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path
         )
     drive, view = views[-1]
     _save(street_view.sheet(drive, [view]), out / "street")
-    captions["street"] = f"Figure 2. {drive}, frame {view.frame}: image, depth, classes, semantic cloud from above."
+    names = ", ".join(["image", *[*view.images()][1:], "cloud from above"])
+    captions["street"] = f"Figure 2. {drive}, frame {view.frame}: {names}."
     return captions
 
 
@@ -88,17 +90,19 @@ def _draw_chain(path: Path, model: pd.Series, view: street_view.View, steering: 
     """Draw image, depth, classes, cloud, pruned graph, and steering [F] over the drive of `view`."""
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
-    titles = ("image", "depth from the image", "classes from the image")
-    for key, pixels, title in zip("abc", view.images().values(), titles, strict=True):
-        street_view.draw_image(panels[key], pixels, title)
+    images = [*view.images().items()]
+    for key, (name, pixels) in zip("abc", images, strict=False):
+        street_view.draw_image(panels[key], pixels, "image" if key == "a" else f"{name} from the image")
+    for key in "abc"[len(images) :]:
+        panels[key].set_axis_off()
     assert view.xyz is not None
     assert view.points_cls is not None
     street_view.draw_points(panels["d"], view.xyz, view.points_cls)
     panels["d"].set_title(f"cloud from above: {len(view.xyz):,} points")
     keep = model["variant.keep_inter_class"]
     pruned = _draw_graph(panels["e"], view.xyz, view.points_cls, CHAIN_POINTS, model["variant.k"], keep)
-    edges = f"{pruned.edges_knn:,} edges, pruned to {pruned.edges_kept:,}"
-    panels["e"].set_title(f"graph of {len(pruned.degree)} points: {edges}")
+    kept = f", pruned to {pruned.edges_kept:,}" if pruned.edges_kept < pruned.edges_knn else ""
+    panels["e"].set_title(f"graph of {len(pruned.degree)} points: {pruned.edges_knn:,} edges{kept}")
     for key in "de":
         street_view.look_ahead(panels[key])
     panel = panels["f"]
@@ -127,12 +131,14 @@ def _draw_graph(
 
 
 def _draw_pruning(out: Path, model: pd.Series, evaluate: Path) -> Captions:
-    """Draw the kNN graph of the first frame in structure.json, before and after pruning."""
+    """Draw the kNN graph of the first frame in structure.json, before and after pruning; nothing without classes."""
     structures = load_structures(evaluate / model["model"])
     if not structures or pd.isna(model["variant.k"]):
         return {}
     drive, structure = next(iter(structures.items()))
     xyz, cls = np.array(structure.xyz_m, np.float32), np.array(structure.cls, np.uint8)
+    if (cls == classes.VOID).all():
+        return {}
     title, keep = f"{drive}, frame {structure.frame}", model["variant.keep_inter_class"]
     figure = Figure(figsize=(10, 5.4), layout="constrained")
     for panel, (name, share) in zip(figure.subplots(1, 2), (("before", 1.0), ("after", keep)), strict=True):

@@ -13,6 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
+from pipeline.camera.classes import VOID
 from pipeline.report import plots
 from pipeline.report.dvc_files import load_curves
 from pipeline.report.figures import ERRORS
@@ -103,9 +104,11 @@ def _graphs(results: Results, evaluate: Path) -> Content:
     for _, row in results.models.iterrows():
         graphs = load_structures(evaluate / row["model"])
         if graphs and pd.notna(row["variant.k"]):
+            with_classes = any(set(graph.cls) != {VOID} for graph in graphs.values())
+            legend = "classes, and edges before and after semantic pruning" if with_classes else "points and edges"
             text = (
                 f"Input of {row['model']} where each test drive bends most. Turn with the mouse; the legend shows and "
-                "hides classes, and edges before and after semantic pruning."
+                f"hides {legend}."
             )
             captions = [f"{drive}, frame {graph.frame}: {graph.points:,} points" for drive, graph in graphs.items()]
             figures = [plots.graph_3d(graph, row["variant.k"]) for graph in graphs.values()]
@@ -123,7 +126,7 @@ def _learning(models: Sequence[str], train: Path) -> Content:
 def _inputs(results: Results, pictures: Path) -> Content:
     drives = pd.unique(results.predictions["drive"])
     sheets = {drive: pictures / f"{drive}.png" for drive in drives}
-    caption = "{}: image, depth, classes, cloud from above"
+    caption = "{}: images, and the cloud from above"
     return [_picture(caption.format(drive), path) for drive, path in sheets.items() if path.is_file()]
 
 

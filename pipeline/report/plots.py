@@ -96,9 +96,12 @@ def graph_3d(structure: Structure, k: int) -> Plot:
     unpruned = graph_file.edge_pairs(built.degree, built.indices)
     pruned = np.array(structure.edges, np.int64).reshape(-1, 2)
     lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
-    for when, pairs in (("before", unpruned), ("after", pruned)):
+    edges = {"edges": pruned}
+    if (cls != classes.VOID).any():
+        edges = {"edges before pruning": unpruned, "edges after pruning": pruned}
+    for name, pairs in edges.items():
         ends = np.insert(pairs, 2, len(place), axis=1).ravel()  # a row without a point: a gap after each edge
-        shown = {"name": f"edges {when} pruning", "visible": True if when == "after" else "legendonly"}
+        shown = {"name": name, "visible": True if pairs is pruned else "legendonly"}
         traces.append(_points(place.reindex(ends), *"xyz") | lines | shown)
     camera = {"eye": {"x": 0.0, "y": -1.7, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.15}}
     axes = {f"{axis}axis": _title(f"{name}, m") for axis, name in zip("xyz", ("right", "ahead", "up"), strict=True)}

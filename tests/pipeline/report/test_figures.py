@@ -2,16 +2,23 @@
 
 from pathlib import Path
 
+import h5py
 import numpy as np
+import pytest
 
 from pipeline.base import store
+from pipeline.camera.classes import VOID
 from pipeline.graphs import cloud
 from pipeline.report import figures
 from tests import street
 from tests.pipeline.report import examples
 
 
-def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path) -> None:
+@pytest.mark.parametrize("with_classes", [True, False])
+def test_figures_show_what_the_encoder_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_classes: bool) -> None:
+    """With classes, figures are numbered without gaps; without, there is no image of them, and no pruning."""
+    titles: list[str] = []
+    monkeypatch.setattr(figures.Axes, "set_title", lambda _, title, **style: titles.append(title))
     drive = examples.DRIVES[0]
     street.write_drive(tmp_path / "ingest", drive, 9)
     street.write_perception(tmp_path / "perception", tmp_path / "ingest", drive)
@@ -21,14 +28,28 @@ def test_figures_are_numbered_without_gaps_where_images_are_there(tmp_path: Path
         cloud.write(file, np.arange(9), np.arange(9) / 10, clouds)
     table = examples.predictions(0.01).query("drive == @drive and frame < 9")
     examples.write_model(tmp_path, examples.metrics("net"), table)
+    if not with_classes:
+        for name in (f"perception/{drive}.h5", f"clouds/pseudo/{drive}.h5"):
+            with h5py.File(tmp_path / name, "a") as file:
+                file["cls"][:] = VOID
     rng = np.random.default_rng(0)
     xyz_m = rng.uniform(-9, 9, (60, 3)).tolist()
-    graph = {"frame": 5, "points": 60, "xyz_m": xyz_m, "cls": [0] * 30 + [2] * 30, "edges": []}
+    graph = {
+        "frame": 5,
+        "points": 60,
+        "xyz_m": xyz_m,
+        "cls": [0] * 30 + [2] * 30 if with_classes else [VOID] * 60,
+        "edges": [],
+    }
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
     results = examples.load_results(tmp_path / "evaluate", ["net"])
     captions = figures.draw(tmp_path / "figures", results, tmp_path)
-    assert [*captions] == ["chain", "street", "pruning", "paths", "errors-0"]
-    assert [caption[:8] for caption in captions.values()][:4] == [f"Figure {number}" for number in range(1, 5)]
+    assert [*captions] == ["chain", "street", *["pruning"] * with_classes, "paths", "errors-0"]
+    numbers = [1, 2, 3, 4] if with_classes else [1, 2, 4]
+    assert [caption[:8] for caption in captions.values()][: len(numbers)] == [f"Figure {number}" for number in numbers]
+    assert ("classes" in captions["street"]) == with_classes
+    assert any("classes" in title for title in titles) == with_classes
+    assert any("pruned to" in title for title in titles) == with_classes
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(captions)
 
 

@@ -73,6 +73,16 @@ def test_a_structure_without_neighbours_in_the_metrics_is_left_out(data: Path) -
     assert "pruning" not in figures.draw(data / "figures", results, data)
 
 
+def test_without_classes_nothing_is_called_pruned(data: Path) -> None:
+    assert "edges after pruning" in write(data)
+    path = data / "evaluate/net/structure.json"
+    void = {drive: graph | {"cls": [255] * 60} for drive, graph in json.loads(path.read_text()).items()}
+    store.write_json(path, void)
+    text = write(data)
+    assert "edges after pruning" not in text
+    assert "semantic pruning" not in text
+
+
 def test_a_name_with_a_script_is_text(data: Path) -> None:
     for model in ("net", "ahead"):
         table = examples.predictions(0.01).replace({"drive": {examples.DRIVES[0]: EVIL}})

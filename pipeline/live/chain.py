@@ -21,7 +21,7 @@ from pipeline.labels.label import Car
 from pipeline.motion.estimator import Estimate, MotionEstimator
 from pipeline.motion.visual import STANDSTILL, Odometry
 from pipeline.perception.depth_scale import DepthPostprocessor
-from pipeline.perception.perceive import Batch, open_encoder
+from pipeline.perception.perceive import EncoderInput, open_encoder
 from pipeline.sections.perception import Perception
 
 # Standard deviations of Gaussian means. A driver turns the wheel in a second, and a car changes its speed more slowly;
@@ -96,7 +96,7 @@ class Chain:
         for frame in frames:
             frame.image = resized(frame.source_image, self._camera.size)
             if self._encode:  # depth and classes equal those that stage perception stores
-                batch = Batch(self._drive, [frame.number], frame.image[None], self._camera, [frame.scan])
+                batch = EncoderInput(self._drive, [frame.number], frame.image[None], self._camera, [frame.scan])
                 (depth_m,), (frame.cls,) = self._encode(batch)
                 frame.depth_m = rounded_as_stored(self._postprocess(depth_m, frame.cls, frame.scan))
             yield frame

@@ -27,7 +27,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class Batch(NamedTuple):
+class EncoderInput(NamedTuple):
     """B frames of a drive."""
 
     drive: str
@@ -37,8 +37,8 @@ class Batch(NamedTuple):
     scans: Sequence[np.ndarray | None]  # [P,4] each, where the depth scale needs them and the frame has one
 
 
-Predict = Callable[[Batch], tuple[np.ndarray, np.ndarray]]
-"""Batch → depth float32 [B,H,W] in the encoder's unit, trainIds uint8 [B,H,W]."""
+Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
+"""EncoderInput → depth float32 [B,H,W] in the encoder's unit, trainIds uint8 [B,H,W]."""
 
 
 def open_encoder(folder: Path, precision: str) -> Predict:
@@ -52,7 +52,7 @@ def open_encoder(folder: Path, precision: str) -> Predict:
     return lambda batch: perceive(network, batch.images, batch.camera, precision)
 
 
-def _read_precomputed(folder: Path, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+def _read_precomputed(folder: Path, batch: EncoderInput) -> tuple[np.ndarray, np.ndarray]:
     frames = [precomputed.read(folder, batch.drive, int(frame), batch.camera.size) for frame in batch.frame]
     return np.stack([depth for depth, _ in frames]), np.stack([cls for _, cls in frames])
 
@@ -62,14 +62,16 @@ def weights_file(folder: Path) -> Path:
     return folder / (precomputed.FILE if precomputed.named_in(folder) else FILE)
 
 
-def read_batches(source: DriveReader, camera: Camera, rows: np.ndarray, size: int, *, scans: bool) -> Generator[Batch]:
+def read_batches(
+    source: DriveReader, camera: Camera, rows: np.ndarray, size: int, *, scans: bool
+) -> Generator[EncoderInput]:
     """Yield the frames in `rows` of a file of stage ingest in batches of `size`, with their `scans` if requested."""
     for start in range(0, len(rows), size):
         batch = rows[start : start + size]
         # Row by row, since frames without an image in between must not be read.
         images = np.stack([source.row("image", row) for row in batch])
         points = [source.rows_of("lidar", row) if scans and source.row("has_lidar", row) else None for row in batch]
-        yield Batch(source.drive, source.frame[batch], images, camera, points)
+        yield EncoderInput(source.drive, source.frame[batch], images, camera, points)
 
 
 class Saved(NamedTuple):

@@ -49,7 +49,7 @@ def measure(
     """
     from pipeline.labels.label import Car
     from pipeline.live import measure as live
-    from pipeline.live.results import MEASURED_FILES, check_out
+    from pipeline.live.results import MEASURED_FILES, check_out, comparison_lines
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.perception.perceive import FILE
 
@@ -60,10 +60,11 @@ def measure(
     clock, lens = Clock(fps, times), Lens(calib, fov, k)
     opened = open_source(source, CAMERAS, lens, live.SIZE, False, car, clock, camera_height, level=False)
     results, quality = live.measure(opened, encoder, car, out, max_frames, video=video, visible=output.visible)
-    for line in (*results.lines(opened.notes), *quality["remarks"]):
+    comparison = results.compare(opened.truth, "measured")
+    for line in (*results.lines(opened.notes), *quality["remarks"], *comparison_lines(comparison)):
         output.line(line)
     files = [str(path) for name in MEASURED_FILES if (path := out / name).exists()]
     output.line(f"{results.valid} of {results.frames} frames measured, {results.summary()['hz']:.1f} frames/s")
     output.line(", ".join(files))
     content = {"source": opened.name, **results.summary(), "problems": results.problems, "notes": opened.notes}
-    output.result(content | {"quality": quality, "files": files})
+    output.result(content | {"quality": quality, "comparison": comparison, "files": files})

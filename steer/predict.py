@@ -9,10 +9,12 @@ import typer
 from pipeline.base.errors import InputError
 from steer import options
 
+TRAINED = Path("data/train")  # where models are that are given by name
+
 
 def predict(
     source: options.SourcePath,
-    model: Annotated[Path, typer.Option(help="folder of a trained model")] = Path("data/train/sa-gnn-ncp"),
+    model: Annotated[Path, typer.Option(help="folder or name of a trained model")] = TRAINED / "sa-gnn-ncp",
     out: Annotated[Path, typer.Option(help="folder for steering.csv and overlay.mp4")] = Path("out"),
     fov: options.Fov = None,
     k: options.K = None,
@@ -44,13 +46,14 @@ def predict(
     steer predict street.mp4 --fov 65 --model data/train/motion
     """
     from pipeline.live import predictor
-    from pipeline.live.results import PREDICTED_FILES, STEERING, VIDEO, check_out
+    from pipeline.live.results import PREDICTED_FILES, STEERING, VIDEO, check_out, comparison_lines
     from pipeline.live.settings import load_settings
     from pipeline.live.source import Clock, Lens, open_source
     from pipeline.train.predict import load
 
     output = options.Output(quiet, as_json)
     check_out(out, PREDICTED_FILES, source)
+    model = model if len(model.parts) > 1 or (model / "best.pt").is_file() else TRAINED / model
     trained = load(model)
     data = _data_folder(model, encoder, params)
     sections = load_settings(params or data.parent / "params.yaml", trained.entry.input, data)
@@ -59,16 +62,19 @@ def predict(
     opened = open_source(source, cameras, lens, size, scans, trained.target.car, Clock(fps, times), height_m)
     show = {"video": video, "visible": output.visible}
     results = predictor.predict(trained, sections, opened, data, encoder or data / "encoder", out, **show)
+    comparison = results.compare(opened.truth, "predicted", trained.entry.horizon)
     for line in results.lines(opened.notes):
         output.line(line)
     ahead = f", each {trained.entry.horizon} frames ahead" if trained.entry.horizon else ""
     output.line(
         f"{trained.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}"
     )
+    for line in comparison_lines(comparison):
+        output.line(line)
     files = {"csv": str(out / STEERING), "video": str(out / VIDEO) if video else None}
     output.line(", ".join(filter(None, files.values())))
     about = {"model": trained.name, "source": opened.name, "horizon": trained.entry.horizon}
-    output.result({**about, **results.summary(), "notes": opened.notes, **files})
+    output.result({**about, **results.summary(), "notes": opened.notes, "comparison": comparison, **files})
 
 
 def _data_folder(model: Path, encoder: Path | None, params: Path | None) -> Path:

@@ -52,7 +52,8 @@ def measure(
         results = write_frames(courses, folder / MOTION, source, car, warm_up=1, video=video, visible=visible)
         quality = _quality(results.road_heights_m, chain.odometry, camera.height_m if source.height_known else None)
         store.write_json(folder / QUALITY, quality)
-        _draw_track(folder / TRACK, source.name, results.courses)
+        driven = [(row[1], row[2]) for row in results.angles]
+        _draw_track(folder / TRACK, source.name, results.courses, driven if source.truth else [])
     return results, quality
 
 
@@ -125,8 +126,13 @@ def _remarks(summary: dict[str, Any]) -> list[str]:
     return remarks
 
 
-def _draw_track(path: Path, title: str, courses: Sequence[tuple[float, Course]]) -> None:
-    """Write a PNG of the times and courses of measured frames. Gaps longer than a second are not connected."""
+def _draw_track(
+    path: Path, title: str, courses: Sequence[tuple[float, Course]], driven: Sequence[tuple[float, float]]
+) -> None:
+    """Write a PNG of the times and courses of measured frames, and of times and `driven` angles in rad.
+
+    Gaps longer than a second are not connected.
+    """
     figure = Figure((10, 5), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[1.2, 1])
     above, speed, steering = (figure.add_subplot(grid[place]) for place in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1]))
@@ -135,14 +141,22 @@ def _draw_track(path: Path, title: str, courses: Sequence[tuple[float, Course]])
     speed.set(ylabel="speed, m/s")
     steering.set(ylabel="steering angle, deg, left +", xlabel="time, s")
     if courses:
-        time_s = [seconds for seconds, _ in courses]
         columns = np.array([course for _, course in courses], np.float64)  # None becomes NaN
-        gaps = np.flatnonzero(np.diff(time_s) > 1) + 1
-        seconds, columns = np.insert(time_s, gaps, np.nan), np.insert(columns, gaps, np.nan, axis=0)
+        seconds, columns = _separate(np.array([seconds for seconds, _ in courses]), columns)
         above.plot(-columns[:, 5], columns[:, 4], color="0.2")
         above.plot(0, 0, "o", color="tab:green", label="start")
         above.legend(loc="best")
         speed.plot(seconds, columns[:, 0], color="tab:blue")
-        steering.plot(seconds, np.rad2deg(columns[:, 3]), color="tab:red")
+        steering.plot(seconds, np.rad2deg(columns[:, 3]), color="tab:red", label="measured")
         steering.axhline(0, color="0.8", zorder=0)
+    if driven:
+        seconds, driven_rad = _separate(*np.array(driven).T)
+        steering.plot(seconds, np.rad2deg(driven_rad), color="0.2", linestyle="--", label="driven")
+        steering.legend(loc="best")
     figure.savefig(path, dpi=110, metadata={"Software": None})  # without the version of matplotlib
+
+
+def _separate(time_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return times [N] and values [N,...] with a NaN in each gap that is longer than a second."""
+    gaps = np.flatnonzero(np.diff(time_s) > 1) + 1
+    return np.insert(time_s, gaps, np.nan), np.insert(values, gaps, np.nan, axis=0)

@@ -6,7 +6,7 @@ import re
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
@@ -16,10 +16,12 @@ from tqdm import tqdm
 
 from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
+from pipeline.evaluate import errors
 from pipeline.labels.label import Car
 from pipeline.live.chain import Course, FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.source import Source
+from pipeline.sections.evaluate import Evaluate
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"
 TRACK, QUALITY = "track.png", "quality.json"
@@ -45,6 +47,9 @@ FIRST_COLUMNS = "drive,frame,time_s,"
 LEFTOVER = re.compile(rf"\.({'|'.join(map(re.escape, sorted(FILES)))})\..{{8}}\.tmp")  # of a killed process
 LINE_S = 30.0  # between lines of progress without a terminal
 RECENT = 2000  # frames that latency quantiles are computed from
+BOOTSTRAP = Evaluate(
+    bootstrap_samples=2000, bootstrap_block_frames=50, curvature_bins_1pm=[1.0], path="bicycle", seed=0
+)  # for the interval of nmse
 
 
 def check_out(out: Path, names: Sequence[str], source: Path | None = None) -> None:
@@ -111,6 +116,7 @@ class Results:
         self.frames = self.predicted = self.valid = 0
         self.problems: Counter[str] = Counter()
         self.courses: list[tuple[float, Course]] = []  # with their times in seconds
+        self.angles: list[tuple[float, ...]] = []  # number, time, driven, predicted and measured angle; NaN if unknown
         self.road_heights_m: list[float] = []
         self.gaps: list[tuple[int, int]] = []  # numbers of the frames before and after each
         self._last: int | None = None
@@ -129,6 +135,9 @@ class Results:
             self.problems[frame.problem] += 1
         if frame.course:
             self.courses.append((frame.time_s, frame.course))
+        measured_rad = frame.course.steering_rad if frame.course else None
+        known = (frame.driven_rad, frame.predicted_rad, measured_rad)
+        self.angles.append((frame.number, frame.time_s, *(np.nan if angle is None else angle for angle in known)))
         self.road_heights_m.append(frame.road_height_m)
         if self.frames <= self._warm_up:
             self._started_s = time.perf_counter()
@@ -149,6 +158,29 @@ class Results:
         hz = (self.frames - self._warm_up) / (time.perf_counter() - self._started_s)
         return counts | {"p50_ms": p50_ms, "p95_ms": p95_ms, "hz": hz}
 
+    def compare(self, truth: str, judged: str, horizon: int = 0) -> dict[str, Any] | None:
+        """Return errors of the angles against the driven ones `horizon` frames later; None without common frames.
+
+        Args:
+            truth: source of the driven angles.
+            judged: predicted or measured; errors are computed on its frames. Elsewhere the measured angle repeats the
+                last one, or 0.
+        """
+        number, _, driven_rad, predicted_rad, measured_rad = np.array(self.angles).T
+        driven = dict(zip(number.tolist(), driven_rad.tolist(), strict=True))
+        target_rad = np.array([driven.get(frame + horizon, np.nan) for frame in number.tolist()])
+        angles_rad = {"predicted": predicted_rad, "measured": measured_rad}
+        used = np.isfinite(target_rad) & np.isfinite(angles_rad[judged])
+        if not used.any():
+            return None
+        rows = {judged: angles_rad[judged]}
+        if np.isfinite(measured_rad).any():
+            last = np.maximum.accumulate(np.where(np.isfinite(measured_rad), np.arange(len(number)), -1))
+            rows["measured"] = np.where(last >= 0, measured_rad[last], 0.0)
+        rows["zero"] = np.zeros(len(number))
+        scores = {name: _errors(target_rad[used], angle_rad[used]) for name, angle_rad in rows.items()}
+        return {"truth": truth, "frames": int(used.sum()), "horizon": horizon, **scores}
+
     def speed(self) -> str:
         """Return latency and rate as text."""
         return "{hz:.1f} Hz, latency p50 {p50_ms:.0f} ms, p95 {p95_ms:.0f} ms".format_map(self.summary())
@@ -160,6 +192,29 @@ class Results:
         if problems := self.problems.most_common():
             reasons = ", ".join(f"{problem} ({count})" for problem, count in problems)
             yield f"motion measured in {self.valid} of {self.frames} frames; not measured: {reasons}"
+
+
+def _errors(target_rad: np.ndarray, angle_rad: np.ndarray) -> dict[str, Any]:
+    """Return nmse, its 95 % interval, rmse_deg and correlation of angles [N]; None where not defined."""
+    scores = errors.scores(target_rad, angle_rad)
+    nmse, drive = scores["nmse"], np.zeros(len(target_rad), int)
+    interval = None if nmse is None else errors.interval((angle_rad - target_rad) ** 2, target_rad, drive, BOOTSTRAP)
+    varies = np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0
+    correlation = float(np.corrcoef(target_rad, angle_rad)[0, 1]) if varies else None
+    return {"nmse": nmse, "nmse_ci95": interval, "rmse_deg": scores["rmse_deg"], "correlation": correlation}
+
+
+def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield text for the user of :meth:`Results.compare`."""
+    if comparison is None:
+        return
+    ahead = f", {comparison['horizon']} frames ahead" if comparison["horizon"] else ""
+    yield f"truth from {comparison['truth']}, {comparison['frames']} frames{ahead}:"
+    for name in ("predicted", "measured", "zero"):
+        if row := comparison.get(name):
+            nmse = "-" if row["nmse"] is None else "{:.3f} ({:.3f} to {:.3f})".format(row["nmse"], *row["nmse_ci95"])
+            correlation = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
+            yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{correlation}"
 
 
 def write_frames(

@@ -15,7 +15,7 @@ from pipeline.camera.footage import open_footage
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.camera.intrinsics import pinhole
 from pipeline.camera.mount import check_height
-from pipeline.kitti import oxts
+from pipeline.kitti import oxts, steering_file
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.labels import label
 from pipeline.labels.label import Car
@@ -39,6 +39,7 @@ class Source:
     count: int | None  # number of frames, if known
     fps: float
     has_scans: bool = False
+    truth: str = ""  # where driven_rad comes from: oxts or steering.csv; empty without truth
     notes: list[str] = field(default_factory=list)  # for the user; grows while frames are read
     slope: float = 0.0  # of the road, metres down per metre ahead of the camera
     height_known: bool = False  # of the camera over the road
@@ -120,6 +121,12 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
     seconds = (np.array(stamped) - stamped[0]) / DEFAULT_FPS if notes else oxts.read_times(stamps, stamped)
     time_s = dict(zip(stamped, seconds.tolist(), strict=True))
 
+    recorded: dict[int, float] = {}
+    if not drive.oxts:
+        try:
+            recorded = steering_file.read(drive.steering) if drive.steering else {}
+        except InputError as error:
+            notes.append(f"without the driven angle: {error}")
     damaged: list[int] = []  # oxts packets
 
     def frames() -> Generator[FrameState]:
@@ -132,7 +139,7 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
                 notes.append(f"skipped: {error}")
                 continue
             try:
-                frame.driven_rad = _driven_angle(drive.oxts, number, car)
+                frame.driven_rad = _driven_angle(drive.oxts, number, car) if drive.oxts else recorded.get(number)
             except DamagedFile as error:
                 damaged.append(number)
                 if len(damaged) == 1:
@@ -148,6 +155,7 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
         count=len(numbers),
         fps=float(fps),
         has_scans=bool(drive.scans) and camera.T_cam_velo is not None,
+        truth="oxts" if drive.oxts else steering_file.FILE if recorded else "",
         notes=notes,
         height_known=True,  # KITTI's without a LiDAR calibration
     )

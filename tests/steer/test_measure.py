@@ -20,6 +20,7 @@ from pipeline.perception.perceive import save
 from steer.measure import measure
 from tests import rendered_street as street
 from tests.footage import write_folder
+from tests.kitti_drive import write
 
 YAW_RATE, SPEED = 0.2, 8.0
 LENS = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": CAMERA_HEIGHT_M}
@@ -93,6 +94,33 @@ def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsy
     assert (out / "track.png").read_bytes().startswith(b"\x89PNG")
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
+
+
+def test_a_drive_is_compared_with_its_recorded_angles(
+    tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "2026_01_01/2026_01_01_drive_0001_sync"
+    write_folder(folder / "image_02/data", drive(20), "{:010d}.png")
+    times = "".join(f"2026-01-01 12:00:{row / 10:012.9f}\n" for row in range(20))
+    write(folder / "image_02/timestamps.txt", times)
+    rectified = "R_rect_00: 1 0 0 0 1 0 0 0 1\nS_rect_02: 320 96\nP_rect_02: 180 0 159.5 0 0 180 44 0 0 0 1 0\n"
+    write(folder.parent / "calib_cam_to_cam.txt", rectified)
+    angle = np.arctan(2.7 * YAW_RATE / SPEED)
+    write(folder / "steering.csv", "frame,steering_rad\n" + "".join(f"{row},{angle}\n" for row in range(5, 25)))
+    measure(folder, out=tmp_path / "out", encoder=encoder, video=False, as_json=True)
+    comparison = json.loads(capsys.readouterr().out)["comparison"]
+    assert (comparison["truth"], comparison["frames"]) == ("steering.csv", 15)
+    assert comparison["measured"]["rmse_deg"] < 0.6
+    assert comparison["measured"]["correlation"] is None  # the true angle is constant
+    assert comparison["zero"]["rmse_deg"] == pytest.approx(np.rad2deg(angle))
+    measure(folder, out=tmp_path / "out", encoder=encoder, video=False)
+    text = capsys.readouterr().out
+    assert "truth from steering.csv, 15 frames:\n  measured: nmse 0.0" in text
+    (folder / "steering.csv").unlink()
+    with_truth = (tmp_path / "out/track.png").read_bytes()
+    measure(folder, out=tmp_path / "out", encoder=encoder, video=False)
+    assert "truth from" not in capsys.readouterr().out
+    assert (tmp_path / "out/track.png").read_bytes() != with_truth
 
 
 def noisy(image: np.ndarray, count: int) -> list[np.ndarray]:

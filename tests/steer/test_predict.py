@@ -50,6 +50,27 @@ def test_predictions_equal_those_of_evaluate(sample: Path, tmp_path: Path, model
         np.testing.assert_allclose(*angles, atol=2e-6)  # six digits; NaN equals NaN
 
 
+def test_a_model_is_found_by_name_and_compared_with_oxts(
+    sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(sample)
+    predict(drive(sample), model=Path("scans"), out=tmp_path, video=False, as_json=True)
+    comparison = json.loads(capsys.readouterr().out)["comparison"]
+    rows = {int(row["frame"]): row for row in read(tmp_path / "steering.csv")}
+    pairs = [
+        (float(row["predicted_rad"]), float(rows[frame + 2]["driven_rad"]))
+        for frame, row in rows.items()
+        if row["predicted_rad"] and frame + 2 in rows and rows[frame + 2]["driven_rad"]
+    ]
+    predicted_rad, driven_rad = np.array(pairs).T
+    assert (comparison["truth"], comparison["frames"], comparison["horizon"]) == ("oxts", len(pairs), 2)
+    nmse = ((predicted_rad - driven_rad) ** 2).mean() / (driven_rad**2).mean()
+    assert comparison["predicted"]["nmse"] == pytest.approx(nmse, rel=1e-3)
+    with pytest.raises(InputError, match=r"data/train/scan: no trained model") as raised:
+        predict(drive(sample), model=Path("scan"), out=tmp_path)
+    assert "images, points, scans" in raised.value.fix
+
+
 def test_images_need_intrinsics_and_are_cropped(
     sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

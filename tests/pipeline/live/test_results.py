@@ -1,5 +1,6 @@
 """Results appear when a run succeeds; a full disk is an error, and a kill leaves a playable video."""
 
+import io
 import resource
 import subprocess
 import sys
@@ -11,10 +12,23 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
-from pipeline.live.chain import FrameState
+from pipeline.live.chain import Course, FrameState
 from pipeline.live.overlay import Overlay
-from pipeline.live.results import MOTION, STEERING, TRACK, UNFINISHED, VIDEO, check_out, result_folder
+from pipeline.live.results import (
+    COLUMNS,
+    MOTION,
+    STEERING,
+    TRACK,
+    UNFINISHED,
+    VIDEO,
+    Results,
+    check_out,
+    comparison_lines,
+    result_folder,
+)
 from pipeline.live.source import Source
+from pipeline.motion.estimator import Estimate
+from pipeline.motion.step import Step
 
 SIZE, FPS = (96, 320), 10.0
 
@@ -39,6 +53,42 @@ def decoded(path: Path) -> int:
 
 
 HEADER = "drive,frame,time_s,predicted_rad\n"
+
+
+@pytest.mark.parametrize("horizon", [0, 3])
+def test_predictions_are_compared_with_the_angle_of_the_later_frame(horizon: int) -> None:
+    """Without a frame and its truth, and without motion in the first frames."""
+    numbers = np.setdiff1d(np.arange(200), [50])
+    driven_rad = 0.1 * np.sin(np.arange(200 + horizon) / 20)
+    results = Results(io.StringIO(), "drive", 1, COLUMNS[STEERING])
+    for number in numbers.tolist():
+        frame = FrameState(number, number / FPS, driven_rad=driven_rad[number] if number != 60 else None)
+        frame.predicted_rad = 1.1 * driven_rad[number + horizon] if number >= 7 else None
+        if number >= 20:
+            frame.course = Course(5.0, 0.0, 0.0, driven_rad[number] + 0.01, 0.0, 0.0, 0.0)
+            frame.estimates["visual"] = Estimate(Step(np.eye(4), 10, 0.5), 0.0, 5.0)
+        results.add(frame)
+    comparison = results.compare("oxts", "predicted", horizon)
+    assert comparison is not None
+    truth = {number: driven_rad[number] for number in numbers.tolist() if number != 60}
+    used = [number for number in numbers.tolist() if number >= 7 and number + horizon in truth]
+    target = np.array([truth[number + horizon] for number in used])
+    assert comparison["frames"] == len(used)
+    predicted, measured, zero = (comparison[name] for name in ("predicted", "measured", "zero"))
+    assert predicted["nmse"] == pytest.approx(0.01)
+    assert predicted["nmse_ci95"] == pytest.approx((0.01, 0.01))
+    assert predicted["rmse_deg"] == pytest.approx(np.rad2deg(0.1 * np.sqrt((target**2).mean())))
+    assert predicted["correlation"] == pytest.approx(1)
+    held = np.array([driven_rad[number] + 0.01 if number >= 20 else 0.0 for number in used])
+    assert measured["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(((held - target) ** 2).mean())))
+    low, high = measured["nmse_ci95"]
+    assert low < measured["nmse"] < high
+    assert (zero["nmse"], zero["correlation"]) == (1, None)
+    lines = list(comparison_lines(comparison))
+    assert lines[0] == f"truth from oxts, {len(used)} frames{', 3 frames ahead' if horizon else ''}:"
+    assert lines[1].startswith("  predicted: nmse 0.010 (0.010 to 0.010), RMSE 0.")
+    assert results.compare("", "predicted", 1000) is None
+    assert not list(comparison_lines(None))
 
 
 def write(out: Path, rows: str) -> None:

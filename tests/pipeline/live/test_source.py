@@ -1,6 +1,7 @@
 """Sources: cropping, frame numbers and times."""
 
 import os
+import shutil
 from pathlib import Path
 
 import cv2
@@ -65,6 +66,23 @@ def test_a_name_that_is_not_utf8_becomes_printable(tmp_path: Path) -> None:
     folder.mkdir()
     (tmp_path / "7.png").rename(folder / "7.png")
     assert open_path(folder, Lens(fov_deg=80.0)).name == r"street\xff"
+
+
+def test_without_oxts_truth_is_the_recorded_angle(tmp_path: Path) -> None:
+    folder = kitti_drive.write_drive(tmp_path, frames=[0, 1, 2])
+    kitti_drive.write(folder / "steering.csv", "frame,steering_rad\n1,0.1\n2,-0.2\n")
+    source = open_path(folder)
+    assert source.truth == "oxts"
+    assert all(frame.driven_rad not in (0.1, -0.2) for frame in source.frames)
+    shutil.move(folder / "oxts/timestamps.txt", folder / "image_02/timestamps.txt")
+    shutil.rmtree(folder / "oxts")
+    source = open_path(folder)
+    assert source.truth == "steering.csv"
+    assert [frame.driven_rad for frame in source.frames] == [None, 0.1, -0.2]
+    kitti_drive.write(folder / "steering.csv", "frame,steering_rad\n1,15\n")
+    source = open_path(folder)
+    assert source.truth == ""
+    assert "without the driven angle" in source.notes[0]
 
 
 def test_a_damaged_packet_costs_only_the_driven_angle(tmp_path: Path) -> None:

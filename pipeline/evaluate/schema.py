@@ -11,7 +11,8 @@ from pipeline.base.params import Fraction
 
 Number = Annotated[float, Field(ge=0, le=1e9)]
 Count = Annotated[int, Field(ge=0, le=10**12)]
-Interval = Annotated[list[Number], Field(min_length=2, max_length=2)]
+# Without an upper limit: where nearly every angle is 0, the ratio to zero's error is huge.
+Interval = Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)]
 Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
 

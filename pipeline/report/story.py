@@ -50,9 +50,7 @@ def sentences(results: Results) -> list[str]:
 
 def _verdict(row: pd.Series, reference: float = 1.0, key: str = "test") -> Verdict:
     """Return whether the interval of nmse is below or above a reference; zero has 1."""
-    low, high = row.get(f"{key}.nmse_low"), row.get(f"{key}.nmse_high")
-    if pd.isna(low) or pd.isna(high):
-        return "unclear"
+    low, high = row[f"{key}.nmse_low"], row[f"{key}.nmse_high"]
     return "better" if high < reference else "worse" if low > reference else "unclear"
 
 
@@ -134,7 +132,8 @@ def _bends(best: pd.Series) -> pd.DataFrame:
         key = f"test.by_curvature.{name}"
         road = "on straight road" if name.startswith("0 ") else "in sharp bends" if name.startswith("≥") else "in bends"
         zero = best[f"{key}.baselines.zero.rmse_deg"]
-        rows.append((road, name, best[column], zero, _verdict(best, key=key) if zero else None))
+        known = pd.notna(best.get(f"{key}.nmse_low"))  # null if every angle is 0
+        rows.append((road, name, best[column], zero, _verdict(best, key=key) if known else None))
     bends = pd.DataFrame(rows, columns=["road", "range", "rmse", "zero", "verdict"])
     return bends[bends["range"] != "≥ 0"]  # one bin has no bends
 
@@ -145,9 +144,9 @@ def _by_bend(bends: pd.DataFrame) -> list[str]:
         return []
     parts = []
     for _, row in bends.iloc[[-1, 0] if len(bends) > 1 else [0]].iterrows():
-        text = _AGAINST_ZERO[row["verdict"]] if row["verdict"] else "predicts bends where every angle is 0"
+        verdict = f"it {_AGAINST_ZERO[row['verdict']]}: " if pd.notna(row["verdict"]) else "it has "
         numbers = f"RMSE {row['rmse']:.1f}°, zero has {row['zero']:.1f}°"
-        parts.append(f"{row['road']} (|curvature| {row['range']} 1/m) it {text}: {numbers}")
+        parts.append(f"{row['road']} (|curvature| {row['range']} 1/m) {verdict}{numbers}")
     text = "; ".join(parts)
     unknown = [] if _has_bends(bends) else ["The test drives have no bends, so its error there is unknown."]
     return [f"{text[0].upper()}{text[1:]}.", *unknown]
@@ -162,6 +161,10 @@ def _next_step(best: pd.Series, bends: pd.DataFrame) -> str:
     behind = odometry is not None and odometry < 1 and _verdict(best, odometry) == "worse"
     wobbles = ((bends["road"] == "on straight road") & (bends["verdict"] == "worse")).any()
     steps: Sequence[tuple[bool, str]] = (
+        (
+            best["line.motion"] != "none" and best.get("line.base") == "motion" and _factor(best) is not None,
+            "base: none, so that the output is not added to an angle that is off by a factor",
+        ),
         (
             behind and best["line.motion"] == "none" and _factor(best) is None and pd.notna(best.get("odometry.kind")),
             f"motion: {best.get('odometry.kind')}, so that the network corrects the odometry angle instead of "

@@ -25,6 +25,13 @@ def straight(content: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
+def without_angles(content: dict[str, Any]) -> dict[str, Any]:
+    """Leave no angle but 0 in the first bin."""
+    first = content["test"]["by_curvature"][0]
+    first |= {"nmse": None, "nmse_ci95": None, "zero": examples.errors(0.0) | {"nmse": None}}
+    return content
+
+
 def one_drive(content: dict[str, Any]) -> dict[str, Any]:
     return content | {"drives": {"train": ["one"], "val": [], "test": ["one"]}}
 
@@ -175,6 +182,17 @@ CASES: dict[str, tuple[list[dict[str, Any]], list[str]]] = {
         ],
     ),
 }
+
+
+def test_a_bin_where_every_angle_is_0_has_no_verdict(tmp_path: Path) -> None:
+    *_, bends, _ = sentences(examples.results(tmp_path, without_angles(model())))
+    assert bends.endswith("; on straight road (|curvature| 0 to 0.03 1/m) it has RMSE 2.6°, zero has 0.0°.")
+
+
+def test_a_model_on_odometry_of_a_wrong_scale_gets_no_base(tmp_path: Path) -> None:
+    content = model(odometry=2.4, regression=0.08, factor=0.38, motion="visual", base="motion")
+    *_, step = sentences(examples.results(tmp_path, content))
+    assert step.startswith("Try next in params.yaml: base: none, so that")
 
 
 @pytest.mark.parametrize("name", CASES)

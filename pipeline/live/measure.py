@@ -152,7 +152,7 @@ def _draw_track(
     if driven:
         seconds, driven_rad = _separate(*np.array(driven).T)
         steering.plot(seconds, np.rad2deg(driven_rad), color="0.2", linestyle="--", label="driven")
-        steering.legend(loc="best")
+        steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)  # above the curves
     figure.savefig(path, dpi=110, metadata={"Software": None})  # without the version of matplotlib
 
 

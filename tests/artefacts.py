@@ -41,11 +41,23 @@ def write_labels(
 
 
 def write_graphs(
-    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
+    path: Path,
+    drive: str,
+    steering_rad: np.ndarray,
+    frame: np.ndarray,
+    points: int,
+    rng: np.random.Generator,
+    spread: int = 0,
 ) -> None:
-    """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
+    """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says.
+
+    Frames have `points` points, or up to `spread` less.
+    """
     variant = Variant(source="clouds/pseudo", points=points, k=6, keep_inter_class=0.2)
-    clouds = (bend(float(np.tan(steering)) / WHEELBASE_M, points, rng) for steering in steering_rad)
+    clouds = (
+        bend(float(np.tan(steering)) / WHEELBASE_M, points - row % (spread + 1), rng)
+        for row, steering in enumerate(steering_rad)
+    )
     _write(path, drive, frame, (frame_graph.connect(cloud, variant, rng) for cloud in clouds), variant)
 
 

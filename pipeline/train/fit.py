@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
 WARM_UP = 0.05  # share of the steps
+TARGETS = "steering_rad", "base_rad", "valid"  # arrays of a batch that are not inputs of the network
 
 
 class Fit:
@@ -132,14 +133,16 @@ class Fit:
             rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(steps)) / settings.epochs, WARM_UP)
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
+            # Copied before the forward pass: the copies do not wait for it.
+            targets = {name: batch[name].to(device, non_blocking=True) for name in TARGETS}
             with autocast(device, settings.precision):
                 predicted = self.learner(*self.net.inputs(batch), pairs=settings.mirror)
-            steering = batch["steering_rad"].to(predicted)
-            weight = batch["valid"].to(predicted) * torch.exp(self.alpha * steering.abs())
+            steering, base, valid = (targets[name].to(predicted) for name in TARGETS)
+            weight = valid * torch.exp(self.alpha * steering.abs())
             weight = weight if share else torch.zeros_like(weight)
             weight = weight.repeat(len(predicted) // len(weight))  # twice with mirror
             mass = self.world.sum(weight.sum())
-            residual = (steering - batch["base_rad"].to(predicted)) / target.std_rad
+            residual = (steering - base) / target.std_rad
             if settings.mirror:
                 residual = torch.cat([residual, -residual])
             error = weighted_loss(predicted, residual, weight)

@@ -60,7 +60,7 @@ class _Points(_Movable):
 
     def mirrored(self) -> Self:
         """Return the frames mirrored left-right."""
-        return dataclasses.replace(self, xyz=self.xyz * self.xyz.new_tensor([-1.0, 1.0, 1.0]))
+        return dataclasses.replace(self, xyz=torch.cat([-self.xyz[:, :1], self.xyz[:, 1:]], dim=1))
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,9 @@ def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
 def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
     """Return mean ‖ max over each frame's points: [N,C], ptr [B+1] → [B,2C]; zeros for a frame without points."""
     # A loop over frames is faster here than segment_reduce (8x, 2 cores) and, unlike index_add, deterministic on CUDA.
+    if _uniform_on_gpu(x, ptr):
+        frames = x.view(len(ptr) - 1, -1, x.shape[1])
+        return torch.cat([frames.mean(1), frames.amax(1)], dim=1)
     pooled = [
         torch.cat([points.mean(0), points.amax(0)]) if points.shape[0] else points.new_zeros(2 * x.shape[1])
         for points in _by_frame(x, ptr)
@@ -45,8 +48,21 @@ def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
 
 def max_pool(x: Tensor, ptr: Tensor) -> Tensor:
     """Return the max over each frame's points: [N,C], ptr [B+1] → [B,C]; zeros for a frame without points."""
+    if _uniform_on_gpu(x, ptr):
+        return x.view(len(ptr) - 1, -1, x.shape[1]).amax(1)
     pooled = [points.amax(0) if points.shape[0] else points.new_zeros(x.shape[1]) for points in _by_frame(x, ptr)]
     return torch.stack(pooled)
+
+
+def _uniform_on_gpu(x: Tensor, ptr: Tensor) -> bool:
+    """Return whether frames with equal numbers of points can be reduced at once, with few launches.
+
+    On a CPU the loop is up to 1.6 times as fast, with the same bits.
+    """
+    if x.device.type == "cpu" or not x.numel():
+        return False
+    points = ptr.diff()
+    return bool((points == points[0]).all())
 
 
 def _by_frame(x: Tensor, ptr: Tensor) -> Sequence[Tensor]:

@@ -106,7 +106,7 @@ class SteeringNet(nn.Module):
         original, mirrored = self.encode_both(batch)
         windows = torch.cat([windows, windows + len(original)])
         if motion is not None:
-            motion = torch.cat([motion, motion * motion.new_tensor(MOTION_MIRROR_SIGNS)])
+            motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
         return self.run_windows(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
 
     def run_windows(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
@@ -121,7 +121,7 @@ class SteeringNet(nn.Module):
 
     def _mirror(self, output: Tensor) -> Tensor:
         """Return the output for the mirrored scene: steering changes its sign, its σ does not."""
-        return -output if self.uncertainty is None else output * output.new_tensor([-1.0, 1.0])
+        return -output if self.uncertainty is None else torch.cat([-output[:, :1], output[:, 1:]], dim=1)
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
         """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
@@ -136,9 +136,9 @@ class SteeringNet(nn.Module):
 
     def windows(self, arrays: Mapping[str, Array]) -> tuple[Tensor, Tensor, Tensor | None]:
         """Return the arguments of `run_windows` behind the features, on the network's device."""
-        windows, dt_s = (torch.as_tensor(arrays[name]).to(self.device) for name in ("windows", "dt_s"))
-        motion = torch.as_tensor(arrays["motion"]).to(self.device) if "motion" in arrays else None
-        return windows, dt_s, motion
+        tensors = {name: torch.as_tensor(arrays[name]) for name in ("windows", "dt_s", "motion") if name in arrays}
+        moved = {name: tensor.to(self.device, non_blocking=True) for name, tensor in tensors.items()}
+        return moved["windows"], moved["dt_s"], moved.get("motion")
 
     @property
     def device(self) -> torch.device:
@@ -170,8 +170,9 @@ def odd_and_even(motion: Tensor) -> tuple[Tensor, Tensor]:
 
     Odd columns saturate at ±1: a value far beyond a sharp corner is a measurement error.
     """
-    odd = torch.tanh(motion[:, :2] / motion.new_tensor(ODD_SCALE))
-    return odd, motion[:, 2:] / motion.new_tensor(EVEN_SCALE)
+    # Numbers as scalars: a tensor made of them would be a blocking copy to a GPU in each step.
+    scaled = [column / scale for column, scale in zip(motion.unbind(1), ODD_SCALE + EVEN_SCALE, strict=True)]
+    return torch.tanh(torch.stack(scaled[:2], dim=1)), torch.stack(scaled[2:], dim=1)
 
 
 def build(

@@ -92,7 +92,8 @@ class Unfolded(torch.autograd.Function):
         potentials, opened, denominators = ctx.steps
         windows, frames, units = c.shape
         unfolds = len(opened) // frames
-        sign = sums.new_tensor([1.0, -1.0]).repeat_interleave(units)  # the denominator enters with a minus
+        sign = sums.new_ones(2 * units)
+        sign[units:] = -1  # the denominator enters with a minus
         slope_t, sums_t = slope.T.contiguous(), (sums * sign).T.contiguous()
         c_frames, grad_frames = c.unbind(1), grad_potentials.unbind(1)
         upstream, grad_terms, grad_gates = grad_last, [], []

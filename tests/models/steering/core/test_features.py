@@ -3,6 +3,7 @@ import torch
 
 from models.steering.core.features import FEATURE_MIRROR_SIGNS, GEOMETRY, max_pool, mean_max_pool, node_features
 from pipeline.camera import classes
+from tests import simulated_gpu
 
 
 def test_classes_enter_in_proportion_to_semantics(make_batch):
@@ -37,3 +38,13 @@ def test_pooling_gradient(counts):
     x = torch.randn(sum(counts), 3, dtype=torch.float64, requires_grad=True)
     ptr = torch.tensor([0, *counts]).cumsum(0)
     assert torch.autograd.gradcheck(lambda x: mean_max_pool(x, ptr), x)
+
+
+def test_equal_frames_are_pooled_at_once_on_a_gpu_and_to_the_same_bits():
+    x, ptr = torch.randn(40, 5), torch.arange(0, 41, 10)
+    with simulated_gpu.Gpu() as gpu:
+        on_gpu = x.to(simulated_gpu.GPU)
+        mean_max, maximum = mean_max_pool(on_gpu, ptr).cpu(), max_pool(on_gpu, ptr).cpu()
+    assert torch.equal(mean_max, mean_max_pool(x, ptr))
+    assert torch.equal(maximum, max_pool(x, ptr))
+    assert gpu.operators == {"mean": 1, "amax": 2, "cat": 1}

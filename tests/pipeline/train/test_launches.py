@@ -1,0 +1,108 @@
+"""Launches, blocking copies and synchronisations of a training step, counted on a simulated GPU."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from pipeline.graphs import graph_file
+from pipeline.sections.models import Entry
+from pipeline.sections.train import Train
+from pipeline.train import fit, predict, reading, windows
+from tests import artefacts, simulated_gpu, small_model
+
+DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
+FRAMES = 60
+UNEQUAL = partial(artefacts.write_graphs, spread=3)
+
+
+class Counts(NamedTuple):
+    launches: int
+    copies: list[str]
+    synchronisations: list[str]
+
+
+class PinnedReader:
+    """Batches in pinned memory, as a GPU's reader returns them; `steps` has the counts of each step."""
+
+    def __init__(self, reader: reading.Reader, gpu: simulated_gpu.Gpu) -> None:
+        self._reader, self._gpu = reader, gpu
+        self.steps: list[Counts] = []
+
+    def batches(self, steps: Sequence[reading.TrainStep]) -> Iterator[dict[str, Any]]:
+        for step in steps:
+            batch = {name: self._gpu.pin(tensor) for name, tensor in self._reader[step].items()}
+            self._gpu.reset()
+            yield batch
+            self.steps.append(Counts(self._gpu.launches, self._gpu.copies[:], self._gpu.synchronisations[:]))
+
+
+def count(folder: Path, line: dict[str, object], write: Callable[..., None]) -> Counts:
+    """Return the counts of the last step of an epoch; the first one also allocates the optimiser's state."""
+    artefacts.write_dataset(folder, DRIVES, FRAMES, write=write)
+    entry = Entry.model_validate({"input": "semantic", "temporal": "ncp", "window": 8} | line)
+    if entry.motion != "none":
+        for name in DRIVES:
+            path = folder / f"graphs/semantic/{name}.h5"
+            artefacts.add_motion(path, entry.motion, np.linspace(-0.3, 0.4, FRAMES))
+    drives = windows.read_drives(
+        folder / "graphs/semantic", folder / "labels", list(DRIVES), entry.window, entry.horizon, entry.motion
+    )
+    with graph_file.open_graphs(drives[0].graphs) as graphs:
+        contents = graphs.contents
+    torch.manual_seed(0)
+    net = entry.build(**contents.model_dump())
+    settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"])
+    with simulated_gpu.Gpu() as gpu, reading.Reader(drives, entry.window, torch.device("cpu")) as reader:
+        gpu.move(net)
+        pinned: Any = PinnedReader(reader, gpu)
+        run = fit.Fit(net, entry.window, entry.alpha, settings, seed=0)
+        loss, _ = run._train(pinned, drives, predict.Target.from_drives(drives), 1)
+    assert np.isfinite(loss)
+    counts: Counts = pinned.steps[-1]
+    return counts
+
+
+GNN = {"spatial": "gnn", "semantics": 1.0}
+MOTION = GNN | {"equivariant": True, "motion": "visual", "horizon": 10}
+
+
+# The limits are the counts of this code, rounded up. The aims are 500, 400 and 700 for the first three networks, and
+# 1,500 for the others: most of what is above them are the steps of the recurrent network.
+@pytest.mark.parametrize(
+    ("line", "write", "launches", "synchronisations"),
+    [
+        pytest.param(GNN, artefacts.write_graphs, 940, 0, id="sa-gnn-ncp"),
+        pytest.param(GNN, UNEQUAL, 2000, 0, id="sa-gnn-ncp, unequal frames"),
+        pytest.param(GNN | {"temporal": "lstm"}, artefacts.write_graphs, 470, 0, id="gnn-lstm"),
+        pytest.param(MOTION, artefacts.write_graphs, 1670, 0, id="motion-10"),
+        pytest.param({"spatial": "edgeconv"}, artefacts.write_graphs, 2700, 40, id="edgeconv-ncp"),
+        pytest.param({"spatial": "gatv2"}, artefacts.write_graphs, 4800, 40, id="gatv2-ncp"),
+        pytest.param({"spatial": "pointnet2", "width": 0.25}, artefacts.write_sets, 1450, 0, id="pointnet2-ncp"),
+        pytest.param({"spatial": "cnn", "window": 16}, artefacts.write_images, 1430, 0, id="cnn-ncp"),
+    ],
+)
+def test_a_training_step_stays_within_its_budget(
+    tmp_path: Path, line: dict[str, object], write: Callable[..., None], launches: int, synchronisations: int
+) -> None:
+    counts = count(tmp_path, line, write)
+    print(counts)
+    assert counts.launches <= launches
+    assert len(counts.copies) <= 1, counts.copies  # AveragedModel copies its counter of steps
+    assert len(counts.synchronisations) <= synchronisations, counts.synchronisations
+
+
+def test_an_operator_on_both_devices_fails() -> None:
+    with simulated_gpu.Gpu() as gpu:
+        there = torch.ones(3).to(simulated_gpu.GPU)
+        assert there.device == simulated_gpu.GPU
+        with pytest.raises(RuntimeError, match="tensors of both devices"):
+            there + torch.ones(3)
+        assert (there + 1).sum().item() == 6
+    assert gpu.launches == 3  # the addition, the sum, and reading it
+    assert len(gpu.copies) == len(gpu.synchronisations) == 1

@@ -8,8 +8,8 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.atomic import exclusive, pending_folder, sweep
-from pipeline.base.errors import InputError
-from pipeline.base.params import SPLITS, load
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.params import SPLITS, check_name, load
 from pipeline.evaluate import by_frame
 from pipeline.evaluate.schema import Metrics
 from pipeline.evaluate.split import Case, inputs, metrics, odometry
@@ -32,6 +32,8 @@ def main(
     With folds, each test drive is evaluated with the network that was not fitted to it, and each other drive with the
     first network that was. Returns the model's folder.
     """
+    with error_context(f"MODEL {name!r}"):
+        check_name(name)
     with exclusive(out / name, pending_folder(out / name, entry=True)):
         return _evaluate(name, train, graphs, labels, out / name, load(Evaluate, params))
 

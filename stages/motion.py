@@ -1,6 +1,6 @@
 """Stage motion: measure the car's motion since the previous frame, without oxts, data/motion/<kind>/<drive>.h5."""
 
-import shutil
+from contextlib import suppress
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -45,9 +45,18 @@ def main(
             if without:
                 print(f"{kind}: no motion measured in {', '.join(without)}")
         for obsolete in set(get_args(MotionKind)) - set(settings.kinds):  # written by an earlier run
-            shutil.rmtree(out / obsolete, ignore_errors=True)
+            _remove(out / obsolete)
         motion_file.write_index(out, settings.kinds)
     return out
+
+
+def _remove(folder: Path) -> None:
+    """Remove the files that this stage wrote to `folder`, and `folder` if nothing else is in it."""
+    drives = store.indexed(folder)
+    for name in ("index.json", *(f"{drive}.h5" for drive in drives)) if drives else ():
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def _write(path: Path, *, kind: str, drive: str, ingest: Path, perception: Path, settings: Motion) -> Summary:

@@ -45,7 +45,8 @@ def _show_frame(path: Path, frame: int | None, out: Path | None, output: options
     """Print a frame's numbers, draw it, and return what was written."""
     from pipeline.inspect import frame_view
 
-    if out and (out.suffix.lower() != ".png" or out.is_dir()):
+    options.check_names(path, out)
+    if out and out.suffix.lower() != ".png":
         raise InputError(f"expected the name of a PNG file, got {out}", "--out")
     view, numbers = frame_view.read(path, frame)
     title = f"{Path(*path.absolute().parts[-3:])}, frame {view.frame}"

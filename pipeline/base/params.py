@@ -23,14 +23,15 @@ def _has_valid_date(drive: str) -> str:
     return drive
 
 
-def _check_name(name: Any) -> str:
+def check_name(name: Any) -> str:
+    """Return a name of an entry. Raises ValueError."""
     if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
         return name
     rule = "expected at most 100 letters A-Z and a-z, digits, _ and -, not _ or - first; quote names such as 1 or on"
     raise ValueError(rule)
 
 
-Name = Annotated[str, BeforeValidator(_check_name)]
+Name = Annotated[str, BeforeValidator(check_name)]
 """A name that is safe as the name of a stage and of a folder, and in a shell."""
 Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052"), AfterValidator(_has_valid_date)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
@@ -82,7 +83,7 @@ def entries(mapping: str, path: Path) -> dict[str, Any]:
         raise InputError(f"section {mapping!r} is missing or empty: it needs at least one entry", path)
     for name in content:
         with error_context(f"{path}: {mapping}: name {_shorten(name)}"):
-            _check_name(name)
+            check_name(name)
     return content
 
 

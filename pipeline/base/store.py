@@ -24,9 +24,11 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.base.atomic import Sink, replacing
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.files import MiB, read_bytes
 from pipeline.base.params import SPLITS
 
 SCHEMA = 2  # 1: gzip
+_MOST_JSON_BYTES = 256 * MiB
 # What h5py raises for damaged bytes.
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
 _CHUNK_ROWS = 32768  # of ragged data
@@ -315,7 +317,7 @@ def read_json(path: Path, *, stage: str, form: type[BaseModel] | None = None) ->
         raise _missing(path, stage)
     with error_context(path, fix_hint(path, stage)):
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(read_bytes(path, _MOST_JSON_BYTES).decode())
             if not isinstance(content, dict):
                 raise ValueError("expected an object")
         except (ValueError, RecursionError) as error:
@@ -353,9 +355,9 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
 def indexed(folder: Path) -> list[str]:
     """Return the drives in the folder's index.json, of any schema; none if it is missing or damaged."""
     try:
-        drives = json.loads((folder / "index.json").read_text(encoding="utf-8"))["drives"]
+        drives = json.loads(read_bytes(folder / "index.json", _MOST_JSON_BYTES).decode())["drives"]
         return [drive for drive in drives if _is_drive(drive)]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (InputError, OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
 
 

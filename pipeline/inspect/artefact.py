@@ -111,8 +111,9 @@ def _network(folder: Path) -> Content:
     """Describe a trained model or the encoder by its config.json and the last line of its curve.csv."""
     is_encoder = (folder / "encoder.pt").is_file()
     config = read_json(folder / "config.json", stage="encoder" if is_encoder else f"train@{folder.name}")
-    splits = config.pop("splits", None) or {}
-    drives = len(config.pop("frames_per_drive", ())) or dict(Counter(splits.values()))
+    with damage_as_input_error(folder / "config.json"):
+        splits = config.pop("splits", None) or {}
+        drives = len(config.pop("frames_per_drive", ())) or dict(Counter(splits.values()))
     content: Content = {"kind": "encoder" if is_encoder else "model", "drives": drives, **config}
     content["checkpoints"] = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.pt"))
     curve = folder / "curve.csv"

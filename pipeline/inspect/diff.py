@@ -53,7 +53,7 @@ def pairs(a: Path, b: Path) -> list[tuple[str, Path, Path]]:
     """
     fix = "Pass two files of one kind, or two folders"
     for path in (a, b):
-        if not path.exists():
+        if not (path.is_file() or path.is_dir()):
             raise InputError("no such file or folder", path, fix)
     if a.is_dir() != b.is_dir() or (a.is_file() and a.suffix != b.suffix):
         raise InputError(f"cannot be compared with {b}, which is of another kind", a, fix)

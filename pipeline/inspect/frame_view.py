@@ -72,9 +72,10 @@ def _points(file: DriveReader, row: int, numbers: Mapping[str, Any], cls: np.nda
 
 
 def draw(path: Path, title: str, view: View) -> None:
-    """Draw a frame to a PNG file. Raises InputError if there is nothing to draw."""
+    """Draw a frame to a PNG file. Raises InputError if there is nothing to draw, or `path` is no file of steer."""
     if not is_drawable(view):
         raise InputError("nothing to draw, this frame has numbers only", title, "Leave out --out")
+    figure_file.check_replaceable(path)
     figure_file.save(street_view.sheet(title, [view]), path)
 
 

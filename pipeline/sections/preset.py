@@ -67,8 +67,8 @@ def main(
     if out is None:
         print(result, end="")
         return None
-    content = read_yaml(out) if out.is_file() else {}
-    if not (isinstance(content, dict) and content.keys() <= Params.model_fields.keys()):
+    content = read_yaml(out) if out.is_file() else None
+    if out.is_file() and not (isinstance(content, dict) and content.keys() == Params.model_fields.keys()):
         raise InputError("expected a params file to replace", out, "Pass another path")
     with replacing(out) as path:
         path.write_text(result, encoding="utf-8")

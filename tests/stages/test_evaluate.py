@@ -126,3 +126,10 @@ def test_the_memory_of_the_bootstrap_is_bounded_by_the_params(folder: Path) -> N
     params.write_text(params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 1000000000"))
     with pytest.raises(InputError, match="bootstrap_samples"):
         run_evaluate(folder)
+
+
+@pytest.mark.parametrize("name", ["/etc", "../model", ""])
+def test_a_name_that_leaves_the_folder_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="expected at most 100 letters"):
+        evaluate.main(name, out=tmp_path / "data/evaluate")
+    assert not [*tmp_path.iterdir()]

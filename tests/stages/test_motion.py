@@ -89,3 +89,10 @@ def test_a_drive_without_motion_or_frames(root: Path, kind: str) -> None:
     with opened(root, kind, BLIND) as file:
         assert file.shape("frame") == (0,)
         assert file.shape("T_before") == (0, 4, 4)
+
+
+def test_of_an_obsolete_kind_only_written_files_are_removed(root: Path) -> None:
+    run(root, "again")
+    (root / "again/lidar/scans.bin").touch()
+    run(root, "again", ("visual",))
+    assert [path.name for path in (root / "again/lidar").iterdir()] == ["scans.bin"]

@@ -62,15 +62,18 @@ def test_json_and_quiet(data: Path) -> None:
         (["nowhere"], "nowhere: "),
         (["FILE", "--frame", 77], "has no frame 77"),
         (["FILE", "--frame", 1, "--out", "a.gif"], "--out: "),
-        (["FILE", "--frame", 1, "--out", "folder.png"], "--out: "),
+        (["FILE", "--frame", 1, "--out", "folder.png"], "folder.png: steer did not write"),
+        (["FILE", "--frame", 1, "--out", "photo.png"], "photo.png: steer did not write"),
     ],
 )
 def test_errors_are_one_line(data: Path, arguments: list[object], message: str) -> None:
     file = data / f"graphs/semantic/{DRIVE}.h5"
     Path("folder.png").mkdir()
     (Path("folder.png") / "precious").touch()
+    Path("photo.png").write_bytes(b"precious")
     text = show(*(file if argument == "FILE" else argument for argument in arguments), "--quiet", status=1)
     assert text.startswith("error: ")
     assert message in text
     assert Path("folder.png/precious").exists()
+    assert Path("photo.png").read_bytes() == b"precious"
     assert text.count("\n") == 1

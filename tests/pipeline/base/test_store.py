@@ -213,3 +213,11 @@ def test_faults_of_an_index(tmp_path: Path, content: str | None, problem: str) -
         store.read_index(tmp_path, stage="clouds")
     assert str(tmp_path) in raised.value.where
     assert "clouds" in raised.value.fix
+
+
+def test_a_huge_index_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    with (tmp_path / "index.json").open("wb") as file:
+        file.truncate(1 << 40)  # sparse
+    with pytest.raises(InputError, match="too large"):
+        store.read_index(tmp_path, stage="clouds")
+    assert store.indexed(tmp_path) == []

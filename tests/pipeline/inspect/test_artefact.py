@@ -57,7 +57,8 @@ def test_other_files_and_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(bytes(100))
     (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "to_itself").symlink_to(".")
-    for name in ("", "notes.txt", "nothing", "a.h5", "loop", "/"):
+    write(tmp_path / "forged/config.json", {"frames_per_drive": 3})
+    for name in ("", "forged", "notes.txt", "nothing", "a.h5", "loop", "/"):
         with pytest.raises(InputError) as raised:
             artefact.describe(tmp_path / name)
         assert raised.value.fix or "damaged" in str(raised.value)

@@ -1,11 +1,13 @@
 """Differences of drives' files, JSON and other files."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import pytest
 
+from pipeline.base.errors import InputError
 from pipeline.inspect import diff
 from pipeline.inspect.diff import Difference
 from tests.artefacts import write_dataset
@@ -75,3 +77,9 @@ def test_folders_are_compared_file_by_file(tmp_path: Path) -> None:
     assert [str(each) for each in found] == [
         "table.md: 10 and 10 bytes, not the same", "x/one.json: only in A", "x/two.json: only in B",
     ]  # fmt: skip
+
+
+def test_pipes_are_not_compared(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="no such file"):
+        diff.pairs(tmp_path / "pipe", tmp_path / "pipe")

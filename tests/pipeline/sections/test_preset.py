@@ -84,8 +84,10 @@ def test_only_a_params_file_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder/file").write_text("content")
     (tmp_path / "other.yaml").write_text("content: 1\n")
+    (tmp_path / "notes.yaml").write_text("train: half past five\n")
+    (tmp_path / "comments.yaml").write_text("# only notes\n")
     before = contents(tmp_path)
-    for name in ("folder", "other.yaml"):
+    for name in ("folder", "other.yaml", "notes.yaml", "comments.yaml"):
         with pytest.raises(InputError) as raised:
             preset.main("table2", tmp_path / name)
         assert raised.value.where == str(tmp_path / name)

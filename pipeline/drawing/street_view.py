@@ -105,7 +105,7 @@ def look_ahead(panel: Axes) -> None:
 
 def class_legend(figure: Figure, cls: np.ndarray, columns: int) -> None:
     """Add a legend below the figure: the colours of the classes that occur in trainIds `cls` of any shape."""
-    present = [number for number in np.unique(cls) if number != classes.VOID]
+    present = [number for number in np.unique(cls) if number < classes.COUNT]
     patches = [Patch(color=classes.COLOURS[number] / 255, label=classes.NAMES[number]) for number in present]
     figure.legend(handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
 

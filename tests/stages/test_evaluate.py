@@ -8,7 +8,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.train import predict, windows
-from stages import report
+from stages import evaluate, report
 from tests.small_model import run_evaluate, run_train, write_params, write_two_test_drives
 
 

@@ -78,12 +78,12 @@ MOTION = GNN | {"equivariant": True, "motion": "visual", "horizon": 10}
     ("line", "write", "launches", "synchronisations"),
     [
         pytest.param(GNN, artefacts.write_graphs, 940, 0, id="sa-gnn-ncp"),
-        pytest.param(GNN, UNEQUAL, 2000, 0, id="sa-gnn-ncp, unequal frames"),
+        pytest.param(GNN, UNEQUAL, 1520, 0, id="sa-gnn-ncp, unequal frames"),
         pytest.param(GNN | {"temporal": "lstm"}, artefacts.write_graphs, 470, 0, id="gnn-lstm"),
         pytest.param(MOTION, artefacts.write_graphs, 1670, 0, id="motion-10"),
-        pytest.param({"spatial": "edgeconv"}, artefacts.write_graphs, 2700, 40, id="edgeconv-ncp"),
-        pytest.param({"spatial": "gatv2"}, artefacts.write_graphs, 4800, 40, id="gatv2-ncp"),
-        pytest.param({"spatial": "pointnet2", "width": 0.25}, artefacts.write_sets, 1450, 0, id="pointnet2-ncp"),
+        pytest.param({"spatial": "edgeconv"}, artefacts.write_graphs, 2300, 40, id="edgeconv-ncp"),
+        pytest.param({"spatial": "gatv2"}, artefacts.write_graphs, 3800, 40, id="gatv2-ncp"),
+        pytest.param({"spatial": "pointnet2", "width": 0.25}, artefacts.write_sets, 1110, 0, id="pointnet2-ncp"),
         pytest.param({"spatial": "cnn", "window": 16}, artefacts.write_images, 1430, 0, id="cnn-ncp"),
     ],
 )
@@ -91,7 +91,6 @@ def test_a_training_step_stays_within_its_budget(
     tmp_path: Path, line: dict[str, object], write: Callable[..., None], launches: int, synchronisations: int
 ) -> None:
     counts = count(tmp_path, line, write)
-    print(counts)
     assert counts.launches <= launches
     assert len(counts.copies) <= 1, counts.copies  # AveragedModel copies its counter of steps
     assert len(counts.synchronisations) <= synchronisations, counts.synchronisations

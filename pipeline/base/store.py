@@ -27,7 +27,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.files import MiB, read_bytes
 from pipeline.base.params import SPLITS
 
-SCHEMA = 2  # 1: gzip
+SCHEMA = 3  # 2: pointers were known by name; 1: gzip
 _MOST_JSON_BYTES = 256 * MiB
 # What h5py raises for damaged bytes.
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)

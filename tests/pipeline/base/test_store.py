@@ -119,7 +119,7 @@ def test_damage_is_reported_with_file_and_dataset(tmp_path: Path, damage: Callab
 
 def test_files_of_other_stages_and_schemas_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "a.h5")
-    with pytest.raises(InputError, match="expected stage 'ingest', schema 2; got stage 'clouds'") as raised:
+    with pytest.raises(InputError, match="expected stage 'ingest', schema 3; got stage 'clouds'") as raised:
         DriveReader(path, stage="ingest")
     assert "dvc repro ingest" in raised.value.fix
     with h5py.File(path, "r+") as file:
@@ -199,10 +199,10 @@ def test_index_round_trip(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        ('{"schema": 2, "drives": {"c": "train"}}', "no file for c"),
-        ('{"schema": 0, "drives": {}}', "expected schema 2, got 0"),
-        ('{"schema": 2, "drives": {"../a": "train"}}', "expected drives with a split"),
-        ('{"schema": 2, ', "invalid JSON"),
+        ('{"schema": 3, "drives": {"c": "train"}}', "no file for c"),
+        ('{"schema": 0, "drives": {}}', "expected schema 3, got 0"),
+        ('{"schema": 3, "drives": {"../a": "train"}}', "expected drives with a split"),
+        ('{"schema": 3, ', "invalid JSON"),
         (None, "missing"),
     ],
 )

@@ -17,7 +17,7 @@ MAX_POINTS = 5000  # more points slow a browser down
 
 
 def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
-    """Write one row per frame with the predictions of seed number `seed`; an empty field is an angle that is missing.
+    """Write one row per frame with the predictions of seed number `seed`; missing angles are empty fields.
 
     `frame`, `time_s` and `speed_mps` are those of the last input frame, `onset` is 1 where a turn begins
     (decisions.py). `steering_rad` (true), `predicted_rad` and `valid` are those `horizon` frames later, and

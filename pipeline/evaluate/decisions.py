@@ -17,7 +17,7 @@ STRAIGHT_1PM = 0.015  # radius 67 m; a car that keeps its lane stays below
 TURN_RAD = np.pi / 4
 REACH_M = 25.0
 SECOND_S = 1.0
-MIN_FRAMES = 0.75  # share of that second's frames that must exist
+MIN_FRAMES = 0.75  # least share of the frames of this second
 
 
 def onsets(

@@ -69,7 +69,7 @@ class Split(ErrorsAndBaselines):
 
 
 class Entry(_Form, extra="allow"):
-    """The model's entry: the settings that the report uses, and others."""
+    """The model's entry: the settings that the report uses; further keys are allowed."""
 
     input: str
     spatial: str
@@ -85,7 +85,7 @@ class Entry(_Form, extra="allow"):
 
 
 class Variant(_Form, extra="allow"):
-    """The graph variant: the settings that the report uses, and others."""
+    """The graph variant: the settings that the report uses; further keys are allowed."""
 
     k: Annotated[int, Field(ge=1, le=1000)] | None = None
     keep_inter_class: Fraction = 1.0

@@ -67,10 +67,10 @@ class Case:
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
     """Return errors, confidence interval, baselines, and errors by curvature, by drive and without decisions.
 
-    Only frames with a valid target and a prediction count; `without_decisions` leaves out `decisions.near_onsets`.
+    Only frames with a valid target and a prediction are scored; `without_decisions` leaves out `decisions.near_onsets`.
     """
     kinds = measured_kinds(cases)
-    parts = [_counted(case, kinds) for case in cases]
+    parts = [_scored(case, kinds) for case in cases]
     columns = {name: np.concatenate([part[name] for part in parts], axis=-1) for name in parts[0]}
     steering, predicted = columns.pop("steering"), columns.pop("predicted")  # [N], [S,N]
     curvature, certainty = columns.pop("curvature"), columns.pop("certainty", None)
@@ -108,8 +108,8 @@ def odometry(cases: Sequence[Case]) -> dict[str, Any] | None:
     return None
 
 
-def _counted(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return columns of the frames that count: arrays [N], also of baselines; predictions, σ and intervals [S,N]."""
+def _scored(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return columns of the scored frames: arrays [N], also of baselines; predictions, σ and intervals [S,N]."""
     drive, predictions = case.drive, case.predictions
     columns = {
         "steering": drive.steering_rad,
@@ -121,8 +121,8 @@ def _counted(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
     spread = [(seed.sigma_rad, seed.half_95_rad) for seed in predictions if seed.sigma_rad is not None]
     if spread:
         columns["certainty"] = np.stack(spread, axis=1)  # type: ignore[arg-type]  # both are arrays, [2,S,G]
-    counted = drive.valid & ~np.isnan(predictions[0].steering_rad)
-    return {name: np.compress(counted, values, axis=-1) for name, values in columns.items()}
+    scored = drive.valid & ~np.isnan(predictions[0].steering_rad)
+    return {name: np.compress(scored, values, axis=-1) for name, values in columns.items()}
 
 
 def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:

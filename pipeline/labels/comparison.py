@@ -40,20 +40,20 @@ def score(drives: Iterable[Errors]) -> dict[str, Any] | None:
     median of measured / true speed; ``nmse``: MSE of the last measured steering angle / MSE of predicting zero.
     """
     parts = list(drives)
-    every = Errors(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None
-    if every is None or not len(every.measured):
+    joined = Errors(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None
+    if joined is None or not len(joined.measured):
         return None
-    yaw_degps, ratio = (values[np.isfinite(values)] for values in (np.degrees(every.yaw_radps), every.speed_ratio))
-    zero = float((every.true_rad**2).sum())
+    yaw_degps, ratio = (values[np.isfinite(values)] for values in (np.degrees(joined.yaw_radps), joined.speed_ratio))
+    zero = float((joined.true_rad**2).sum())
     return {
         "drives": sum(len(one.measured) > 0 for one in parts),
-        "frames": len(every.measured),
-        "valid": float(every.measured.mean()),
-        "judged": len(every.true_rad),
+        "frames": len(joined.measured),
+        "valid": float(joined.measured.mean()),
+        "judged": len(joined.true_rad),
         "yaw_rmse_degps": float(np.sqrt((yaw_degps**2).mean())) if len(yaw_degps) else None,
         "yaw_median_degps": float(np.median(np.abs(yaw_degps))) if len(yaw_degps) else None,
         "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
-        "nmse": float((every.angle_rad**2).sum() / zero) if zero else None,
+        "nmse": float((joined.angle_rad**2).sum() / zero) if zero else None,
     }
 
 

@@ -12,7 +12,7 @@ from pipeline.kitti.oxts import VF, WU
 from pipeline.labels.label import Labels, steering_labels
 from pipeline.motion.motion_file import open_motion
 
-_OTHERS = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
+_CHOOSE_ANOTHER = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
 
 
 def recorded(raw: DriveReader) -> list[str]:
@@ -23,8 +23,8 @@ def recorded(raw: DriveReader) -> list[str]:
 def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mapping[str, Any]) -> Labels:
     """Return a drive's labels.
 
-    Recorded angles are valid wherever there is one, also at unknown speed; speed and yaw rate are those of oxts or else
-    of measured motion.
+    Every recorded angle is valid, even at unknown speed. With source wheel, speed and yaw rate are
+    read from oxts or, in a drive without oxts, from measured motion.
 
     Args:
         source: a value of ``labels.source``.
@@ -36,7 +36,7 @@ def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mappi
     """
     if source in ("oxts", "wheel") and source not in recorded(raw):
         lacking = {"oxts": "no oxts", "wheel": "no recorded steering angles (steering.csv)"}[source]
-        raise InputError(f"drive has {lacking}, which labels.source: {source} needs", raw.path, _OTHERS)
+        raise InputError(f"drive has {lacking}, which labels.source: {source} needs", raw.path, _CHOOSE_ANOTHER)
     rates = source
     if source == "wheel":
         rates = next((kind for kind in ("oxts", "visual", "lidar") if kind in (*motions, *recorded(raw))), "")

@@ -22,7 +22,7 @@ LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # area shown from above
 
 @dataclass(frozen=True)
 class View:
-    """A frame's data; None if it has none."""
+    """Data of one frame; None if it is missing."""
 
     frame: int  # KITTI frame number
     rgb: np.ndarray | None = None  # uint8 [H,W,3]

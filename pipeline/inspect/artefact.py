@@ -144,7 +144,7 @@ def _parts(folder: Path) -> Content | None:
 
 @contextmanager
 def damage_as_input_error(path: Path, fix: str = "Make it again: dvc repro. Or fetch it: dvc pull") -> Iterator[None]:
-    """Raise InputError for every exception of a library on a damaged file; errors of the system stay as they are.
+    """Convert exceptions of libraries on a damaged file to InputError; errors of the operating system pass unchanged.
 
     HDF5 and YAML raise many kinds, from KeyError to RecursionError.
     """

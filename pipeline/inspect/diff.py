@@ -159,9 +159,9 @@ def _drive_columns(file: DriveReader) -> dict[str, Column]:
 
 
 def _dataset(file: DriveReader, name: str) -> Column:
-    """Return frame number → value, or function that reads it: files of images are larger than the memory.
+    """Return frame number → value, or a function that reads the value, since files of images exceed the memory.
 
-    Of a pointer, the values are numbers of rows: one more row in the first frame would shift all others.
+    A pointer is compared as rows per frame: otherwise one more row in a frame would change all later frames.
     """
     frames, pointer = file.frame.tolist(), file.pointers.get(name)
     if name in PER_DRIVE:

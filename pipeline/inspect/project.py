@@ -36,7 +36,7 @@ class Project:
     due_bytes: int = 0
     """Size of the last outputs of these stages."""
     unused: list[str] = field(default_factory=list)
-    """Stages that are due, but that no model needs."""
+    """Stages that are due, but needed by no model."""
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 

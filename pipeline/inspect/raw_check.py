@@ -52,7 +52,7 @@ def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts
 
 
 def _drives_below(root: Path) -> list[Path]:
-    """Return the folders of the drives, sorted, below a KITTI raw root or one of its dates; of a drive, itself."""
+    """Return the sorted drive folders below a KITTI raw root or a date folder; for a drive's folder, that folder."""
     if root.match(_DRIVE) or (root / "oxts" / "data").is_dir():
         return [root]
     return sorted(path for pattern in (_DRIVE, f"*/{_DRIVE}") for path in root.glob(pattern) if path.is_dir())
@@ -129,7 +129,7 @@ def _input_error(function: Callable[..., object], *arguments: Any) -> list[str]:
 
 
 def _expected_range(stamps: Path, count: int, files: dict[str, dict[int, Path]]) -> tuple[int, int]:
-    """Return the first and last frame of the complete drive, by its files and the times of `count` of them."""
+    """Return the first and last frame of the complete drive, from its files and the timestamps of `count` files."""
     frames = {frame for paths in files.values() for frame in paths}
     if not frames:
         return 0, -1

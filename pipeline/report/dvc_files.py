@@ -21,7 +21,7 @@ def metrics(results: Results, scores: dict[str, Any] | None) -> dict[str, float]
     """Return all metrics under flat names; values that do not exist are left out, and DVC shows a gap.
 
     - ``<model>.nmse``, its 95 % interval ``nmse_low`` to ``nmse_high``, ``mae_deg``
-    - ``odometry-<horizon>.nmse`` on the test drives; of scans, where images are there too, ``odometry_lidar-…``
+    - ``odometry-<horizon>.nmse`` on the test drives; ``odometry_lidar-…`` from scans, if there are images too
     - ``encoder.miou`` of classes; ``encoder.abs_rel_dense`` and ``encoder.abs_rel_lidar`` of depth
     - ``motion.<kind>.nmse`` of the steering angle from measured motion, ``yaw_rmse_degps``, ``speed_ratio``, ``valid``
 

@@ -75,7 +75,7 @@ def _draw_images(out: Path, model: pd.Series, steering: pd.DataFrame, data: Path
 
 
 def _read_view(data: Path, drive: str, number: int) -> street_view.View | None:
-    """Read a frame's image, perception and cloud; None if this machine or the drive has none."""
+    """Read a frame's image, perception and cloud; None if a file or the frame is missing."""
     files = [(data / folder / f"{drive}.h5", folder.split("/")[0]) for folder in _FOLDERS]
     if not all(path.is_file() for path, _ in files):
         return None
@@ -170,7 +170,7 @@ def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
 
 
 def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest: Path) -> Captions:
-    """Draw the last image that a model got before each of its largest errors; nothing where there are no images."""
+    """Draw the last image that a model got before each of its largest errors; nothing without images."""
     shown = []
     for _, row in largest_errors(predictions).iterrows():
         image = _read_image(ingest / f"{row['drive']}.h5", row["frame"])
@@ -198,7 +198,7 @@ def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest
 
 
 def _read_image(path: Path, number: int) -> np.ndarray | None:
-    """Read a frame's image from a file of stage ingest; None if this machine or the frame has none."""
+    """Read a frame's image from a file of stage ingest; None if the file, the frame or its image is missing."""
     if not path.is_file():
         return None
     with store.DriveReader(path, stage="ingest") as images:

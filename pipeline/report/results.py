@@ -75,7 +75,7 @@ def steering_lines(predictions: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def columns_below(metrics: Iterable[str], prefix: str, name: str) -> dict[str, str]:
-    """Return key → column for the columns ``<prefix>.<key>.<name>``: a test drive or a range of curvature each."""
+    """Return key → column for the columns ``<prefix>.<key>.<name>``: a key is a test drive or a range of curvature."""
     matches = {column: re.fullmatch(rf"{prefix}\.(.+)\.{name}", column) for column in metrics}
     return {match[1]: column for column, match in matches.items() if match and ".baselines." not in match[1]}
 

@@ -12,7 +12,7 @@ from pipeline.report.results import Results, columns_below
 Columns = Mapping[str, tuple[str, str]]
 """Heading → column and format; an empty format for text."""
 NONE = "–"  # cell without a value
-MAX_DRIVES = 6  # more test drives get no columns of their own
+MAX_DRIVES = 6  # with more test drives, tables have no column per drive
 _WIDTH = 110  # characters per line of a note
 _SETTINGS = (
     "input", "spatial", "temporal", "cell", "equivariant", "semantics", "window", "motion", "horizon", "fit_to",

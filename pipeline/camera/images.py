@@ -128,7 +128,7 @@ def read_pixels(path: Path) -> np.ndarray:
         raise DamagedFile("file is empty", path)
     if not content.startswith((_PNG, _JPEG)):
         raise DamagedFile("is not a PNG or JPEG file", path)
-    if content.startswith(_PNG) and PNG_END not in content:  # libpng would print a line of its own
+    if content.startswith(_PNG) and PNG_END not in content:  # libpng would print a second message
         raise DamagedFile(f"PNG is cut short at {len(content)} bytes", path)
     flags = cv2.IMREAD_COLOR if content.startswith(_JPEG) else cv2.IMREAD_UNCHANGED
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
-# Playlists, scripts and session descriptions open other files and sockets: no format but containers and streams of
-# frames, and no protocol, since the opened file is the only one to read.
+# Playlists, scripts and session descriptions can open other files and sockets. So only containers and streams of frames
+# are accepted, and no protocol: FFmpeg reads the file that is already open.
 _WITHOUT_TIMES = ("h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu")
 _CONTAINERS = ("mov", "mp4", "matroska", "webm", "avi", "mpegts", "mpeg", "ivf", "ogg", "flv", "asf", "yuv4mpegpipe")
 _OPTIONS = {
@@ -84,7 +84,7 @@ class Video:
         """Read the header and the first frame; `fps` or `times_s` replaces timestamps. Raises DamagedFile."""
         self.path, self.times_s, self._fixed_fps = path, times_s, fps is not None
         self.untimed_from: int | None = None
-        self._file = path.open("rb")  # FFmpeg would take some names for addresses or patterns
+        self._file = path.open("rb")  # FFmpeg interprets some names as addresses or patterns
         weakref.finalize(self, self._file.close)
         container = self._open()
         # FFmpeg assumes 25 frames per second for a stream without a container.

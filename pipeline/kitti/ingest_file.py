@@ -1,6 +1,6 @@
 """Write the ingest file, data/ingest/<drive>.h5: everything that later stages need of a raw drive.
 
-Rows go by KITTI's frame numbers. What a frame lacks stays empty, and ``has_<name>`` is 0.
+Each row belongs to one of KITTI's frame numbers. Missing data has the fill value, and ``has_<name>`` is 0.
 """
 
 from collections import Counter
@@ -109,7 +109,7 @@ def put_motion(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, oxts: n
 
 
 def put_steering(file: DriveWriter, frames: Iterable[int], steering_rad: Mapping[int, float]) -> int:
-    """Write recorded steering angles by frame number and ``has_steering`` [F]; return how many `frames` have one."""
+    """Write recorded steering angles by frame number and ``has_steering`` [F]; return the number of angles."""
     recorded = [steering_rad.get(frame) for frame in frames]
     file.put("steering_rad", np.array([angle or 0.0 for angle in recorded]), "rad, left positive")
     file.put("has_steering", np.array([angle is not None for angle in recorded], np.uint8))

@@ -24,7 +24,7 @@ from pipeline.recording.track import ROUNDING_S, Rates, coverage
 
 @dataclass(frozen=True)
 class Recording:
-    """Images, and what was logged while they were taken."""
+    """Images, with logs of the car's motion and of its steering wheel."""
 
     footage: Footage
     camera: Camera  # of the images
@@ -93,7 +93,7 @@ class Recording:
         return summary | (self._coverage(time_s)[1])
 
     def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Write the images that have motion, if there is a log; return the times of all, and which were written."""
+        """Write the images with motion, or all without a log; return the times and the mask of written images."""
         all_s: list[float] = []
         hidden = not (visible and sys.stderr.isatty())
         frames = tqdm(self.footage.frames(), total=self.footage.count, unit=" images", disable=hidden)
@@ -113,7 +113,7 @@ class Recording:
         return time_s, usable
 
     def _coverage(self, time_s: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
-        """Return which images at `time_s` [F] have motion, all without a log; and counts, if there is a log."""
+        """Return a mask of the images at `time_s` [F] with motion (all without a log), and counts if there is a log."""
         if self.motion is None:
             return np.ones(len(time_s), bool), {}
         return coverage(self.motion.time_s, time_s, self.max_gap_s)

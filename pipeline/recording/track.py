@@ -118,9 +118,9 @@ def _to_plane(fixes: Fixes) -> np.ndarray:
 
 
 def coverage(samples_s: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, dict[str, Any]]:
-    """Find the images at `time_s` [F] that lie between samples at `samples_s` [N] that are at most `max_gap_s` apart.
+    """Find the images at `time_s` [F] between two samples at `samples_s` [N] with a gap of at most `max_gap_s`.
 
-    Returns: which images these are, bool [F]; and counts of images: ``interpolated`` between two samples, at most
+    Returns: a mask of these images, bool [F]; and counts of images: ``interpolated`` between two samples, at most
     ``largest_gap_s`` apart; ``left_out`` before the first sample, after the last, and in longer gaps.
     """
     before, after = time_s < samples_s[0] - ROUNDING_S, time_s > samples_s[-1] + ROUNDING_S

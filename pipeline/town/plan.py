@@ -42,7 +42,7 @@ QUARTERS = ("centre", "narrow", "suburb", "terraces", "village")
 
 
 def draw_character(rng: np.random.Generator, quarter: str) -> Character:
-    """Draw a quarter of one of :data:`QUARTERS`."""
+    """Draw the streets' dimensions and densities in a quarter of :data:`QUARTERS`."""
     lane, pavement, parked = rng.uniform(3.1, 3.7), rng.uniform(1.8, 3.0), rng.uniform(0.5, 0.85)
     wide = (lane, (6.5, 10.0), False, pavement)
     # Parked cars leave little more room than two cars need: the ego drives close to the middle.
@@ -167,10 +167,10 @@ def _paint_markings(
 
 def _may_park(route: Route, meetings: Meetings, kerbside: bool) -> np.ndarray:
     """Return bool [N]: not in sharp bends or at junctions; at kerbs closer to them than in bays."""
-    bent_1pm, near_m = (0.085, 9.0) if kerbside else (0.055, 13.0)
+    bent_1pm, clearance_m = (0.085, 9.0) if kerbside else (0.055, 13.0)
     blocked = (np.abs(route.curvature_1pm) > bent_1pm) | (meetings.other_m < 14)
     for junction in route.junctions_m:
-        blocked |= np.abs(route.s_m - junction) < near_m
+        blocked |= np.abs(route.s_m - junction) < clearance_m
     reach = round(2 / STEP_M)
     return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
 

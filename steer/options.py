@@ -14,7 +14,7 @@ from pipeline.base.errors import InputError
 
 
 def number(lowest: float, highest: float | None, help: str) -> Any:
-    """Return an option for numbers from `lowest` to `highest`, or without an upper limit. Typer accepts NaN."""
+    """Return an option for finite numbers from `lowest` to `highest`, if given. Typer's own check accepts NaN."""
 
     def finite(value: float | None) -> float | None:
         if value is not None and not math.isfinite(value):

@@ -65,8 +65,8 @@ def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, set
     """Return the 95 % interval of Σ error / Σ Θ² over other roads, from a circular block bootstrap of resampled drives.
 
     Drives are drawn with replacement, and within each drawn drive blocks of consecutive rows, since errors of
-    neighbouring frames are correlated. A block that passes the end of its drive continues at its start, so that the
-    first and last rows are drawn as often as the others. A drive that is not longer than a block is drawn completely.
+    neighbouring frames are correlated. A block that passes the end of its drive continues at its start, so that all
+    rows are drawn equally often. A drive that is not longer than a block is drawn completely.
 
     Args:
         error: [N] in time order; squared errors of a model, for the interval of its nmse. For the interval of a

@@ -17,11 +17,13 @@ Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Count], Field(min_length=2, max_length=2)]
 
 
-class _Form(BaseModel):
+class Form(BaseModel):
+    """A JSON object: no other keys, types or numbers that are not finite."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Errors(_Form):
+class Errors(Form):
     """Errors of one predictor; None without frames, nmse also if every angle is 0."""
 
     frames: Count
@@ -38,7 +40,7 @@ class Errors(_Form):
 
 
 class Bin(Errors):
-    """Errors in a range of |curvature|, and those of always predicting zero."""
+    """Errors in a range of |curvature|, beside the errors of always predicting zero."""
 
     from_1pm: Number
     to_1pm: Number | None
@@ -50,7 +52,7 @@ class ErrorsAndBaselines(Errors):
     baselines: dict[str, Errors]
 
 
-class Uncertainty(_Form):
+class Uncertainty(Form):
     nll: float
     nll_constant: float
     coverage_68: Number
@@ -68,7 +70,7 @@ class Split(ErrorsAndBaselines):
     uncertainty: Uncertainty | None = None
 
 
-class Entry(_Form, extra="allow"):
+class EntrySettings(Form, extra="allow"):
     """The model's entry: the settings that the report uses; further keys are allowed."""
 
     input: str
@@ -84,7 +86,7 @@ class Entry(_Form, extra="allow"):
     semantics: float | None = None
 
 
-class Variant(_Form, extra="allow"):
+class VariantSettings(Form, extra="allow"):
     """The graph variant: the settings that the report uses; further keys are allowed."""
 
     k: Annotated[int, Field(ge=1, le=1000)] | None = None
@@ -92,26 +94,26 @@ class Variant(_Form, extra="allow"):
     accumulate: dict[str, Any] | None = None
 
 
-class Odometry(_Form):
+class OdometryBaseline(Form):
     """The kind of motion of baseline odometry, and its regression coefficient."""
 
     kind: str
     coefficient: float | None
 
 
-class Metrics(_Form):
+class Metrics(Form):
     """Contents of metrics.json."""
 
     model: str
-    line: Entry
+    line: EntrySettings
     seeds: Annotated[list[int], Field(min_length=1)]
     drives: dict[Literal["train", "val", "test"], list[str]]
     parameters: Count
     wheelbase_m: Annotated[float, Field(gt=0, le=100)]
     path: Literal["bicycle", "paper"]
     labels: str | None = None
-    odometry: Odometry | None = None
-    variant: Variant
+    odometry: OdometryBaseline | None = None
+    variant: VariantSettings
     points_per_frame: Number | None
     edges_per_frame: Number | None
     edges_per_frame_unpruned: Number | None
@@ -120,7 +122,7 @@ class Metrics(_Form):
     test: Split
 
 
-class Structure(_Form):
+class Structure(Form):
     """The graph of one frame: at most MAX_POINTS of its `points`."""
 
     frame: Count

@@ -7,8 +7,8 @@ This module alone knows its datasets: it writes them, reads them, and makes batc
 - kind image: image uint8 [1,H,W,3].
 
 In frames and files, numbers of points count from 0 in each frame. A batch has the same arrays for B frames, one after
-the other, with numbers that count from 0 in the batch (indices int32, the others int64), and the first row of each
-frame, int64 [B+1], in ptr and centres_l_ptr.
+the other, with numbers that count from 0 in the batch (indices int32, centres_l and neighbours_l int64), and the first
+row of each frame, int64 [B+1], in ptr and centres_l_ptr.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

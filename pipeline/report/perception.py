@@ -2,13 +2,13 @@
 
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base import store
 from pipeline.base.params import SPLITS
+from pipeline.evaluate.schema import Count, Form, Number
 from pipeline.report.tables import NONE, Table, cells
 
 _DEPTH = (
@@ -22,12 +22,10 @@ _MOTION = (
     "nmse: of the steering angle from the last measurement, from a drive's first measured frame on. Drives without "
     "scans count for visual only."
 )
-Number = Annotated[float, Field(ge=0, le=1e9)]
-Count = Annotated[int, Field(ge=0, le=10**12)]
 
 
-class _Form(BaseModel):
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+class _Form(Form, extra="ignore"):
+    """A JSON object of which the report uses some keys."""
 
 
 class _Depth(_Form):

@@ -19,7 +19,7 @@ INPUTS = {
     "xyz": "float32 [points, 3], metres, camera frame: x right, y down, z forward",
     "cls": "uint8 [points], Cityscapes trainId, 255 = void",
     "degree": "uint8 [points], number of neighbours",
-    "neighbours": "int64 [points, slots], neighbours of each point, in the first `degree` slots; the others are 0",
+    "neighbours": "int64 [points, slots], neighbours of each point, in the first `degree` slots; further slots are 0",
     "centres_": "int64 [centres], indices of points, or of centres of the previous level",
     "neighbours_": "int64 [centres, n], the same for the points in the ball around each centre",
 }
@@ -103,7 +103,7 @@ class Padded(NamedTuple):
 class PaddedGraph(_Points):
     """Points of one frame with padded neighbours, which exported programs take instead of sparse matrices.
 
-    neighbours int64 [N,D]: the first `degree` of each row count, the others are 0.
+    neighbours int64 [N,D]: the first `degree` of each row are used, further entries are 0.
     """
 
     degree: Tensor

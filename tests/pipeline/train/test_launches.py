@@ -92,7 +92,7 @@ def test_a_training_step_stays_within_its_budget(
 ) -> None:
     counts = count(tmp_path, line, write)
     assert counts.launches <= launches
-    assert len(counts.copies) <= 1, counts.copies  # AveragedModel copies its counter of steps
+    assert len(counts.copies) <= 1, counts.copies  # probably AveragedModel's counter of steps
     assert len(counts.synchronisations) <= synchronisations, counts.synchronisations
 
 

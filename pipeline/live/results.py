@@ -158,22 +158,22 @@ class Results:
         hz = (self.frames - self._warm_up) / (time.perf_counter() - self._started_s)
         return counts | {"p50_ms": p50_ms, "p95_ms": p95_ms, "hz": hz}
 
-    def compare(self, truth: str, judged: str, horizon: int = 0) -> dict[str, Any] | None:
+    def compare(self, truth: str, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of the angles against the driven ones `horizon` frames later; None without common frames.
 
         Args:
             truth: source of the driven angles.
-            judged: predicted or measured; errors are computed on its frames. Elsewhere the measured angle repeats the
+            column: predicted or measured; errors are computed on its frames. Elsewhere the measured angle repeats the
                 last one, or 0.
         """
         number, _, driven_rad, predicted_rad, measured_rad = np.array(self.angles).T
         driven = dict(zip(number.tolist(), driven_rad.tolist(), strict=True))
         target_rad = np.array([driven.get(frame + horizon, np.nan) for frame in number.tolist()])
         angles_rad = {"predicted": predicted_rad, "measured": measured_rad}
-        used = np.isfinite(target_rad) & np.isfinite(angles_rad[judged])
+        used = np.isfinite(target_rad) & np.isfinite(angles_rad[column])
         if not used.any():
             return None
-        rows = {judged: angles_rad[judged]}
+        rows = {column: angles_rad[column]}
         if np.isfinite(measured_rad).any():
             last = np.maximum.accumulate(np.where(np.isfinite(measured_rad), np.arange(len(number)), -1))
             rows["measured"] = np.where(last >= 0, measured_rad[last], 0.0)

@@ -210,7 +210,7 @@ def _read_image(path: Path, number: int) -> np.ndarray | None:
 
 def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Captions:
     """Draw the driven path of each drive, and the paths of predicted steering. Dots are restarts."""
-    first, drives = models.iloc[0], [*results.first_seed([*models["model"]]).groupby("drive", sort=False)]
+    first, drives = models.iloc[0], [*results.worst_drives(models).groupby("drive", sort=False)]
     rows = -(-len(drives) // MAX_COLUMNS)
     columns = -(-len(drives) // rows)
     figure = Figure(figsize=(4.0 * columns, 4.2 * rows + 0.4), layout="constrained")

@@ -59,16 +59,17 @@ def write_page(
     """
     pictures = {name: _picture(caption, path.parent / f"figures/{name}.png") for name, caption in figures.items()}
     chain = pictures.pop("chain", None)
+    shown = [] if results.models.empty else [*results.worst_drives(results.models)["drive"].unique()]
     sections: dict[str, Content] = {
         "Results": tables[:1],
         **_steering(results),
         "Largest errors": [pictures.pop(name) for name in [*pictures] if name.startswith(ERRORS)],
         "Figures of the paper": [*pictures.values()],
-        "Graphs in 3D": _graphs(results, data / "evaluate"),
+        "Graphs in 3D": _graphs(results, shown, data / "evaluate"),
         "Learning curves": _learning([*results.models["model"]], data / "train"),
         "Models in detail": tables[1:],
         "Depth, classes and motion": perception,
-        "Input of the test drives": _inputs(results, data / "pictures"),
+        "Input of the test drives": _inputs(shown, data / "pictures"),
     }
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -90,9 +91,14 @@ def _steering(results: Results) -> dict[str, Content]:
     for horizon, rows in results.metrics.groupby("line.horizon") if len(results.metrics) else ():
         ahead = f", {horizon} frames ahead" if horizon else ""
         predictions = results.first_seed([*rows["model"]])
-        drives = predictions.groupby("drive", sort=False)
+        shown = results.worst_drives(rows[~rows["baseline"].astype(bool)])
+        drives, count = shown.groupby("drive", sort=False), predictions["drive"].nunique()
+        chosen = (
+            f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
+        )
         sections[f"Steering on the test drives{ahead}"] = [
-            "Predictions of the first seed. Drag to zoom, double-click to reset, click the legend to hide a line.",
+            f"Predictions of the first seed{chosen}. Drag to zoom, double-click to reset, click the legend to hide a "
+            "line.",
             *(Plot(f"{drive}: steering over time{ahead}", plots.over_time(table)) for drive, table in drives),
             Plot(f"All test frames: predicted over driven steering{ahead}", plots.scatter(predictions)),
             Plot("Error by curvature of the road, mean over seeds", plots.by_curvature(rows)),
@@ -100,15 +106,16 @@ def _steering(results: Results) -> dict[str, Content]:
     return sections
 
 
-def _graphs(results: Results, evaluate: Path) -> Content:
+def _graphs(results: Results, drives: Sequence[str], evaluate: Path) -> Content:
     for _, row in results.models.iterrows():
-        graphs = load_structures(evaluate / row["model"])
+        structures = load_structures(evaluate / row["model"])
+        graphs = {drive: structures[drive] for drive in drives if drive in structures}
         if graphs and pd.notna(row["variant.k"]):
             with_classes = any(set(graph.cls) != {VOID} for graph in graphs.values())
             legend = "classes, and edges before and after semantic pruning" if with_classes else "points and edges"
             text = (
-                f"Input of {row['model']} where each test drive bends most. Turn with the mouse; the legend shows and "
-                f"hides {legend}."
+                f"Input of {row['model']} where each of these drives bends most. Turn with the mouse; the legend shows "
+                f"and hides {legend}."
             )
             captions = [f"{drive}, frame {graph.frame}: {graph.points:,} points" for drive, graph in graphs.items()]
             figures = [plots.graph_3d(graph, row["variant.k"]) for graph in graphs.values()]
@@ -123,8 +130,7 @@ def _learning(models: Sequence[str], train: Path) -> Content:
     return [Plot(caption, plots.learning(first))] if first else []
 
 
-def _inputs(results: Results, pictures: Path) -> Content:
-    drives = pd.unique(results.predictions["drive"])
+def _inputs(drives: Sequence[str], pictures: Path) -> Content:
     sheets = {drive: pictures / f"{drive}.png" for drive in drives}
     caption = "{}: images, and the cloud from above"
     return [_picture(caption.format(drive), path) for drive, path in sheets.items() if path.is_file()]

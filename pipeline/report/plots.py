@@ -103,7 +103,7 @@ def graph_3d(structure: Structure, k: int) -> Plot:
         ends = np.insert(pairs, 2, len(place), axis=1).ravel()  # a row without a point: a gap after each edge
         shown = {"name": name, "visible": True if pairs is pruned else "legendonly"}
         traces.append(_points(place.reindex(ends), *"xyz") | lines | shown)
-    camera = {"eye": {"x": 0.0, "y": -1.7, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.15}}
+    camera = {"eye": {"x": 0.0, "y": -2.0, "z": 1.1}, "center": {"x": 0, "y": -0.15, "z": -0.2}}
     axes = {f"{axis}axis": _title(f"{name}, m") for axis, name in zip("xyz", ("right", "ahead", "up"), strict=True)}
     scene = {"aspectmode": "data", "camera": camera, **axes}
     return _plot([trace | {"type": "scatter3d"} for trace in traces], 520, scene=scene)

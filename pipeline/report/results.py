@@ -19,6 +19,8 @@ from pipeline.base.params import SPLITS
 from pipeline.evaluate.schema import Metrics, Structure, Structures
 from pipeline.report import paper
 
+SHOWN_DRIVES = 6
+"""Test drives that the page and Figure 4 draw one by one; the tables have all."""
 _BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression", "odometry_lidar")
 _TYPES = {
     "drive": str, "frame": int, "time_s": float, "speed_mps": float, "steering_rad": float, "predicted_rad": float,
@@ -46,6 +48,13 @@ class Results(NamedTuple):
     def first_seed(self, models: Sequence[str]) -> pd.DataFrame:
         """Return the predictions of the first seed of `models`."""
         return self.predictions[self.predictions["model"].isin(models) & (self.predictions["run"] == "")]
+
+    def worst_drives(self, models: pd.DataFrame) -> pd.DataFrame:
+        """Return :meth:`first_seed` of `models` for the SHOWN_DRIVES on which the best model has most squared error."""
+        predictions = self.first_seed([*models["model"]])
+        best = predictions[predictions["model"] == models.sort_values("test.nmse", kind="stable").iloc[0]["model"]]
+        error = ((best["predicted_deg"] - best["driven_deg"]) ** 2).groupby(best["drive"]).sum()
+        return predictions[predictions["drive"].isin(error.nlargest(SHOWN_DRIVES).index)]
 
 
 def load_results(evaluate: Path, models: Sequence[str]) -> Results:

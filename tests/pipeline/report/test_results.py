@@ -103,6 +103,20 @@ def test_a_damaged_table_of_predictions_is_one_error(tmp_path: Path, rows: str, 
     check_error(tmp_path, "predictions.csv", problem)
 
 
+def test_the_drives_with_the_largest_error_of_the_best_model_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.report.results.SHOWN_DRIVES", 1)
+    table = examples.predictions(0.01)
+    table.loc[table["drive"] == examples.DRIVES[1], "predicted_rad"] += 0.1
+    examples.write_model(tmp_path, examples.metrics("best", nmse=0.1), table)
+    examples.write_model(tmp_path, examples.metrics("worse", nmse=0.2))
+    results = load_results(tmp_path / "evaluate", ["worse", "best"])
+    shown = results.worst_drives(results.models)
+    assert set(shown["drive"]) == {examples.DRIVES[1]}
+    assert set(shown["model"]) == {"best", "worse"}
+
+
 def test_a_forged_structure_is_one_error(tmp_path: Path) -> None:
     graph = {"frame": 1, "points": 2, "xyz_m": [[0, 0, 1], [1, 0, 1]], "cls": [0, 0], "edges": [[0, 2]]}
     store.write_json(tmp_path / "net/structure.json", {"drive": graph})

@@ -38,6 +38,14 @@ def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
     assert "Means over 3 seeds" in first.note
 
 
+def test_the_table_by_drive_has_a_row_per_drive(tmp_path: Path) -> None:
+    results = examples.results(tmp_path, examples.metrics("sa-gnn-ncp"), examples.metrics("motion-10", horizon=10))
+    table = next(table for table in tables.steering_tables(results) if table.title == "nmse by test drive")
+    assert table.cells["drive"].tolist() == [*examples.DRIVES]
+    assert table.cells["sa-gnn-ncp +0"].tolist() == ["0.190", "0.180"]
+    assert table.cells["*zero* +10"].tolist() == ["1.000", "1.000"]
+
+
 def test_perception_has_a_row_per_split_with_ground_truth(tmp_path: Path) -> None:
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)

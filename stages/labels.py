@@ -10,7 +10,7 @@ from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.kitti.oxts import VL
-from pipeline.labels import label, sources
+from pipeline.labels import ahead, label, sources
 from pipeline.motion import motion_file
 from pipeline.sections.labels import Labels
 
@@ -21,7 +21,7 @@ def main(
     out: Path = Path("data/labels"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Compute the steering angle of each frame (paper section 4.1) and whether it is valid.
+    """Compute the steering angle of each frame (paper section 4.1), the path ahead, and where both are valid.
 
     Returns the stage's folder.
     """
@@ -50,13 +50,15 @@ def main(
 
 def _label(path: Path, *, drive: str, ingest: Path, motions: Mapping[str, Path], settings: Labels) -> Summary:
     """Write one drive's labels and return their plausibility statistics."""
-    rule = settings.model_dump(exclude={"source"})
+    rule = settings.model_dump(include={"wheelbase_m", "min_speed_mps", "standstill"})
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
         frame, time_s = raw.frame, raw.time_s
         labels = sources.read(settings.source, raw, motions, rule)
         sideways_mps = raw["oxts"][:, VL] if settings.source == "oxts" else np.zeros(len(frame))
     with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
         label.write(file, frame, time_s, labels, settings.wheelbase_m)
+        if settings.ahead_m:
+            ahead.write(file, ahead.path_ahead(frame, time_s, labels, settings.ahead_m, settings.max_stand_s))
     return label.plausibility(labels, sideways_mps, time_s)
 
 

@@ -1,10 +1,12 @@
-"""Section ``labels``: steering angles and their source."""
+"""Section ``labels``: steering angles, the path ahead, and their source."""
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from pipeline.base.params import MotionKind, Positive, Section
+
+MAX_AHEAD_M = 200.0  # farther than a camera of this resolution shows a road
 
 
 class Labels(Section):
@@ -13,3 +15,14 @@ class Labels(Section):
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
     standstill: Literal["invalid", "raw", "zero"]
+    ahead_m: list[Annotated[float, Field(ge=0, le=MAX_AHEAD_M)]] = Field(
+        default=[], max_length=17, description="edges between the ranges of the path ahead; none: no such labels"
+    )
+    max_stand_s: Annotated[float, Field(ge=0)] = 5.0
+
+    @field_validator("ahead_m")
+    @classmethod
+    def _check_ascending(cls, edges: list[float]) -> list[float]:
+        if sorted(set(edges)) != edges or len(edges) == 1:
+            raise ValueError("expected ascending edges, two or more")
+        return edges

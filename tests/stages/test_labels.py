@@ -67,6 +67,22 @@ def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert contents(tmp_path / "labels") == first
 
 
+def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
+    write_ingest(tmp_path / "ingest", speed=[10.0] * 30, yaw_rate=[0.2] * 30)
+    left, right = run(tmp_path, ahead_m=[0, 5, 20])
+    np.testing.assert_allclose(left["ahead_1pm"][left["ahead_valid"] == 1], 0.02)
+    np.testing.assert_array_equal(right["ahead_1pm"], -left["ahead_1pm"])
+    assert left["ahead_valid"].sum(axis=0).tolist() == pytest.approx([25, 10], abs=1)  # 30 frames are 29 m
+    assert left.params["labels"]["ahead_m"] == [0, 5, 20]
+    assert "ahead_1pm" not in run(tmp_path)[0]
+
+
+@pytest.mark.parametrize("edges", [[5, 0], [0, 0], [0], [-1, 5], [0, 1000]])
+def test_edges_of_ranges_ascend(tmp_path: Path, edges: list[float]) -> None:
+    with pytest.raises(InputError, match=r"labels\.ahead_m"):
+        run(tmp_path, ahead_m=edges)
+
+
 def write_motion(folder: Path, kind: str, drive: str, rows: dict[int, tuple[float, float]]) -> None:
     """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured."""
     speed, yaw_rate = np.array(list(rows.values())).T

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive, pending_folder, replacing
+from pipeline.base.atomic import replacing, stage_folder
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
@@ -20,9 +20,8 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
-    pending = pending_folder(out)
     if settings.folder:
-        with exclusive(out, pending):
+        with stage_folder(out):
             return _use_precomputed(settings, settings.folder, out)
 
     import torch
@@ -43,7 +42,7 @@ def main(
                 raise InputError(f"no file for the {part}", fix="Name one, or fit it with encoder.epochs")
     curve: Sequence[Any] = []
     fitted_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
-    with exclusive(out, pending):
+    with stage_folder(out) as pending:
         if settings.epochs:
             hashes = [source.sha256 for source in sources]
             curve, fitted_on = _fit(model, settings, hashes, ingest, drives, pending)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive, pending_folder, sweep
+from pipeline.base.atomic import stage_folder, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import SPLITS, check_name, load
 from pipeline.evaluate import by_frame
@@ -34,7 +34,7 @@ def main(
     """
     with error_context(f"MODEL {name!r}"):
         check_name(name)
-    with exclusive(out / name, pending_folder(out / name, entry=True)):
+    with stage_folder(out / name, entry=True):
         return _evaluate(name, train, graphs, labels, out / name, load(Evaluate, params))
 
 

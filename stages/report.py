@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive, pending_folder, replacing, sweep
+from pipeline.base.atomic import replacing, stage_folder, sweep
 from pipeline.base.params import entries, load
 from pipeline.sections.evaluate import Evaluate
 
@@ -35,7 +35,7 @@ def main(
     absent = [model for model in models if model not in evaluated]
     parts = [*(table.markdown() for table in steering), tables.missing(absent)]
     text = "\n\n".join(filter(None, [*parts, *(table.markdown() for table in perception_tables)]))
-    with exclusive(out, pending_folder(out)):
+    with stage_folder(out):
         with replacing(out / "table.md") as unfinished:
             unfinished.write_text(f"{text}\n", encoding="utf-8")
         dvc_files.write_csv(out / "table.csv", tables.csv_rows(results.metrics), na="")

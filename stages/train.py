@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import exclusive, pending_folder, sweep
+from pipeline.base.atomic import pending_folder, stage_folder, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import file_hash
@@ -52,7 +52,7 @@ def main(
     todo = runs.runs(out / name, settings.seeds, folds)
     with (
         distributed.process_group() as (world, device),
-        exclusive(out / name, pending) if world.is_main else nullcontext(),
+        stage_folder(out / name, entry=True) if world.is_main else nullcontext(),
     ):
         if world.size > settings.batch_runs:
             raise InputError(

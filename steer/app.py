@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from pipeline.base.console import guarded
+from pipeline.base.console import App, guarded
 from steer import artefacts, doctor, import_recording, measure, predict
 
-app = typer.Typer(
+app = App(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

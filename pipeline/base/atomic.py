@@ -93,6 +93,27 @@ def pending_folder(out: Path, *, entry: bool = False) -> Path:
 
 
 @contextmanager
+def stage_folder(out: Path, *, entry: bool = False) -> Iterator[Path]:
+    """Hold the write lock of the stage folder `out`, see :func:`exclusive`, and yield its :func:`pending_folder`.
+
+    Raises InputError if the folder has files that no stage wrote: no earlier run left a lock, and dvc.lock does not
+    list the folder.
+    """
+    pending, dvc_lock = pending_folder(out, entry=entry), Path("dvc.lock")
+    visible = [path for path in out.glob("*") if not path.name.startswith(".")]
+    if visible and not _lock_of(pending).exists():
+        listed = dvc_lock.read_text(encoding="utf-8", errors="replace") if dvc_lock.is_file() else ""
+        if f"path: {out.as_posix()}" not in listed:
+            raise InputError("folder has files that no stage wrote", out, "Pass another --out, or move them away")
+    with exclusive(out, pending):
+        yield pending
+
+
+def _lock_of(pending: Path) -> Path:
+    return pending.with_name(f"{pending.name}.lock")
+
+
+@contextmanager
 def exclusive(out: Path, pending: Path) -> Iterator[None]:
     """Hold the write lock of the stage folder `out`, and remove temporary files of killed runs.
 
@@ -104,7 +125,7 @@ def exclusive(out: Path, pending: Path) -> Iterator[None]:
     Raises InputError if another process holds the lock.
     """
     pending.mkdir(parents=True, exist_ok=True)
-    path = pending.with_name(f"{pending.name}.lock")
+    path = _lock_of(pending)
     if path.is_symlink():
         raise InputError("expected a regular file, got a symbolic link", path, f"Remove it: rm {path}")
     lock = FileLock(path, timeout=0, fallback_to_soft=False)

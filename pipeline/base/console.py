@@ -14,10 +14,17 @@ from pipeline.base.errors import InputError
 RESUME = "Finished drives are kept: repeat the command to continue"
 
 
+class App(typer.Typer):
+    """A command line whose help and version report errors as :func:`guarded` does."""
+
+    def __call__(self, *args: object, **options: object) -> None:
+        call = super().__call__
+        (call if "--debug" in sys.argv else guarded(call, "Nothing was written"))(*args, **options)
+
+
 def run(main: Callable[..., object]) -> None:
     """Parse a stage's command line for `main` and call it, :func:`guarded`."""
-    prepare_streams()
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app = App(add_completion=False, pretty_exceptions_enable=False)
     app.command()(guarded(main))
     app()
 
@@ -57,11 +64,9 @@ def guarded(main: Callable[..., object], after_stop: str = RESUME) -> Callable[.
         signal.signal(signal.SIGTERM, _interrupt)
         try:
             main(*args, **options)
+            sys.stdout.flush()
         except InputError as error:
             _exit(str(error))
-        except BrokenPipeError:  # Python would write to the closed pipe again at its end
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            _exit(f"the output pipe is closed. {after_stop}")
         except OSError as error:
             files = " → ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
             problem = error.strerror or str(error) or type(error).__name__
@@ -80,4 +85,8 @@ def _interrupt(number: int, frame: object) -> None:
 def _exit(message: str, status: int = 1) -> None:
     text = " ".join(message.split()).encode(errors="backslashreplace").decode()  # a file's name may be any bytes
     print(f"error: {text}", file=sys.stderr, flush=True)
+    try:
+        sys.stdout.flush()
+    except OSError:  # a closed pipe or a full disk, to which Python would write again at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(status)

@@ -4,6 +4,7 @@ DVC deletes a stage's outputs before it runs the stage. So finished drives wait 
 that hashes everything that determines them, until the stage's folder is complete.
 """
 
+import hashlib
 import json
 import os
 import shutil
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 from pydantic import BaseModel
 from tqdm import tqdm
 
-from pipeline.base.atomic import exclusive, pending_folder, replacing, sweep
+from pipeline.base.atomic import replacing, stage_folder, sweep
 from pipeline.base.errors import InputError, error_context, take_frame
 from pipeline.base.executors import executor
 from pipeline.base.files import size_of
@@ -76,8 +77,7 @@ def run_over_drives(
     """
     settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
     name, _, entry = stage.partition("@")
-    pending = pending_folder(out, entry=bool(entry))
-    with exclusive(out, pending):
+    with stage_folder(out, entry=bool(entry)) as pending:
         out.mkdir(parents=True, exist_ok=True)
         keys = {job.drive: stage_key(name, {"drive": job.drive, **settings}, job.inputs) for job in jobs}
         paths = {
@@ -173,7 +173,7 @@ def _make(item: tuple[str, Path, Work]) -> tuple[Summary, float]:
                 raise
         error.add_note(f"while processing {where}")
         raise
-    write_json(_sidecar(path), summary)
+    write_json(_sidecar(path), {"summary": summary, "sha256": _digest(summary)})
     return summary, time.perf_counter() - start
 
 
@@ -209,10 +209,15 @@ def _sidecar(path: Path) -> Path:
 def _read_summary(path: Path) -> Summary | None:
     """Return the summary beside a finished file or folder; None if one of the two is missing or damaged."""
     try:
-        summary = json.loads(_sidecar(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        sidecar = json.loads(_sidecar(path).read_text(encoding="utf-8"))
+        intact = sidecar["sha256"] == _digest(sidecar["summary"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
-    return summary if isinstance(summary, dict) and path.exists() else None
+    return sidecar["summary"] if intact and path.exists() else None
+
+
+def _digest(summary: Summary) -> str:
+    return hashlib.sha256(json.dumps(summary, sort_keys=True).encode()).hexdigest()
 
 
 def _remove(path: Path) -> None:

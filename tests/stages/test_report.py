@@ -42,16 +42,13 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
     assert made[0]["table.csv"].decode().splitlines()[1].startswith("sa-gnn-ncp,semantic,gnn,ncp,ltc,")
 
 
-def test_without_results_all_outputs_exist(tmp_path: Path) -> None:
-    assert "dvc repro --pull --downstream train@lonely" in run(tmp_path, "lonely")
-    folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}
-    assert folders == {"learning", "steering", "settings", "figures"}
-    assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}
-
-
-def test_temporary_figures_of_a_killed_run_are_removed(tmp_path: Path) -> None:
-    left = tmp_path / "report/figures/.paths.svg.abcd1234.tmp"
-    left.mkdir(parents=True)
-    (left / "paths.svg").write_text("half")
-    run(tmp_path, "lonely")
-    assert not left.exists()
+def test_without_results_all_outputs_exist_and_temporary_figures_of_a_killed_run_are_removed(tmp_path: Path) -> None:
+    for _ in range(2):
+        assert "dvc repro --pull --downstream train@lonely" in run(tmp_path, "lonely")
+        folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}
+        assert folders == {"learning", "steering", "settings", "figures"}
+        assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}
+        left = tmp_path / "report/figures/.paths.svg.abcd1234.tmp"
+        assert not left.exists()
+        left.mkdir()
+        (left / "paths.svg").write_text("half")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.base.atomic import exclusive, replacing, sweep
+from pipeline.base.atomic import exclusive, replacing, stage_folder, sweep
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from tests.kitti_drive import contents, write
@@ -132,3 +132,18 @@ def test_a_lock_file_that_is_a_link_is_refused_and_the_file_elsewhere_stays(tmp_
         take(tmp_path)
     assert raised.value.where.endswith("stage.lock")
     assert (tmp_path / "precious").read_text() == "content"
+
+
+def test_files_that_no_stage_wrote_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = Path("data/labels")
+    write(out / "index.json", "precious")
+    with pytest.raises(InputError, match="no stage wrote"), stage_folder(out):
+        (out / "index.json").unlink()
+    assert contents(tmp_path) == {"data/labels/index.json": b"precious"}
+    write(Path("dvc.lock"), "outs:\n- path: data/labels\n")  # as after dvc pull
+    with stage_folder(out):
+        pass
+    Path("dvc.lock").unlink()
+    with stage_folder(out):  # now there is a lock of an earlier run
+        pass

@@ -96,14 +96,13 @@ def test_closed_streams_and_other_encodings_are_no_error(tmp_path: Path, closed:
     assert (tmp_path / "file").read_text() == ""
 
 
-IMPORTED = """
-import time
-print("imports", flush=True)
-try:
-    time.sleep(60)
-except BaseException:
-    raise ImportError
-"""
+@pytest.mark.parametrize("command", ["steer.app --version", "steer.app show -h", "stages.labels --help"])
+def test_a_full_output_is_one_line(command: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", *command.split()], cwd=ROOT, stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert (done.returncode, done.stderr) == (1, b"error: No space left on device. Nothing was written\n")
 
 
 @pytest.mark.parametrize("command", [["-m", "stages.clouds"], ["-m", "steer.app", "doctor"]])

@@ -108,12 +108,14 @@ def test_only_files_of_drives_of_an_earlier_index_are_removed(tmp_path: Path) ->
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(content)
     (tmp_path / "data/outside.h5").touch()
+    write_file(tmp_path / "data/.resume/stage.lock", "")  # of an earlier run
     write_index(out, {"a": "train", "old": "train", "gone": "val", "../outside": "test"})
     index = (out / "index.json").read_bytes()
     run(out)
     assert contents(out) == {f"{drive}.h5": drive.encode() for drive in DRIVES} | own | {"index.json": index}
     assert (tmp_path / "data/outside.h5").exists()
     (out / "index.json").write_text('{"drives": [7]}')
+    write_file(tmp_path / ".resume/data-stage.lock", "")
     run(out, "more/{}/result.json", stage="graphs@stage")
     assert (out / "more/b/result.json").read_text() == "b", "a summary beside a .json file does not replace it"
     assert (out / "a.h5").exists()
@@ -130,6 +132,8 @@ def replace_by_folder(path: Path) -> None:
     [
         ("b-*.h5.json", lambda path: path.write_text("{")),
         ("b-*.h5.json", lambda path: path.write_text("[]")),
+        ("b-*.h5.json", lambda path: path.write_text("{}")),
+        ("b-*.h5.json", lambda path: path.write_text('{"summary": {}, "sha256": ""}')),
         ("b-*.h5.json", lambda path: path.write_bytes(b"\xff")),
         ("b-*.h5.json", replace_by_folder),
         ("b-*.h5", Path.unlink),

@@ -49,9 +49,9 @@ def main(
     with run_over_drives("ingest", shared, jobs, out, describe, workers) as summaries:
         store.write_index(out, splits)
     for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
-        lacking = [drive for drive in splits if not summaries[drive][name]]
-        if lacking:
-            print(f"no {plural}: {'all drives' if len(lacking) == len(splits) else ', '.join(lacking)}")
+        missing = [drive for drive in splits if not summaries[drive][name]]
+        if missing:
+            print(f"no {plural}: {'all drives' if len(missing) == len(splits) else ', '.join(missing)}")
     return out
 
 

@@ -43,6 +43,8 @@ Side = Annotated[int, Field(ge=32, le=4096)]
 # YAML has lists only, which a strict model would not take as tuples.
 ImageSize = Annotated[tuple[Side, Side], Field(strict=False, description="[H, W] in pixels")]
 MotionKind = Literal["visual", "lidar"]
+FrameKind = Literal["graph", "pointnet2", "image"]
+"""Inputs of the networks, as in models/steering/core/batch.py."""
 Precision = Literal["auto", "bfloat16", "float32"]
 SPLITS = ("train", "val", "test")
 _COPY = "Copy it from the project's own params.yaml"

@@ -16,13 +16,14 @@ from contextlib import contextmanager
 from functools import cached_property
 from itertools import accumulate, chain, count, pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.base.params import FrameKind
 
 Arrays = dict[str, np.ndarray]
 Counts = dict[str, int]
@@ -44,7 +45,7 @@ class Contents(BaseModel):
     """Kind of the frames, and the sizes that a network takes from them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    kind: Literal["graph", "pointnet2", "image"]
+    kind: FrameKind
     levels: Annotated[int, Field(ge=0, le=8)] = 0
     image_size: tuple[Side, Side] | None = None
 

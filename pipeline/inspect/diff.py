@@ -77,24 +77,26 @@ def compare(name: str, a: Path, b: Path, tolerance: float) -> Iterator[Differenc
     elif a.suffix not in (".h5", ".json", ".pt"):
         yield Difference(name, "", f"{a.stat().st_size} and {b.stat().st_size} bytes, not the same")
     else:
-        with _columns(a) as one, _columns(b) as other:
-            for key in dict.fromkeys([*one, *other]):
-                if key in one and key in other:
-                    yield from _compare_column(name, key, one[key], other[key], tolerance)
+        with _columns(a) as columns_a, _columns(b) as columns_b:
+            for key in dict.fromkeys([*columns_a, *columns_b]):
+                if key in columns_a and key in columns_b:
+                    yield from _compare_column(name, key, columns_a[key], columns_b[key], tolerance)
                 else:
-                    yield Difference(name, key, f"only in {'A' if key in one else 'B'}")
+                    yield Difference(name, key, f"only in {'A' if key in columns_a else 'B'}")
 
 
 def _compare_column(name: str, key: str, a: Column, b: Column, tolerance: float) -> Iterator[Difference]:
-    sides = (("A", a.keys() - b.keys()), ("B", b.keys() - a.keys()))
-    texts = [f"{len(alone)} frames only in {which}, first {min(alone)}" for which, alone in sides if alone]
+    unmatched = {"A": a.keys() - b.keys(), "B": b.keys() - a.keys()}
+    texts = [
+        f"{len(numbers)} frames only in {file}, first {min(numbers)}" for file, numbers in unmatched.items() if numbers
+    ]
     frames: list[int] = []
     largest = 0.0
     for frame in (frame for frame in a if frame in b):
-        x, y = (column[frame]() if callable(column[frame]) else column[frame] for column in (a, b))
-        distances = _distances(x, y)
+        value_a, value_b = (column[frame]() if callable(column[frame]) else column[frame] for column in (a, b))
+        distances = _distances(value_a, value_b)
         if (distances > tolerance).any():
-            texts += [] if frames else [_text(x, y)]
+            texts += [] if frames else [_text(value_a, value_b)]
             frames.append(frame)
             largest = max(largest, float(distances[np.isfinite(distances)].max(initial=0.0)))
     if texts:
@@ -102,21 +104,20 @@ def _compare_column(name: str, key: str, a: Column, b: Column, tolerance: float)
         yield Difference(name, key, ", ".join(texts), len(numbers), min(numbers, default=None), largest)
 
 
-def _distances(x: Any, y: Any) -> np.ndarray:
+def _distances(value_a: Any, value_b: Any) -> np.ndarray:
     """Return absolute differences; infinity where values differ that are not numbers of one dtype and shape.
 
     NaN equals NaN.
     """
-    a, b = np.asarray(x), np.asarray(y)
-    if _form(x) != _form(y):
+    if _form(value_a) != _form(value_b):
         return np.array([np.inf])
+    a, b = np.asarray(value_a), np.asarray(value_b)
     if a.dtype.kind not in "iuf":
         return np.where(a == b, 0.0, np.inf)
-    u, v = a.astype(np.float64), b.astype(np.float64)
     with np.errstate(invalid="ignore"):  # infinity minus infinity
-        distances = np.nan_to_num(np.abs(u - v), nan=np.inf)
+        distances = np.nan_to_num(np.abs(a.astype(np.float64) - b.astype(np.float64)), nan=np.inf)
     smallest = np.finfo(np.float64).tiny  # of two int64 that are one float64
-    return np.where((a == b) | (np.isnan(u) & np.isnan(v)), 0.0, np.maximum(distances, smallest))
+    return np.where((a == b) | ((a != a) & (b != b)), 0.0, np.maximum(distances, smallest))  # NaN is not itself
 
 
 def _form(value: Any) -> str:
@@ -126,10 +127,10 @@ def _form(value: Any) -> str:
     return "" if isinstance(value, int | float) and not isinstance(value, bool) else type(value).__name__
 
 
-def _text(x: Any, y: Any) -> str:
-    if isinstance(x, np.ndarray | np.generic) and _form(x) != _form(y):
-        return f"{_form(x)} and {_form(y)}"
-    return "values differ" if np.ndim(x) else f"{x!s:.{_MAX_TEXT}} and {y!s:.{_MAX_TEXT}}"
+def _text(a: Any, b: Any) -> str:
+    if isinstance(a, np.ndarray | np.generic) and _form(a) != _form(b):
+        return f"{_form(a)} and {_form(b)}"
+    return "values differ" if np.ndim(a) else f"{a!s:.{_MAX_TEXT}} and {b!s:.{_MAX_TEXT}}"
 
 
 @contextmanager

@@ -8,7 +8,9 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
+from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
+from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.drawing import figure_file, street_view
 from pipeline.drawing.street_view import View
 from pipeline.graphs.cloud import lidar_cloud
@@ -60,9 +62,9 @@ def _images(file: DriveReader, row: int, numbers: Mapping[str, Any]) -> dict[str
 
 def _points(file: DriveReader, row: int, numbers: Mapping[str, Any], cls: np.ndarray | None) -> dict[str, np.ndarray]:
     if numbers.get("has_lidar"):
-        calibrated = "T_cam_velo" in file
-        T_cam_velo = file["T_cam_velo"] if calibrated else _CAMERA_AXES
-        xyz, points_cls = lidar_cloud(file.rows_of("lidar", row), T_cam_velo, file["K"], cls)
+        camera = read_camera(file, CAMERA_HEIGHT_M)  # a view does not use the height
+        T_cam_velo = _CAMERA_AXES if camera.T_cam_velo is None else camera.T_cam_velo
+        xyz, points_cls = lidar_cloud(file.rows_of("lidar", row), T_cam_velo, camera.K, cls)
         return {"xyz": xyz, "points_cls": points_cls}
     if "xyz" not in file:
         return {}

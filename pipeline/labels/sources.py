@@ -35,8 +35,8 @@ def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mappi
     Raises InputError if the drive lacks the source.
     """
     if source in ("oxts", "wheel") and source not in recorded(raw):
-        lacking = {"oxts": "no oxts", "wheel": "no recorded steering angles (steering.csv)"}[source]
-        raise InputError(f"drive has {lacking}, which labels.source: {source} needs", raw.path, _CHOOSE_ANOTHER)
+        missing = {"oxts": "no oxts", "wheel": "no recorded steering angles (steering.csv)"}[source]
+        raise InputError(f"drive has {missing}, which labels.source: {source} needs", raw.path, _CHOOSE_ANOTHER)
     rates = source
     if source == "wheel":
         rates = next((kind for kind in ("oxts", "visual", "lidar") if kind in (*motions, *recorded(raw))), "")

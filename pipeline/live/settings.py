@@ -8,6 +8,8 @@ from typing import Any
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load, load_entry
+from pipeline.camera.camera import read_camera
+from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.sections.clouds import Clouds
 from pipeline.sections.graphs import Variant
 from pipeline.sections.ingest import Ingest
@@ -47,9 +49,10 @@ def load_settings(params: Path, variant: str, data: Path) -> Settings:
 
 
 def focal_by_width(data: Path) -> float | None:
-    """Return focal length / image width of the first drive in `data`/ingest; None without files."""
+    """Return focal length / image width of the first drive in `data`/ingest; None without files or calibration."""
     with _first_file(data / "ingest", "ingest") as file:
-        return float(file["K"][0, 0] / file.shape("image")[2]) if file and "K" in file else None
+        camera = read_camera(file, CAMERA_HEIGHT_M) if file else None
+        return float(camera.K[0, 0] / camera.size[1]) if camera and camera.K[0, 0] > 1 else None
 
 
 def _compare(current: dict[str, Any], folder: Path, stage: str, params: Path) -> None:

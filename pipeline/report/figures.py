@@ -107,10 +107,10 @@ def _draw_chain(path: Path, model: pd.Series, view: street_view.View, steering: 
         street_view.look_ahead(panels[key])
     panel = panels["f"]
     styles = {"driven": ("0.15", "-", 2.5), "odometry": ("tab:orange", "--", 1.5)}
-    for name, line in steering_lines(steering).items():
+    for name, curve in steering_lines(steering).items():
         colour, dash, width = styles.get(name, ("tab:blue", "-", 1.5))
         label = name if name in styles else "predicted"
-        panel.plot(line["elapsed_s"], line["deg"], color=colour, linestyle=dash, linewidth=width, label=label)
+        panel.plot(curve["elapsed_s"], curve["deg"], color=colour, linestyle=dash, linewidth=width, label=label)
     panel.axvline(steering["elapsed_s"][steering["frame"] == view.frame].iloc[0], color="0.7", linewidth=1)
     panel.set(xlabel="time in s", title="steering in deg, left +; grey: this frame")
     panel.margins(x=0)
@@ -180,9 +180,9 @@ def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest
         return {}
     horizon = model["line.horizon"]
     ahead = f" {horizon} frames later" if horizon else ""
-    (height, width), lines = shown[0][1].shape[:2], -(-len(shown) // 2)
-    figure = Figure(figsize=(12, (6 * height / width + 0.3) * lines), layout="constrained")
-    for panel in figure.subplots(lines, 2, squeeze=False).ravel():
+    (height, width), rows = shown[0][1].shape[:2], -(-len(shown) // 2)
+    figure = Figure(figsize=(12, (6 * height / width + 0.3) * rows), layout="constrained")
+    for panel in figure.subplots(rows, 2, squeeze=False).ravel():
         panel.set_axis_off()
     for panel, (row, image) in zip(figure.axes, shown, strict=False):
         panel.imshow(image)
@@ -239,7 +239,7 @@ def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Captions:
         panel.set_aspect("equal", adjustable="datalim")
         panel.set_title(drive, fontsize="small", loc="left")
         panel.set(xlabel="right of the start in m", ylabel="ahead of the start in m")
-    labels = {text: line for panel in panels for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
+    labels = {text: handle for panel in panels for handle, text in zip(*panel.get_legend_handles_labels(), strict=True)}
     figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=6, frameon=False)
     _save(figure, out / "paths")
     drift = models.dropna(subset="test.drift_m_per_100m")

@@ -19,7 +19,7 @@ from pipeline.report.tables import Table, cells, with_text
 from pipeline.sections.evaluate import Evaluate
 
 DEFAULT = "sa-gnn-ncp"
-_LINES = {
+_CURVES = {
     "val.nmse": ("validation", ":", "tab:blue"),
     "test.baselines.odometry.nmse": ("odometry", "--", "tab:orange"),
     "test.baselines.persistence.nmse": ("persistence", "--", "tab:green"),
@@ -35,11 +35,11 @@ class Study(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A claim, and the two models that test it: the first is better."""
+    """A claim that `model` is better than `baseline`."""
 
     text: str
-    ours: str
-    other: str
+    model: str
+    baseline: str
 
 
 STUDIES = {
@@ -102,16 +102,16 @@ def table(name: str, rows: pd.DataFrame) -> Table:
 
 def figure(study: Study, rows: pd.DataFrame) -> Figure:
     """Return the figure of a study: test nmse with its spread over seeds and interval, validation, two baselines."""
-    columns = ("value", "test.nmse", "test.nmse_low", "test.nmse_high", "test.nmse_std", *_LINES)
-    values, nmse, low, high, std, *lines = rows.reindex(columns=[*columns]).to_numpy(float).T
+    columns = ("value", "test.nmse", "test.nmse_low", "test.nmse_high", "test.nmse_std", *_CURVES)
+    values, nmse, low, high, std, *curves = rows.reindex(columns=[*columns]).to_numpy(float).T
     figure = Figure(figsize=(5, 3.4), layout="constrained")
     axes = figure.subplots()
     axes.fill_between(values, low, high, color="tab:blue", alpha=0.15, linewidth=0, label="95 % interval, other roads")
     spread = np.nan_to_num(std)
     axes.errorbar(values, nmse, spread, marker="o", capsize=3, color="tab:blue", label="test, ± between seeds")
-    for line, (label, style, colour) in zip(lines, _LINES.values(), strict=True):
-        if not np.isnan(line).all():
-            axes.plot(values, line, style, color=colour, linewidth=1, label=label)
+    for curve, (label, style, colour) in zip(curves, _CURVES.values(), strict=True):
+        if not np.isnan(curve).all():
+            axes.plot(values, curve, style, color=colour, linewidth=1, label=label)
     if study.logarithmic:
         axes.set_xscale("log")
         axes.set_xticks(values, [f"{value:g}" for value in values])
@@ -127,15 +127,15 @@ def claims(results: Results, settings: Evaluate) -> list[str]:
     models = results.models.set_index("model")
     lines = []
     for claim in CLAIMS:
-        if not {claim.ours, claim.other} <= set(models.index):
+        if not {claim.model, claim.baseline} <= set(models.index):
             continue
-        ours, other = models.loc[claim.ours], models.loc[claim.other]
+        model, baseline = models.loc[claim.model], models.loc[claim.baseline]
         low, high = _difference_interval(results.predictions, claim, settings)
         verdict = "better" if high < 0 else "worse" if low > 0 else "no difference shown"
         lines.append(
-            f"- {claim.text}: {verdict}. nmse {ours['test.nmse']:.3f} against {other['test.nmse']:.3f}, "
-            f"difference {low:+.3f} to {high:+.3f} (95 %); {ours['parameters']:,} parameters against "
-            f"{other['parameters']:,}"
+            f"- {claim.text}: {verdict}. nmse {model['test.nmse']:.3f} against {baseline['test.nmse']:.3f}, "
+            f"difference {low:+.3f} to {high:+.3f} (95 %); {model['parameters']:,} parameters against "
+            f"{baseline['parameters']:,}"
         )
     return ["## Claims", "\n".join(lines)] if lines else []
 
@@ -147,9 +147,9 @@ def _difference_interval(predictions: pd.DataFrame, claim: Claim, settings: Eval
     counted = counted.assign(error=(counted["predicted_rad"] - counted["steering_rad"]) ** 2)
     first, second = (
         counted[counted["model"] == model].pivot(index=index, columns="run", values="error").dropna().mean(axis=1)
-        for model in (claim.ours, claim.other)
+        for model in (claim.model, claim.baseline)
     )
-    frames = counted[counted["model"] == claim.ours].drop_duplicates(index).set_index(index)
+    frames = counted[counted["model"] == claim.model].drop_duplicates(index).set_index(index)
     frames = frames.assign(error=first - second).dropna(subset="error").sort_index()
     drive = frames.index.get_level_values("drive").factorize()[0]
     return interval(frames["error"].to_numpy(), frames["steering_rad"].to_numpy(), drive, settings)

@@ -4,12 +4,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Fraction, MotionKind, Positive, Section, Seed
-
-Kind = Literal["graph", "pointnet2", "image"]
+from pipeline.base.params import Count, Fraction, FrameKind, MotionKind, Positive, Section, Seed
 
 _POINT_KEYS = {"source", "neighbourhood", "points", "crop_m", "accumulate", "seed"}
-_KEYS: dict[Kind, tuple[str, set[str], set[str]]] = {  # kind → name in messages, required keys, allowed keys
+_KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in messages, required keys, allowed keys
     "graph": ("a kNN graph", {"points", "k"}, {*_POINT_KEYS, "k", "keep_inter_class"}),
     "pointnet2": ("neighbourhood: pointnet2", {"points"}, {*_POINT_KEYS, "centres", "radius_m", "neighbours"}),
     "image": ("images (source: ingest)", set(), {"source"}),
@@ -44,7 +42,7 @@ class Variant(Section):
     seed: Seed = 0
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> FrameKind:
         """Return the kind of the variant's frames."""
         if self.source == "ingest":
             return "image"

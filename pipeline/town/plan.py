@@ -84,27 +84,27 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Meetings:
-    """Per sample of the route: distances to the nearest other and the nearest earlier stretch [N], and whether it lies
-    at a junction of two stretches, bool [N]."""
+class NearbyStretches:
+    """Other stretches of the route near each of its N samples: distance to the nearest, distance to the nearest earlier
+    one, and whether the sample lies at a junction of two, bool."""
 
     other_m: np.ndarray
     earlier_m: np.ndarray
     junction: np.ndarray
 
 
-def _find_meetings(route: Route) -> Meetings:
+def _find_nearby(route: Route) -> NearbyStretches:
     """Compare each metre of a route with all others: recorded drives cross their track and repeat streets."""
     every = round(1 / STEP_M)
     s, xy, heading = route.s_m[::every], route.xy[::every], route.heading_rad[::every]
-    meetings = np.zeros((3, len(s)))
+    nearby = np.zeros((3, len(s)))
     for i in range(len(s)):
         to = np.linalg.norm(xy - xy[i], axis=1)
         to[np.abs(s - s[i]) <= _APART_M] = _NOWHERE_M
         across = np.abs(np.sin(heading - heading[i])) > np.sin(_MOUTH_RAD)
-        meetings[:, i] = to.min(), to[: i + 1].min(), (across & (to < _MOUTH_M)).any()
-    other, earlier, junction = (np.interp(route.s_m, s, row) for row in meetings)
-    return Meetings(other, earlier, junction > 0)
+        nearby[:, i] = to.min(), to[: i + 1].min(), (across & (to < _MOUTH_M)).any()
+    other, earlier, junction = (np.interp(route.s_m, s, row) for row in nearby)
+    return NearbyStretches(other, earlier, junction > 0)
 
 
 def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> Plan:
@@ -117,9 +117,9 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     every = slice(None, None, round(0.5 / STEP_M))
     s = route.s_m[every]
 
-    meetings = _find_meetings(route)
-    parking = _may_park(route, meetings, character.kerbside)
-    bays = {side: _bay_width(route, meetings, parking, rng, character) for side in (1, -1)}
+    nearby = _find_nearby(route)
+    parking = _may_park(route, nearby, character.kerbside)
+    bays = {side: _bay_width(route, nearby, parking, rng, character) for side in (1, -1)}
     left = route.at(s, route.left_m + bays[1][every])[0]
     right = route.at(s, route.right_m - bays[-1][every])[0]
     _paint_band(road, left, right, origin, 1)
@@ -136,7 +136,7 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     kind[road > 0] = ASPHALT
     paint = np.zeros_like(kind)
     if not character.kerbside:
-        _paint_markings(paint, route, meetings, bays, origin, rng)
+        _paint_markings(paint, route, nearby, bays, origin, rng)
     painted = (paint > 0) & (road > 0)
     kind[painted] = paint[painted]
     return Plan(kind, to_road, origin, bays, parking)
@@ -145,7 +145,7 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
 def _paint_markings(
     paint: np.ndarray,
     route: Route,
-    meetings: Meetings,
+    nearby: NearbyStretches,
     bays: dict[int, np.ndarray],
     origin: np.ndarray,
     rng: np.random.Generator,
@@ -156,7 +156,7 @@ def _paint_markings(
     for sign, edge in ((1, route.left_m), (-1, route.right_m)):
         _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][every])[0], origin, BAY)
     clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
-    clear &= ~meetings.junction[every] & (meetings.earlier_m[every] > 6)  # a repeated street has its markings
+    clear &= ~nearby.junction[every] & (nearby.earlier_m[every] > 6)  # a repeated street has its markings
     for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
         _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
     if rng.random() < 0.5:
@@ -165,10 +165,10 @@ def _paint_markings(
             _paint_line(paint, route.at(s[i : i + 2], route.left_m - 0.15)[0], origin)
 
 
-def _may_park(route: Route, meetings: Meetings, kerbside: bool) -> np.ndarray:
+def _may_park(route: Route, nearby: NearbyStretches, kerbside: bool) -> np.ndarray:
     """Return bool [N]: not in sharp bends or at junctions; at kerbs closer to them than in bays."""
     bent_1pm, clearance_m = (0.085, 9.0) if kerbside else (0.055, 13.0)
-    blocked = (np.abs(route.curvature_1pm) > bent_1pm) | (meetings.other_m < 14)
+    blocked = (np.abs(route.curvature_1pm) > bent_1pm) | (nearby.other_m < 14)
     for junction in route.junctions_m:
         blocked |= np.abs(route.s_m - junction) < clearance_m
     reach = round(2 / STEP_M)
@@ -176,12 +176,12 @@ def _may_park(route: Route, meetings: Meetings, kerbside: bool) -> np.ndarray:
 
 
 def _bay_width(
-    route: Route, meetings: Meetings, parking: np.ndarray, rng: np.random.Generator, character: Character
+    route: Route, nearby: NearbyStretches, parking: np.ndarray, rng: np.random.Generator, character: Character
 ) -> np.ndarray:
     """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
     width = np.zeros(len(route.s_m))
     if character.kerbside:
-        width[meetings.other_m >= 14] = BAY_M
+        width[nearby.other_m >= 14] = BAY_M
     elif rng.random() < character.bays:
         start = route.s_m[0]
         while start < route.s_m[-1]:

@@ -28,7 +28,7 @@ class Cameras:
 
 
 _KITTI = Cameras(360.8 / 621, (304.5 / 621, 86.2 / 188), CAMERA_HEIGHT_M)
-_OTHERS = {
+_CAMERAS_OF_DATE = {
     "2026_01_04": Cameras(0.86 * _KITTI.focal_per_width, (0.506, 0.478), 1.55),
     "2026_01_05": Cameras(1.18 * _KITTI.focal_per_width, (0.477, 0.441), 1.72),
     "2026_01_06": Cameras(1.06 * _KITTI.focal_per_width, (0.512, 0.466), 1.76),
@@ -65,7 +65,7 @@ class Rig:
 def make_rig(size: tuple[int, int], date: str) -> Rig:
     """Return the calibration of a date (2026_01_01) for images of `size` [H, W], of square pixels."""
     height, width = size
-    cameras = _OTHERS.get(date, _KITTI)
+    cameras = _CAMERAS_OF_DATE.get(date, _KITTI)
     f, (x, y) = cameras.focal_per_width * width, cameras.principal_point
     K = np.array([[f, 0, x * width], [0, f, y * height], [0, 0, 1]])
     P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}

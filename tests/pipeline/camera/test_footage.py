@@ -2,6 +2,7 @@
 
 import os
 import socket
+import struct
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -180,6 +181,29 @@ def test_texts_that_name_other_sources_are_refused(tmp_path: Path, name: str, te
         server.settimeout(0)
         with pytest.raises(BlockingIOError):
             server.accept()
+
+
+def external(content: bytes, path: Path) -> bytes:
+    """Return an MP4 file whose samples are in the file at `path`: a data reference "alis" replaces "url "."""
+    name = os.fsencode(path) + bytes(len(os.fsencode(path)) % 2)
+    record = b"alis" + bytes(134) + struct.pack(">hh", 1, 1) + bytes(16)
+    record += struct.pack(">HH", 2, len(name)) + name + struct.pack(">hH", -1, 0)
+    at = content.index(b"url \0\0\0\1") - 4
+    content = content[:at] + struct.pack(">I", len(record) + 4) + record + content[at + 12 :]
+    for box in (b"dref", b"dinf", b"minf", b"mdia", b"trak", b"moov"):
+        start = content.index(box) - 4
+        (size,) = struct.unpack(">I", content[start : start + 4])
+        content = content[:start] + struct.pack(">I", size + len(record) - 8) + content[start + 4 :]
+    return content
+
+
+def test_samples_in_another_file_are_not_read(tmp_path: Path) -> None:
+    path, real = tmp_path / "a.mp4", write_video(tmp_path / "real.mp4", pictures(3))
+    path.write_bytes(external(real.read_bytes(), real))
+    with av.open(str(path), options={"enable_drefs": "1"}) as file:  # FFmpeg would read them
+        assert len(list(file.decode(video=0))) == 3
+    with pytest.raises(DamagedFile, match="no frames"):
+        open_footage(path)
 
 
 @pytest.mark.parametrize(

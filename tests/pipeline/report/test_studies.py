@@ -47,7 +47,7 @@ def test_the_preset_has_models_of_every_study() -> None:
         assert [model for model in names if re.fullmatch(rf"{name}-\d+", model)]
     presets = [names, preset.merged("table2")["models"], preset.merged("real")["models"]]
     for claim in studies.CLAIMS:
-        assert any({claim.ours, claim.other} <= models.keys() for models in presets)
+        assert any({claim.model, claim.baseline} <= models.keys() for models in presets)
 
 
 def test_files_of_studies_and_claims(results: Results, tmp_path: Path) -> None:

@@ -93,14 +93,19 @@ def _score_motion(
 ) -> dict[str, Any]:
     """Return kind → scores of labels from measured motion, and from steering angles, against oxts.
 
-    ``<kind>-wheel``: against steering angles. Only what the `drives` recorded is compared.
+    ``<kind>-wheel``: against steering angles. Only what the `drives` recorded is compared: without oxts and steering
+    angles, nothing.
     """
-    errors: dict[str, list[comparison.Errors]] = {kind: [] for kind in motions}
+    errors: dict[str, list[comparison.Errors]] = {}
     for drive in drives:
         with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
             references = sources.recorded(raw)
             labels = {kind: sources.read(kind, raw, motions, rule) for kind in (*motions, *references)}
-            rows = {"wheel": np.flatnonzero(raw["has_steering"])} if "wheel" in references else {}
+            rows = {}
+            if "wheel" in references:
+                rows["wheel"], unknown = np.flatnonzero(raw["has_steering"]), np.full(len(raw.frame), np.nan)
+                # A wheel records no speed: these labels have the speed of another source.
+                labels["wheel"] = labels["wheel"]._replace(speed_mps=unknown, yaw_rate_radps=unknown)
             for kind, folder in motions.items():
                 with motion_file.open_motion(folder, drive, raw.frame) as measured:
                     rows[kind] = np.searchsorted(raw.frame, measured.frame)

@@ -1,12 +1,15 @@
 """steer import: convert your own recording to a drive in KITTI raw's layout, which all stages read."""
 
-from collections.abc import Iterator
+import math
+import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from pipeline.base.errors import InputError
+from pipeline.base.params import SPLITS
 from steer import options
 
 
@@ -32,7 +35,16 @@ def import_recording(
     max_gap: Annotated[
         float, options.number(0, 3600, "longest interval between samples that is interpolated, seconds")
     ] = 2.0,
-    force: Annotated[bool, typer.Option("--force", help="replace an existing drive")] = False,
+    start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
+    end: Annotated[float | None, options.number(0, 1e10, "leave out this and later images")] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TRAIN,VAL,TEST",
+            help="write three consecutive drives with these shares of the time in %, and presets/DRIVE.yaml",
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="replace existing drives, and their preset")] = False,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
@@ -44,6 +56,10 @@ def import_recording(
     labels come from the images (labels.source: visual in params.yaml) or from the angles of --wheel (labels.source:
     wheel).
 
+    With --split, 60,20,20 for instance, a single recording is enough to train and test networks: DRIVE and the two
+    following numbers get the first 60 %, the next 20 % and the last 20 % of the time, less 2 s between them. The last
+    line says how to train.
+
     A GPX or NMEA track has times in seconds since 1970 (UTC). Its speeds and courses are smoothed over a second or
     more, and one fix per second flattens bends. Prefer the car's own log, or a receiver with 5 Hz that reports
     velocities.
@@ -52,51 +68,89 @@ def import_recording(
     steer import drive.mp4 --fov 78 --drive 2027_03_31_drive_0001
     steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
     steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
+    steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_03_31_drive_0004
     """
     from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import pinhole
-    from pipeline.recording import layout
+    from pipeline.recording import drive_preset, layout
     from pipeline.recording.motion_log import read_motion, read_wheel
     from pipeline.recording.recording import Recording
+    from pipeline.sections.preset import PRESETS
 
     output = options.Output(quiet, as_json)
     options.check_names(source, motion, wheel, out, calib, times)
     if (wheel is None) != (steering_ratio is None):
         fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
+    if end is not None and end <= start:
+        raise InputError(f"--end {end:g} is not after --start {start:g}")
+    shares = _shares(split)
     layout.drive_folder(out, drive, force)
+    drives = layout.consecutive(drive, len(shares))
+    preset = PRESETS / f"{drive}.yaml" if split else None
+    if preset:
+        drive_preset.check_replaceable(preset)
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
     footage = open_footage(source, fps, times)
     if not footage.has_times:
         raise InputError("images have no times", source, "Pass --fps N, or --times FILE")
     camera = pinhole(footage.size, calib=calib, fov_deg=fov, K=k)
-    recording = Recording(footage, camera, log, angles, max_gap)
+    recording = Recording(footage, camera, log, angles, max_gap, start, math.inf if end is None else end)
     recording.check_overlap()
-    summary = recording.write(out, drive, force=force, visible=output.visible)
-    for line in _lines(summary):
+    summary = recording.write(out, drives, shares, force=force, visible=output.visible)
+    labels = "oxts" if log else "wheel" if angles else "visual"
+    if preset:
+        drive_preset.write(preset, drives, labels, summary["hz"], camera)
+    for line in (*_lines(summary), *_next_steps(out, drives, labels, preset)):
         output.line(line)
-    output.result(summary | {"K": camera.K.tolist()})
+    output.result(summary | {"preset": preset, "K": camera.K.tolist()})
+
+
+def _shares(split: str | None) -> list[float]:
+    """Return the shares of the duration in %, 100 without --split. Raises InputError."""
+    if split is None:
+        return [100.0]
+    try:
+        shares = [float(share) for share in split.split(",")]
+    except ValueError:
+        shares = []
+    if len(shares) != len(SPLITS) or not all(share > 0 for share in shares) or not math.isclose(sum(shares), 100):
+        raise InputError(f"expected three shares above 0 with the sum 100, got {split!r}", "--split", "Pass 60,20,20")
+    return shares
 
 
 def _lines(summary: dict[str, Any]) -> Iterator[str]:
     """Yield the lines of the log."""
     height, width = summary["size"]
-    images = "{drive}: {frames} of {images} images, {first_s:.3f} to {last_s:.3f} s".format_map(summary)
-    yield f"{images}, {width} x {height} pixels, written to {summary['folder']}"
-    labels = "wheel" if summary["steering_angles"] else "visual"
+    for (drive, frames), folder in zip(summary["drives"].items(), summary["folders"], strict=True):
+        yield f"{drive}: {frames} of {summary['images']} images, written to {folder}"
+    yield f"{width} x {height} pixels, {{first_s:.3f}} to {{last_s:.3f}} s".format_map(summary)
     if summary["steering_angles"]:
         yield "{steering_angles} recorded steering angles".format_map(summary)
     if summary["motion"]:
-        labels = "oxts"
         gaps = "{interpolated} frames interpolated, samples up to {largest_gap_s:.3g} s apart".format_map(summary)
         yield f"motion: {summary['motion']}; {gaps if summary['interpolated'] else 'a sample at each frame'}"
-        if summary["frames"] < summary["images"]:
+        if any(summary["left_out"].values()):
             left_out = "{before} before the first sample, {after} after the last, {in_gaps} in gaps"
             yield f"left out, no motion: {left_out.format_map(summary['left_out'])}"
-    elif labels == "visual":
+    elif not summary["steering_angles"]:
         yield "no recorded motion: labels will come from the motion that stage motion measures in the images"
     if summary["untimed_from"] is not None:
         yield f"the video's timestamps end at image {summary['untimed_from']}; later times follow from its frame rate"
-    settings = f"ingest.source: kitti and labels.source: {labels}"
-    yield f"next: set {settings} in params.yaml, add {summary['drive']} to ingest.drives, run dvc repro"
+
+
+def _next_steps(out: Path, drives: Sequence[str], labels: str, preset: Path | None) -> Iterator[str]:
+    """Yield the line that says how to train; with a preset, its commands can be copied."""
+    from pipeline.base.resume import ROOT
+
+    if preset is None:
+        settings = f"ingest.source: kitti and labels.source: {labels}"
+        yield f"next: set {settings} in params.yaml, replace ingest.drives by {drives[0]} and others, run dvc repro"
+        yield "Only this recording? Repeat with --split 60,20,20 --force: then no file has to be edited"
+        return
+    yield f"settings: {preset}"
+    raw, date = ROOT / "data" / "raw", drives[0][:10]
+    link = f"mkdir -p {raw} && ln -sfT {shlex.quote(str(out.resolve() / date))} {raw / date} && "
+    place = "" if Path.cwd() == ROOT else f" -C {shlex.quote(str(ROOT))}"
+    yield f"next: {'' if out.resolve() == raw.resolve() else link}make{place} street && make{place} {preset.stem}"

@@ -60,7 +60,7 @@ def score(drives: Iterable[Errors]) -> dict[str, Any] | None:
 def summary_line(figures: dict[str, Any] | None) -> str:
     """Return a line for the log about the result of :func:`score`."""
     if not figures or not figures["judged"]:
-        return "no measured frame above the minimum speed"
+        return "no frame is both measured and recorded above the minimum speed"
     text = "{valid:.0%} of {frames} frames measured".format_map(figures)
     if figures["speed_ratio"] is not None:
         text += ", yaw rate to {yaw_rmse_degps:.2f} deg/s, speed x {speed_ratio:.3f}".format_map(figures)

@@ -1,6 +1,6 @@
 """Write a drive's folder in KITTI raw's layout: images, oxts packets, calibration."""
 
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ CAMERA = 2  # left colour camera, the default of stage ingest
 IMAGES = f"image_{CAMERA:02d}"
 _FILE = "calib_cam_to_cam.txt"
 _NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
+_LAST_DRIVE = 9999
 _SAME_PX = 1e-6  # rounding of a calibration file's digits
 
 
@@ -49,6 +50,16 @@ def drive_folder(out: Path, drive: str, force: bool) -> Path:
     return folder
 
 
+def consecutive(drive: str, count: int) -> list[str]:
+    """Return `count` drives of a date, from `drive` on. Raises InputError beyond drive 9999."""
+    first = int(drive[-4:])
+    if first + count - 1 > _LAST_DRIVE:
+        raise InputError(
+            f"expected at most {_LAST_DRIVE - count + 1}, as the recording becomes {count} drives", "--drive"
+        )
+    return [f"{drive[:-4]}{first + number:04d}" for number in range(count)]
+
+
 def write_images(folder: Path, images: Generator[tuple[int, np.ndarray]], threads: int) -> None:
     """Write numbered RGB images [H,W,3] as PNG files of camera 2, encoded by `threads` threads.
 
@@ -63,6 +74,18 @@ def write_images(folder: Path, images: Generator[tuple[int, np.ndarray]], thread
 
     for _ in side_by_side(write, images, threads, ahead=2 * threads):
         pass
+
+
+def distribute_images(folders: Sequence[Path], parts: Sequence[np.ndarray]) -> None:
+    """Move the images of the first drive's folder to the drive of their part, masks bool [F]; delete those of none."""
+    for folder in folders[1:]:
+        (folder / IMAGES / "data").mkdir(parents=True)
+    for path in (folders[0] / IMAGES / "data").iterdir():
+        folder = next((folder for folder, part in zip(folders, parts, strict=True) if part[int(path.stem)]), None)
+        if folder is None:
+            path.unlink()
+        elif folder != folders[0]:
+            path.rename(folder / IMAGES / "data" / path.name)
 
 
 def write_times(folder: Path, usable: np.ndarray, time_s: np.ndarray, sensors: Iterable[str]) -> None:
@@ -112,35 +135,36 @@ def packets(rates: Rates, time_s: np.ndarray) -> np.ndarray:
     return make_rows(len(at), **level, ax=forward, ay=left, az=GRAVITY_MPS2)[1:]
 
 
-def check_calibration(folder: Path, camera: Camera, force: bool) -> bool:
-    """Return whether the date folder of the drive at `folder` already has this calibration.
+def check_calibration(folders: Sequence[Path], camera: Camera, force: bool) -> bool:
+    """Return whether the date folder of the drives at `folders` already has this calibration.
 
     Raises InputError if it has the calibration of another camera; with `force`, only if other drives share it.
     """
-    if not (folder.parent / _FILE).is_file():
+    date = folders[0].parent
+    if not (date / _FILE).is_file():
         return False
-    stored = read_calibration(folder.parent, CAMERA)
+    stored = read_calibration(date, CAMERA)
     if stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
         return True
-    drives = sorted(drive.name for drive in folder.parent.glob("*_sync") if drive != folder)
+    drives = sorted(drive.name for drive in date.glob("*_sync") if drive not in folders)
     if force and not drives:
         return False
     raise InputError(
         f"date has the calibration of another camera, {_describe(stored)} (this one: "
         f"{_describe(camera)}; {f'used by {drives[0]}' if drives else '--force replaces it'})",
-        folder.parent,
+        date,
         "Pass --drive another date: all drives of a date share the calibration",
     )
 
 
-def write_calibration(folder: Path, camera: Camera) -> None:
-    """Write calib_cam_to_cam.txt into the date folder of the drive at `folder`."""
+def write_calibration(date: Path, camera: Camera) -> None:
+    """Write calib_cam_to_cam.txt into the folder of a date."""
     entries = {
         f"S_rect_{CAMERA:02d}": np.array(camera.size[::-1], float),
         "R_rect_00": np.eye(3),
         f"P_rect_{CAMERA:02d}": np.column_stack([camera.K, np.zeros(3)]),
     }
-    write_entries(folder.parent / _FILE, entries)
+    write_entries(date / _FILE, entries)
 
 
 def _describe(camera: Camera) -> str:

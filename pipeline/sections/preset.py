@@ -32,6 +32,7 @@ from pipeline.sections.train import Train
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
+_ALL = "*"
 
 
 class Params(Section):
@@ -79,7 +80,8 @@ def main(
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     """Return the content of `params` with the changes of preset `name`.
 
-    Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies.
+    Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
+    and ``"*": null`` removes all earlier keys, so that a list of models is replaced.
 
     Args:
         name: of a file in presets/, or the path of another file.
@@ -119,6 +121,8 @@ def find(name: str) -> Path:
 
 def _merge(content: Any, changes: dict[str, Any]) -> None:
     """Apply changes to nested mappings, which may have comments; equal values keep their comments and style."""
+    if changes.get(_ALL, 0) is None:
+        content.clear()
     for key, value in changes.items():
         if value is None:
             content.pop(key, None)

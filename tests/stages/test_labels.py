@@ -17,6 +17,7 @@ from pipeline.kitti.oxts import make_rows
 from pipeline.motion import motion_file
 from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
+from tests.motion_files import write_motion
 
 DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
 FIRST, SECOND = DRIVES
@@ -81,16 +82,6 @@ def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
 def test_edges_of_ranges_ascend(tmp_path: Path, edges: list[float]) -> None:
     with pytest.raises(InputError, match=r"labels\.ahead_m"):
         run(tmp_path, ahead_m=edges)
-
-
-def write_motion(folder: Path, kind: str, drive: str, rows: dict[int, tuple[float, float]]) -> None:
-    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured."""
-    speed, yaw_rate = np.array(list(rows.values())).T
-    with DriveWriter(folder / kind / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
-        file.put("frame", np.array(list(rows), np.int32))
-        file.put("speed_mps", speed.astype(np.float32))
-        file.put("yaw_rate_radps", yaw_rate.astype(np.float32))
-        file.put("valid", (speed != 0).astype(np.uint8))
 
 
 @pytest.fixture

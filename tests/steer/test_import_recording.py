@@ -9,13 +9,15 @@ import pytest
 
 from pipeline.base.atomic import exclusive
 from pipeline.base.errors import InputError
+from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.kitti import steering_file
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive
 from pipeline.labels.label import steering_labels
 from pipeline.recording import layout
-from stages import ingest, labels
+from pipeline.sections import preset
+from stages import check, ingest, labels
 from steer.import_recording import import_recording
 from tests import gnss
 from tests.footage import SIZE, pictures, write_folder, write_video
@@ -98,6 +100,111 @@ def test_without_motion_labels_come_from_images_or_the_wheel(
     log.write_text("frame;wheel_rad\n4;1.5\n900;0\n")
     drive = take(video, log, motion=None, wheel=log, steering_ratio=10.0, force=True)
     assert steering_file.read(drive.steering) == {4: 0.15}
+
+
+def test_start_and_end_leave_out_images(log: Path, video: Path) -> None:
+    drive = take(video, log, motion=None, start=0.3, end=0.8)
+    assert list(drive.images(2)) == [3, 4, 5, 6, 7]
+    numbers, times = drive.timeline(2)
+    np.testing.assert_allclose(read_times(times, numbers), np.arange(5) / 10, atol=1e-6)
+    for options, message in (({"start": 3.0}, "--start"), ({"start": 2.0, "end": 1.0}, "--end 1 is not after")):
+        with pytest.raises(InputError, match=message):
+            take(video, log, DRIVES[1], motion=None, **options)
+
+
+@pytest.fixture
+def presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder instead of the project's presets."""
+    (tmp_path / "presets").mkdir()
+    monkeypatch.setattr(preset, "PRESETS", tmp_path / "presets")
+    return tmp_path / "presets"
+
+
+def write_longer(folder: Path) -> Path:
+    """Write a video of 20 s, 10 images per second."""
+    return write_video(folder / "longer.mp4", np.resize(pictures(FRAMES), (200, *SIZE, 3)))
+
+
+@pytest.mark.parametrize(
+    ("labels", "base", "horizon"), [("visual", "motion", 10), ("oxts", "motion", 0), ("wheel", "none", 0)]
+)
+def test_a_split_recording_has_a_preset_that_check_accepts(
+    tmp_path: Path,
+    presets: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    labels: str,
+    base: str,
+    horizon: int,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    log, wheel = tmp_path / "can.csv", tmp_path / "wheel.csv"
+    log.write_text("time_s,speed_mps,yaw_rate_radps\n-1,5,0\n30,5,0.1\n")
+    wheel.write_text("time_s,wheel_rad\n-1,1.0\n30,-2.0\n")
+    options = {
+        "visual": {"motion": None},
+        "oxts": {},
+        "wheel": {"motion": None, "wheel": wheel, "steering_ratio": 10.0},
+    }[labels]
+    first = take(write_longer(tmp_path), log, split="60,20,20", max_gap=60.0, **options)
+    folders = [
+        first.folder,
+        *(first.folder.with_name(f"2027_03_31_drive_{number}_sync") for number in ("0002", "0003")),
+    ]
+    drives = [RawDrive(folder) for folder in folders]
+    times_s = np.concatenate([np.array(list(drive.images(2))) / 10 for drive in drives])
+    # Two seconds lie between the parts, so that no window of one shows what another has.
+    assert np.flatnonzero(np.diff(times_s) > 0.11).size == 2
+    assert np.diff(times_s).max() == pytest.approx(2.0, abs=0.15)
+    for drive in drives:
+        assert list(drive.oxts) == (list(drive.images(2)) if labels == "oxts" else [])
+        assert (drive.steering is not None) == (labels == "wheel")
+        if drive.steering:
+            assert list(steering_file.read(drive.steering)) == list(drive.images(2))
+
+    printed = capsys.readouterr().out
+    link = f"ln -sfT {tmp_path}/raw/2027_03_31 {ROOT}/data/raw/2027_03_31"
+    assert printed.endswith(f"{link} && make -C {ROOT} street && make -C {ROOT} {DRIVES[0]}\n")
+    (path,) = presets.iterdir()
+    content = preset.merged(str(path))
+    assert list(content["models"]) == ["motion", "scene"]
+    settings = preset.validate(content, path)
+    assert settings.labels.source == labels
+    assert [*settings.ingest.drives.splits()] == [drive.folder.name.removesuffix("_sync") for drive in drives]
+    assert (settings.models["motion"].base, settings.models["motion"].horizon) == (base, horizon)
+    for model in settings.models.values():
+        check.check_model(model, settings)
+
+
+def test_only_a_preset_of_steer_import_is_replaced(tmp_path: Path, presets: Path, log: Path) -> None:
+    longer = write_longer(tmp_path)
+    (presets / f"{DRIVES[0]}.yaml").write_text("train: {epochs: 3}\n")
+    with pytest.raises(InputError, match="preset that steer import wrote"):
+        take(longer, log, motion=None, split="60,20,20", force=True)
+    assert written(log) == {}
+    (presets / f"{DRIVES[0]}.yaml").unlink()
+    for force in (False, True):
+        take(longer, log, motion=None, split="60,20,20", force=force)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"split": "60,20"}, "three shares"),
+        ({"split": "60,20,30"}, "three shares"),
+        ({"split": "60,-20,60"}, "three shares"),
+        ({"split": "a,b,c"}, "three shares"),
+        ({"split": "60,20,20", "drive": "2027_03_31_drive_9998"}, "--drive"),
+        ({"split": "98,1,1"}, "--split"),
+    ],
+)
+def test_a_split_that_is_not_possible_writes_nothing(
+    tmp_path: Path, presets: Path, log: Path, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        take(write_longer(tmp_path), log, **{"motion": None, **options})
+    assert written(log) == {}
+    assert [*presets.iterdir()] == []
 
 
 @pytest.mark.parametrize("kind", ["gpx", "nmea"])

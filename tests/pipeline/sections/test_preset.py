@@ -80,6 +80,17 @@ def test_presets_can_be_written_over_params_yaml_one_after_another(
     assert content["ingest"] == preset.merged("real")["ingest"]
 
 
+def test_a_star_removes_all_earlier_entries(tmp_path: Path) -> None:
+    """An entry of the same name does not inherit their settings."""
+    model = "{input: semantic, spatial: gnn, temporal: lstm, window: 4}"
+    first = written(tmp_path, f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
+    assert preset.merged(first)["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
+    assert yaml.safe_load(preset.text(first)) == preset.merged(first)
+    nothing = written(tmp_path, "models:\n  '*': null\n")
+    with pytest.raises(InputError, match="models.*at least 1"):
+        preset.merged(nothing)
+
+
 def test_only_a_params_file_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder/file").write_text("content")

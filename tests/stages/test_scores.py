@@ -1,0 +1,50 @@
+"""Stage scores: measured motion is compared with what drives recorded, and with nothing else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.store import DriveWriter
+from pipeline.kitti.ingest_file import put_motion, put_steering
+from pipeline.kitti.oxts import make_rows
+from stages import scores
+from tests.motion_files import write_motion
+
+RULE = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "standstill": "invalid"}
+DRIVE, FRAMES = "2027_03_31_drive_0001", 20
+SPEED_MPS, YAW_RATE_RADPS = 10.0, 0.2
+TRUE_RAD = float(np.arctan(2.7 * YAW_RATE_RADPS / SPEED_MPS))
+
+
+def score(folder: Path, oxts: bool, wheel: bool) -> dict[str, dict[str, float] | None]:
+    """Return the scores of a drive whose measured speed is 10 % too high, and whose recorded angle is 0.01 rad off."""
+    numbers = np.arange(FRAMES)
+    with DriveWriter(folder / f"ingest/{DRIVE}.h5", stage="ingest", drive=DRIVE, params={}) as file:
+        put_motion(file, numbers, numbers / 10, make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if oxts else None)
+        if wheel:
+            put_steering(file, numbers, dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01))
+    write_motion(folder / "motion", "visual", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
+    motions = {"visual": folder / "motion/visual"}
+    return scores._score_motion([DRIVE], ingest=folder / "ingest", motions=motions, rule=RULE)
+
+
+@pytest.mark.parametrize(
+    ("oxts", "wheel", "compared"),
+    [
+        (False, False, set()),
+        (True, False, {"visual"}),
+        (False, True, {"visual-wheel"}),
+        (True, True, {"visual", "visual-wheel", "wheel"}),
+    ],
+)
+def test_only_recorded_values_are_a_reference(tmp_path: Path, oxts: bool, wheel: bool, compared: set[str]) -> None:
+    found = score(tmp_path, oxts, wheel)
+    assert set(found) == compared
+    for kind, result in found.items():
+        assert result
+        assert result["judged"] == FRAMES
+        with_rates = kind == "visual"  # a wheel has neither speed nor yaw rate, whatever its labels borrow
+        assert result["speed_ratio"] == (pytest.approx(1.1) if with_rates else None), kind
+        assert (result["yaw_rmse_degps"] is None) == (not with_rates), kind
+        assert 0 < result["nmse"] < 0.1

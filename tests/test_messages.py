@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from unittest import mock
 
 import h5py
 import numpy as np
@@ -85,7 +86,11 @@ def read(path: Path, content: bytes | None, reader: Callable[[Path], object]) ->
 
 
 def preset_unknown() -> None:
-    preset.merged("kiti")
+    Path("presets").mkdir()
+    for name in ("kitti", "real"):
+        Path(f"presets/{name}.yaml").touch()
+    with mock.patch.object(preset, "PRESETS", Path("presets")):  # a user may have added some
+        preset.merged("kiti")
 
 
 def write_labels() -> None:

@@ -81,11 +81,11 @@ def distribute_images(folders: Sequence[Path], parts: Sequence[np.ndarray]) -> N
     for folder in folders[1:]:
         (folder / IMAGES / "data").mkdir(parents=True)
     for path in (folders[0] / IMAGES / "data").iterdir():
-        folder = next((folder for folder, part in zip(folders, parts, strict=True) if part[int(path.stem)]), None)
-        if folder is None:
+        homes = [folder for folder, part in zip(folders, parts, strict=True) if part[int(path.stem)]]
+        if not homes:
             path.unlink()
-        elif folder != folders[0]:
-            path.rename(folder / IMAGES / "data" / path.name)
+        elif homes[0] != folders[0]:
+            path.rename(homes[0] / IMAGES / "data" / path.name)
 
 
 def write_times(folder: Path, usable: np.ndarray, time_s: np.ndarray, sensors: Iterable[str]) -> None:

@@ -87,7 +87,7 @@ def test_a_star_removes_all_earlier_entries(tmp_path: Path) -> None:
     assert preset.merged(first)["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
     assert yaml.safe_load(preset.text(first)) == preset.merged(first)
     nothing = written(tmp_path, "models:\n  '*': null\n")
-    with pytest.raises(InputError, match="models.*at least 1"):
+    with pytest.raises(InputError, match=r"models.*at least 1"):
         preset.merged(nothing)
 
 

@@ -63,13 +63,9 @@ def predict(
     show = {"video": video, "visible": output.visible}
     results = predictor.predict(trained, sections, opened, data, encoder or data / "encoder", out, **show)
     comparison = results.compare(opened.truth, "predicted", trained.entry.horizon)
-    for line in results.lines(opened.notes):
-        output.line(line)
     ahead = f", each {trained.entry.horizon} frames ahead" if trained.entry.horizon else ""
-    output.line(
-        f"{trained.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}"
-    )
-    for line in comparison_lines(comparison):
+    counts = f"{trained.name}: {results.predicted} predictions for {results.frames} frames{ahead}; {results.speed()}"
+    for line in (*results.lines(opened.notes), counts, *comparison_lines(comparison)):
         output.line(line)
     files = {"csv": str(out / STEERING), "video": str(out / VIDEO) if video else None}
     output.line(", ".join(filter(None, files.values())))

@@ -25,8 +25,7 @@ from pipeline.base.resume import ROOT, file_hash
 from pipeline.camera.images import read_image
 from pipeline.fitting import checkpoint
 from pipeline.kitti import oxts
-from pipeline.kitti.calibration import read_calibration
-from pipeline.kitti.raw import find_drives, read_scan
+from pipeline.kitti.raw import find_drives, read_calibration, read_scan
 from pipeline.sections import preset
 from pipeline.sections.graphs import Variant
 from pipeline.sections.labels import Labels

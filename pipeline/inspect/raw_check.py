@@ -14,9 +14,8 @@ from pipeline.base.executors import default_workers
 from pipeline.base.files import check_file
 from pipeline.camera.images import PNG_END, read_pixels
 from pipeline.inspect.artefact import format_spans, gaps
-from pipeline.kitti.calibration import cameras_in, read_calibration
 from pipeline.kitti.oxts import read_row, read_times
-from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.kitti.raw import RawDrive, cameras_in, read_calibration, read_scan
 
 _CAMERAS = range(4)
 _CALIBRATION = ("cam_to_cam", "velo_to_cam", "imu_to_velo")

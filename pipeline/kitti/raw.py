@@ -1,7 +1,8 @@
-"""KITTI raw's folder layout and LiDAR scans. Everything is keyed on frame numbers, never on list position.
+"""KITTI raw's folder layout, LiDAR scans and calibration. Everything is keyed on frame numbers, never on list position.
 
 ``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``, calibration in
-``<root>/<date>/``. pykitti's ``raw`` class is not used: its sorted lists shift after a missing frame.
+``<root>/<date>/``. pykitti's ``raw`` class is not used: its sorted lists shift after a missing frame, and it needs all
+four cameras.
 """
 
 import hashlib
@@ -11,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.base.errors import DamagedFile, InputError, closest, error_context
 from pipeline.base.files import MiB, check_file
 from pipeline.camera.camera import Camera
+from pipeline.camera.intrinsics import matrix, projection, read_entries, rotation
+from pipeline.camera.mount import camera_height
 from pipeline.kitti import steering_file
-from pipeline.kitti.calibration import cameras_in, read_calibration
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
@@ -24,6 +26,8 @@ _MOST_HASHED = 64 * MiB  # of a small file; larger ones are refused when they ar
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
 _MOST_BYTES = 256 * MiB  # of a scan
 _FEWEST_POINTS = 100  # KITTI's scans have 100,000
+_EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
+_FARTHEST_M = 20.0  # between LiDAR and camera
 _LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored
 
 
@@ -163,3 +167,38 @@ def _frames(folder: Path, suffix: str) -> dict[int, Path]:
             raise InputError(f"has the same frame number as {paths[number].name}", path, "Remove the wrong one")
         paths[number] = path
     return dict(sorted(paths.items()))
+
+
+def cameras_in(folder: Path) -> list[int]:
+    """Return the camera numbers in a date folder's ``calib_cam_to_cam.txt``; none without the file."""
+    path = folder / "calib_cam_to_cam.txt"
+    with error_context(fix=_EXTRACT):
+        entries = read_entries(path) if path.is_file() else {}
+    return [number for number in range(4) if f"P_rect_{number:02d}" in entries]
+
+
+def read_calibration(folder: Path, number: int) -> Camera:
+    """Read camera `number` from a date folder's files. Raises InputError for missing or wrong entries."""
+    path, velo = folder / "calib_cam_to_cam.txt", folder / "calib_velo_to_cam.txt"
+    with error_context(fix=_EXTRACT):
+        entries = read_entries(path)
+        P, size = projection(entries, number, path)
+        K = P[:, :3]
+        if not velo.exists():
+            return Camera(K, size)
+        # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this camera. All three
+        # components count: with x alone (as in pykitti) depths are off by t_z, 3 mm.
+        shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
+        rectify = _rigid(rotation(entries, "R_rect_00", path), np.zeros(3))
+        entries = read_entries(velo)
+        t = matrix(entries, "T", (3,), velo)
+        if np.abs(t).max() > _FARTHEST_M:
+            raise InputError(f"T puts the LiDAR {np.abs(t).max():g} m away from the camera", velo)
+        T_cam_velo = shift @ rectify @ _rigid(rotation(entries, "R", velo), t)
+        return Camera(K, size, camera_height(T_cam_velo), T_cam_velo)
+
+
+def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return T

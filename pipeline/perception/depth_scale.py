@@ -97,17 +97,17 @@ def median_ratio(depth: np.ndarray, truth_m: np.ndarray) -> float | None:
 
 
 def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return depth float64 [H,W] in metres; see :func:`models.encoder.ground_depth.ground_plane_depth`.
+    """Return depth float64 [H,W] in metres; see :func:`models.encoder.heads.ground_plane_depth`.
 
     It is the baseline for encoders, and an upper limit for the depth of traffic. The camera is assumed to be level;
     `cls` are trainIds [H,W].
     """
     import torch
 
-    from models.encoder import ground_depth
+    from models.encoder import heads
 
     slope = rays(camera.K, (cls.shape[0], 1))[..., 1]  # [H,1], y/z per row
-    depth_m = ground_depth.ground_plane_depth(
+    depth_m = heads.ground_plane_depth(
         torch.from_numpy(cls.astype(np.int64))[None],
         torch.from_numpy(slope)[None].expand(1, *cls.shape),
         camera.height_m,

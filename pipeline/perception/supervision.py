@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from models.encoder.ground_depth import GroundDepth
+from models.encoder.heads import GroundDepth
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera

@@ -12,7 +12,6 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import format_size, write_png
 from pipeline.camera.intrinsics import write_entries
 from pipeline.fitting.prefetch import side_by_side
-from pipeline.kitti.calibration import read_calibration
 from pipeline.kitti.oxts import (
     GRAVITY_MPS2,
     LONGEST_STEP_S,
@@ -22,6 +21,7 @@ from pipeline.kitti.oxts import (
     level_columns,
     make_rows,
 )
+from pipeline.kitti.raw import read_calibration
 from pipeline.recording.track import Rates
 
 CAMERA = 2  # left colour camera, the default of stage ingest

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from models.encoder.backbones import IMAGENET_MEAN, IMAGENET_STD, Backbone, Part, Parts
-from models.encoder.ground_depth import GroundDepth
+from models.encoder.heads import GroundDepth
 from pipeline.camera import classes
 
 CHANNELS = {1.0: (32, 64, 128, 256), 2.0: (32, 128, 256, 512)}  # at 1/2, 1/4, 1/8 and 1/16 of the image

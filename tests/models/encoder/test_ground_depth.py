@@ -1,6 +1,6 @@
 import torch
 
-from models.encoder.ground_depth import GroundDepth, ground_plane_depth
+from models.encoder.heads import GroundDepth, ground_plane_depth
 from models.encoder.unified_encoder import ray_slopes
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from tests import street

@@ -9,7 +9,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import rays
 from pipeline.camera.intrinsics import pinhole
-from pipeline.kitti.calibration import read_calibration
+from pipeline.kitti.raw import read_calibration
 from tests.kitti_drive import SIZE, write_calibration
 
 

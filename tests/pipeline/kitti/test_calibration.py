@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import project, transform
-from pipeline.kitti.calibration import read_calibration
+from pipeline.kitti.raw import read_calibration
 from tests.kitti_drive import write_calibration
 
 

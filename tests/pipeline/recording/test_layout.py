@@ -7,9 +7,8 @@ import pytest
 
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import read_pixels
-from pipeline.kitti.calibration import read_calibration
 from pipeline.kitti.oxts import COLUMNS, EARTH_RADIUS_M, VF, WU, YAW, read_row, read_times
-from pipeline.kitti.raw import RawDrive
+from pipeline.kitti.raw import RawDrive, read_calibration
 from pipeline.recording.layout import (
     check_calibration,
     drive_folder,

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.camera.geometry import transform
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
-from pipeline.kitti.calibration import cameras_in, read_calibration
+from pipeline.kitti.raw import cameras_in, read_calibration
 from pipeline.town.rig import make_rig, rotation, write_calibration
 from pipeline.town.route import IMU_HEIGHT_M
 

@@ -195,7 +195,8 @@ class DriveReader:
         """Return the row of the frame with this KITTI number. Raises InputError if the file has no such frame."""
         rows = np.flatnonzero(self.frame == number)
         if not len(rows):
-            raise InputError(f"no frame {number}", self.path)
+            frames = f"Frames: {self.frame[0]} to {self.frame[-1]}" if len(self.frame) else "It has none"
+            raise InputError(f"has no frame {number}", self.path, frames)
         return int(rows[0])
 
     @cached_property

@@ -29,21 +29,14 @@ def read(path: Path, frame: int | None) -> tuple[View, dict[str, Any]]:
     if path.is_dir():
         raise InputError("expected the file of one drive, got a folder", path, f"Pass {path}/DRIVE.h5")
     with open_drive(path) as file:
-        number = _choose(frame, file.frame, path)
-        row = int(np.searchsorted(file.frame, number))
+        if frame is None and not len(file.frame):
+            raise InputError("has no frames", path)
+        number = int(file.frame[0]) if frame is None else frame
+        row = file.row_of(number)
         names = [name for name in file.names if name != "frame" and file.shape(name) == file.frame.shape]
         numbers = {name: file.row(name, row).item() for name in sorted(names)}
         images = _images(file, row, numbers)
         return View(number, **images, **_points(file, row, numbers, images.get("cls"))), numbers
-
-
-def _choose(frame: int | None, numbers: np.ndarray, path: Path) -> int:
-    if not len(numbers):
-        raise InputError("has no frames", path)
-    if frame is not None and frame not in numbers:
-        nearest = numbers[np.argmin(np.abs(numbers.astype(np.int64) - frame))]
-        raise InputError(f"has no frame {frame}", path, f"Frames: {numbers[0]} to {numbers[-1]}, nearest {nearest}")
-    return int(numbers[0]) if frame is None else frame
 
 
 def _images(file: DriveReader, row: int, numbers: Mapping[str, Any]) -> dict[str, np.ndarray]:

@@ -114,17 +114,15 @@ def _files(weights: Weights | None) -> dict[str, WeightFile]:
 
 
 def _check_available(file: WeightFile) -> None:
-    try:
-        exists, is_regular = file.path.exists(), file.path.is_file()
-    except OSError as error:  # a name that is too long, no permission
-        raise InputError(str(error.strerror), file.path) from error
-    if exists and not is_regular:
-        raise InputError("expected a regular file", file.path)
-    if not exists and not file.is_url:
+    if file.path.exists():
+        if not file.path.is_file():
+            raise InputError("expected a regular file", file.path)
+        return
+    if not file.is_url:
         raise InputError("file is missing", file.path, "Put it there, or name another one")
-    if not exists and file.url.startswith("file://") and not Path(unquote(urlsplit(file.url).path)).is_file():
+    if file.url.startswith("file://") and not Path(unquote(urlsplit(file.url).path)).is_file():
         raise InputError("expected a regular file", file.url, _by_hand(file))  # a device never ends
-    if not exists and not file.sha256:
+    if not file.sha256:
         raise InputError("file is missing, and a URL without sha256 is not downloaded", file.path, _by_hand(file))
 
 

@@ -1,7 +1,7 @@
 """The command `steer`. Large imports are inside functions, so that help is quick."""
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -33,16 +33,21 @@ def _options(
 ) -> None: ...
 
 
-def _add(name: str, command: Callable[..., object], after_stop: str, needs_arguments: bool = True) -> None:
-    app.command(name, no_args_is_help=needs_arguments)(guarded(command, after_stop))
+def _add(name: str, command: Callable[..., object], after_stop: str, **options: Any) -> None:
+    app.command(name, **{"no_args_is_help": True, **options})(guarded(command, after_stop))
 
 
 _add("predict", predict.predict, "The frames so far are in .unfinished of the output folder")
 _add("measure", measure.measure, "The frames so far are in .unfinished of the output folder")
-_add("import", import_recording.import_recording, "No drive was written; repeat the command")
+_add(
+    "import",
+    import_recording.import_recording,
+    "No drive was written; repeat the command",
+    help=import_recording.__doc__,
+)
 _add("show", artefacts.show, "Files that were written are complete")
 _add("diff", artefacts.diff, "Nothing was written")
-_add("doctor", doctor.doctor, "Nothing was written", needs_arguments=False)
+_add("doctor", doctor.doctor, "Nothing was written", no_args_is_help=False)
 _add("export", artefacts.export, "Nothing was written")
 
 if __name__ == "__main__":

@@ -1,4 +1,24 @@
-"""steer import: convert your own recording to a drive in KITTI raw's layout, which all stages read."""
+"""Convert your own recording to a drive in KITTI raw's layout.
+
+Times count from the first image; images of a folder may be named by timestamps in ns. With --motion, speed and yaw
+rate are interpolated linearly at the images' times, and images without motion are left out. Without --motion,
+labels come from the images (labels.source: visual in params.yaml) or from the angles of --wheel (labels.source:
+wheel).
+
+With --split, 60,20,20 for instance, a single recording is enough to train and test networks: DRIVE and the two
+following numbers get the first 60 %, the next 20 % and the last 20 % of the time, less 2 s between them. The last
+line says how to train.
+
+A GPX or NMEA track has times in seconds since 1970 (UTC). Its speeds and courses are smoothed over a second or
+more, and one fix per second flattens bends. Prefer the car's own log, or a receiver with 5 Hz that reports
+velocities.
+
+\b
+steer import drive.mp4 --fov 78 --drive 2027_03_31_drive_0001
+steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
+steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
+steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_03_31_drive_0004
+"""
 
 import math
 import shlex
@@ -12,64 +32,40 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from steer import options
 
+Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA")]
+Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")]
+Ratio = Annotated[float | None, options.number(1, 50, "angle of the steering wheel / angle of the front wheels")]
+Offset = Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")]
+Gap = Annotated[float, options.number(0, 3600, "longest interval between samples that is interpolated, seconds")]
+Start = Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")]
+End = Annotated[float | None, options.number(0, 1e10, "leave out this and later images")]
+_SPLIT = "write three consecutive drives with these shares of the time in %, and presets/DRIVE.yaml"
+Split = Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)]
+
 
 def import_recording(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="video, or folder of images; undistorted")],
     drive: Annotated[str, typer.Option(help="name of the drive, for instance 2027_03_31_drive_0001")],
-    motion: Annotated[
-        Path | None,
-        typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA"),
-    ] = None,
-    wheel: Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")] = None,
-    steering_ratio: Annotated[
-        float | None,
-        options.number(1, 50, "angle of the steering wheel / angle of the front wheels"),
-    ] = None,
+    motion: Motion = None,
+    wheel: Wheel = None,
+    steering_ratio: Ratio = None,
     out: Annotated[Path, typer.Option(help="root folder of drives in KITTI raw's layout")] = Path("data/raw"),
     calib: options.Calib = None,
     fov: options.Fov = None,
     k: options.K = None,
     times: options.Times = None,
     fps: options.Fps = None,
-    offset: Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")] = 0.0,
-    max_gap: Annotated[
-        float, options.number(0, 3600, "longest interval between samples that is interpolated, seconds")
-    ] = 2.0,
-    start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
-    end: Annotated[float | None, options.number(0, 1e10, "leave out this and later images")] = None,
-    split: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TRAIN,VAL,TEST",
-            help="write three consecutive drives with these shares of the time in %, and presets/DRIVE.yaml",
-        ),
-    ] = None,
+    offset: Offset = 0.0,
+    max_gap: Gap = 2.0,
+    start: Start = 0.0,
+    end: End = None,
+    split: Split = None,
     force: Annotated[bool, typer.Option("--force", help="replace existing drives, and their preset")] = False,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Convert your own recording to a drive in KITTI raw's layout.
-
-    Times count from the first image; images of a folder may be named by timestamps in ns. With --motion, speed and yaw
-    rate are interpolated linearly at the images' times, and images without motion are left out. Without --motion,
-    labels come from the images (labels.source: visual in params.yaml) or from the angles of --wheel (labels.source:
-    wheel).
-
-    With --split, 60,20,20 for instance, a single recording is enough to train and test networks: DRIVE and the two
-    following numbers get the first 60 %, the next 20 % and the last 20 % of the time, less 2 s between them. The last
-    line says how to train.
-
-    A GPX or NMEA track has times in seconds since 1970 (UTC). Its speeds and courses are smoothed over a second or
-    more, and one fix per second flattens bends. Prefer the car's own log, or a receiver with 5 Hz that reports
-    velocities.
-
-    \b
-    steer import drive.mp4 --fov 78 --drive 2027_03_31_drive_0001
-    steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
-    steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
-    steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_03_31_drive_0004
-    """
+    """Write drives and print what to do next; the module's docstring is the help text."""
     from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import pinhole
     from pipeline.recording import drive_preset, layout

@@ -1,4 +1,4 @@
-"""Augmentation: change the size of the scene together with the steering. SteeringNet.forward mirrors."""
+"""Augment spans: change the size of the scene together with the steering. Mirroring is in SteeringNet.forward."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from pipeline.graphs.graph_file import Arrays
 
 
 def rescale(batch: Arrays, factor: np.ndarray) -> Arrays:
-    """Multiply lengths, radii and speed of each frame by `factor` [B]; equal for all frames of a span.
+    """Multiply lengths, radii and speed of each frame by `factor` [B], which is equal within a span.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
     Images and their steering do not change: a larger world gives the same image.

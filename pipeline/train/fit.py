@@ -103,7 +103,7 @@ class Fit:
     def _plan(
         self, drives: Sequence[windows.LabelledDrive], epoch: int
     ) -> tuple[list[list[int]], list[reading.TrainStep]]:
-        """Return which of each step's runs of frames are this process's, and this process's steps.
+        """Return the numbers of this process's runs of frames in each step, and this process's steps.
 
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
         """
@@ -165,7 +165,7 @@ class Fit:
         return mse, mse / zero if zero > 0 else math.nan
 
     def calibrate(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> predict.Target:
-        """Return the target with the scale of σ and the 95 % interval that fit the drives' errors; best weights.
+        """Return the target with the scale of σ and the 95 % interval fitted to the drives' errors, at the best weights.
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """

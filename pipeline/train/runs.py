@@ -1,8 +1,8 @@
 """Networks to train for a model: seeds and folds, their drives and their folders.
 
 A run is one network: a seed and a fold. `fit_to: train` has one fold. `others` and `both` are leave-one-out: one fold
-per test drive, trained on the other test drives and evaluated on this one. `others` has no validation drives: those
-share the training drives' world, and would select the epoch.
+per test drive, trained on the other test drives and evaluated on this one. `others` has no validation drives:
+they are from the training drives' world, which `others` leaves out completely.
 """
 
 import os

@@ -205,7 +205,7 @@ def read_drive(
 
 
 def _hold(steering_rad: np.ndarray, valid: np.ndarray, including: bool) -> np.ndarray:
-    """Return for each frame [F] of a drive the last valid label before it, or `including` it; else 0."""
+    """Return the last valid label before each frame [F] of a drive, or up to it if `including`; 0 without one."""
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
     last = last if including else np.concatenate([[-1], last])[: len(valid)]
     return np.where(last >= 0, steering_rad[last], 0.0)
@@ -283,7 +283,7 @@ class Stream:
     def __init__(self, window: int, car: label.Car | None, base: str = "motion") -> None:
         """`car`: None for a network without motion; `base` as in a model's entry."""
         self._window, self._car, self._base = window, car, base
-        # The frames of the next window and the one before, behind the last older one with a measured angle.
+        # The last `window` frames, and before them the latest older frame whose measured angle is still held.
         self._frames: list[tuple[int, float, float, float, int]] = []
 
     def add(self, number: int, time_s: float, motion: tuple[float, float] | None) -> Arrays | None:

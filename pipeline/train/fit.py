@@ -165,7 +165,7 @@ class Fit:
         return mse, mse / zero if zero > 0 else math.nan
 
     def calibrate(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> predict.Target:
-        """Return the target with the scale of σ and the 95 % interval fitted to the drives' errors, at the best weights.
+        """Return the target with the scale of σ and the 95 % interval fitted to the drives' errors; best weights.
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """

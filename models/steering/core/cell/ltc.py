@@ -134,7 +134,7 @@ class Synapses(nn.Module):
         self.w = nn.Parameter(inverse_softplus(uniform(count, 0.001, 1.0)))  # before softplus
         self.sigma = nn.Parameter(uniform(count, 3.0, 8.0))
         # ncps draws thresholds between .3 and .8, for inputs in [0,1]. Features and potentials here are centred at 0,
-        # where such synapses are nearly closed: a plain network then learned turns to one side 6 epochs before the other.
+        # where such synapses are nearly closed: a plain network learned turns to one side 6 epochs before the other.
         self.mu = nn.Parameter(uniform(count, -0.25, 0.25))
         self.erev = nn.Parameter(signs[source, target])  # reversal potential e, starts as the sign
 

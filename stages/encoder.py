@@ -72,18 +72,18 @@ def _fit(
     """
     import torch
 
-    from pipeline.perception import fit, supervision
+    from pipeline.perception import fit, weights
     from pipeline.perception.examples import Examples
 
     teacher = None
     if settings.teacher:
-        teacher, sources = supervision.load_teacher(settings.teacher)
+        teacher, sources = weights.load_teacher(settings.teacher)
         hashes = [*hashes, *(source.sha256 for source in sources)]
     files = [ingest / f"{drive}.h5" for drive in drives]
     key = stage_key("encoder", settings.model_dump(mode="json"), [*hashes, *files])
     unlabelled = [drive for drive, split in drives.items() if split != "train"]
     with Examples(ingest, list(drives), settings.frames, teacher, unlabelled) as examples:
-        targets = supervision.choose(
+        targets = weights.choose(
             model, settings.weights, examples.ground_truth, teacher=examples.has_teacher, frozen=settings.frozen
         )
         print("\n".join(f"encoder: {head}: {target.value}" for head, target in targets.items()), flush=True)

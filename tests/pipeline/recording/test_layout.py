@@ -53,13 +53,13 @@ def test_files_are_numbered(tmp_path: Path, threads: int) -> None:
 
 def test_calibration_round_trip(tmp_path: Path) -> None:
     folder = drive_folder(tmp_path, DRIVE, force=False)
-    assert not check_calibration(folder, Camera(K, SIZE), force=False)
-    write_calibration(folder, Camera(K, SIZE))
+    assert not check_calibration([folder], Camera(K, SIZE), force=False)
+    write_calibration(folder.parent, Camera(K, SIZE))
     camera = read_calibration(folder.parent, 2)
     assert (camera.size, camera.T_cam_velo) == (SIZE, None)
     np.testing.assert_allclose(camera.K, K, rtol=1e-12)
     write_full_calibration(folder.parent)
-    assert check_calibration(folder, read_calibration(folder.parent, 2), force=False)
+    assert check_calibration([folder], read_calibration(folder.parent, 2), force=False)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,4 @@
-# Targets: demo, PRESET, street, udacity, params, test, soak, bench, lint, format. Each sets up its environment first.
-# Needs Debian or Ubuntu and Python 3.11 or 3.12. A PRESET is a file of presets/: kitti, real, table2, replay, studies,
-# udacity-networks.
+# make help lists the targets. Each sets up its environment first. Needs Debian or Ubuntu and Python 3.11 or 3.12.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -17,11 +15,15 @@ RUNS := $(CHAINS:%=run-of-%)
 # Benchmarks and soak tests also use recorded scans, if there are any.
 KITTI := $(or $(STEER_KITTI),$(wildcard ../shared/kitti))
 
-.PHONY: demo street udacity $(CHAINS) $(RUNS) params test soak bench lint format setup system
+.PHONY: demo help street udacity $(CHAINS) $(RUNS) params test soak bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro
 	@cat data/report/table.md && echo "Open data/report/index.html in a browser."
+
+help:                  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 10
+	@echo "PRESET    run a preset in runs/PRESET: $(CHAINS)"
 
 # Each preset runs in a copy of the code, runs/NAME, with its settings merged into params.yaml. The cache is shared.
 # The lock refuses a second run, which would replace the code of the first.
@@ -65,17 +67,17 @@ ROWS ?=
 bench: setup           ## measure this project beside its alternatives; ROWS="ltc demo" measures these rows only
 	$(if $(KITTI),STEER_KITTI="$(KITTI)") python -m benchmarks.bench $(ROWS) --out benchmarks/results.json
 
-lint: setup
+lint: setup            ## check style, types and import contracts
 	ruff check .
 	ruff format --check .
 	mypy
 	lint-imports
 
-format: setup
+format: setup          ## rewrite the code in the project's style
 	ruff check --fix .
 	ruff format .
 
-setup: system $(VENV)/.installed
+setup: system $(VENV)/.installed  ## make .venv
 
 # uv installs in seconds, but does not read pip's settings. Without uv, pip installs.
 PIP := $(BIN)/python -m pip

@@ -57,12 +57,16 @@ def doctor(
     notes = [f"{check.drive}: {text}" for check in drives for text in check.notes]
     notes += [f"{check.drive}, not in params.yaml: {text}" for check in unused for text in check.problems]
     if project:
+        if project.needs_oxts:
+            lacking = [check.drive for check in used if check.drive in names and "oxts" not in check.files]
+            fix = "Set labels.source to visual or wheel"
+            problems += [f"{drive}: no oxts, which labels.source: oxts needs. {fix}" for drive in lacking]
         problems += _missing_drives(names, root, drives, project) + project.problems
         notes += project.notes
         if project.due:
             problems.append(f"stages that have to run: {len(project.due)}. Run: dvc repro check pictures report")
     commands = [check.fix for check in used if check.fix]
-    _print(output, drives, project, {"problems": problems, "extract again": commands, "notes": notes})
+    _print(output, drives, project, {"problems": problems, "commands": commands, "notes": notes})
     fields = ("folder", "due", "unused", "free_bytes", "due_bytes")
     state = {name: getattr(project, name) for name in fields} if project else None
     lists = {"problems": problems, "commands": commands, "notes": notes}

@@ -81,6 +81,7 @@ def import_recording(
     if end is not None and end <= start:
         raise InputError(f"--end {end:g} is not after --start {start:g}")
     shares = _shares(split)
+    out = options.in_project(out)
     layout.drive_folder(out, drive, force)
     drives = layout.consecutive(drive, len(shares))
     preset = PRESETS / f"{drive}.yaml" if split else None

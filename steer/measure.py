@@ -26,6 +26,7 @@ def measure(
     wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
     max_frames: Annotated[int | None, typer.Option(min=2, max=10**9, help="measure only the first frames")] = None,
     video: options.Video = True,
+    device: options.Device = None,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
         "weights/street"
     ),
@@ -54,6 +55,8 @@ def measure(
     from pipeline.perception.perceive import FILE
 
     output, car = options.Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
+    options.use_device(device)
+    encoder = options.in_project(encoder)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     check_out(out, MEASURED_FILES, source)

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -38,6 +39,7 @@ Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; defa
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
 CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
+Device = Annotated[str | None, typer.Option(help="cpu, cuda or cuda:N; default: a GPU if torch finds one")]
 _PIPE_WIDTH = 200  # columns where the output is not a terminal
 
 
@@ -48,6 +50,30 @@ def check_names(*paths: Path | None) -> None:
             str(path).encode()
         except UnicodeEncodeError:
             raise InputError("name is not valid UTF-8", repr(os.fsencode(str(path))), "Rename it") from None
+
+
+def use_device(name: str | None) -> None:
+    """Make `name` the only device that torch finds; call it before any CUDA function. Raises InputError."""
+    if name is None:
+        return
+    match = re.fullmatch(r"cpu|cuda(?::(\d+))?", name)
+    if not match:
+        raise InputError(f"unknown device {name!r} (expected cpu, cuda or cuda:N)", "--device")
+    if name == "cpu" or match[1]:
+        os.environ["CUDA_VISIBLE_DEVICES"] = match[1] or ""
+    if name != "cpu":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise InputError(f"torch finds no GPU for {name!r}", "--device", "Pass --device cpu, or install its driver")
+
+
+def in_project(path: Path) -> Path:
+    """Return `path`, or if it does not exist, the same path in the folder of the project around the working folder."""
+    from pipeline.inspect.project import project_root
+
+    root = None if path.exists() else project_root(Path.cwd())
+    return path if root in (None, Path.cwd()) else root / path
 
 
 class Output:

@@ -23,6 +23,7 @@ def predict(
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
     video: options.Video = True,
+    device: options.Device = None,
     encoder: Annotated[
         Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
     ] = None,
@@ -52,8 +53,10 @@ def predict(
     from pipeline.train.predict import load
 
     output = options.Output(quiet, as_json)
+    options.use_device(device)
     check_out(out, PREDICTED_FILES, source)
     model = model if len(model.parts) > 1 or (model / "best.pt").is_file() else TRAINED / model
+    model = options.in_project(model)
     trained = load(model)
     data = _data_folder(model, encoder, params)
     sections = load_settings(params or data.parent / "params.yaml", trained.entry.input, data)

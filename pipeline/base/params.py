@@ -15,7 +15,16 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.files import read_yaml
 
-_DRIVE = "^[0-9]{4}_(0[1-9]|1[0-2])_(0[1-9]|[12][0-9]|3[01])_drive_[0-9]{4}$"
+
+def matches(pattern: str, expected: str) -> AfterValidator:
+    """Return a check of text against a regular expression, whose error says what is `expected` in words."""
+
+    def check(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(f"expected {expected}")
+        return text
+
+    return AfterValidator(check)
 
 
 def _has_valid_date(drive: str) -> str:
@@ -33,7 +42,11 @@ def check_name(name: Any) -> str:
 
 Name = Annotated[str, BeforeValidator(check_name)]
 """A name that is safe as the name of a stage and of a folder, and in a shell."""
-Drive = Annotated[str, Field(pattern=_DRIVE, description="as 2011_09_26_drive_0052"), AfterValidator(_has_valid_date)]
+Drive = Annotated[
+    str,
+    matches("[0-9]{4}_[0-9]{2}_[0-9]{2}_drive_[0-9]{4}", "a drive's name, such as 2011_09_26_drive_0052"),
+    AfterValidator(_has_valid_date),
+]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -116,7 +129,10 @@ def parse(kind: type[S], value: Any, where: str) -> S:
             raise InputError("key is missing", key, _COPY) from error
         # A rule on a complete section would print all of it.
         got = "" if isinstance(first["input"], dict) else f" (got {_shorten(first['input'])})"
-        raise InputError(f"{first['msg'].removeprefix('Value error, ')}{got}", key) from error
+        problem = first["msg"].removeprefix("Value error, ")
+        if first["type"] == "too_short":
+            problem = f"expected at least {first['ctx']['min_length']} entry"
+        raise InputError(f"{problem}{got}", key) from error
 
 
 def _keys_at(annotation: Any, loc: Sequence[int | str]) -> list[str]:

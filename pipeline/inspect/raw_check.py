@@ -1,6 +1,6 @@
 """Check the files of a KITTI raw drive: missing, partly extracted or damaged ones, calibration, and timestamps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -23,6 +23,7 @@ _DRIVE = "[0-9]*_drive_[0-9][0-9][0-9][0-9]_sync"
 _PARTLY = 0.1  # share of missing frames above which an archive was partly extracted; KITTI itself lacks single frames
 _MAX_PROBLEMS = 3  # of damaged files of one modality, in words
 _MAX_BYTES = 1 << 28
+_KITTI = "2011_"  # drives with archives; steer import and the sample have other years, and no frame is missing in them
 
 
 @dataclass
@@ -36,7 +37,7 @@ class DriveCheck:
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     fix: str = ""
-    """Command that extracts again what is missing or damaged; empty if nothing is."""
+    """Command that extracts or imports again what is missing or damaged; empty if nothing is."""
 
 
 def check_root(root: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: bool = True) -> list[DriveCheck]:
@@ -64,7 +65,7 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: b
         cameras: ``ingest.cameras``: the first of them that has images must be complete.
         lidar: whether scans are used.
         deep: decode every image and scan.
-        oxts: whether labels need oxts; without, a drive may lack the folder.
+        oxts: whether labels need oxts; without, a drive of KITTI may lack the folder, as other drives always may.
     """
     raw, drive = RawDrive(folder), folder.absolute().name.removesuffix("_sync")
     result = DriveCheck(drive, calibration=[name for name in _CALIBRATION if _calibration_file(folder, name).is_file()])
@@ -75,10 +76,10 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: b
         return result
     with_images = [camera for camera in cameras if files[_images(camera)]]
     numbers, times = raw.timeline(with_images[0] if with_images else None)
-    timed = "oxts" if oxts or (folder / "oxts").is_dir() else times.parent.name
+    timed = "oxts" if (oxts and drive.startswith(_KITTI)) or (folder / "oxts").is_dir() else times.parent.name
     required = {timed, *(_images(camera) for camera in with_images[:1] or cameras)}
     required |= {"velodyne_points"} if lidar else set()
-    first, last = _expected_range(times, len(numbers), files)
+    first, last = _expected_range(times, len(numbers), files, drive.startswith(_KITTI))
     damaged = set()
     for name, paths in files.items():
         if not (paths or name == timed or (folder / name).is_dir()):
@@ -102,12 +103,18 @@ def check(folder: Path, cameras: Sequence[int], lidar: bool, deep: bool, oxts: b
         )
     elif not present and not scans and damaged <= {"oxts"}:
         result.notes.append("has neither images nor scans: only labels can be computed")
-    root = raw.calibration.absolute().parent
+    result.fix = _fix(drive, damaged, bool(calibration), raw.calibration.absolute().parent)
+    return result
+
+
+def _fix(drive: str, damaged: Collection[str], calibration: bool, root: Path) -> str:
+    """Return the command that mends the modalities `damaged` and the `calibration`; empty if both are complete."""
+    if not drive.startswith(_KITTI):
+        return f"steer import SOURCE --drive {drive} --force" if damaged or calibration else ""
     parts = " ".join(f"'*/{name}/*'" for name in sorted(damaged))
     commands = [f"unzip -o {drive}_sync.zip {parts} -d {root}"] if parts else []
     commands += [f"unzip -o {drive[:10]}_calib.zip -d {root}"] if calibration else []
-    result.fix = " && ".join(commands)
-    return result
+    return " && ".join(commands)
 
 
 def _images(camera: int) -> str:
@@ -127,11 +134,16 @@ def _input_error(function: Callable[..., object], *arguments: Any) -> list[str]:
     return []
 
 
-def _expected_range(stamps: Path, count: int, files: dict[str, dict[int, Path]]) -> tuple[int, int]:
-    """Return the first and last frame of the complete drive, from its files and the timestamps of `count` files."""
+def _expected_range(stamps: Path, count: int, files: dict[str, dict[int, Path]], from_zero: bool) -> tuple[int, int]:
+    """Return the first and last frame of the complete drive, from its files and the timestamps of `count` files.
+
+    A drive that is not `from_zero` may be a part of the recording that the timestamps cover.
+    """
     frames = {frame for paths in files.values() for frame in paths}
     if not frames:
         return 0, -1
+    if not from_zero:
+        return min(frames), max(frames)
     lines = stamps.read_bytes().rstrip(b"\n").count(b"\n") + 1 if stamps.is_file() else 0
     if lines == count or lines <= max(frames):  # may be an excerpt of a longer drive
         return (min(frames) if lines and lines <= max(frames) else 0), max(frames)

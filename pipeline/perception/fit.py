@@ -15,7 +15,7 @@ from tqdm import tqdm
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera import classes
 from pipeline.fitting import checkpoint
-from pipeline.fitting.steps import warm_up_cosine
+from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.perception.examples import Examples, augment
 
 KIND = "unified encoder in fitting"
@@ -81,7 +81,9 @@ def fit(
             fix = f"Lower encoder.learning_rate (now {learning_rate})"
             raise InputError(f"the loss is not finite in epoch {row.epoch}", "encoder", fix)
         losses_text = f"loss {row.loss:.4f} (depth {depth_loss:.4f}, classes {class_loss:.4f})"
-        print(f"epoch {row.epoch}/{epochs}: {losses_text}, {time.perf_counter() - start:.1f} s", flush=True)
+        print(
+            f"encoder: {row.epoch} of {epochs} epochs: {losses_text}, {time.perf_counter() - start:.1f} s", flush=True
+        )
         curve.append(row)
         state = {"net": model.state_dict(), "optimiser": optimiser.state_dict(), "curve": [vars(row) for row in curve]}
         checkpoint.write(state_path, {"kind": KIND, **state})

@@ -17,8 +17,8 @@ from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
 from pipeline.fitting import checkpoint
+from pipeline.fitting.precision import autocast
 from pipeline.fitting.prefetch import side_by_side
-from pipeline.fitting.steps import autocast
 from pipeline.perception import precomputed
 
 FILE = "encoder.pt"

@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from pipeline.base.params import SPLITS, Count, Rate, Section, Seed
+from pipeline.base.params import SPLITS, Count, Rate, Section, Seed, matches
 
 PARTS = ("backbone", "depth_head", "class_head")
 PRECOMPUTED = "precomputed"
@@ -22,11 +22,12 @@ class WeightFile(BaseModel):
 
     url: Annotated[str, Field(min_length=1, description="a path, or a URL of https, http or file")]
     sha256: Annotated[
-        str | None, Field(pattern="^[0-9a-f]{64}$", description="as sha256sum prints it; required for a download")
+        Annotated[str, matches("[0-9a-f]{64}", "64 digits 0-9 and a-f, as sha256sum prints them")] | None,
+        Field(description="required for a download"),
     ] = None
     key: Annotated[
-        str | None,
-        Field(pattern=r"^\w[\w.-]*(/\w[\w.-]*)*$", description="file in weights/; default: the last part of the URL"),
+        Annotated[str, matches(r"\w[\w.-]*(/\w[\w.-]*)*", "a relative path of letters, digits, _, . and -")] | None,
+        Field(description="file in weights/; default: the last part of the URL"),
     ] = None
 
     @property

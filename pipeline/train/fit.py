@@ -18,7 +18,8 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.fitting import checkpoint
-from pipeline.fitting.steps import autocast, warm_up_cosine
+from pipeline.fitting.precision import autocast
+from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.sections.train import Train
 from pipeline.train import predict, reading, windows
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
@@ -92,7 +93,7 @@ class Fit:
                     checkpoint.write(state, {**metadata, **self._state(), "kind": predict.KIND, "epoch": epoch})
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
                 nmse = f", validation nmse {self.curve[-1].val_nmse:.3f}{' (selected)' if selected else ''}"
-                self._log(f"{title}: epoch {epoch}/{epochs}, loss {loss:.4f}{nmse if val else ''}, ETA {eta:.0f} s")
+                self._log(f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{nmse if val else ''}, ETA {eta:.0f} s")
 
     def _log(self, line: str) -> None:
         if self.world.is_main:

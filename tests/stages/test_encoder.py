@@ -94,7 +94,12 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(
     assert [row["epoch"] for row in curve(out)] == [1, 2, 3]
     assert curve(out)[-1]["loss"] == pytest.approx(content["losses"]["loss"], rel=1e-4)
     printed = capsys.readouterr().out
-    for text in ("epoch 3/3", "fitted on 6 frames of 1 drives", "depth_head: dense depth", "class_head: class labels"):
+    for text in (
+        "3 of 3 epochs",
+        "fitted on 6 frames of 1 drives",
+        "depth_head: dense depth",
+        "class_head: class labels",
+    ):
         assert text in printed
     assert not (ingest.parent / ".resume" / "encoder").exists()
 

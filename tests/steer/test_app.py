@@ -1,5 +1,6 @@
 """The command steer: quick help, one line for an error, a traceback with --debug."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -7,7 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
+from steer import options
 from steer.app import app
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
@@ -48,6 +51,33 @@ def test_numbers_out_of_range_are_refused(command: str) -> None:
     result = CliRunner().invoke(app, command.split())
     assert result.exit_code == 2
     assert f"Invalid value for '{command.split()[-2]}'" in result.output
+
+
+@pytest.mark.parametrize(("name", "visible"), [("cpu", ""), ("cuda:1", "1"), ("cuda", None), (None, None)])
+def test_device(monkeypatch: pytest.MonkeyPatch, name: str | None, visible: str | None) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setitem(os.environ, "CUDA_VISIBLE_DEVICES", "before")
+    options.use_device(name)
+    assert os.environ["CUDA_VISIBLE_DEVICES"] == ("before" if visible is None else visible)
+
+
+@pytest.mark.parametrize(("name", "problem"), [("gpu", "expected cpu, cuda or cuda:N"), ("cuda", "finds no GPU")])
+def test_a_device_that_does_not_exist_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, problem: str) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(InputError, match=problem):
+        options.use_device(name)
+
+
+def test_default_paths_are_those_of_the_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From any folder inside of it; a path that exists is taken as it is."""
+    (tmp_path / "project/data/here").mkdir(parents=True)
+    (tmp_path / "project/dvc.yaml").touch()
+    path = Path("data/raw")
+    for folder, expected in ((tmp_path, path), (tmp_path / "project", path), (tmp_path / "project/data", None)):
+        monkeypatch.chdir(folder)
+        assert options.in_project(path) == (expected or tmp_path / "project/data/raw")
+    Path("data/raw").mkdir(parents=True)
+    assert options.in_project(path) == path
 
 
 def test_version() -> None:

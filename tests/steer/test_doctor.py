@@ -72,6 +72,28 @@ def test_partly_extracted_drives_and_the_command_that_extracts_them(root: Path) 
     assert content["commands"][0] == f"unzip -o {DRIVE}_sync.zip '*/image_02/*' -d {root}"
 
 
+def test_an_imported_drive(project: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It needs no oxts unless its labels do, has no archive, and may be a part of a recording."""
+    name = "2027_03_31_drive_0002"
+    drive = kitti_drive.write_drive(root, name, frames=range(10, 20), lidar=False)
+    (drive / "oxts/timestamps.txt").rename(drive / "image_02/timestamps.txt")
+    shutil.rmtree(drive / "oxts")
+    assert f"{name}, not" not in doctor(status=0)
+    with monkeypatch.context() as context:
+        context.chdir(root)
+        assert "no problems" in doctor(drive, status=0)
+    params = (project / "params.yaml").read_text()
+    (project / "params.yaml").write_text(params.replace(OTHER, name))
+    assert f"{name}: no oxts, which labels.source: oxts needs" in doctor(status=1)
+    (project / "params.yaml").write_text(params.replace(OTHER, name).replace("source: oxts", "source: visual"))
+    assert "no problems" in doctor(status=0)
+    (drive / "image_02/data/0000000023.png").write_bytes(b"")
+    text = doctor(status=1)
+    assert "frame 23 is empty" in text
+    assert "unzip" not in text
+    assert f"steer import SOURCE --drive {name} --force" in text
+
+
 def test_drives_of_params_that_are_missing(project: Path, root: Path) -> None:
     shutil.rmtree(root / f"2011_09_26/{OTHER}_sync")
     text = doctor(status=1)

@@ -68,6 +68,8 @@ class SteeringNet(nn.Module):
         self.equivariant = equivariant
         self.motion = motion
         self.uncertainty = uncertainty
+        self.features: tuple[str, int] | None = None
+        """File of the spatial network and its number of features per frame, if known, for the error message."""
 
     def encode(self, batch: Batch) -> Tensor:
         """Return the spatial features of each frame [B,F]."""
@@ -110,7 +112,11 @@ class SteeringNet(nn.Module):
         return self.run_windows(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
 
     def run_windows(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
-        """Predict as `forward`, from the features [B,F] of encoded frames."""
+        """Predict as `forward`, from the features [B,F] of encoded frames. Raises ValueError for another F."""
+        if self.features and features.shape[1:] != self.features[1:]:
+            file, expected = self.features
+            problem = f"the spatial network returns {list(features.shape)} for {len(features)} frames"
+            raise ValueError(f"{file}: {problem}, expected [{len(features)}, {expected}] (sizes.features)")
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
             odd, even = self._recurrent_inputs(features, motion)
             out = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
@@ -193,7 +199,9 @@ def build(
     if uncertainty:
         units = temporal_net.state_size(inputs)
         sigma_net = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
-    return SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net)
+    net = SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net)
+    net.features = f"{type(spatial).__module__.replace('.', '/')}.py", sizes.features
+    return net
 
 
 def parameter_count(model: nn.Module) -> int:

@@ -1,15 +1,22 @@
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from torch.utils.data import DataLoader
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.base.resume import ROOT
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
+from pipeline.sections.models import Entry
 from pipeline.train import windows
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES
+
+BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
 
 
 @pytest.fixture
@@ -29,6 +36,22 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _read(folder: Path, window: int = 8) -> list[windows.LabelledDrive]:
     return windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), window)
+
+
+def test_the_dataset_of_the_documentation(original: Path) -> None:
+    """It yields each window once, in a form that a network of this project reads."""
+    (code,) = (block for block in BLOCK.findall((ROOT / "docs/models.md").read_text()) if "class Windows" in block)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    dataset = names["Windows"](original / "graphs/semantic", original / "labels", list(DRIVES))
+    batches = list(DataLoader(dataset, batch_size=None))
+    assert len(batches) == len(dataset) == 2 * (23 - 7)
+    net = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 8}).build("graph")
+    for batch in batches:
+        assert batch["ptr"].shape == (9,)
+        assert batch["dt_s"].shape == (1, 8)
+        assert batch["steering_rad"].shape == batch["valid"].shape == (1,)
+        assert net(*net.inputs(batch)).isfinite().all()
 
 
 def test_consecutive_frames_end_at_a_gap() -> None:

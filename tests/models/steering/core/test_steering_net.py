@@ -39,6 +39,16 @@ def frames(make_batch, make_sets):
     }[KIND[spatial]]()  # fmt: skip
 
 
+def test_a_wrong_number_of_features_is_named_with_the_network(make_batch, dt_s):
+    net = build_any({"input": "x", "spatial": "gnn", "temporal": "lstm", "window": 4})
+    net.spatial = torch.nn.Sequential(net.spatial, torch.nn.Linear(32, 20))
+    expected = (
+        r"models/steering/spatial/gnn\.py: the spatial network returns \[6, 20\] for 6 frames, expected \[6, 32\]"
+    )
+    with pytest.raises(ValueError, match=expected):
+        net(make_batch(COUNTS), WINDOWS, dt_s)
+
+
 @pytest.fixture
 def dt_s():
     return torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 0.1 + 0.05

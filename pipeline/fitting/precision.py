@@ -1,6 +1,4 @@
-"""Learning rate and precision of an optimiser's steps."""
-
-import math
+"""Precision of a network's products."""
 
 import torch
 
@@ -14,10 +12,3 @@ def autocast(device: torch.device, precision: str) -> torch.autocast:
     return torch.autocast(
         device.type, torch.bfloat16, enabled=precision == "bfloat16" or (precision == "auto" and native)
     )
-
-
-def warm_up_cosine(progress: float, warm_up: float) -> float:
-    """Return the factor of the learning rate at `progress` in [0,1]: linear up to `warm_up`, then half a cosine."""
-    if progress < warm_up:
-        return 0.05 + 0.95 * progress / warm_up
-    return 0.5 * (1 + math.cos(math.pi * (progress - warm_up) / (1 - warm_up)))

@@ -47,7 +47,7 @@ class Course(NamedTuple):
 class FrameState(Frame):
     """A frame of a source, and the results of the steps for it."""
 
-    source_image: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # RGB uint8, at the source's size
+    source_image: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # complete, at the overlay's size
     started_s: float = 0.0  # time.perf_counter() before the frame was read
     driven_rad: float | None = None  # ground truth, where the source has it
     estimates: dict[str, Estimate | None] = field(default_factory=dict)  # by kind of motion
@@ -94,7 +94,8 @@ class Chain:
     def _perceive(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         torch.set_num_threads(1)  # of this thread, as in stage perception
         for frame in frames:
-            frame.image = resized(frame.source_image, self._camera.size)
+            assert frame.image is not None
+            frame.image = resized(frame.image, self._camera.size)
             if self._encode:  # depth and classes equal those that stage perception stores
                 batch = EncoderInput(self._drive, [frame.number], frame.image[None], self._camera, [frame.scan])
                 (depth_m,), (frame.cls,) = self._encode(batch)
@@ -123,7 +124,7 @@ def add_courses(frames: Generator[FrameState], car: Car, smooth: bool) -> Genera
     reach_s = REACH * max(YAW_SIGMA_S, SPEED_SIGMA_S) if smooth else 0.0
     with closing(frames):
         for frame in frames:
-            frame.depth_m = frame.cls = frame.scan = None  # not needed any more
+            frame.image = frame.depth_m = frame.cls = frame.scan = None  # not needed any more
             recent.append(frame)
             while waiting < len(recent) and recent[waiting].time_s <= frame.time_s - reach_s:
                 yield track.add(recent[waiting], recent)

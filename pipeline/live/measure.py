@@ -41,7 +41,7 @@ def measure(
     Raises:
         InputError: the encoder has no network, no frame can be read, or the images seem to be rotated.
     """
-    camera, settings = source.camera.scaled(SIZE), Perception(batch=1)
+    camera, settings = source.cropped.scaled(SIZE), Perception(batch=1)
     chain = Chain(camera, source.name, encoder, {"visual"}, settings, road_scale=source.height_known)
     assert chain.odometry
     if max_frames:

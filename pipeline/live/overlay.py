@@ -1,4 +1,4 @@
-"""Write a video with the predicted or measured path, drawn on the street, and the numbers as text."""
+"""Write a video with the driven, measured and predicted path on the street, and a legend with their angles."""
 
 from contextlib import nullcontext, suppress
 from fractions import Fraction
@@ -12,11 +12,12 @@ from pipeline.camera.geometry import project
 from pipeline.live.chain import FrameState
 from pipeline.live.source import Source
 
-PREDICTED, DRIVEN = (0, 200, 60), (230, 40, 30)  # RGB
-MAX_DISTANCE_M, HALF_TRACK_M = 30.0, 0.8
-MAX_WIDTH = 1280  # px
-STEP_M = 0.5
-TEXT_PX = 16
+COLOURS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}  # RGB
+HALF_TRACK_M, STEP_M = 0.8, 0.5
+# A path ends at this multiple of the distance of the nearest visible road, within limits: a narrow lens sees no nearer
+# road than 11 m.
+REACH, MIN_REACH_M, MAX_REACH_M = 5.0, 30.0, 100.0
+NEAREST_M = 1.0  # drawn distance from the camera
 # Fragments can be played without the index that other MP4 files end with, so a killed run leaves a playable video.
 CONTAINER = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
 
@@ -25,11 +26,15 @@ class Overlay:
     """An H.264 video in fragmented MP4; a context manager."""
 
     def __init__(self, path: Path, source: Source, wheelbase_m: float, *, predicts: bool = True) -> None:
-        """Open the video for the images of `source`; without `predicts`, it shows the measured path."""
-        scale = min(1.0, MAX_WIDTH / source.camera.size[1])
-        height, width = (max(2, int(side * scale) // 2 * 2) for side in source.camera.size)  # even for 4:2:0
-        self._camera, self._slope = source.camera.scaled((height, width)), source.slope
-        self._wheelbase_m, self._predicts = wheelbase_m, predicts
+        """Open the video for the images of `source`; `predicts`: the filled path is the predicted one."""
+        self._camera, self._slope, self._wheelbase_m = source.camera.scaled(source.shown), source.slope, wheelbase_m
+        self._names = [*(["predicted"] if predicts else []), "measured", *(["driven"] if source.truth else [])]
+        height, width = source.shown
+        steepest = (height - self._camera.K[1, 2]) / self._camera.K[1, 1] - self._slope  # metres down per metre ahead
+        reach_m = REACH * self._camera.height_m / max(steepest, 1e-3)
+        self._steps = round(min(max(reach_m, MIN_REACH_M), MAX_REACH_M) / STEP_M)
+        self._thick = max(1, round(width / 480))
+        self._font = max(0.3, min(0.7, width / 960, height / 300))  # 0.5: the longest text has 400 px
         self._file = av.open(str(path), "w", format="mp4", options=CONTAINER)
         self._stream = self._file.add_stream("libx264", rate=Fraction(source.fps).limit_denominator(1001))
         self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
@@ -37,52 +42,67 @@ class Overlay:
         self._stream.options = {"preset": "veryfast", "tune": "zerolatency", "g": key_interval}
 
     def add(self, frame: FrameState) -> None:
-        """Draw the next frame: its path in green, with lines at ±σ if predicted; the driven path, if known, in red."""
-        import cv2
-
-        resized = cv2.resize(frame.source_image, self._camera.size[::-1], interpolation=cv2.INTER_AREA)
-        image = np.asarray(resized, np.uint8)
+        """Draw the next frame: the first path filled, the others as lines, σ of the prediction as thin lines."""
+        image = frame.source_image.copy()
         measured_rad = frame.course.steering_rad if frame.course else None
-        angle_rad = frame.predicted_rad if self._predicts else measured_rad
-        if frame.driven_rad is not None:
-            self._draw_path(image, frame.driven_rad, DRIVEN, filled=False)
-        if angle_rad is not None:
-            self._draw_path(image, angle_rad, PREDICTED, filled=True)
-        if self._predicts and angle_rad is not None and frame.sigma_rad is not None:
-            for edge_rad in (angle_rad - frame.sigma_rad, angle_rad + frame.sigma_rad):
-                self._draw_path(image, edge_rad, PREDICTED, filled=False)
-        if self._predicts:
-            text = "waiting for a complete window" if angle_rad is None else f"predicted {_degrees(angle_rad)}"
-        else:
-            text = f"{frame.course.speed_mps:.1f} m/s" if frame.course else f"not measured: {frame.problem}"
-            text += "" if angle_rad is None else f"   measured {_degrees(angle_rad)}"
-        if frame.driven_rad is not None:
-            text += f"   driven {_degrees(frame.driven_rad)}"
-        image[: 2 * TEXT_PX] = image[: 2 * TEXT_PX] // 3  # darker behind the text
-        text, origin = f"{frame.time_s:6.1f} s   {text}", (10, round(1.4 * TEXT_PX))
-        cv2.putText(image, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+        angles = {"predicted": frame.predicted_rad, "measured": measured_rad, "driven": frame.driven_rad}
+        for name in self._names:
+            angle_rad, colour, filled = angles[name], COLOURS[name], name == self._names[0]
+            if angle_rad is None:
+                continue
+            self._draw_path(image, self._arc(angle_rad), colour, self._thick, filled=filled)
+            if name == "predicted" and frame.sigma_rad is not None:
+                for edge_rad in (angle_rad - frame.sigma_rad, angle_rad + frame.sigma_rad):
+                    self._draw_path(image, self._arc(edge_rad), colour, 1)
+        self._draw_legend(image, frame, angles)
         self._file.mux(self._stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
 
-    def _draw_path(self, image: np.ndarray, steering_rad: float, colour: tuple[int, int, int], *, filled: bool) -> None:
-        """Draw the path of the rear wheels on a plane road for a constant steering angle, an arc."""
+    def _draw_legend(self, image: np.ndarray, frame: FrameState, angles: dict[str, float | None]) -> None:
+        """Write time, speed and each path's angle in its colour, on a darker box."""
         import cv2
 
-        way_m = np.arange(0, MAX_DISTANCE_M, STEP_M)
-        heading_rad = way_m * np.tan(steering_rad) / self._wheelbase_m
-        chord_m = way_m * np.sinc(heading_rad / 2 / np.pi)
-        sides = []
+        speed = f"   {frame.course.speed_mps:.1f} m/s" if frame.course else ""
+        texts = {f"{frame.time_s:.1f} s{speed}": (255, 255, 255)}
+        missing = {"predicted": "waiting for a complete window", "measured": frame.problem or "low speed", "driven": "-"}
+        for name in self._names:
+            angle_rad = angles[name]
+            spread = f" +- {np.rad2deg(frame.sigma_rad):.1f}" if name == "predicted" and frame.sigma_rad else ""
+            texts[f"{name}: {missing[name] if angle_rad is None else _degrees(angle_rad) + spread}"] = COLOURS[name]
+        style = cv2.FONT_HERSHEY_SIMPLEX, self._font
+        (line_px, margin), widths = (round(36 * self._font), round(16 * self._font)), []
+        for text in texts:
+            widths.append(cv2.getTextSize(text, *style, 1)[0][0])
+        box = image[: line_px * len(texts) + margin, : max(widths) + 2 * margin]
+        box //= 3
+        for row, (text, colour) in enumerate(texts.items(), start=1):
+            cv2.putText(image, text, (margin, row * line_px), *style, colour, 1, cv2.LINE_AA)
+
+    def _arc(self, steering_rad: float) -> np.ndarray:
+        """Return the curvature of each step of the path at a constant steering angle [N]."""
+        return np.full(self._steps, np.tan(steering_rad) / self._wheelbase_m)
+
+    def _draw_path(
+        self, image: np.ndarray, curvature_1pm: np.ndarray, colour: tuple[int, int, int], thick: int, filled: bool = False
+    ) -> None:
+        """Draw the path of the rear wheels on a plane road, of the curvature of each step [N]."""
+        import cv2
+
+        heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
+        halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
+        middle = np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad)))  # ahead + left i
+        sides, (height, width) = [], self._camera.size
         for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
-            ahead = chord_m * np.cos(heading_rad / 2) - offset_m * np.sin(heading_rad)
-            left = chord_m * np.sin(heading_rad / 2) + offset_m * np.cos(heading_rad)
-            down = self._camera.height_m + self._slope * ahead
-            uv, z = project(np.stack([-left, down, ahead], axis=1), self._camera.K)
-            sides.append(np.rint(uv[z > 1.0]).astype(np.int32))
+            wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)
+            down = self._camera.height_m + self._slope * wheel.real
+            uv, z = project(np.stack([-wheel.imag, down, wheel.real], axis=1), self._camera.K)
+            near = np.clip(uv[z > NEAREST_M], -5 * width, 5 * width)  # OpenCV's coordinates end at 32,767
+            sides.append(np.rint(near).astype(np.int32))
         if filled:
             shade = image.copy()
             cv2.fillPoly(shade, [np.concatenate([sides[0], sides[1][::-1]])], colour)
             cv2.addWeighted(shade, 0.45, image, 0.55, 0, dst=image)
         for side in sides:
-            cv2.polylines(image, [side], False, colour, 2, cv2.LINE_AA)
+            cv2.polylines(image, [side], False, colour, thick, cv2.LINE_AA)
 
     def __enter__(self) -> Self:
         return self

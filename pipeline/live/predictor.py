@@ -54,7 +54,7 @@ def differences(model: Trained, source: Source, fitted_focal: float | None) -> l
         texts.append("it was fitted to the rendered sample alone, so expect wrong angles on real streets")
     if card and abs(source.fps / card.fps - 1) > TOLERANCE:
         texts.append(f"it was fitted to {card.fps:.1f} frames/s, got {source.fps:.1f}")
-    focal = source.camera.K[0, 0] / source.camera.size[1]
+    focal = source.cropped.K[0, 0] / source.crop.size[1]
     if fitted_focal and abs(focal / fitted_focal - 1) > TOLERANCE:
         texts.append(f"it was fitted to a focal length of {fitted_focal:.2f} image widths, got {focal:.2f}")
     return [f"warning: model {model.name}: {text}" for text in texts]
@@ -85,7 +85,7 @@ def predict(
     perceives = (encoder / FILE).is_file() or settings.variant.source != "ingest" or "visual" in kinds
     kinds |= {"visual"} if perceives else set()
     with closing(source.frames) as frames:
-        camera, used = source.camera.scaled(settings.ingest.image_size), encoder if perceives else None
+        camera, used = source.cropped.scaled(settings.ingest.image_size), encoder if perceives else None
         chain = Chain(camera, source.name, used, kinds, settings.perception, settings.motion.road_scale)
         predicted = Predictor(model, settings, source, camera).run(chain.run(frames))
         courses = add_courses(predicted, car, smooth=False)

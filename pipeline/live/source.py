@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera
 from pipeline.camera.footage import open_footage
-from pipeline.camera.images import Size, format_size, read_image
+from pipeline.camera.images import Crop, Size, format_size, read_image, resized
 from pipeline.camera.intrinsics import pinhole
 from pipeline.camera.mount import check_height
 from pipeline.kitti import oxts, steering_file
@@ -25,6 +25,7 @@ from pipeline.live.horizon import find_horizon
 DEFAULT_FPS = 10.0  # KITTI's
 BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are
 ROTATE = "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
+MAX_WIDTH = 1280  # px, of the overlay
 MIN_SIDE = 16  # px; nothing can be recognised in smaller images
 
 
@@ -34,7 +35,8 @@ class Source:
 
     path: Path
     name: str  # of the drive; random draws depend on it
-    camera: Camera  # of the images; height_m is KITTI's unless height_known
+    camera: Camera  # of complete images; height_m is KITTI's unless height_known
+    crop: Crop  # the part of the images that the encoder gets
     frames: Generator[FrameState]
     count: int | None  # number of frames, if known
     fps: float
@@ -43,6 +45,16 @@ class Source:
     notes: list[str] = field(default_factory=list)  # for the user; grows while frames are read
     slope: float = 0.0  # of the road, metres down per metre ahead of the camera
     height_known: bool = False  # of the camera over the road
+
+    @property
+    def cropped(self) -> Camera:
+        """The camera of the encoder's part of the images."""
+        return self.camera.cropped(self.crop)
+
+    @property
+    def shown(self) -> Size:
+        """(H, W) of frames in the overlay."""
+        return _shown_size(self.camera.size)
 
 
 class Lens(NamedTuple):
@@ -77,7 +89,7 @@ def open_source(
         path: file or folder.
         cameras: of a KITTI drive; the first one with images is used.
         lens: intrinsics, if it is not a KITTI drive.
-        aspect: (H, W) of the training images in any unit; images are cropped as by stage ingest.
+        aspect: (H, W) of the training images in any unit; the encoder gets this part, as from stage ingest.
         scans: whether to read the LiDAR scans of a KITTI drive.
         car: for the ground truth of a KITTI drive.
         clock: times, if it is not a KITTI drive.
@@ -101,8 +113,8 @@ def open_source(
         source.camera, source.height_known = replace(source.camera, height_m=height_m), True
     elif source.height_known:
         check_height(source.camera.height_m)
-    if min(source.camera.size) < MIN_SIDE:
-        height, width = source.camera.size
+    if min(source.crop.size) < MIN_SIDE:
+        height, width = source.crop.size
         raise InputError(f"images are too small (got {width} x {height} px after cropping, at least {MIN_SIDE})", path)
     return source
 
@@ -133,7 +145,7 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
         for number in numbers:
             frame = FrameState(number, time_s[number], started_s=time.perf_counter())
             try:
-                frame.source_image = read_image(images[number], camera.size, crop.size, crop)
+                vars(frame).update(_images(read_image(images[number], camera.size, camera.size), crop))
                 frame.scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
             except DamagedFile as error:
                 notes.append(f"skipped: {error}")
@@ -150,7 +162,8 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
     return Source(
         path=path,
         name=drive.folder.name.removesuffix("_sync"),
-        camera=camera.cropped(crop),
+        camera=camera,
+        crop=crop,
         frames=frames(),
         count=len(numbers),
         fps=float(fps),
@@ -159,6 +172,17 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
         notes=notes,
         height_known=True,  # KITTI's without a LiDAR calibration
     )
+
+
+def _shown_size(size: Size) -> Size:
+    """Return the size of images (H, W) after reduction to MAX_WIDTH, even for 4:2:0."""
+    scale = min(1.0, MAX_WIDTH / size[1])
+    return max(2, int(size[0] * scale) // 2 * 2), max(2, int(size[1] * scale) // 2 * 2)
+
+
+def _images(image: np.ndarray, crop: Crop) -> dict[str, np.ndarray]:
+    """Return the encoder's part of an image [H,W,3], and the image at the overlay's size, by field of FrameState."""
+    return {"image": crop.pixels(image), "source_image": resized(image, _shown_size(image.shape[:2]))}
 
 
 def _driven_angle(packets: Mapping[int, Path], number: int, car: Car) -> float | None:
@@ -187,12 +211,12 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()
         for number, time_s, image in footage.frames():
-            yield FrameState(number, time_s, source_image=crop.pixels(image), started_s=started_s)
+            yield FrameState(number, time_s, **_images(image, crop), started_s=started_s)
             started_s = time.perf_counter()
 
     fps = footage.fps or DEFAULT_FPS
     name = os.fsencode(path.stem).decode(errors="backslashreplace")
-    source = Source(path, name, camera.cropped(crop), frames(), footage.count, fps, notes=notes)
+    source = Source(path, name, camera, crop, frames(), footage.count, fps, notes=notes)
     if crop.size != footage.size:
         rows, columns = crop
         part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"

@@ -24,7 +24,7 @@ DRIVE, FRAMES = "2026_01_01_drive_0001", 3
 def frames(raw: store.DriveReader) -> Generator[FrameState]:
     for row, number in enumerate(raw.frame.tolist()):
         scan = raw.rows_of("lidar", row)
-        yield FrameState(number, number / 10, scan=scan, source_image=raw.row("image", row))
+        yield FrameState(number, number / 10, scan=scan, image=raw.row("image", row))
 
 
 @pytest.mark.parametrize("mode", ["metric", "lidar_median"])

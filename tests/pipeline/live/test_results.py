@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
+from pipeline.camera.images import Crop
 from pipeline.live.chain import Course, FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.results import (
@@ -44,7 +45,8 @@ def frames(count: int) -> list[FrameState]:
 
 def overlay(path: Path) -> Overlay:
     K = np.array([[200.0, 0, 160], [0, 200, 40], [0, 0, 1]])
-    return Overlay(path, Source(path, "drive", Camera(K, SIZE), iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
+    crop = Crop(slice(0, SIZE[0]), slice(0, SIZE[1]))
+    return Overlay(path, Source(path, "drive", Camera(K, SIZE), crop, iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
 
 
 def decoded(path: Path) -> int:

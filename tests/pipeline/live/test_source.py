@@ -34,9 +34,11 @@ def test_images_are_cropped_around_the_optical_axis(
     source = open_path(tmp_path, Lens(K=f"90,90,{axis[0]},{axis[1]}"), (192, 768))
     (frame,) = source.frames
     rows, columns = expected
-    np.testing.assert_array_equal(frame.source_image, image[rows, columns, ::-1])
-    assert source.camera.size == frame.source_image.shape[:2]
-    np.testing.assert_allclose(source.camera.K[:2, 2], [axis[0] - columns.start, axis[1] - rows.start])
+    np.testing.assert_array_equal(frame.image, image[rows, columns, ::-1])
+    np.testing.assert_array_equal(frame.source_image, image[..., ::-1])
+    assert source.camera.size == source.shown == size
+    assert source.cropped.size == frame.image.shape[:2]
+    np.testing.assert_allclose(source.cropped.K[:2, 2], [axis[0] - columns.start, axis[1] - rows.start])
     assert frame.driven_rad is None
 
 

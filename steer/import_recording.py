@@ -32,9 +32,6 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from steer import options
 
-Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA")]
-Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")]
-Ratio = Annotated[float | None, options.number(1, 50, "angle of the steering wheel / angle of the front wheels")]
 Offset = Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")]
 Gap = Annotated[float, options.number(0, 3600, "longest interval between samples that is interpolated, seconds")]
 Start = Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")]
@@ -46,9 +43,9 @@ Split = Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT
 def import_recording(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="video, or folder of images; undistorted")],
     drive: Annotated[str, typer.Option(help="name of the drive, for instance 2027_03_31_drive_0001")],
-    motion: Motion = None,
-    wheel: Wheel = None,
-    steering_ratio: Ratio = None,
+    motion: options.Motion = None,
+    wheel: options.Wheel = None,
+    steering_ratio: options.SteeringRatio = None,
     out: Annotated[Path, typer.Option(help="root folder of drives in KITTI raw's layout")] = Path("data/raw"),
     calib: options.Calib = None,
     fov: options.Fov = None,
@@ -69,15 +66,13 @@ def import_recording(
     from pipeline.camera.footage import open_footage
     from pipeline.camera.intrinsics import pinhole
     from pipeline.recording import drive_preset, layout
-    from pipeline.recording.motion_log import read_motion, read_wheel
+    from pipeline.recording.motion_log import check_ratio, read_motion, read_wheel
     from pipeline.recording.recording import Recording
     from pipeline.sections.preset import PRESETS
 
     output = options.Output(quiet, as_json)
     options.check_names(source, motion, wheel, out, calib, times)
-    if (wheel is None) != (steering_ratio is None):
-        fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
-        raise InputError("--wheel and --steering-ratio need each other", fix=fix)
+    check_ratio(wheel, steering_ratio)
     if end is not None and end <= start:
         raise InputError(f"--end {end:g} is not after --start {start:g}")
     shares = _shares(split)

@@ -1,7 +1,7 @@
 """steer measure: measure the motion of a car from its video, without a trained steering model."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -19,12 +19,19 @@ def measure(
     ),
     fov: options.Fov = None,
     k: options.K = None,
+    distortion: options.Distortion = None,
     calib: options.Calib = None,
     fps: options.Fps = None,
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
     wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
     max_frames: Annotated[int | None, typer.Option(min=2, max=10**9, help="measure only the first frames")] = None,
+    wheel: options.Wheel = None,
+    steering_ratio: options.SteeringRatio = None,
+    motion: options.Motion = None,
+    poses: Annotated[
+        Literal["kitti", "tum"] | None, typer.Option(help="also write poses.txt, for evo and other tools")
+    ] = None,
     video: options.Video = True,
     device: options.Device = None,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
@@ -52,6 +59,7 @@ def measure(
     from pipeline.live import measure as live
     from pipeline.live.results import MEASURED_FILES, check_out, comparison_lines
     from pipeline.live.source import Clock, Lens, open_source
+    from pipeline.live.truth import of_logs
     from pipeline.perception.perceive import FILE
 
     output, car = options.Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
@@ -60,9 +68,11 @@ def measure(
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     check_out(out, MEASURED_FILES, source)
-    clock, lens = Clock(fps, times), Lens(calib, fov, k)
-    opened = open_source(source, CAMERAS, lens, live.SIZE, False, car, clock, camera_height, level=False)
-    results, quality = live.measure(opened, encoder, car, out, max_frames, video=video, visible=output.visible)
+    clock, lens = Clock(fps, times), Lens(calib, fov, k, distortion)
+    truth = of_logs(wheel, steering_ratio, motion, car)
+    opened = open_source(source, CAMERAS, lens, live.SIZE, False, car, clock, camera_height, level=False, truth=truth)
+    show = {"video": video, "visible": output.visible}
+    results, quality = live.measure(opened, encoder, car, out, max_frames, poses, **show)
     comparison = results.compare(opened.truth, "measured")
     for line in (*results.lines(opened.notes), *quality["remarks"], *comparison_lines(comparison)):
         output.line(line)

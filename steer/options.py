@@ -34,10 +34,17 @@ SourcePath = Annotated[
 ]
 Fov = Annotated[float | None, typer.Option(help="intrinsics: horizontal field of view, degrees")]
 K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics: in pixels")]
+Distortion = Annotated[
+    str | None,
+    typer.Option(metavar="K1,K2,P1,P2[,K3]", help="lens distortion by OpenCV's model; default: none"),
+]
 Calib = Annotated[Path | None, typer.Option(help="intrinsics: a KITTI calib_cam_to_cam.txt")]
 Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; default: a video's own times")]
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
 CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]
+Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA")]
+Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")]
+SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering wheel / angle of the front wheels")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 Device = Annotated[str | None, typer.Option(help="cpu, cuda or cuda:N; default: a GPU if torch finds one")]
 _PIPE_WIDTH = 200  # columns where the output is not a terminal

@@ -18,10 +18,14 @@ def predict(
     out: Annotated[Path, typer.Option(help="folder for steering.csv and overlay.mp4")] = Path("out"),
     fov: options.Fov = None,
     k: options.K = None,
+    distortion: options.Distortion = None,
     calib: options.Calib = None,
     fps: options.Fps = None,
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
+    wheel: options.Wheel = None,
+    steering_ratio: options.SteeringRatio = None,
+    motion: options.Motion = None,
     video: options.Video = True,
     device: options.Device = None,
     encoder: Annotated[
@@ -50,6 +54,7 @@ def predict(
     from pipeline.live.results import PREDICTED_FILES, STEERING, VIDEO, check_out, comparison_lines
     from pipeline.live.settings import load_settings
     from pipeline.live.source import Clock, Lens, open_source
+    from pipeline.live.truth import of_logs
     from pipeline.train.predict import load
 
     output = options.Output(quiet, as_json)
@@ -61,8 +66,10 @@ def predict(
     data = _data_folder(model, encoder, params)
     sections = load_settings(params or data.parent / "params.yaml", trained.entry.input, data)
     scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras
-    lens, height_m = Lens(calib, fov, k), camera_height or sections.perception.camera_height_m
-    opened = open_source(source, cameras, lens, size, scans, trained.target.car, Clock(fps, times), height_m)
+    lens, height_m = Lens(calib, fov, k, distortion), camera_height or sections.perception.camera_height_m
+    clock, car = Clock(fps, times), trained.target.car
+    truth = of_logs(wheel, steering_ratio, motion, car)
+    opened = open_source(source, cameras, lens, size, scans, car, clock, height_m, truth=truth)
     show = {"video": video, "visible": output.visible}
     results = predictor.predict(trained, sections, opened, data, encoder or data / "encoder", out, **show)
     comparison = results.compare(opened.truth, "predicted", trained.entry.horizon)

@@ -1,7 +1,7 @@
 """Intrinsics of a camera from a calibration file, a field of view or four numbers; the text of calibration files."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +74,31 @@ def _from_numbers(text: str, size: Size) -> np.ndarray:
     with error_context(fix="For images that were resized, scale all four numbers"):
         check_pinhole(K, size, "--K")
     return K
+
+
+def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function that rectifies images uint8 [H,W,3] of a camera with this distortion; K stays as it is.
+
+    `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError if the model folds the image over.
+    """
+    import cv2
+
+    try:
+        coefficients = np.array([float(word) for word in text.split(",")])
+        if len(coefficients) not in (4, 5) or not np.isfinite(coefficients).all():
+            raise ValueError
+    except ValueError:
+        problem = f"expected k1,k2,p1,p2 or k1,k2,p1,p2,k3, got {text!r}"
+        raise InputError(problem, "--distortion", "Example: --distortion=-0.37,0.2,0,0") from None
+    height, width = camera.size
+    corners = np.array([[u, v, 1.0] for u in (0, width - 1) for v in (0, height - 1)])
+    farthest = np.linalg.norm(np.linalg.solve(camera.K, corners.T)[:2], axis=0).max()
+    r2, (k1, k2, k3) = np.linspace(0, farthest, 50) ** 2, np.append(coefficients, 0)[[0, 1, 4]]
+    if (1 + 3 * k1 * r2 + 5 * k2 * r2**2 + 7 * k3 * r2**3 <= 0).any():  # the slope of the distorted radius
+        problem = f"{text} maps several directions to one pixel of these {format_size(camera.size)} images"
+        raise InputError(problem, "--distortion", "Pass the coefficients of this lens, and its --K")
+    maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, (width, height), cv2.CV_16SC2)
+    return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
 
 
 def read_entries(path: Path) -> dict[str, np.ndarray]:

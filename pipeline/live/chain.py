@@ -49,7 +49,8 @@ class FrameState(Frame):
 
     source_image: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8))  # complete, at the overlay's size
     started_s: float = 0.0  # time.perf_counter() before the frame was read
-    driven_rad: float | None = None  # ground truth, where the source has it
+    driven_rad: float | None = None  # ground truth, where it is known
+    driven_mps: float | None = None
     estimates: dict[str, Estimate | None] = field(default_factory=dict)  # by kind of motion
     problem: str = ""  # why no visual motion could be measured
     road_height_m: float = math.nan  # of the camera over the road, by the encoder's depth

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting.prefetch import prefetch
 from pipeline.labels.label import Car
-from pipeline.live.chain import Chain, Course, FrameState, add_courses
-from pipeline.live.results import MEASURED_FILES, MOTION, QUALITY, TRACK, Results, result_folder, write_frames
+from pipeline.live.chain import Chain, FrameState, add_courses
+from pipeline.live.results import MEASURED_FILES, MOTION, POSES, QUALITY, TRACK, Results, result_folder, write_frames
 from pipeline.live.source import ROTATE, Source
+from pipeline.live.track import PoseFormat, draw_track, pose_lines
 from pipeline.motion.visual import Odometry
 from pipeline.sections.perception import Perception
 
@@ -30,13 +30,22 @@ MAX_PITCH_RAD, MAX_STEP_PITCH_RAD, PITCH_S = math.radians(20.0), math.radians(3.
 
 
 def measure(
-    source: Source, encoder: Path, car: Car, out: Path, max_frames: int | None, *, video: bool, visible: bool
+    source: Source,
+    encoder: Path,
+    car: Car,
+    out: Path,
+    max_frames: int | None,
+    poses: PoseFormat | None,
+    *,
+    video: bool,
+    visible: bool,
 ) -> tuple[Results, dict[str, Any]]:
-    """Write motion.csv, track.png, quality.json and the video to `out`; return results and quality.
+    """Write motion.csv, track.png, quality.json, poses.txt and the video to `out`; return results and quality.
 
     Args:
         encoder: folder of an encoder.
         max_frames: measure only these first frames; None: all.
+        poses: format of poses.txt; None: not written.
         visible: show a progress bar.
     Raises:
         InputError: the encoder has no network, no frame can be read, or the images seem to be rotated.
@@ -52,8 +61,9 @@ def measure(
         results = write_frames(courses, folder / MOTION, source, car, warm_up=1, video=video, visible=visible)
         quality = _quality(results.road_heights_m, chain.odometry, camera.height_m if source.height_known else None)
         store.write_json(folder / QUALITY, quality)
-        driven = [(row[1], row[2]) for row in results.angles]
-        _draw_track(folder / TRACK, source.name, results.courses, driven if source.truth else [])
+        draw_track(folder / TRACK, source.name, results)
+        if poses:
+            (folder / POSES).write_text("".join(f"{line}\n" for line in pose_lines(results, poses)), encoding="ascii")
     return results, quality
 
 
@@ -124,39 +134,3 @@ def _remarks(summary: dict[str, Any]) -> list[str]:
     else:
         remarks.append("focal length: agrees with the turns of the camera")
     return remarks
-
-
-def _draw_track(
-    path: Path, title: str, courses: Sequence[tuple[float, Course]], driven: Sequence[tuple[float, float]]
-) -> None:
-    """Write a PNG of the times and courses of measured frames, and of times and `driven` angles in rad.
-
-    Gaps longer than a second are not connected.
-    """
-    figure = Figure((10, 5), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.2, 1])
-    above, speed, steering = (figure.add_subplot(grid[place]) for place in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1]))
-    above.set(title=f"{title}: measured track", xlabel="to the right, m", ylabel="ahead, m", aspect="equal")
-    above.set_adjustable("datalim")
-    speed.set(ylabel="speed, m/s")
-    steering.set(ylabel="steering angle, deg, left +", xlabel="time, s")
-    if courses:
-        columns = np.array([course for _, course in courses], np.float64)  # None becomes NaN
-        seconds, columns = _separate(np.array([seconds for seconds, _ in courses]), columns)
-        above.plot(-columns[:, 5], columns[:, 4], color="0.2")
-        above.plot(0, 0, "o", color="tab:green", label="start")
-        above.legend(loc="best")
-        speed.plot(seconds, columns[:, 0], color="tab:blue")
-        steering.plot(seconds, np.rad2deg(columns[:, 3]), color="tab:red", label="measured")
-        steering.axhline(0, color="0.8", zorder=0)
-    if driven:
-        seconds, driven_rad = _separate(*np.array(driven).T)
-        steering.plot(seconds, np.rad2deg(driven_rad), color="0.2", linestyle="--", label="driven")
-        steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)  # above the curves
-    figure.savefig(path, dpi=110, metadata={"Software": None})  # without the version of matplotlib
-
-
-def _separate(time_s: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return times [N] and values [N,...] with a NaN in each gap that is longer than a second."""
-    gaps = np.flatnonzero(np.diff(time_s) > 1) + 1
-    return np.insert(time_s, gaps, np.nan), np.insert(values, gaps, np.nan, axis=0)

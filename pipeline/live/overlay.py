@@ -22,6 +22,9 @@ NEAREST_M = 1.0  # drawn distance from the camera
 CONTAINER = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
 
 
+Colour = tuple[int, int, int]
+
+
 class Overlay:
     """An H.264 video in fragmented MP4; a context manager."""
 
@@ -63,7 +66,11 @@ class Overlay:
 
         speed = f"   {frame.course.speed_mps:.1f} m/s" if frame.course else ""
         texts = {f"{frame.time_s:.1f} s{speed}": (255, 255, 255)}
-        missing = {"predicted": "waiting for a complete window", "measured": frame.problem or "low speed", "driven": "-"}
+        missing = {
+            "predicted": "waiting for a complete window",
+            "measured": frame.problem or "low speed",
+            "driven": "-",
+        }
         for name in self._names:
             angle_rad = angles[name]
             spread = f" +- {np.rad2deg(frame.sigma_rad):.1f}" if name == "predicted" and frame.sigma_rad else ""
@@ -82,7 +89,12 @@ class Overlay:
         return np.full(self._steps, np.tan(steering_rad) / self._wheelbase_m)
 
     def _draw_path(
-        self, image: np.ndarray, curvature_1pm: np.ndarray, colour: tuple[int, int, int], thick: int, filled: bool = False
+        self,
+        image: np.ndarray,
+        curvature_1pm: np.ndarray,
+        colour: tuple[int, int, int],
+        thick: int,
+        filled: bool = False,
     ) -> None:
         """Draw the path of the rear wheels on a plane road, of the curvature of each step [N]."""
         import cv2
@@ -90,7 +102,7 @@ class Overlay:
         heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
         halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
         middle = np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad)))  # ahead + left i
-        sides, (height, width) = [], self._camera.size
+        sides, width = [], self._camera.size[1]
         for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
             wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)
             down = self._camera.height_m + self._slope * wheel.real

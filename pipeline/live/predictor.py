@@ -21,9 +21,10 @@ from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import single
 from pipeline.live.chain import Chain, FrameState, add_courses
-from pipeline.live.results import PREDICTED_FILES, STEERING, Results, result_folder, write_frames
+from pipeline.live.results import PREDICTED_FILES, STEERING, TRACK, Results, result_folder, write_frames
 from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
+from pipeline.live.track import draw_track
 from pipeline.perception.depth_scale import needs_scan
 from pipeline.perception.perceive import FILE
 from pipeline.sections.ingest import SAMPLE
@@ -71,7 +72,7 @@ def predict(
     video: bool,
     visible: bool,
 ) -> Results:
-    """Write steering.csv and the video to `out`.
+    """Write steering.csv, track.png and the video to `out`.
 
     Args:
         data: with stage ingest's files, if there are any, for a comparison of the cameras.
@@ -91,7 +92,9 @@ def predict(
         courses = add_courses(predicted, car, smooth=False)
         with result_folder(out, *PREDICTED_FILES) as folder:
             show = {"video": video, "visible": visible}
-            return write_frames(courses, folder / STEERING, source, car, warm_up=model.entry.window, **show)
+            results = write_frames(courses, folder / STEERING, source, car, warm_up=model.entry.window, **show)
+            draw_track(folder / TRACK, source.name, results)
+    return results
 
 
 class Predictor:

@@ -24,8 +24,8 @@ from pipeline.live.source import Source
 from pipeline.sections.evaluate import Evaluate
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"
-TRACK, QUALITY = "track.png", "quality.json"
-PREDICTED_FILES, MEASURED_FILES = (STEERING, VIDEO), (MOTION, TRACK, QUALITY, VIDEO)
+TRACK, QUALITY, POSES = "track.png", "quality.json", "poses.txt"
+PREDICTED_FILES, MEASURED_FILES = (STEERING, TRACK, VIDEO), (MOTION, TRACK, QUALITY, POSES, VIDEO)
 FILES = {*PREDICTED_FILES, *MEASURED_FILES}
 UNFINISHED = ".unfinished"
 MEASURED = (
@@ -43,6 +43,7 @@ COLUMNS = {
 }
 """Angles in rad, left positive, empty if unknown: `predicted` for `horizon` frames later, `sigma` its
 standard deviation, the others for the frame."""
+KNOWN = ("frame", "time_s", "measured_rad", "measured_mps", "predicted_rad", "driven_rad", "driven_mps")
 FIRST_COLUMNS = "drive,frame,time_s,"
 LEFTOVER = re.compile(rf"\.({'|'.join(map(re.escape, sorted(FILES)))})\..{{8}}\.tmp")  # of a killed process
 LINE_S = 30.0  # between lines of progress without a terminal
@@ -116,7 +117,7 @@ class Results:
         self.frames = self.predicted = self.valid = 0
         self.problems: Counter[str] = Counter()
         self.courses: list[tuple[float, Course]] = []  # with their times in seconds
-        self.angles: list[tuple[float, ...]] = []  # number, time, driven, predicted and measured angle; NaN if unknown
+        self._known: list[tuple[float, ...]] = []  # for each frame, the values of KNOWN
         self.road_heights_m: list[float] = []
         self.gaps: list[tuple[int, int]] = []  # numbers of the frames before and after each
         self._last: int | None = None
@@ -135,9 +136,9 @@ class Results:
             self.problems[frame.problem] += 1
         if frame.course:
             self.courses.append((frame.time_s, frame.course))
-        measured_rad = frame.course.steering_rad if frame.course else None
-        known = (frame.driven_rad, frame.predicted_rad, measured_rad)
-        self.angles.append((frame.number, frame.time_s, *(np.nan if angle is None else angle for angle in known)))
+        measured = (frame.course.steering_rad, frame.course.speed_mps) if frame.course else (None, None)
+        known = (frame.number, frame.time_s, *measured, frame.predicted_rad, frame.driven_rad, frame.driven_mps)
+        self._known.append(tuple(np.nan if value is None else value for value in known))
         self.road_heights_m.append(frame.road_height_m)
         if self.frames <= self._warm_up:
             self._started_s = time.perf_counter()
@@ -148,6 +149,12 @@ class Results:
         row |= {"latency_ms": f"{frame.latency_s * 1e3:.1f}", "sigma_rad": _format(frame.sigma_rad, 6)}
         self._rows.writerow(row | dict(zip(MEASURED, _measured(frame), strict=True)))
         self._file.flush()
+
+    def columns(self, *names: str) -> list[np.ndarray]:
+        """Return values of all frames [N] by names of KNOWN; NaN where unknown, all of them for other names."""
+        known = np.array(self._known, np.float64).reshape(-1, len(KNOWN)).T
+        unknown = np.full(known.shape[1], np.nan)
+        return [known[KNOWN.index(name)] if name in KNOWN else unknown for name in names]
 
     def summary(self) -> dict[str, Any]:
         """Return counts, gaps, latency quantiles of recent frames in ms and frames per second; NaN before the first."""
@@ -166,7 +173,8 @@ class Results:
             column: predicted or measured; errors are computed on its frames. Elsewhere the measured angle repeats the
                 last one, or 0.
         """
-        number, _, driven_rad, predicted_rad, measured_rad = np.array(self.angles).T
+        names = "frame", "driven_rad", "predicted_rad", "measured_rad"
+        number, driven_rad, predicted_rad, measured_rad = self.columns(*names)
         driven = dict(zip(number.tolist(), driven_rad.tolist(), strict=True))
         target_rad = np.array([driven.get(frame + horizon, np.nan) for frame in number.tolist()])
         angles_rad = {"predicted": predicted_rad, "measured": measured_rad}

@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -13,14 +13,14 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera
 from pipeline.camera.footage import open_footage
 from pipeline.camera.images import Crop, Size, format_size, read_image, resized
-from pipeline.camera.intrinsics import pinhole
+from pipeline.camera.intrinsics import pinhole, undistortion
 from pipeline.camera.mount import check_height
-from pipeline.kitti import oxts, steering_file
+from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
-from pipeline.labels import label
 from pipeline.labels.label import Car
 from pipeline.live.chain import FrameState
 from pipeline.live.horizon import find_horizon
+from pipeline.live.truth import UNKNOWN, Driven, Truth, of_drive
 
 DEFAULT_FPS = 10.0  # KITTI's
 BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are
@@ -41,7 +41,7 @@ class Source:
     count: int | None  # number of frames, if known
     fps: float
     has_scans: bool = False
-    truth: str = ""  # where driven_rad comes from: oxts or steering.csv; empty without truth
+    truth: str = ""  # where driven_rad and driven_mps are from; empty if unknown
     notes: list[str] = field(default_factory=list)  # for the user; grows while frames are read
     slope: float = 0.0  # of the road, metres down per metre ahead of the camera
     height_known: bool = False  # of the camera over the road
@@ -58,11 +58,12 @@ class Source:
 
 
 class Lens(NamedTuple):
-    """One of three ways to give a camera's intrinsics: see :func:`pipeline.camera.intrinsics.pinhole`."""
+    """One of three ways to give intrinsics, see :func:`pipeline.camera.intrinsics.pinhole`; distortion of the lens."""
 
     calib: Path | None = None
     fov_deg: float | None = None
     K: str | None = None
+    distortion: str | None = None  # see :func:`pipeline.camera.intrinsics.undistortion`
 
 
 class Clock(NamedTuple):
@@ -82,6 +83,7 @@ def open_source(
     clock: Clock = Clock(),
     height_m: float | None = None,
     level: bool = True,
+    truth: Truth | None = None,
 ) -> Source:
     """Open a KITTI drive's folder, a folder of images, or a video.
 
@@ -95,20 +97,21 @@ def open_source(
         clock: times, if it is not a KITTI drive.
         height_m: of the camera over the road; None: from a KITTI drive's calibration, else unknown.
         level: crop around the optical axis, as by stage ingest; False: around the horizon, which is searched for.
+        truth: what was driven; None: from a KITTI drive's oxts or steering.csv, else unknown.
     Raises:
         InputError: it is none of them, lacks a calibration, or cannot be read.
     """
     drive = RawDrive(path.resolve()) if path.is_dir() else None
     if drive and any(drive.images(camera) for camera in cameras):
         if lens != Lens() or clock != Clock():
-            fix = "Remove --calib, --fov, --K, --fps and --times"
+            fix = "Remove --calib, --fov, --K, --distortion, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
-        source = _open_drive(path, drive, cameras, aspect, scans, car)
+        source = _open_drive(path, drive, cameras, aspect, scans, car, truth)
     elif drive and (drive.oxts or drive.scans):
         wanted = " or ".join(map(str, cameras))
         raise InputError(f"no images of camera {wanted}", path, "Extract image_02 of the drive")
     else:
-        source = _open_footage(path, lens, aspect, clock, level)
+        source = _open_footage(path, lens, aspect, clock, level, truth or UNKNOWN)
     if height_m is not None:
         source.camera, source.height_known = replace(source.camera, height_m=height_m), True
     elif source.height_known:
@@ -119,7 +122,9 @@ def open_source(
     return source
 
 
-def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car) -> Source:
+def _open_drive(
+    path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car, given: Truth | None
+) -> Source:
     camera_number = drive.camera_number(cameras)
     assert camera_number is not None  # since it has images
     camera = drive.camera(camera_number)
@@ -132,30 +137,20 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
     notes = [] if stamps.is_file() else [f"{stamps} is missing: assuming {DEFAULT_FPS:g} frames per second"]
     seconds = (np.array(stamped) - stamped[0]) / DEFAULT_FPS if notes else oxts.read_times(stamps, stamped)
     time_s = dict(zip(stamped, seconds.tolist(), strict=True))
-
-    recorded: dict[int, float] = {}
-    if not drive.oxts:
-        try:
-            recorded = steering_file.read(drive.steering) if drive.steering else {}
-        except InputError as error:
-            notes.append(f"without the driven angle: {error}")
-    damaged: list[int] = []  # oxts packets
+    truth = given or of_drive(drive, car, notes)
 
     def frames() -> Generator[FrameState]:
         for number in numbers:
-            frame = FrameState(number, time_s[number], started_s=time.perf_counter())
+            started_s = time.perf_counter()
             try:
-                vars(frame).update(_images(read_image(images[number], camera.size, camera.size), crop))
-                frame.scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
+                image = read_image(images[number], camera.size, camera.size)
+                scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
             except DamagedFile as error:
                 notes.append(f"skipped: {error}")
                 continue
-            try:
-                frame.driven_rad = _driven_angle(drive.oxts, number, car) if drive.oxts else recorded.get(number)
-            except DamagedFile as error:
-                damaged.append(number)
-                if len(damaged) == 1:
-                    notes.append(f"without the driven angle: {error}")
+            driven = truth.at(number, time_s[number])
+            frame = _frame(number, time_s[number], image, crop, driven, started_s)
+            frame.scan = scan
             yield frame
 
     fps = (len(time_s) - 1) / seconds[-1] if len(time_s) > 1 else DEFAULT_FPS
@@ -168,7 +163,7 @@ def _open_drive(path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Siz
         count=len(numbers),
         fps=float(fps),
         has_scans=bool(drive.scans) and camera.T_cam_velo is not None,
-        truth="oxts" if drive.oxts else steering_file.FILE if recorded else "",
+        truth=truth.name,
         notes=notes,
         height_known=True,  # KITTI's without a LiDAR calibration
     )
@@ -180,43 +175,38 @@ def _shown_size(size: Size) -> Size:
     return max(2, int(size[0] * scale) // 2 * 2), max(2, int(size[1] * scale) // 2 * 2)
 
 
-def _images(image: np.ndarray, crop: Crop) -> dict[str, np.ndarray]:
-    """Return the encoder's part of an image [H,W,3], and the image at the overlay's size, by field of FrameState."""
-    return {"image": crop.pixels(image), "source_image": resized(image, _shown_size(image.shape[:2]))}
+def _frame(number: int, time_s: float, image: np.ndarray, crop: Crop, driven: Driven, started_s: float) -> FrameState:
+    """Return a frame of an image [H,W,3]: the encoder's part of it, and the image at the overlay's size."""
+    shown = resized(image, _shown_size((image.shape[0], image.shape[1])))
+    part = crop.pixels(image)
+    return FrameState(number, time_s, part, source_image=shown, started_s=started_s, **driven._asdict())
 
 
-def _driven_angle(packets: Mapping[int, Path], number: int, car: Car) -> float | None:
-    """Return the steering label of a frame; None without an oxts packet or below the minimum speed."""
-    if number not in packets:
-        return None
-    row = oxts.read_row(packets[number])
-    steering_rad, valid = label.steering_labels(row[[oxts.WU]], row[[oxts.VF]], **vars(car), standstill="invalid")
-    return float(steering_rad[0]) if valid[0] else None
-
-
-def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: bool) -> Source:
+def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: bool, truth: Truth) -> Source:
     footage = open_footage(path, clock.fps, clock.times)
     if footage.size[0] > footage.size[1]:
         sizes = f"images are taller than wide ({format_size(footage.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, ROTATE)
-    camera = pinhole(footage.size, **lens._asdict())
+    camera = pinhole(footage.size, calib=lens.calib, fov_deg=lens.fov_deg, K=lens.K)
+    straighten = undistortion(camera, lens.distortion) if lens.distortion else lambda image: image
     notes, horizon = [], None
     if not footage.has_times:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
         footage.set_rate(DEFAULT_FPS)
-    if not level and (horizon := find_horizon((image.image for image in footage.frames()), camera)) is None:
+    if not level and (horizon := find_horizon((straighten(frame.image) for frame in footage.frames()), camera)) is None:
         notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
     crop = camera.crop_to(aspect, None if horizon is None else horizon + BELOW * footage.size[1])
 
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()
         for number, time_s, image in footage.frames():
-            yield FrameState(number, time_s, **_images(image, crop), started_s=started_s)
+            driven = truth.at(number, time_s)
+            yield _frame(number, time_s, straighten(image), crop, driven, started_s)
             started_s = time.perf_counter()
 
     fps = footage.fps or DEFAULT_FPS
     name = os.fsencode(path.stem).decode(errors="backslashreplace")
-    source = Source(path, name, camera, crop, frames(), footage.count, fps, notes=notes)
+    source = Source(path, name, camera, crop, frames(), footage.count, fps, truth=truth.name, notes=notes)
     if crop.size != footage.size:
         rows, columns = crop
         part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"

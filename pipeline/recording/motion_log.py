@@ -75,6 +75,22 @@ class WheelLog:
             angles = dict(zip(numbers.tolist(), interpolated.tolist(), strict=True))
         return {number: angles[number] for number in np.flatnonzero(usable).tolist() if number in angles}
 
+    def angle(self, number: int, time_s: float, max_gap_s: float) -> float | None:
+        """Return the angle of image `number`, taken at `time_s`, as :meth:`at`; None if unknown."""
+        if self.frame is not None:
+            at = int(np.searchsorted(self.frame, number))
+            return float(self.steering_rad[at]) if at < len(self.frame) and self.frame[at] == number else None
+        assert self.time_s is not None
+        covered = coverage(self.time_s, np.array([time_s]), max_gap_s)[0][0]
+        return float(np.interp(time_s, self.time_s, self.steering_rad)) if covered else None
+
+
+def check_ratio(wheel: Path | None, steering_ratio: float | None) -> None:
+    """Raise InputError if only one of a file of wheel angles and a steering ratio is given."""
+    if (wheel is None) != (steering_ratio is None):
+        fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
+        raise InputError("--wheel and --steering-ratio need each other", fix=fix)
+
 
 def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> WheelLog:
     """Read angles of the steering wheel from a CSV file and divide them by the steering ratio.

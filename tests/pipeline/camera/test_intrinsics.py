@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import rays
-from pipeline.camera.intrinsics import pinhole
+from pipeline.camera.intrinsics import pinhole, undistortion
 from pipeline.kitti.raw import read_calibration
 from tests.kitti_drive import SIZE, write_calibration
 
@@ -60,3 +61,31 @@ def test_exactly_one_source(given: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"got {len(given)}") as raised:
         pinhole((48, 64), **given)
     assert all(option in raised.value.fix for option in ("--calib", "--fov", "--K"))
+
+
+def test_undistorted_images_show_each_direction_at_its_pixel() -> None:
+    camera = pinhole((120, 160), K="150,160,75,62")
+    coefficients = np.array([-0.25, 0.06, 0.003, -0.002, 0.01])
+    v, u = np.mgrid[:120, :160].astype(np.float64)
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+    directions = cv2.undistortPoints(pixels, camera.K, coefficients).reshape(120, 160, 2)
+
+    def colours(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.stack([128 + 150 * x, 128 + 150 * y, 128 + 80 * (x - y)], axis=-1)
+
+    recorded = np.rint(colours(directions[..., 0], directions[..., 1])).astype(np.uint8)
+    rectified = undistortion(camera, ",".join(map(str, coefficients)))(recorded)
+    expected = colours(*rays(camera.K, camera.size)[..., :2].transpose(2, 0, 1))
+    inside = rectified.any(axis=-1)
+    assert inside[10:-10, 10:-10].all()
+    assert np.abs(rectified - expected)[10:-10, 10:-10].max() < 2
+    assert np.abs(recorded - expected)[10:-10, 10:-10].max() > 5
+    same = undistortion(camera, "0,0,0,0")(recorded)
+    np.testing.assert_array_equal(same, recorded)
+
+
+@pytest.mark.parametrize("text", ["", "0.1", "0.1,0,0,x", "nan,0,0,0", "0,0,0,0,0,0", "-2,0,0,0", "0,0,0,0,-9"])
+def test_a_distortion_that_is_none(text: str) -> None:
+    with pytest.raises(InputError) as raised:
+        undistortion(pinhole((120, 160), K="100,100,80,60"), text)
+    assert raised.value.where == "--distortion"

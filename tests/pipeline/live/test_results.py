@@ -49,6 +49,31 @@ def overlay(path: Path) -> Overlay:
     return Overlay(path, Source(path, "drive", Camera(K, SIZE), crop, iter(()), None, FPS), 2.7)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("size", "K"),
+    [((480, 640), (2152, 2166, 268, 210)), ((188, 620), (360, 360, 305, 86)), ((270, 480), (300, 300, 240, 130))],
+)
+def test_path_and_legend_are_inside_the_picture(tmp_path: Path, size: tuple[int, int], K: tuple[int, ...]) -> None:
+    fx, fy, cx, cy = K
+    camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size, 1.5)
+    source = Source(tmp_path, "drive", camera, Crop(slice(0, 9), slice(0, 9)), iter(()), None, FPS, truth="x")  # type: ignore[arg-type]
+    black = np.zeros((*size, 3), np.uint8)
+    frame = FrameState(0, 100.0, source_image=black, driven_rad=0.01, predicted_rad=0.01, sigma_rad=0.001)
+    frame.problem = "too few points can be tracked"
+    with Overlay(tmp_path / VIDEO, source, 2.7) as video:
+        video.add(frame)
+    with av.open(str(tmp_path / VIDEO)) as file:
+        (image,) = (picture.to_ndarray(format="rgb24") for picture in file.decode(video=0))
+    assert image.shape[:2] == size
+    lit = (image.max(axis=2) > 60) & (np.arange(size[0])[:, None] > cy)
+    assert lit.mean() > 0.02  # the path, below the horizon
+    assert lit[:, round(cx)].any()
+    text = (image.max(axis=2) > 60) & (np.arange(size[0])[:, None] < 0.6 * cy)
+    assert text.any()
+    assert not text[:, -8:].any()
+    assert not black.any()  # the frame is not changed
+
+
 def decoded(path: Path) -> int:
     with av.open(str(path)) as file:
         return sum(1 for _ in file.decode(video=0))

@@ -10,8 +10,10 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.labels.label import Car
-from pipeline.live.source import Lens, Source, open_source
+from pipeline.live.source import Clock, Lens, Source, open_source
+from pipeline.live.truth import of_logs
 from tests import kitti_drive
+from tests.footage import write_folder
 
 
 def open_path(path: Path, lens: Lens = Lens(), aspect: tuple[int, int] = (48, 64), scans: bool = False) -> Source:
@@ -85,6 +87,32 @@ def test_without_oxts_truth_is_the_recorded_angle(tmp_path: Path) -> None:
     source = open_path(folder)
     assert source.truth == ""
     assert "without the driven angle" in source.notes[0]
+
+
+def test_logs_are_the_truth_of_images(tmp_path: Path) -> None:
+    images = write_folder(tmp_path / "images", [np.zeros((48, 64, 3), np.uint8)] * 4)
+    wheel, motion = tmp_path / "wheel.csv", tmp_path / "can.csv"
+    motion.write_text("time_s,speed_mps,yaw_rate_radps\n0.05,10,0.5\n0.25,20,0.5\n")
+
+    def driven(*logs: Path | float | None) -> list[tuple[float | None, float | None]]:
+        truth = of_logs(*logs, Car(2.7, 1.0))  # type: ignore[arg-type]
+        source = open_source(images, [2], Lens(fov_deg=80.0), (48, 64), False, Car(2.7, 1.0), Clock(10), truth=truth)
+        assert source.truth == (truth.name if truth else "")
+        return [(frame.driven_rad, frame.driven_mps) for frame in source.frames]
+
+    by_motion = driven(None, None, motion)
+    assert [mps for _, mps in by_motion] == [None, pytest.approx(12.5), pytest.approx(17.5), None]
+    assert [rad for rad, _ in by_motion] == [
+        None, pytest.approx(np.arctan(2.7 * 0.5 / 12.5)), pytest.approx(np.arctan(2.7 * 0.5 / 17.5)), None
+    ]  # fmt: skip
+    wheel.write_text("frame,wheel_rad\n1,1.4\n3,-0.7\n")
+    assert [rad for rad, _ in driven(wheel, 14.0, None)] == [None, pytest.approx(0.1), None, pytest.approx(-0.05)]
+    wheel.write_text("time_s,wheel_rad\n0,1.4\n0.2,2.8\n")
+    both = [pytest.approx(0.1), pytest.approx(0.15), pytest.approx(0.2), None]
+    assert [rad for rad, _ in driven(wheel, 14.0, motion)] == both
+    assert driven(None, None, None) == [(None, None)] * 4
+    with pytest.raises(InputError, match="--steering-ratio"):
+        driven(wheel, None, None)
 
 
 def test_a_damaged_packet_costs_only_the_driven_angle(tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 Cloud = tuple[np.ndarray, np.ndarray]
 """xyz float32 [P,3] in metres, cls uint8 [P]."""
 
+STRATA_M = (10.0, 20.0, 40.0)
+"""Limits of the four intervals of horizontal range from which `sampling: range` draws equal numbers of points."""
 RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and files compress better
 
 
@@ -137,19 +139,23 @@ def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
 
 
 def sample_points(
-    cloud: Cloud, left_near_right_far_m: tuple[float, float, float, float] | None, points: int, rng: np.random.Generator
+    cloud: Cloud,
+    left_near_right_far_m: tuple[float, float, float, float] | None,
+    points: int,
+    rng: np.random.Generator,
+    sampling: str = "uniform",
 ) -> Cloud:
     """Return at most `points` random points of a cloud inside the crop (all without one), in the cloud's order.
 
-    The crop limits x and z of the camera frame.
+    The crop limits x and z of the camera frame. `sampling`: uniform | range, see :func:`sample_by_range`.
     """
     xyz, cls = cloud
     inside = np.arange(len(xyz))
     if left_near_right_far_m is not None:
         xz, bounds = xyz[:, [0, 2]], np.array(left_near_right_far_m)
         inside = np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
-    sampled = inside[sample(len(inside), points, rng)]
-    return xyz[sampled], cls[sampled]
+    drawn = sample_by_range(xyz[inside], points, rng) if sampling == "range" else sample(len(inside), points, rng)
+    return xyz[inside[drawn]], cls[inside[drawn]]
 
 
 def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
@@ -159,6 +165,21 @@ def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
     drawn = np.zeros(count, bool)
     drawn[rng.choice(count, limit, replace=False, shuffle=False)] = True
     return np.flatnonzero(drawn)
+
+
+def sample_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw at most `limit` of the points [P,3] without replacement, equally many from each interval of STRATA_M.
+
+    An image has few pixels far away. Where an interval has too few points, the others share the rest. Returns indices,
+    ascending.
+    """
+    shuffled = rng.permutation(len(xyz))
+    stratum = np.digitize(np.hypot(xyz[shuffled, 0], xyz[shuffled, 2]), STRATA_M)
+    rank = np.empty(len(xyz), np.int64)  # of each point in its interval
+    for number in range(len(STRATA_M) + 1):
+        members = stratum == number
+        rank[members] = np.arange(np.count_nonzero(members))
+    return np.sort(shuffled[np.argsort(rank, kind="stable")[:limit]])
 
 
 def quantise(xyz: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ def build(cloud: Cloud, variant: Variant, drive: str, number: int) -> Arrays:
     """Return frame `number` of a variant of points, reproducibly for drive and frame number."""
     assert variant.points
     rng = frame_rng(variant.seed, drive, number)
-    sampled = sample_points(cloud, variant.crop_m, variant.points, rng)
+    sampled = sample_points(cloud, variant.crop_m, variant.points, rng, variant.sampling)
     return connect(ordered(sampled) if variant.accumulate else sampled, variant, rng)
 
 
@@ -23,7 +23,7 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Arrays:
     dtype = graph.index_dtype(variant.points)
     arrays = {"xyz": xyz, "cls": cls}
     if variant.kind == "graph":
-        assert variant.k
+        assert variant.k is not None
         built = graph.build(xyz, cls, variant.k, variant.keep_inter_class, rng)
         arrays |= {"degree": built.degree, "indices": built.indices.astype(dtype)}
         return arrays | {"edges_knn": np.array(built.edges_knn), "edges_kept": np.array(built.edges_kept)}

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from pipeline.base.params import Count, Fraction, FrameKind, MotionKind, Positive, Section, Seed
 
-_POINT_KEYS = {"source", "neighbourhood", "points", "crop_m", "accumulate", "seed"}
+_POINT_KEYS = {"source", "neighbourhood", "points", "sampling", "crop_m", "accumulate", "seed"}
 _KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in messages, required keys, allowed keys
     "graph": ("a kNN graph", {"points", "k"}, {*_POINT_KEYS, "k", "keep_inter_class"}),
     "pointnet2": ("neighbourhood: pointnet2", {"points"}, {*_POINT_KEYS, "centres", "radius_m", "neighbours"}),
@@ -27,7 +27,11 @@ class Variant(Section):
     source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
     neighbourhood: Literal["knn", "pointnet2"] = "knn"
     points: Count | None = None
-    k: Annotated[int, Field(ge=1, le=32)] | None = None
+    sampling: Annotated[
+        Literal["uniform", "range"],
+        Field(description="uniform: all points of the cloud alike | range: equal numbers from intervals of range"),
+    ] = "uniform"
+    k: Annotated[int, Field(ge=0, le=32, description="nearest neighbours; 0: points without edges")] | None = None
     keep_inter_class: Fraction = 1.0
     crop_m: Annotated[
         tuple[float, float, float, float] | None,

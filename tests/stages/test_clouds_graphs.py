@@ -95,6 +95,16 @@ def test_pruning_removes_only_edges_between_classes(data: Path, tmp_path: Path) 
     assert (pruned["edges_kept"] < full["edges_kept"]).all()
 
 
+def test_points_without_edges_sampled_by_range(data: Path, tmp_path: Path) -> None:
+    content = read(run_graphs(data, tmp_path, **{**PSEUDO, "k": 0, "sampling": "range"}))
+    uniform = read(run_graphs(data, tmp_path, **PSEUDO))
+    assert np.diff(content["ptr"]).tolist() == [300] * FRAMES
+    assert not content["degree"].any()
+    assert len(content["indices"]) == content["edges_knn"].sum() == 0
+    far = [np.hypot(points[:, 0], points[:, 2]) > 20 for points in (content["xyz"], uniform["xyz"])]
+    assert far[0].mean() > 1.5 * far[1].mean()
+
+
 def write_motion(folder: Path, frame: list[int], valid: list[int]) -> None:
     """Write the motion of a car that drives straight on, one metre per frame."""
     T_before = np.tile(np.eye(4, dtype=np.float32), (len(frame), 1, 1))

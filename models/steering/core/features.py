@@ -1,5 +1,6 @@
 """Node features of points, and pooling of a frame's points."""
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -12,6 +13,7 @@ FEATURE_MIRROR_SIGNS = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT
 """Factor of each column of node_features under left-right mirroring."""
 GROUND_Y_M = 1.65  # approximate height of KITTI's ground; an offset that centres y
 NODE_FEATURES = GEOMETRY + classes.COUNT
+FIELD_RAD = math.radians(90)  # of bearing cells; KITTI's camera sees 80 degrees
 
 
 def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
@@ -52,6 +54,39 @@ def max_pool(x: Tensor, ptr: Tensor) -> Tensor:
         return x.view(len(ptr) - 1, -1, x.shape[1]).amax(1)
     pooled = [points.amax(0) if points.shape[0] else points.new_zeros(x.shape[1]) for points in _by_frame(x, ptr)]
     return torch.stack(pooled)
+
+
+def sector_max_pool(x: Tensor, xyz: Tensor, ptr: Tensor, sectors: int) -> Tensor:
+    """Return the max over each frame's points in each bearing sector, from left to right.
+
+    Args:
+        x: [N,C], not negative.
+        xyz: [N,3] metres; points beside FIELD_RAD belong to the outermost sectors.
+        ptr: [B+1]
+        sectors: S, odd.
+    Returns:
+        [B, S C]; zeros for a sector without points.
+    """
+    sector = bearing_cell(xyz, sectors).clamp(0, sectors - 1).long()
+    row = (frame_of_points(x, ptr) * sectors + sector)[:, None].expand_as(x)
+    pooled = x.new_zeros((len(ptr) - 1) * sectors, x.shape[1])
+    return pooled.scatter_reduce(0, row, x, "amax").view(len(ptr) - 1, -1)
+
+
+def bearing_cell(xyz: Tensor, cells: int) -> Tensor:
+    """Return the number of each point's cell among `cells` equal cells of FIELD_RAD, [N], whole numbers.
+
+    Cell 0 is the leftmost one; points beside FIELD_RAD have numbers outside of 0..cells-1. `cells` is odd: rounding is
+    symmetric around straight ahead, so that mirroring reverses the cells exactly.
+    """
+    x, _, z = xyz.unbind(1)
+    return (torch.atan2(x, z) * (cells / FIELD_RAD)).round() + cells // 2
+
+
+def frame_of_points(x: Tensor, ptr: Tensor) -> Tensor:
+    """Return the number of each point's frame, int64 [N], for points x [N,..]; without a synchronisation of a GPU."""
+    points = torch.arange(x.shape[0], device=x.device)
+    return torch.searchsorted(ptr.to(x.device, non_blocking=True)[1:], points, right=True)
 
 
 def _uniform_on_gpu(x: Tensor, ptr: Tensor) -> bool:

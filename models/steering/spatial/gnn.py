@@ -41,20 +41,20 @@ class GCNLayer(nn.Module):
 class GCN(GraphNetwork):
     """Graph convolution network, tile by tile on a CPU (core/convolutions.py).
 
-    On a GPU, in mixed precision and for export it runs layer by layer, as the other networks on graphs.
+    With sectors, on a GPU, in mixed precision and for export it runs layer by layer, as the other networks on graphs.
     """
 
     def __init__(self, features: int, options: GraphOptions = GraphOptions()) -> None:
         super().__init__(GCNLayer, features, options)
 
     def pooled(self, batch: AnyGraph) -> Tensor:
-        if isinstance(batch, PaddedGraph) or _layer_by_layer(batch):
+        if isinstance(batch, PaddedGraph) or self.sectors or _layer_by_layer(batch):
             return super().pooled(batch)
         return self._convolve(batch, [ORIGINAL_SIGNS])[:, 0]
 
     def both(self, batch: AnyGraph) -> tuple[Tensor, Tensor]:
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
-        if isinstance(batch, PaddedGraph) or _layer_by_layer(batch):
+        if isinstance(batch, PaddedGraph) or self.sectors or _layer_by_layer(batch):
             return self(batch), self(batch.mirrored())
         original, mirrored = self.project(self._convolve(batch, [ORIGINAL_SIGNS, FEATURE_MIRROR_SIGNS])).unbind(1)
         return original, mirrored

@@ -76,3 +76,29 @@ def test_sampled_points_lie_in_the_crop_and_keep_order_and_class() -> None:
     rows = [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in points]
     assert rows == sorted(rows)
     assert labels.tolist() == cls[rows].tolist()
+
+
+def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_are_left() -> None:
+    """Of 1,000 points 700 are nearer than 10 m, 200 at 10 to 20 m, 90 at 20 to 40 m, 10 beyond."""
+    rng, cls = np.random.default_rng(0), np.arange(1000).astype(np.uint8)
+    range_m = np.repeat([7.0, 15.0, 30.0, 60.0], [700, 200, 90, 10])
+    bearing = rng.uniform(-1, 1, 1000)
+    xyz = np.stack([range_m * np.sin(bearing), rng.uniform(-1, 2, 1000), range_m * np.cos(bearing)], axis=1)
+    cloud_of_ranges = xyz.astype(np.float32), cls
+
+    def drawn(points: int, seed: int = 0) -> list[int]:
+        sampled, labels = cloud.sample_points(cloud_of_ranges, None, points, np.random.default_rng(seed), "range")
+        rows = [int(np.flatnonzero((cloud_of_ranges[0] == point).all(axis=1))[0]) for point in sampled]
+        assert rows == sorted(rows)
+        assert labels.tolist() == cls[rows].tolist()
+        return rows
+
+    def counts(rows: list[int]) -> list[int]:
+        return [int((range_m[rows] == value).sum()) for value in (7, 15, 30, 60)]
+
+    assert counts(drawn(40)) == [10, 10, 10, 10]
+    assert counts(drawn(250)) == [80, 80, 80, 10]
+    assert counts(drawn(500)) == [200, 200, 90, 10]
+    assert drawn(5000) == list(range(1000))
+    assert drawn(100) == drawn(100) != drawn(100, seed=1)
+    assert sum(counts(drawn(42))) == 42

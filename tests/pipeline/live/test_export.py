@@ -13,7 +13,7 @@ from models.steering.core.batch import GraphBatch, pad
 from models.steering.core.features import mean_max_pool
 from models.steering.core.options import Sizes
 from models.steering.core.steering_net import SteeringNet
-from models.steering.spatial import blind, edgeconv, gatv2, gnn
+from models.steering.spatial import blind, edgeconv, gatv2, gnn, polar
 from models.steering.temporal.lstm import LSTM
 from pipeline.base.errors import InputError
 from pipeline.live.export import Spatial, export, read_examples
@@ -26,7 +26,9 @@ NETWORKS = [
     gnn.Options(layers=(16,)).build(SIZES),
     edgeconv.Options(layers=(16, 8), semantics=0.5).build(SIZES),
     gatv2.Options(layers=(16, 6), semantics=1.0).build(SIZES),  # four heads, and two
+    gnn.Options(layers=(16,), sectors=5).build(SIZES),
     blind.Options().build(SIZES),
+    polar.Options(widths=(4, 8)).build(SIZES),
 ]
 
 
@@ -58,7 +60,8 @@ def test_the_module_equals_the_network(network: nn.Module, equivariant: bool) ->
     "settings",
     [
         {"spatial": "gnn", "temporal": "ncp", "equivariant": True, "motion": "visual"},
-        {"spatial": "gatv2", "temporal": "ncp", "cell": "eq4"},
+        {"spatial": "gatv2", "temporal": "ncp", "cell": "eq4", "sectors": 5},
+        {"spatial": "polar", "equivariant": True},
         {"spatial": "pointnet2", "equivariant": True},
         {"spatial": "cnn", "motion": "visual", "base": "none"},
     ],

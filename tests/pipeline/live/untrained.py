@@ -15,7 +15,7 @@ from tests import artefacts
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test"}
 WRITERS = {"pointnet2": artefacts.write_sets, "cnn": artefacts.write_images}
-SMALL: dict[str, dict[str, Any]] = {"pointnet2": {"width": 0.125}, "cnn": {}, "blind": {}}
+SMALL: dict[str, dict[str, Any]] = {"pointnet2": {"width": 0.125}, "cnn": {}, "blind": {}, "polar": {"widths": [4, 8]}}
 WINDOW = 3
 WAVE = 0.1 * torch.linspace(0, 6, 12).sin().numpy()
 

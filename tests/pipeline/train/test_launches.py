@@ -83,6 +83,8 @@ MOTION = GNN | {"equivariant": True, "motion": "visual", "horizon": 10}
         pytest.param(MOTION, artefacts.write_graphs, 1670, 0, id="motion-10"),
         pytest.param({"spatial": "edgeconv"}, artefacts.write_graphs, 2300, 40, id="edgeconv-ncp"),
         pytest.param({"spatial": "gatv2"}, artefacts.write_graphs, 3800, 40, id="gatv2-ncp"),
+        pytest.param(GNN | {"sectors": 9}, UNEQUAL, 1600, 0, id="gnn with sectors, unequal frames"),
+        pytest.param({"spatial": "polar"}, UNEQUAL, 840, 0, id="polar-ncp, unequal frames"),
         pytest.param({"spatial": "pointnet2", "width": 0.25}, artefacts.write_sets, 1110, 0, id="pointnet2-ncp"),
         pytest.param({"spatial": "cnn", "window": 16}, artefacts.write_images, 1430, 0, id="cnn-ncp"),
     ],

@@ -1,7 +1,17 @@
+import itertools
+import math
+
 import pytest
 import torch
 
-from models.steering.core.features import FEATURE_MIRROR_SIGNS, GEOMETRY, max_pool, mean_max_pool, node_features
+from models.steering.core.features import (
+    FEATURE_MIRROR_SIGNS,
+    GEOMETRY,
+    max_pool,
+    mean_max_pool,
+    node_features,
+    sector_max_pool,
+)
 from pipeline.camera import classes
 from tests import simulated_gpu
 
@@ -48,3 +58,43 @@ def test_equal_frames_are_pooled_at_once_on_a_gpu_and_to_the_same_bits():
     assert torch.equal(mean_max, mean_max_pool(x, ptr))
     assert torch.equal(maximum, max_pool(x, ptr))
     assert gpu.operators == {"mean": 1, "amax": 2, "cat": 1}
+
+
+UNEQUAL = [30, 0, 1, 17]
+
+
+def test_pooling_by_sector_equals_brute_force_and_mirroring_reverses_it(make_batch):
+    """Five sectors of 18 degrees; points beside them belong to the outermost ones."""
+    batch = make_batch(UNEQUAL)
+    x = torch.rand(48, 3, dtype=torch.float64)
+    x[3] = 0
+    batch.xyz[:5, 0] = 0
+    expected = torch.zeros(4, 5, 3, dtype=torch.float64)
+    for frame, (start, stop) in enumerate(itertools.pairwise(batch.ptr.tolist())):
+        for point in range(start, stop):
+            right, _, ahead = batch.xyz[point].tolist()
+            sector = min(4, max(0, math.floor((math.degrees(math.atan2(right, ahead)) + 45) / 18)))
+            expected[frame, sector] = torch.maximum(expected[frame, sector], x[point])
+    pooled = sector_max_pool(x, batch.xyz, batch.ptr, 5).view(4, 5, 3)
+    assert torch.equal(pooled, expected)
+    assert torch.equal(sector_max_pool(x, batch.mirrored().xyz, batch.ptr, 5).view(4, 5, 3), pooled.flip(1))
+
+
+def test_pooling_by_sector_has_a_gradient(make_batch):
+    batch = make_batch(UNEQUAL)
+    x = torch.rand(48, 2, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x: sector_max_pool(x, batch.xyz, batch.ptr, 3), x)
+
+
+def test_pooling_by_sector_has_no_loop_over_frames_on_a_gpu(make_batch):
+    launches = []
+    for counts in ([20, 28], UNEQUAL):
+        batch, x = make_batch(counts), torch.rand(48, 3)
+        with simulated_gpu.Gpu() as gpu:
+            there, features = batch.to(simulated_gpu.GPU), x.to(simulated_gpu.GPU)
+            gpu.reset()
+            pooled = sector_max_pool(features, there.xyz, there.ptr, 5)
+            launches.append(gpu.launches)
+            assert not gpu.synchronisations
+            assert torch.equal(pooled.cpu(), sector_max_pool(x, batch.xyz, batch.ptr, 5))
+    assert launches[0] == launches[1]

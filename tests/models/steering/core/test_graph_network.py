@@ -10,10 +10,11 @@ from models.steering.spatial.gnn import GCNLayer
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 
 
-@pytest.fixture(params=[GCNLayer, EdgeConvLayer, GATv2Layer])
+@pytest.fixture(params=[(GCNLayer, 0), (EdgeConvLayer, 0), (GATv2Layer, 0), (GCNLayer, 5)])
 def network(request):
     torch.manual_seed(0)
-    return GraphNetwork(request.param, 5, GraphOptions(layers=(8, 16), semantics=1.0)).double()
+    layer, sectors = request.param
+    return GraphNetwork(layer, 5, GraphOptions(layers=(8, 16), semantics=1.0, sectors=sectors)).double()
 
 
 def one_frame(batch: GraphBatch, frame: int) -> GraphBatch:
@@ -45,3 +46,8 @@ def test_batch_equals_single_frames(make_batch, network, counts):
     batch = make_batch(counts)
     singles = torch.cat([network(one_frame(batch, frame)) for frame in range(batch.frames)])
     torch.testing.assert_close(network(batch), singles, **TOLERANCE)
+
+
+def test_sectors_are_zero_or_odd():
+    with pytest.raises(ValueError, match="expected 0 or an odd number"):
+        GraphOptions(sectors=8)

@@ -179,6 +179,6 @@ def test_columns_are_of_order_one_and_the_odd_ones_are_odd():
 
 @pytest.mark.parametrize("name", ["../temporal/lstm", "..core.wiring", "__init__", "gnn.py", "", "os"])
 def test_only_files_of_the_folder_are_imported(name: str) -> None:
-    with pytest.raises(ValueError, match=r"^spatial = .*known: blind, cnn, edgeconv, gatv2, gnn, pointnet2\)"):
+    with pytest.raises(ValueError, match=r"^spatial = .*known: blind, cnn, edgeconv, gatv2, gnn, pointnet2, polar\)"):
         load("spatial", name)
     assert name not in names("spatial")

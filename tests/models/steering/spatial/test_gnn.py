@@ -77,13 +77,14 @@ def test_first_and_second_derivatives(make_batch):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("layers", [(8, 16), (30, 5, 12), (4,)])
+@pytest.mark.parametrize("sectors", [0, 7])
 @pytest.mark.parametrize("tile", [4, 30, 10**6])  # points: several of a frame, some frames, all
-def test_tiles_equal_layers(make_batch, monkeypatch, dtype, layers, tile):
+def test_tiles_equal_layers(make_batch, monkeypatch, dtype, layers, tile, sectors):
     """Values and gradients, of the frames and of their mirror images."""
     monkeypatch.setattr(convolutions, "TILE", tile)
     batch = make_batch([13, 0, 1, 30, 22, 7])
     torch.manual_seed(0)
-    net = GCN(5, Options(layers=layers, semantics=0.7)).to(dtype)
+    net = GCN(5, Options(layers=layers, semantics=0.7, sectors=sectors)).to(dtype)
     for layer in net.layers:
         torch.nn.init.normal_(layer.bias)
     upstream = torch.randn(2, batch.frames, 5, dtype=dtype)

@@ -1,0 +1,93 @@
+"""A polar map of the road ahead, read by a small convolutional network.
+
+Errors of depth are radial and bearings are exact. So the cells of the map are bearings, and ranges that grow with the
+distance.
+"""
+
+import math
+from itertools import pairwise
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from models.steering.core.batch import AnyGraph, FrameKind
+from models.steering.core.features import bearing_cell, frame_of_points
+from models.steering.core.options import NetworkOptions, Sizes, Widths
+from pipeline.camera import classes
+
+BEARINGS = 33  # odd: then mirroring reverses the bearings exactly
+RANGES = 12
+NEAR_M, FAR_M = 4.0, 40.0
+ROAD, GROUND, OBSTACLE, VOID = range(4)
+CHANNELS = 4  # share of road, other ground and obstacles among the points of a cell; 1 for a cell without points
+
+
+def polar_map(batch: AnyGraph) -> Tensor:
+    """Return the map of each frame, float32 [B, CHANNELS, RANGES, BEARINGS], from left to right and from near to far.
+
+    Void points count as none of the three kinds; points outside of the map have no effect.
+    """
+    column = bearing_cell(batch.xyz, BEARINGS)
+    range_m = torch.hypot(batch.xyz[:, 0], batch.xyz[:, 2]).clamp_min(NEAR_M / 2)
+    row = ((range_m / NEAR_M).log() * (RANGES / math.log(FAR_M / NEAR_M))).floor()
+    inside = (column >= 0) & (column < BEARINGS) & (row >= 0) & (row < RANGES)
+    frame = frame_of_points(batch.xyz, batch.ptr)
+    cell = (frame * RANGES + row.clamp(0, RANGES - 1).long()) * BEARINGS + column.clamp(0, BEARINGS - 1).long()
+    # Sums of ones are exact in any order, so the map is deterministic on a GPU, too.
+    counts = torch.zeros(batch.frames * RANGES * BEARINGS * 4, device=cell.device)
+    counts = counts.scatter_add(0, cell * 4 + _kind(batch.cls), inside.float()).view(-1, RANGES, BEARINGS, 4)
+    total = counts.sum(3, keepdim=True)
+    shares = counts[..., :VOID] / total.clamp_min(1)
+    return torch.cat([shares, (total == 0).float()], dim=3).permute(0, 3, 1, 2)
+
+
+def _kind(cls: Tensor) -> Tensor:
+    """Return ROAD, GROUND, OBSTACLE or VOID of each class, int64 [N]."""
+    ground = torch.stack([cls == number for number in classes.GROUND]).any(0)
+    kind = torch.where(ground, GROUND, OBSTACLE).masked_fill(cls == classes.ROAD, ROAD)
+    return kind.masked_fill(cls >= classes.COUNT, VOID)
+
+
+class Polar(nn.Module):
+    """Polar map → convolutions with stride 2 but the first → one dense layer.
+
+    Args:
+        features: F, numbers per frame for the recurrent network.
+        widths: channels after each convolution.
+    """
+
+    def __init__(self, features: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        height, width = RANGES, BEARINGS
+        for number, (before, after) in enumerate(pairwise((CHANNELS, *widths))):
+            stride = 2 if number else 1
+            layers += [nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()]
+            height, width = -(-height // stride), -(-width // stride)
+        self.convolutions = nn.Sequential(*layers)
+        self.read_out = nn.Linear(widths[-1] * height * width, features)
+
+    def forward(self, batch: AnyGraph) -> Tensor:
+        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
+        return self._read(polar_map(batch))
+
+    def both(self, batch: AnyGraph) -> tuple[Tensor, Tensor]:
+        """Return `forward` of the frames and of their mirror images, each [B,F]."""
+        frames = polar_map(batch)
+        original, mirrored = self._read(torch.cat([frames, frames.flip(3)])).chunk(2)
+        return original, mirrored
+
+    def _read(self, frames: Tensor) -> Tensor:
+        maps = self.convolutions(frames.to(self.read_out.weight.dtype)).flatten(1)
+        return torch.tanh(self.read_out(maps))  # where LTC synapses are sensitive
+
+
+class Options(NetworkOptions):
+    """Options of Polar."""
+
+    kind: ClassVar[FrameKind] = "graph"
+    widths: Widths = (16, 24, 32, 24)
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        return Polar(sizes.features, self.widths)

@@ -70,7 +70,12 @@ def check_model(entry: Entry, settings: Params) -> None:
     variant = settings.graphs[entry.input]
     if entry.motion != "none":
         check_motion("motion", entry.motion, settings.motion)
-    if entry.motion == settings.labels.source and not entry.horizon:
+    outputs = 1
+    if entry.predict == "path":
+        outputs = len(settings.labels.ahead_m) - 1
+        if outputs < 1:
+            raise InputError("predict: path needs labels.ahead_m (got [])", fix="Set it to edges, for instance [0, 10]")
+    elif entry.motion == settings.labels.source and not entry.horizon:
         raise InputError(
             f"motion: {entry.motion} with labels.source: {entry.motion} at horizon: 0 makes the label an input",
             fix="Set motion: none, a horizon above 0, or another labels.source, or remove the model",
@@ -78,7 +83,7 @@ def check_model(entry: Entry, settings: Params) -> None:
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
     runs.folds(settings.ingest.drives.splits(), entry.fit_to, entry.roads)
-    entry.build(variant.kind, len(variant.levels), settings.ingest.image_size)
+    entry.build(variant.kind, len(variant.levels), settings.ingest.image_size, outputs)
 
 
 def check_motion(key: str, kind: str, motion: Motion) -> None:

@@ -10,8 +10,8 @@ from pipeline.base import console, store
 from pipeline.base.atomic import stage_folder, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import SPLITS, check_name, load
-from pipeline.evaluate import by_frame
-from pipeline.evaluate.schema import Metrics
+from pipeline.evaluate import by_frame, path_ahead
+from pipeline.evaluate.schema import Metrics, PathMetrics
 from pipeline.evaluate.split import Case, inputs, metrics, odometry
 from pipeline.graphs import graph_file
 from pipeline.sections.evaluate import Evaluate
@@ -46,7 +46,9 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     models = {run: _load(run, name, config) for run in runs.runs(train / name, seeds, folds)}
     cases = _predict(models, variant, labels, config)
     tested = [case.drive for case in cases["test"]]
+    path = entry.predict == "path"
 
+    score: Any = path_ahead.metrics if path else metrics
     result: dict[str, Any] = {
         "model": name,
         "line": entry.model_dump(mode="json"),
@@ -54,18 +56,19 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
         "drives": {part: [case.drive.name for case in drives] for part, drives in cases.items()},
         "parameters": config.parameters,
         "wheelbase_m": tested[0].car.wheelbase_m,
-        "path": settings.path,
         "labels": tested[0].label_source,
-        "odometry": odometry(cases["test"]),
+        **({} if path else {"path": settings.path, "odometry": odometry(cases["test"])}),
         **inputs(tested),
-        **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
+        **{part: score(drives, settings) if drives else None for part, drives in cases.items()},
     }
-    store.write_json(out / "metrics.json", Metrics.model_validate(result).model_dump(exclude_unset=True))
+    form = PathMetrics if path else Metrics
+    store.write_json(out / "metrics.json", form.model_validate(result).model_dump(exclude_unset=True))
+    writer = path_ahead if path else by_frame
     for number, folder in enumerate(runs.folders(out, seeds).values()):
         sweep(folder)
-        by_frame.write_predictions(folder / "predictions.csv", cases["test"], number)
+        writer.write_predictions(folder / "predictions.csv", cases["test"], number)
     by_frame.write_structure(out / "structure.json", tested)
-    print(_summary(result))
+    print(_path_summary(result) if path else _summary(result))
     return out
 
 
@@ -90,7 +93,10 @@ def _predict(
         seeds = [model for run, model in models.items() if run.fold == fold]
         for part, drives in cases.items():
             for name in (name for name in getattr(fold, part) if name not in drives):
-                drive = windows.read_drive(variant, labels, name, entry.horizon, entry.motion, entry.base)
+                drive = windows.read_drive(variant, labels, name, **entry.reading)
+                if drive.ahead_m != tuple(getattr(seeds[0].target, "ahead_m", ())):
+                    problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
+                    raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{seeds[0].name}")
                 with graph_file.open_graphs(drive.graphs) as graphs:
                     predictions = [model.predict_with_sigma(graphs) for model in seeds]
                 drives[name] = Case(drive, predictions, seeds[0].target)
@@ -105,6 +111,15 @@ def _summary(result: Mapping[str, Any]) -> str:
         f"{result['model']}: test nmse {test['nmse']:.3f}{spread} [{low:.3f}, {high:.3f}], "
         f"mean error {test['mae_deg']:.2f} deg over {test['frames']} frames"
     )
+
+
+def _path_summary(result: Mapping[str, Any]) -> str:
+    texts = [
+        "{from_m:g}-{to_m:g} m {nmse:.3f} [{nmse_ci95[0]:.3f}, {nmse_ci95[1]:.3f}]".format_map(scores)
+        for scores in result["test"]
+        if scores["nmse"] is not None
+    ]
+    return f"{result['model']}: test nmse of the path ahead: {', '.join(texts) or 'no bends'}"
 
 
 if __name__ == "__main__":

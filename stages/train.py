@@ -48,7 +48,7 @@ def main(
     pending = pending_folder(out / name, entry=True)
     job = Job(name, where, entry, settings, variant, labels, splits, files, pending)
     for fold in folds:
-        job.read_drives(fold.train), job.read_drives(fold.val)  # errors before anything is written
+        job.target(job.read_drives(fold.train)), job.read_drives(fold.val)  # errors before anything is written
     todo = runs.runs(out / name, settings.seeds, folds)
     with (
         distributed.process_group() as (world, device),

@@ -63,11 +63,12 @@ def predict(
     model = model if len(model.parts) > 1 or (model / "best.pt").is_file() else TRAINED / model
     model = options.in_project(model)
     trained = load(model)
+    car = trained.angle_target.car
     data = _data_folder(model, encoder, params)
     sections = load_settings(params or data.parent / "params.yaml", trained.entry.input, data)
     scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras
     lens, height_m = Lens(calib, fov, k, distortion), camera_height or sections.perception.camera_height_m
-    clock, car = Clock(fps, times), trained.target.car
+    clock = Clock(fps, times)
     truth = of_logs(wheel, steering_ratio, motion, car)
     opened = open_source(source, cameras, lens, size, scans, car, clock, height_m, truth=truth)
     show = {"video": video, "visible": output.visible}

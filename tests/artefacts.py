@@ -1,6 +1,6 @@
 """Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without running those before."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from pipeline.base import store
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
-from pipeline.labels import label
+from pipeline.labels import ahead, label
 from pipeline.sections.graphs import Variant
 
 WHEELBASE_M = 2.7
@@ -30,14 +30,22 @@ def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[n
 
 
 def write_labels(
-    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, valid: np.ndarray | None = None
+    path: Path,
+    drive: str,
+    steering_rad: np.ndarray,
+    frame: np.ndarray,
+    valid: np.ndarray | None = None,
+    ahead_m: Sequence[float] = (),
 ) -> None:
-    """Write a labels file for frames [F] at 10 Hz."""
+    """Write a labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there are edges."""
     speed_mps = np.full(len(frame), 8.0)
-    with store.DriveWriter(path, stage="labels", drive=drive, params=LABELS) as file:
+    params = {"labels": LABELS["labels"] | {"ahead_m": [*ahead_m]}} if ahead_m else LABELS
+    with store.DriveWriter(path, stage="labels", drive=drive, params=params) as file:
         rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
         labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
         label.write(file, frame, frame * 0.1, labels, WHEELBASE_M)
+        if ahead_m:
+            ahead.write(file, ahead.path_ahead(frame, frame * 0.1, labels, ahead_m, 5.0))
 
 
 def write_graphs(
@@ -113,6 +121,7 @@ def write_dataset(
     points: int = 60,
     seed: int = 0,
     write: Callable[..., None] = write_graphs,
+    ahead_m: Sequence[float] = (),
 ) -> None:
     """Write ``root/graphs/semantic`` (as `write` does) and ``root/labels``: drives of bends both ways."""
     rng = np.random.default_rng(seed)
@@ -120,6 +129,6 @@ def write_dataset(
         phase, rate = rng.uniform(0, 6), rng.uniform(0.1, 0.3)
         steering_rad = 0.12 * np.sin(phase + rate * np.arange(frames))
         write(root / "graphs" / "semantic" / f"{drive}.h5", drive, steering_rad, np.arange(frames), points, rng)
-        write_labels(root / "labels" / f"{drive}.h5", drive, steering_rad, np.arange(frames))
+        write_labels(root / "labels" / f"{drive}.h5", drive, steering_rad, np.arange(frames), ahead_m=ahead_m)
     store.write_index(root / "graphs" / "semantic", splits)
     store.write_index(root / "labels", splits)

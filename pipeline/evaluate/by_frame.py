@@ -31,23 +31,24 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
             columns = {
                 "drive": [drive.name] * len(drive.frame),
                 "frame": drive.frame,
-                "time_s": _text(drive.time_s, 6),
-                "speed_mps": _text(drive.speed_mps, 4),
-                "steering_rad": _text(drive.steering_rad, 9),
-                "predicted_rad": _text(predicted.steering_rad, 6),
+                "time_s": text(drive.time_s, 6),
+                "speed_mps": text(drive.speed_mps, 4),
+                "steering_rad": text(drive.steering_rad, 9),
+                "predicted_rad": text(predicted.steering_rad, 6),
                 "valid": drive.valid.astype(int),
                 "onset": case.onset.astype(int),
                 # Of the first kind of motion in the graph file.
-                "odometry_rad": _text(next(iter(drive.measured_rad.values()), np.full(len(drive.frame), np.nan)), 6),
+                "odometry_rad": text(next(iter(drive.measured_rad.values()), np.full(len(drive.frame), np.nan)), 6),
             }
             if predicted.sigma_rad is not None:
-                columns["sigma_rad"] = _text(predicted.sigma_rad, 6)
+                columns["sigma_rad"] = text(predicted.sigma_rad, 6)
             if not number:
                 rows.writerow(columns)
             rows.writerows(zip(*columns.values(), strict=True))
 
 
-def _text(values: np.ndarray, digits: int) -> Iterator[str]:
+def text(values: np.ndarray, digits: int) -> Iterator[str]:
+    """Return numbers with `digits` decimals, NaN as an empty text."""
     return ("" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
 
 

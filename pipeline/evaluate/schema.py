@@ -79,6 +79,7 @@ class EntrySettings(Form, extra="allow"):
     window: Count
     horizon: Count
     motion: str
+    predict: Literal["angle", "path"] = "angle"
     fit_to: str = "train"
     roads: Count | None = None
     cell: str | None = None
@@ -101,8 +102,8 @@ class OdometryBaseline(Form):
     coefficient: float | None
 
 
-class Metrics(Form):
-    """Contents of metrics.json."""
+class Run(Form):
+    """What metrics.json has for any model."""
 
     model: str
     line: EntrySettings
@@ -110,16 +111,45 @@ class Metrics(Form):
     drives: dict[Literal["train", "val", "test"], list[str]]
     parameters: Count
     wheelbase_m: Annotated[float, Field(gt=0, le=100)]
-    path: Literal["bicycle", "paper"]
     labels: str | None = None
-    odometry: OdometryBaseline | None = None
     variant: VariantSettings
     points_per_frame: Number | None
     edges_per_frame: Number | None
     edges_per_frame_unpruned: Number | None
+
+
+class Metrics(Run):
+    """Contents of metrics.json of a model that predicts an angle."""
+
+    path: Literal["bicycle", "paper"]
+    odometry: OdometryBaseline | None = None
     train: Split | None
     val: Split | None
     test: Split
+
+
+class RangeErrors(Form):
+    """Errors in a range of the path ahead; None without frames, or if every path is straight."""
+
+    frames: Count
+    nmse: Number | None
+    nmse_std: Number | None
+    nmse_ci95: Interval | None
+    baselines: dict[str, Number]
+
+
+class Range(RangeErrors):
+    from_m: Number
+    to_m: Number
+    without_decisions: RangeErrors
+
+
+class PathMetrics(Run):
+    """Contents of metrics.json of a model that predicts the path ahead."""
+
+    train: list[Range] | None
+    val: list[Range] | None
+    test: list[Range]
 
 
 class Structure(Form):

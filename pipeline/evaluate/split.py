@@ -10,7 +10,6 @@ import numpy as np
 from pipeline.evaluate import decisions, errors, paths
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.sections.evaluate import Evaluate
-from pipeline.train.predict import Prediction, Target
 from pipeline.train.windows import LabelledDrive
 
 
@@ -19,8 +18,8 @@ class Case:
     """A drive with the predictions of a model's S seeds for its G frames."""
 
     drive: LabelledDrive
-    predictions: Sequence[Prediction]  # [S]
-    target: Target
+    predictions: Sequence[Any]  # [S], each a Prediction, or a PathPrediction with a PathTarget
+    target: Any
 
     @cached_property
     def turns(self) -> decisions.Turns:
@@ -120,7 +119,7 @@ def _scored(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
     }
     spread = [(seed.sigma_rad, seed.half_95_rad) for seed in predictions if seed.sigma_rad is not None]
     if spread:
-        columns["certainty"] = np.stack(spread, axis=1)  # type: ignore[arg-type]  # both are arrays, [2,S,G]
+        columns["certainty"] = np.stack(spread, axis=1)  # [2,S,G]
     scored = drive.valid & ~np.isnan(predictions[0].steering_rad)
     return {name: np.compress(scored, values, axis=-1) for name, values in columns.items()}
 

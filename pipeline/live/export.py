@@ -80,6 +80,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
     Raises:
         InputError: `out` contains other files, the network cannot be exported, or a file differs by more.
     """
+    target = model.angle_target
     _check_replaceable(out)
     model.net.requires_grad_(False)
     examples = read_examples(model, graphs)
@@ -114,7 +115,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
             else "0",
             "window": model.entry.window,
             "horizon": model.entry.horizon,
-            **vars(model.target),
+            **vars(target),
             "inputs": {
                 part: {name: INPUTS[name.rstrip("0123456789")] for name in arrays}
                 for part, ((arrays, _), *_) in calls.items()
@@ -196,7 +197,7 @@ def _read_drive(model: Trained, drive: str, graphs: graph_file.Graphs) -> Iterat
             window = {"features": model.net.encode(model.net.frames(arrays)).numpy()[None], "dt_s": arrays["dt_s"]}
         if "motion" in arrays:
             window["motion"] = arrays["motion"][None]
-        output = (float(steering_rad[end]) - float(arrays["base_rad"][0])) / model.target.std_rad
+        output = (float(steering_rad[end]) - float(arrays["base_rad"][0])) / model.angle_target.std_rad
         yield Example(
             drive, [batch.pad(graphs.read(row, row + 1)) for row in range(span.start, span.stop)], window, output
         )

@@ -29,7 +29,7 @@ from pipeline.perception.depth_scale import needs_scan
 from pipeline.perception.perceive import FILE
 from pipeline.sections.ingest import SAMPLE
 from pipeline.train import windows
-from pipeline.train.predict import Trained, angles
+from pipeline.train.predict import Trained
 
 TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
 
@@ -82,7 +82,7 @@ def predict(
         InputError: the source lacks an input of the model, or no frame can be read.
     """
     source.notes += differences(model, source, focal_by_width(data))
-    kinds, car = motion_kinds(model, settings), model.target.car
+    kinds, car = motion_kinds(model, settings), model.angle_target.car
     perceives = (encoder / FILE).is_file() or settings.variant.source != "ingest" or "visual" in kinds
     kinds |= {"visual"} if perceives else set()
     with closing(source.frames) as frames:
@@ -143,7 +143,7 @@ class Predictor:
 
     def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         """Add the angle predicted after each frame that completes a window."""
-        net, target, entry = self.model.net, self.model.target, self.model.entry
+        net, target, entry = self.model.net, self.model.angle_target, self.model.entry
         stream = windows.Stream(entry.window, target.car if entry.motion != "none" else None, entry.base)
         features: deque[torch.Tensor] = deque(maxlen=entry.window)  # each [1,F]
         for frame in frames:
@@ -154,7 +154,7 @@ class Predictor:
                 features.append(net.encode(net.frames(frame.arrays)))
                 if window:
                     output = net.run_windows(torch.cat([*features]), *net.windows(window))
-                    rows = angles(output, window["base_rad"], target)
+                    rows = target.decode(output, window["base_rad"])
                     frame.predicted_rad, frame.sigma_rad = [*rows[:, 0].tolist(), None][:2]
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame

@@ -30,6 +30,10 @@ class Entry(Section):
     learning_rate: Annotated[Rate | None, Field(description="overrides train.learning_rate")] = None
     alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
     features: Annotated[int, Field(ge=1, le=1024, description="numbers per frame between the two networks")] = 32
+    predict: Annotated[
+        Literal["angle", "path"],
+        Field(description="path: the mean curvature of the path ahead, in each range of labels.ahead_m"),
+    ] = "angle"
     horizon: Annotated[
         int, Field(ge=0, le=10_000, description="predict the steering this number of frames after the window")
     ] = 0
@@ -41,7 +45,7 @@ class Entry(Section):
         Literal["motion", "none"],
         Field(
             description="angle that the output is added to: motion: the measured angle of the last frame, 0 without "
-            "motion | none: 0, for motion whose speed is uncertain"
+            "motion | none: 0, for motion whose speed is uncertain. For a path, its regression on this angle"
         ),
     ] = "motion"
     uncertainty: Annotated[bool, Field(description="predict the standard deviation of the error, too")] = False
@@ -58,6 +62,14 @@ class Entry(Section):
     def _check_roads(self) -> Self:
         if self.roads is not None and self.fit_to == "others":
             raise ValueError("roads limits the training drives, and fit_to: others uses none: remove one of the two")
+        return self
+
+    @model_validator(mode="after")
+    def _check_path(self) -> Self:
+        if self.predict == "path":
+            for key, value in {"horizon": self.horizon, "uncertainty": self.uncertainty, "alpha": self.alpha}.items():
+                if value:
+                    raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
         return self
 
     @model_validator(mode="wrap")
@@ -78,11 +90,19 @@ class Entry(Section):
     def __reduce__(self) -> Any:
         return Entry.model_validate, (self.model_dump(),)  # a class made at run time cannot be pickled
 
-    def build(self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None) -> "SteeringNet":
+    @property
+    def reading(self) -> dict[str, Any]:
+        """Return the keyword arguments of windows.read_drive."""
+        return {name: getattr(self, name) for name in ("horizon", "motion", "base", "predict")}
+
+    def build(
+        self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None, outputs: int = 1
+    ) -> "SteeringNet":
         """Build the network with new weights from torch's random state.
 
         Args:
             kind, levels, image_size: of the frames in the entry's input, see graph_file.Contents.
+            outputs: R ranges of a path.
         Raises:
             ValueError: the network reads frames of another kind, or an option is out of range.
         """
@@ -99,10 +119,11 @@ class Entry(Section):
         return steering_net.build(
             spatial,
             temporal,
-            options.Sizes(self.features, self.window, levels, image_size or (0, 0)),
+            options.Sizes(self.features, self.window, levels, image_size or (0, 0), outputs),
             equivariant=self.equivariant,
             motion=self.motion != "none",
             uncertainty=self.uncertainty,
+            path=self.predict == "path",
         )
 
 

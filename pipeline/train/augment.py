@@ -9,9 +9,10 @@ def rescale(batch: Arrays, factor: np.ndarray) -> Arrays:
     """Multiply lengths, radii and speed of each frame by `factor` [B], which is equal within a span.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
-    Images and their steering do not change: a larger world gives the same image.
+    Images and their steering do not change: a larger world gives the same image. Scenes with a path ahead do not change
+    either: its ranges are distances, and the labels have no path in scaled ranges.
     """
-    if "image" in batch:
+    if "image" in batch or "path_1pm" in batch:
         return batch
     scaled = batch | scale_speed(batch, factor)
     scaled["xyz"] = batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]

@@ -24,12 +24,15 @@ from pipeline.sections.train import Train
 from pipeline.train import predict, reading, windows
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World
+from pipeline.train.path_target import PathTarget
 
 if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
 WARM_UP = 0.05  # share of the steps
-TARGETS = "steering_rad", "base_rad", "valid"  # arrays of a batch that are not inputs of the network
+TARGETS = "steering_rad", "path_1pm", "base_rad", "valid"  # arrays of a batch that are not inputs of the network
+MOTION_DROPOUT = 0.3  # share of the runs of frames without motion as input, if the path is predicted: motion says much
+# about the nearest ranges and little about the others, and a network that always has it learns too little of the scene
 
 
 class Fit:
@@ -64,7 +67,7 @@ class Fit:
         self,
         train: Sequence[windows.LabelledDrive],
         val: Sequence[windows.LabelledDrive],
-        target: predict.Target,
+        target: predict.Target | PathTarget,
         state: Path,
         metadata: Mapping[str, Any],
         title: str,
@@ -102,7 +105,7 @@ class Fit:
             sys.stdout.flush()
 
     def _plan(
-        self, drives: Sequence[windows.LabelledDrive], epoch: int
+        self, drives: Sequence[windows.LabelledDrive], epoch: int, motion_dropout: float
     ) -> tuple[list[list[int]], list[reading.TrainStep]]:
         """Return the numbers of this process's runs of frames in each step, and this process's steps.
 
@@ -116,15 +119,21 @@ class Fit:
         for group, share in zip(groups, shares, strict=True):
             members = share or [0]  # a process without a run takes part with a run of weight 0
             factor = settings.rescale ** rng.uniform(-1, 1, len(group))[members]  # drawn for all processes' runs
-            steps.append(reading.TrainStep(tuple(group[run] for run in members), factor.astype(np.float32)))
+            dropped = rng.random(len(group))[members] < motion_dropout if motion_dropout else None
+            steps.append(reading.TrainStep(tuple(group[run] for run in members), factor.astype(np.float32), dropped))
         return shares, steps
 
     def _train(
-        self, reader: reading.Reader, drives: Sequence[windows.LabelledDrive], target: predict.Target, epoch: int
+        self,
+        reader: reading.Reader,
+        drives: Sequence[windows.LabelledDrive],
+        target: predict.Target | PathTarget,
+        epoch: int,
     ) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
-        settings, device = self.settings, self.net.device
-        shares, steps = self._plan(drives, epoch)
+        settings, device, path = self.settings, self.net.device, isinstance(target, PathTarget)
+        loss = robust_loss if path else weighted_loss
+        shares, steps = self._plan(drives, epoch, MOTION_DROPOUT if path and self.net.motion else 0.0)
         self.learner.train()
         total, rate = torch.zeros(2, dtype=torch.float64, device=device), 0.0  # sums of weight · error², weight
         alone = multiprocessing.parent_process() is None  # several bars on one terminal overwrite each other
@@ -135,18 +144,19 @@ class Fit:
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
             # Copied before the forward pass: the copies do not wait for it.
-            targets = {name: batch[name].to(device, non_blocking=True) for name in TARGETS}
+            targets = {name: batch[name].to(device, non_blocking=True) for name in TARGETS if name in batch}
             with autocast(device, settings.precision):
                 predicted = self.learner(*self.net.inputs(batch), pairs=settings.mirror)
-            steering, base, valid = (targets[name].to(predicted) for name in TARGETS)
-            weight = valid * torch.exp(self.alpha * steering.abs())
+            targets = {name: tensor.to(predicted) for name, tensor in targets.items()}
+            weight = targets["valid"]  # [W], of a path [W,R]
+            if not path:
+                weight = weight * torch.exp(self.alpha * targets["steering_rad"].abs())
             weight = weight if share else torch.zeros_like(weight)
-            weight = weight.repeat(len(predicted) // len(weight))  # twice with mirror
-            mass = self.world.sum(weight.sum())
-            residual = (steering - base) / target.std_rad
+            residual = target.residual(targets)
             if settings.mirror:
-                residual = torch.cat([residual, -residual])
-            error = weighted_loss(predicted, residual, weight)
+                residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])
+            mass = self.world.sum(weight.sum())
+            error = loss(predicted, residual, weight)
             self.optimiser.zero_grad(set_to_none=True)
             # DistributedDataParallel averages gradients over processes; the loss is a sum over them.
             (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
@@ -157,10 +167,15 @@ class Fit:
         error_sum, weight_sum = self.world.sum(total).tolist()
         return error_sum / weight_sum, rate
 
-    def _validate(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> tuple[float, float]:
-        """Return MSE in rad² and nmse of the averaged weights; NaN without drives."""
+    def _validate(
+        self, drives: Sequence[windows.LabelledDrive], target: predict.Target | PathTarget
+    ) -> tuple[float, float]:
+        """Return MSE in rad² and nmse of the averaged weights; NaN without drives, the MSE also for a path."""
         if not drives:
             return math.nan, math.nan
+        if isinstance(target, PathTarget):
+            net: Any = self.average.module
+            return math.nan, target.nmse(drives, predict.predict_drives(net, drives, self.window, target, self.world))
         steering, error, _ = self._predict(drives, target)
         mse, zero = float(np.mean(error**2)), float(np.mean(steering**2))
         return mse, mse / zero if zero > 0 else math.nan
@@ -227,3 +242,11 @@ def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     error = mean - target
     likelihood = log_sigma + (error.detach() * torch.exp(-log_sigma)).square() / 2
     return (weight * (error.square() + likelihood)).sum()
+
+
+def robust_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+    """Return Σ w Huber(κ̂ - κ) over windows and ranges [W,R], standardised: linear beyond one standard deviation.
+
+    The path at a junction is the driver's choice, and squared errors there would dominate.
+    """
+    return (weight * nn.functional.huber_loss(predicted, target, reduction="none")).sum()

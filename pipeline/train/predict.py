@@ -24,6 +24,7 @@ from pipeline.labels import label
 from pipeline.sections.models import Entry
 from pipeline.train import runs, windows
 from pipeline.train.distributed import World
+from pipeline.train.path_target import PathPrediction, PathTarget
 
 if TYPE_CHECKING:
     import torch
@@ -33,6 +34,17 @@ if TYPE_CHECKING:
 
 KIND = "steering net"  # of checkpoint
 WINDOWS = 96  # per batch of predictions; limits the memory
+
+
+class Prediction(NamedTuple):
+    """Predicted steering for G frames, NaN where no complete window ends.
+
+    With uncertainty also its standard deviation, and half of the 95 % interval.
+    """
+
+    steering_rad: np.ndarray
+    sigma_rad: np.ndarray | None = None
+    half_95_rad: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -72,16 +84,24 @@ class Target:
     def car(self) -> label.Car:
         return label.Car(self.wheelbase_m, self.min_speed_mps)
 
+    @property
+    def outputs(self) -> int:
+        return 1
 
-class Prediction(NamedTuple):
-    """Predicted steering for G frames, NaN where no complete window ends.
+    def residual(self, batch: Mapping[str, "Tensor"]) -> "Tensor":
+        """Return the output [W] that the network should have, from a batch's targets."""
+        return (batch["steering_rad"] - batch["base_rad"]) / self.std_rad
 
-    With uncertainty also its standard deviation, and half of the 95 % interval.
-    """
+    def decode(self, output: "Tensor", base_rad: np.ndarray) -> np.ndarray:
+        """Return the fields of :class:`Prediction` for W windows, [1 or 3, W] in rad, of a network's output."""
+        values = output.double().cpu().numpy().reshape(len(base_rad), -1).T
+        steering_rad = base_rad + self.std_rad * values[0]
+        sigma_rad = self.std_rad * self.sigma_factor * np.exp(values[1:])  # [0 or 1, W]
+        return np.concatenate([steering_rad[None], sigma_rad, self.interval_95 * sigma_rad])
 
-    steering_rad: np.ndarray
-    sigma_rad: np.ndarray | None = None
-    half_95_rad: np.ndarray | None = None
+    def prediction(self, values: np.ndarray) -> Prediction:
+        """Return :meth:`decode`'s values, collected for G frames [1 or 3, G]."""
+        return Prediction(*values)
 
 
 class Card(BaseModel):
@@ -104,7 +124,7 @@ class Checkpoint(BaseModel):
     fold: str | None
     contents: Contents
     model: Entry
-    target: Target
+    target: Target | PathTarget
     card: Card | None = None
     net: dict[str, Any]
 
@@ -118,18 +138,28 @@ class Trained:
     fold: str | None  # the test drive that was left out of training, with fit_to: others or both
     entry: Entry
     contents: Contents  # of the graph files it was trained on
-    target: Target
+    target: Target | PathTarget
     net: "SteeringNet"
     card: Card | None = None
 
-    def predict(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Return the steering in rad, left +, for frames of an open graph file; see :meth:`predict_with_sigma`."""
-        return self.predict_with_sigma(graphs, numbers).steering_rad
+    @property
+    def angle_target(self) -> Target:
+        """The target of a model that predicts an angle. Raises InputError for another one."""
+        if isinstance(self.target, PathTarget):
+            raise InputError("predicts the path ahead, expected an angle", f"model {self.name}", "Choose another model")
+        return self.target
 
-    def predict_with_sigma(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> Prediction:
+    def predict(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """Return the steering in rad [G], or the path in 1/m [G,R], left +; see :meth:`predict_with_sigma`."""
+        return self.predict_with_sigma(graphs, numbers)[0]
+
+    def predict_with_sigma(
+        self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None
+    ) -> Prediction | PathPrediction:
         """Return the steering in rad, left +, and with uncertainty its σ: float64, one per frame of an open graph file.
 
-        The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t. NaN where no
+        The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t; of a model
+        with predict: path the mean curvature of the path ahead, in each range of `target.ahead_m`. NaN where no
         complete window ends: too early in the drive, or too soon after a gap. Each frame is read and encoded once,
         with at most WINDOWS windows at a time.
 
@@ -153,7 +183,7 @@ class Trained:
         (predicted,) = predict_drives(
             self.net, [timeline], self.entry.window, self.target, rows=[rows], opened={0: graphs}
         )
-        return Prediction(*(values[rows] for values in predicted if values is not None))
+        return type(predicted)(*(values[rows] for values in predicted if values is not None))
 
 
 def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
@@ -178,7 +208,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         content = checkpoint.read(path, KIND)
         with error_context(where=path):
             best = _parse(content)
-            net = best.model.build(**best.contents.model_dump())
+            net = best.model.build(**best.contents.model_dump(), outputs=best.target.outputs)
         checkpoint.load_state(net, best.net, path)
     runs.check_pair(path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
@@ -197,12 +227,12 @@ def predict_drives(
     net: "SteeringNet",
     timelines: Sequence[windows.Timeline],
     window: int,
-    target: Target,
+    target: Target | PathTarget,
     world: World = World(),
     rows: Sequence[np.ndarray] | None = None,
     opened: Mapping[int, Graphs] | None = None,
-) -> list[Prediction]:
-    """Return the predicted steering for each timeline's frames.
+) -> list[Any]:
+    """Return the target's predictions, :class:`Prediction` or :class:`PathPrediction`, for each timeline's frames.
 
     With `rows`, int [..] per timeline, at least for these; other frames are not encoded. The processes of a `world`
     share the work and all get the complete result. `opened` as in :func:`windows.batches`.
@@ -214,18 +244,10 @@ def predict_drives(
     net.eval()
     with torch.inference_mode():
         read = prefetch(windows.batches(timelines, [[span] for span in share], window, opened))
-        predicted = [angles(net(*net.inputs(batch)), batch["base_rad"], target) for batch in read]
-    columns = 1 if net.uncertainty is None else 3
+        predicted = [target.decode(net(*net.inputs(batch)), batch["base_rad"]) for batch in read]
+    columns = target.outputs if net.uncertainty is None else 3
     result = [np.full((columns, len(timeline.frame)), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(share, predicted, strict=True))):
         for span, values in part:
             result[span.drive][:, span.start + window - 1 : span.stop] = values
-    return [Prediction(*values) for values in result]
-
-
-def angles(output: "Tensor", base_rad: np.ndarray, target: Target) -> np.ndarray:
-    """Return the fields of :class:`Prediction` for W windows, [1 or 3, W] in rad, of a network's output."""
-    values = output.double().cpu().numpy().reshape(len(base_rad), -1).T
-    steering_rad = base_rad + target.std_rad * values[0]
-    sigma_rad = target.std_rad * target.sigma_factor * np.exp(values[1:])  # [0 or 1, W]
-    return np.concatenate([steering_rad[None], sigma_rad, target.interval_95 * sigma_rad])
+    return [target.prediction(values) for values in result]

@@ -29,6 +29,7 @@ class TrainStep:
 
     runs: tuple[windows.Span, ...]
     factor: np.ndarray  # float32, one per run
+    without_motion: np.ndarray | None = None  # bool, one per run: the network gets its motion as not measured
 
 
 class Reader(Dataset[dict[str, Any]]):
@@ -76,6 +77,8 @@ class Reader(Dataset[dict[str, Any]]):
         (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
         lengths = [run.stop - run.start for run in step.runs]
         batch = rescale(batch, np.repeat(step.factor, lengths))
+        if step.without_motion is not None:
+            batch["motion"][np.repeat(step.without_motion, lengths)] = 0
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
 
     def __getstate__(self) -> dict[str, Any]:

@@ -83,9 +83,7 @@ def drop_untestable(folds: Sequence[Fold], graphs: Path, labels: Path, entry: En
     """
     testable, faults = [], []
     for fold in folds:
-        drives = [
-            windows.read_drive(graphs, labels, name, entry.horizon, entry.motion, entry.base) for name in fold.test
-        ]
+        drives = [windows.read_drive(graphs, labels, name, **entry.reading) for name in fold.test]
         if fault := windows.target_fault(drives, entry.window):
             faults.append(fault)
         else:

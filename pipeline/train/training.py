@@ -20,6 +20,7 @@ from pipeline.sections.train import Train
 from pipeline.train import fit, predict, windows
 from pipeline.train.curve import selected_epoch, write_curve
 from pipeline.train.distributed import World
+from pipeline.train.path_target import PathTarget
 from pipeline.train.runs import Run
 
 SMALL = 8_000  # points per frame
@@ -41,10 +42,11 @@ class Job:
 
     def read_drives(self, names: tuple[str, ...]) -> list[windows.LabelledDrive]:
         """Read drives with targets for this model."""
-        entry = self.entry
-        return windows.read_drives(
-            self.variant, self.labels, names, entry.window, entry.horizon, entry.motion, entry.base
-        )
+        return windows.read_drives(self.variant, self.labels, names, self.entry.window, **self.entry.reading)
+
+    def target(self, drives: list[windows.LabelledDrive]) -> "predict.Target | PathTarget":
+        """Return the scale of the outputs, from training drives. Raises InputError."""
+        return (PathTarget if self.entry.predict == "path" else predict.Target).from_drives(drives)
 
 
 def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu") -> None:
@@ -62,8 +64,9 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         # where another process uses its core. One thread's sums are also the same on each machine.
         torch.set_num_threads(1)
     torch.manual_seed(run.seed)
+    target = job.target(train)
     with error_context(where=job.where):
-        net = entry.build(**contents.model_dump())
+        net = entry.build(**contents.model_dump(), outputs=target.outputs)
     net.to(device, torch.float64 if settings.precision == "float64" else None)
     inputs = {
         "model": entry.model_dump(mode="json"),
@@ -80,7 +83,6 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         )
     state = job.pending / f"{key}.pt"
     fitting = fit.Fit(net, entry.window, entry.alpha, settings, run.seed, world)
-    target = predict.Target.from_drives(train)
     metadata: dict[str, Any] = {
         "name": job.name,
         "contents": contents.model_dump(exclude_defaults=True),
@@ -90,7 +92,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         **inputs,
     }
     fitting.run(train, val, target, state, metadata, f"{job.name} {run}")
-    if entry.uncertainty and val:
+    if entry.uncertainty and val and isinstance(target, predict.Target):
         metadata["target"] = vars(fitting.calibrate(val, target))
     if world.is_main:
         figures = {

@@ -10,7 +10,8 @@ A batch is a dict of arrays: B frames as in pipeline/graphs/graph_file.py, and f
   [W] (angle of the window's last frame to which the network's output is added);
 - with motion, motion float32 [B,4] since the previous frame: the measured steering angle, yaw rate,
   speed, and whether they were measured; the first two change sign under mirroring;
-- with targets, steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame.
+- with targets, steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame; or the
+  path ahead of the last frame, path_1pm float32 [W,R] and valid bool [W,R].
 """
 
 from collections import defaultdict
@@ -97,13 +98,24 @@ class LabelledDrive(Timeline):
     car: label.Car
     steering_rad: np.ndarray  # float64, NaN without a label
     curvature_1pm: np.ndarray  # float64, NaN without a label
-    valid: np.ndarray  # bool; False without a label
+    valid: np.ndarray  # bool; False without a label. With predict: path, whether the path is known in any range
     speed_mps: np.ndarray  # float64, at the frame itself
     persistence_rad: np.ndarray  # float64, last valid label before the target and not after the frame itself; or 0
     label_source: str  # labels.source: oxts | visual | lidar | wheel
     # Kind of motion in the file → float64, the measured angle; NaN if no frame is measured, as without scans. At
     # horizon 0 without the kind that the labels are from, since it is the same measurement.
     measured_rad: dict[str, np.ndarray]
+    ahead_m: tuple[float, ...]  # R+1 edges of the ranges of the path ahead; none with predict: angle
+    path_1pm: np.ndarray  # float64 [G,R], NaN without a label
+
+    @property
+    def targets(self) -> np.ndarray:
+        """The angle [G] or the path [G,R]."""
+        return self.path_1pm if self.ahead_m else self.steering_rad
+
+    def measured_1pm(self, kind: str) -> np.ndarray:
+        """Return the measured curvature [G], left positive."""
+        return np.tan(self.measured_rad[kind]) / self.car.wheelbase_m
 
 
 @dataclass(frozen=True)
@@ -123,12 +135,13 @@ def read_drives(
     horizon: int = 0,
     motion: str = "none",
     base: str = "motion",
+    predict: str = "angle",
 ) -> list[LabelledDrive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
     Raises InputError as :func:`read_drive`, or a :func:`target_fault`.
     """
-    drives = [read_drive(graphs, labels, name, horizon, motion, base) for name in names]
+    drives = [read_drive(graphs, labels, name, horizon, motion, base, predict) for name in names]
     if names and (fault := target_fault(drives, window)):
         raise fault
     return drives
@@ -143,26 +156,33 @@ def target_fault(drives: Sequence[LabelledDrive], window: int) -> InputError | N
         return InputError(f"no point in any frame of {names}", graphs, "Widen the variant's crop_m or add drives")
     if not any(drive.valid[start + window - 1 : stop].any() for drive in filled for start, stop in drive.runs):
         longest = max((stop - start for drive in drives for start, stop in drive.runs), default=0)
-        where = f"{horizon} frames after its end" if horizon else "at its end"
+        target = f"a valid label {horizon} frames after its end" if horizon else "a valid label at its end"
+        if drives[0].ahead_m:
+            target = f"a driven path of {drives[0].ahead_m[1]:g} m ahead of its end"
         return InputError(
-            f"no window of {window} consecutive frames with a valid label {where} in {names} (longest run: {longest} "
-            "frames)",
+            f"no window of {window} consecutive frames with {target} in {names} (longest run: {longest} frames)",
             graphs,
             "Use a smaller window, other drives or another input",
         )
-    if not any(drive.steering_rad[drive.valid].any() for drive in drives):
+    if not any(np.nan_to_num(drive.targets[drive.valid]).any() for drive in drives):
         return InputError(f"every valid label of {names} is 0", labels, "Add drives with bends")
     return None
 
 
 def read_drive(
-    graphs: Path, labels: Path, name: str, horizon: int = 0, motion: str = "none", base: str = "motion"
+    graphs: Path,
+    labels: Path,
+    name: str,
+    horizon: int = 0,
+    motion: str = "none",
+    base: str = "motion",
+    predict: str = "angle",
 ) -> LabelledDrive:
     """Read one drive's labels.
 
     Args:
         graphs, labels: folders of the graph variant and of the labels.
-        horizon, motion, base: as in a model's entry.
+        horizon, motion, base, predict: as in a model's entry.
     Raises:
         InputError: a label is missing, the file has no such motion, or the car drives and no frame is measured.
     """
@@ -183,6 +203,8 @@ def read_drive(
                 graphs,
                 f"Remove {name} from ingest.drives or choose another motion",
             )
+        edges_m, path_1pm = _read_path(truth) if predict == "path" else ((), np.empty((len(valid), 0)))
+        target_valid = np.isfinite(path_1pm[here]).any(axis=1) if edges_m else (ahead >= 0) & valid[ahead]
         return LabelledDrive(
             **vars(Timeline.read(file, motion, car, base)),
             name=name,
@@ -192,16 +214,27 @@ def read_drive(
             car=car,
             steering_rad=np.where(ahead >= 0, steering_rad[ahead], np.nan),
             curvature_1pm=np.where(ahead >= 0, truth["curvature_1pm"][ahead], np.nan),
-            valid=(ahead >= 0) & valid[ahead],
+            valid=np.asarray(target_valid),
+            ahead_m=edges_m,
+            path_1pm=path_1pm[here],
             speed_mps=truth["speed_mps"][here],
             label_source=source,
             persistence_rad=_hold(steering_rad[here], valid[here], including=horizon > 0),
             measured_rad={
                 kind: label.measured_angle(*file.motion(kind), **vars(car)) if any_valid else np.full(len(here), np.nan)
                 for kind, any_valid in measured.items()
-                if horizon or kind != source
+                if horizon or edges_m or kind != source
             },
         )
+
+
+def _read_path(labels: store.DriveReader) -> tuple[tuple[float, ...], np.ndarray]:
+    """Return the edges of the ranges, and the path ahead of all frames [F,R], NaN where it is not valid."""
+    if "ahead_1pm" not in labels:
+        fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
+        raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels.path, fix)
+    path_1pm = np.where(labels["ahead_valid"].astype(bool), labels["ahead_1pm"], np.nan)
+    return tuple(labels.params["labels"]["ahead_m"]), path_1pm
 
 
 def _hold(steering_rad: np.ndarray, valid: np.ndarray, including: bool) -> np.ndarray:
@@ -318,7 +351,10 @@ def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) 
             columns["motion"].append(timeline.motion[rows])
         if isinstance(timeline, LabelledDrive):
             # Targets without a label have weight 0, but 0 × NaN is NaN.
-            columns["steering_rad"].append(np.nan_to_num(timeline.steering_rad[ends]).astype(np.float32))
-            columns["valid"].append(timeline.valid[ends])
+            name, known = "steering_rad", timeline.valid
+            if timeline.ahead_m:
+                name, known = "path_1pm", np.isfinite(timeline.path_1pm)
+            columns[name].append(np.nan_to_num(timeline.targets[ends]).astype(np.float32))
+            columns["valid"].append(known[ends])
         before += span.stop - span.start
     return {name: np.concatenate(parts) for name, parts in columns.items()}

@@ -82,6 +82,25 @@ def test_a_label_is_not_its_models_input(tmp_path: Path, kind: str) -> None:
     run(tmp_path, content)
 
 
+def test_a_path_needs_ranges_and_is_no_input(tmp_path: Path) -> None:
+    """The label is driven after the input, so measured motion may be both input and source of the label."""
+    content = changed("labels.source", "visual")
+    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": "visual", "predict": "path"}}
+    run(tmp_path, content)
+    content["labels"]["ahead_m"] = []
+    with pytest.raises(InputError, match=r"models\.net: predict: path needs labels\.ahead_m"):
+        run(tmp_path, content)
+
+
+@pytest.mark.parametrize(("key", "value"), [("horizon", 10), ("uncertainty", True), ("alpha", 5.0)])
+def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any) -> None:
+    content = changed(MODEL, yaml.safe_load((ROOT / "params.yaml").read_text())["models"]["sa-gnn-ncp"])
+    content["models"]["sa-gnn-ncp"] |= {"predict": "path", key: value}
+    with pytest.raises(InputError, match=f"predict: path has no {key}") as raised:
+        run(tmp_path, content)
+    assert "\n" not in str(raised.value)
+
+
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
@@ -92,6 +111,7 @@ def test_a_label_is_not_its_models_input(tmp_path: Path, kind: str) -> None:
         ("labels.source", "lidar", r"labels\.source: motion\.kinds has only visual"),
         ("labels.source", "gps", r"labels\.source"),
         ("graphs.lidar.accumulate", {"motion": "lidar", "frames": 2}, r"lidar\.accumulate\.motion"),
+        (f"{MODEL}.predict", "paths", r"predict.*'angle' or 'path'"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
         (f"{MODEL}.equivarient", True, "equivarient"),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),

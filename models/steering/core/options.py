@@ -32,6 +32,7 @@ class Sizes:
     window: int = 1  # T, frames per prediction
     levels: int = 0  # samplings in an input of kind pointnet2
     image_size: tuple[int, int] = (0, 0)  # (H,W) pixels of an input of kind image
+    outputs: int = 1  # R, numbers per frame of the recurrent network
 
 
 class NetworkOptions(OptionGroup):

@@ -13,7 +13,7 @@ State = tuple[Tensor, ...]
 
 
 class RecurrentCell(nn.Module):
-    """Recurrent network from a window of frame features to one number per frame.
+    """Recurrent network from a window of frame features to R numbers per frame, 1 for an angle.
 
     It has two parts, so that windows share frames: `project_inputs` depends on a frame alone and runs once per frame;
     `forward` is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per
@@ -32,7 +32,7 @@ class RecurrentCell(nn.Module):
             dt_s: [W,T] seconds since the previous frame.
             state: from an earlier call, to continue a window; None: zero state.
         Returns:
-            One number per window and frame [W,T,1], and the state after the last frame.
+            The numbers of each window and frame [W,T,R], and the state after the last frame.
         """
         raise NotImplementedError
 

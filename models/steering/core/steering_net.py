@@ -52,6 +52,8 @@ class SteeringNet(nn.Module):
             angle, in units of its standard deviation. The paper has no such input.
         uncertainty: network from the recurrent network's state [W,U] to log σ [W,1], the logarithm of the error's
             standard deviation. Its gradient ends at the state: it does not change what steering is learned from.
+        path: number of ranges R of a network for the path ahead; 0: an angle. With motion, its outputs [W,R] are
+            multiplied by gains that start at 0: training starts at the best prediction from the motion alone.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class SteeringNet(nn.Module):
         equivariant: bool = False,
         motion: bool = False,
         uncertainty: nn.Module | None = None,
+        path: int = 0,
     ) -> None:
         super().__init__()
         self.spatial = spatial
@@ -70,6 +73,8 @@ class SteeringNet(nn.Module):
         self.uncertainty = uncertainty
         self.features: tuple[str, int] | None = None
         """File of the spatial network and its number of features per frame, if known, for the error message."""
+        self.path = path
+        self.gain = nn.Parameter(torch.zeros(path)) if path and motion else None
 
     def encode(self, batch: Batch) -> Tensor:
         """Return the spatial features of each frame [B,F]."""
@@ -98,7 +103,7 @@ class SteeringNet(nn.Module):
             motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
             pairs: predict for the windows and for their mirror images.
         Returns:
-            [W], or with uncertainty [W,2], the second is log σ. With pairs the mirror images follow: [2W], [2W,2].
+            [W]; with uncertainty [W,2], the second is log σ; of a path [W,R]. With pairs the mirror images follow.
         """
         if not pairs:
             return self.run_windows(self.encode(batch), windows, dt_s, motion)
@@ -164,7 +169,9 @@ class SteeringNet(nn.Module):
     def _last(self, inputs: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
         """Run the recurrent network on inputs [B,D]; return its output at each window's end."""
         projected = self.temporal.project_inputs(inputs)  # [B,S]
-        out, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,1]
+        out, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
+        if self.path:
+            return out[:, -1] if self.gain is None else out[:, -1] * self.gain
         if self.uncertainty is None:
             return out[:, -1, 0]
         log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1]
@@ -189,6 +196,7 @@ def build(
     equivariant: bool = False,
     motion: bool = False,
     uncertainty: bool = False,
+    path: bool = False,
 ) -> SteeringNet:
     """Build the network with new weights from torch's random state. Raises ValueError if an option is out of range."""
     # Random numbers are drawn in this order: a seed's weights depend on it.
@@ -199,7 +207,7 @@ def build(
     if uncertainty:
         units = temporal_net.state_size(inputs)
         sigma_net = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
-    net = SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net)
+    net = SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net, path=sizes.outputs if path else 0)
     net.features = f"{type(spatial).__module__.replace('.', '/')}.py", sizes.features
     return net
 

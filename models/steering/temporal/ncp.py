@@ -20,4 +20,4 @@ class Options(NetworkOptions):
     wiring: Layout = Layout()
 
     def build(self, sizes: Sizes) -> RecurrentCell:
-        return CELLS[self.cell](ncp(sizes.features, self.wiring))
+        return CELLS[self.cell](ncp(sizes.features, self.wiring, sizes.outputs))

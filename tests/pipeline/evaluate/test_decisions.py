@@ -68,3 +68,17 @@ def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: i
     artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
     drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
     assert np.flatnonzero(decisions.near_onsets(drive, decisions.read_turns(drive))).tolist() == list(range(first, 41))
+
+
+def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path: Path) -> None:
+    """At 8 m/s and 10 Hz a frame is 0.8 m, so the far edges are 5 and 25 frames before the onset at frame 30."""
+    frame, edges_m = np.arange(80), [0, 4, 20]
+    steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
+    artefacts.write_labels(tmp_path / f"labels/{NAME}.h5", NAME, steering, frame, ahead_m=edges_m)
+    artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
+    drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, predict="path")
+    turns = decisions.read_turns(drive)
+    assert turns.frame.tolist() == [30]
+    near, far = decisions.near_onsets_ahead(drive, turns).T
+    assert frame[near].tolist() == pytest.approx(np.arange(25, 41), abs=1)
+    assert frame[far].tolist() == pytest.approx(np.arange(5, 41), abs=1)

@@ -10,6 +10,7 @@ from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
 from pipeline.sections.models import Entry
 from pipeline.train import predict
+from pipeline.train.path_target import PathTarget
 from pipeline.train.predict import Target, Trained
 from tests import artefacts
 
@@ -17,13 +18,14 @@ DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test"}
 WRITERS = {"pointnet2": artefacts.write_sets, "cnn": artefacts.write_images}
 SMALL: dict[str, dict[str, Any]] = {"pointnet2": {"width": 0.125}, "cnn": {}, "blind": {}, "polar": {"widths": [4, 8]}}
 WINDOW = 3
+EDGES_M = (0, 2, 4)
 WAVE = 0.1 * torch.linspace(0, 6, 12).sin().numpy()
 
 
 def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings: Any) -> Trained:
     """Write drives to folder/graphs/semantic and folder/labels, and return an untrained model of them."""
     write: Callable[..., None] = WRITERS.get(spatial, artefacts.write_graphs)
-    artefacts.write_dataset(folder, DRIVES, frames=12, points=40, write=write)
+    artefacts.write_dataset(folder, DRIVES, frames=12, points=40, write=write, ahead_m=EDGES_M)
     for drive in DRIVES:
         artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", "visual", WAVE)
     line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": WINDOW, "features": 8}
@@ -34,8 +36,10 @@ def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings
         contents = graphs.contents
     torch.manual_seed(0)
     entry = Entry.model_validate(line)
-    net = entry.build(**contents.model_dump()).eval()
-    target = Target(0.0, 0.1, artefacts.WHEELBASE_M, 1.0)
+    target: Target | PathTarget = Target(0.0, 0.1, artefacts.WHEELBASE_M, 1.0)
+    if entry.predict == "path":
+        target = PathTarget([*EDGES_M], [0.9, 0.5], [0.01, 0.01], artefacts.WHEELBASE_M, 1.0)
+    net = entry.build(**contents.model_dump(), outputs=target.outputs).eval()
     return Trained("net", 0, None, entry, contents, target, net)
 
 

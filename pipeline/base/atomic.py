@@ -103,7 +103,7 @@ def stage_folder(out: Path, *, entry: bool = False) -> Iterator[Path]:
     visible = [path for path in out.glob("*") if not path.name.startswith(".")]
     if visible and not _lock_of(pending).exists():
         listed = dvc_lock.read_text(encoding="utf-8", errors="replace") if dvc_lock.is_file() else ""
-        if f"path: {out.as_posix()}" not in listed:
+        if not re.search(rf"path: {re.escape(out.as_posix())}(/.*)?$", listed, re.MULTILINE):
             raise InputError("folder has files that no stage wrote", out, "Pass another --out, or move them away")
     with exclusive(out, pending):
         yield pending

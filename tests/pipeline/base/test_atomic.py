@@ -141,6 +141,9 @@ def test_files_that_no_stage_wrote_are_refused(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(InputError, match="no stage wrote"), stage_folder(out):
         (out / "index.json").unlink()
     assert contents(tmp_path) == {"data/labels/index.json": b"precious"}
+    write(Path("dvc.lock"), "outs:\n- path: data/labels-2\n")
+    with pytest.raises(InputError, match="no stage wrote"), stage_folder(out):
+        pass
     write(Path("dvc.lock"), "outs:\n- path: data/labels\n")  # as after dvc pull
     with stage_folder(out):
         pass

@@ -121,7 +121,11 @@ def _files(weights: Weights | None) -> dict[str, WeightFile]:
 
 
 def _check_available(file: WeightFile) -> None:
-    if file.path.exists():
+    try:
+        exists = file.path.exists()
+    except OSError as error:  # a name that is too long, no permission
+        raise InputError(str(error.strerror), file.path) from error
+    if exists:
         if not file.path.is_file():
             raise InputError("expected a regular file", file.path)
         return

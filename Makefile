@@ -10,12 +10,12 @@ export DVC_NO_ANALYTICS := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
-CHAINS := $(filter-out street,$(PRESETS))
+CHAINS := $(filter-out encoder street,$(PRESETS))
 RUNS := $(CHAINS:%=run-of-%)
 # Benchmarks and soak tests also use recorded scans, if there are any.
 KITTI := $(or $(STEER_KITTI),$(wildcard ../shared/kitti))
 
-.PHONY: demo help street udacity $(CHAINS) $(RUNS) params test soak bench lint format setup system
+.PHONY: demo help encoder street udacity $(CHAINS) $(RUNS) params test soak bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro
@@ -41,6 +41,11 @@ $(RUNS): run-of-%:
 	@rm -rf "data/report/$*"; [ ! -e "runs/$*/data/report/settings/studies.md" ] || cp -RL "runs/$*/data/report/settings" "data/report/$*"
 	@for kind in md csv; do cp "runs/$*/data/report/table.$$kind" "data/report/$*.$$kind"; done
 	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md"
+
+encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
+	@mkdir -p runs/encoder && python -m pipeline.sections.preset encoder --out runs/encoder/params.yaml
+	@cd runs/encoder && export PYTHONPATH=../.. && for stage in town ingest encoder; do python -m stages.$$stage || exit; done
+	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample
 
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
 	@mkdir -p runs/street && python -m pipeline.sections.preset street --out runs/street/params.yaml

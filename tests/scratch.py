@@ -92,7 +92,7 @@ def small_chain(folder: Path) -> Path:
         folder,
         town=params["town"] | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
         ingest=params["ingest"] | {"image_size": [64, 208], "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
-        encoder=params["encoder"] | {"epochs": 2, "frames": 24},
+        encoder=params["encoder"] | {"weights": None, "epochs": 2, "frames": 24},
         clouds=params["clouds"] | {"max_points": 3000},
         graphs={"semantic": params["graphs"]["semantic"] | {"points": 200}, "lidar": lidar_variant(200)},
         train=params["train"] | {"epochs": 3, "seeds": [0]},

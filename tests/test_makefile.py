@@ -1,5 +1,6 @@
 """Test the Makefile: presets with a DVC that only logs its calls, and set-up with a uv and a pip that do the same."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -102,3 +103,22 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
     assert not (checkout / "runs/kitti/pipeline/removed.py").exists()
     first = ["init --quiet --no-scm", "config cache.type hardlink,copy", "cache dir ../../.dvc/cache", "repro"]
     assert (checkout / "calls").read_text().splitlines() == [*first, *first, *first[1:]]
+
+
+@pytest.mark.slow
+def test_the_samples_encoder_is_made_by_one_command(checkout: Path) -> None:
+    """With its preset, but small."""
+    path = checkout / "presets/encoder.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["town"] |= {"image_size": [32, 96], "frames": dict.fromkeys(("train", "val", "test"), 1)}
+    content["ingest"] |= {"image_size": [32, 96]}
+    content["ingest"]["drives"]["train"] = content["ingest"]["drives"]["train"][0].split("..")[:1]
+    content["encoder"] |= {"epochs": 1}
+    path.write_text(yaml.safe_dump(content))
+    shutil.rmtree(checkout / "models/encoder/sample")
+    done = make(checkout, "encoder")
+    assert done.returncode == 0, done.stderr
+    made = checkout / "models/encoder/sample"
+    assert sorted(file.name for file in made.iterdir()) == ["config.json", "encoder.pt"]
+    (drive,) = content["ingest"]["drives"]["train"]
+    assert json.loads((made / "config.json").read_text())["frames_per_drive"] == {drive: 1}

@@ -32,9 +32,12 @@ _CAMERAS_OF_DATE = {
     "2026_01_04": Cameras(0.86 * _KITTI.focal_per_width, (0.506, 0.478), 1.55),
     "2026_01_05": Cameras(1.18 * _KITTI.focal_per_width, (0.477, 0.441), 1.72),
     "2026_01_06": Cameras(1.06 * _KITTI.focal_per_width, (0.512, 0.466), 1.76),
-    # Near KITTI's height: dates of validation and test drives.
+    # Of validation (07) and test drives, within the range of the training dates.
     "2026_01_07": Cameras(0.93 * _KITTI.focal_per_width, (0.483, 0.470), 1.60),
-    "2026_01_08": Cameras(1.11 * _KITTI.focal_per_width, (0.500, 0.449), 1.70),
+    "2026_01_09": Cameras(0.90 * _KITTI.focal_per_width, (0.495, 0.462), 1.58),
+    "2026_01_10": Cameras(1.03 * _KITTI.focal_per_width, (0.486, 0.473), 1.73),
+    "2026_01_11": Cameras(1.13 * _KITTI.focal_per_width, (0.507, 0.449), 1.68),
+    "2026_01_12": Cameras(0.97 * _KITTI.focal_per_width, (0.479, 0.454), 1.62),
 }
 
 

@@ -10,7 +10,9 @@ import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
+from pipeline.base.resume import ROOT
 from pipeline.perception import perceive
+from pipeline.sections import preset
 from stages.encoder import main
 from tests import street
 
@@ -136,3 +138,19 @@ def test_a_teacher_labels_images_of_all_drives_without_use_of_their_labels(inges
         assert all(config(out)["frames_per_drive"][drive] > 0 for drive in (TRAIN, VAL, TEST))
         digests.add(hashlib.sha256((out / "encoder.pt").read_bytes()).hexdigest())
     assert len(digests) == 1
+
+
+def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_other_roads(tmp_path: Path) -> None:
+    content = yaml.safe_load((ROOT / "params.yaml").read_text())
+    fitted, shipped = preset.validate(preset.merged("encoder"), tmp_path), ROOT / content["encoder"]["weights"]
+    assert shipped.stat().st_size <= 2_500_000
+    made = config(shipped.parent)
+    assert made.items() >= fitted.encoder.model_dump(mode="json").items()
+    assert made["frames_per_drive"].keys() == set(fitted.ingest.drives.train)
+    sample = preset.validate(content, tmp_path).ingest.drives
+    assert not made["frames_per_drive"].keys() & sample.splits().keys()
+    assert {drive[:10] for drive in made["frames_per_drive"]} <= {drive[:10] for drive in sample.train}
+    content["encoder"]["weights"] = str(shipped)
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
+    out = main(tmp_path / "no-drives", tmp_path / "encoder", tmp_path / "params.yaml")
+    assert (out / "encoder.pt").read_bytes() == shipped.read_bytes()

@@ -38,7 +38,7 @@ def make(folder: Path) -> None:
         "image_size": [96, 320],
         "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0001"], "test": [TEST]},
     }
-    params["encoder"] |= {"epochs": 4, "frames": 24}
+    params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
     params["perception"] |= {"reach": 1.1, "depth_scale": "camera_height"}
     params["motion"] |= {"kinds": ["visual", "lidar"]}
     params["clouds"] |= {"max_points": 2000}

@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.base.params import load
+from pipeline.base.resume import ROOT
 from pipeline.camera.geometry import transform
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
 from pipeline.kitti.raw import cameras_in, read_calibration
+from pipeline.sections.ingest import Ingest
 from pipeline.town.rig import make_rig, rotation, write_calibration
 from pipeline.town.route import IMU_HEIGHT_M
 
@@ -42,3 +45,14 @@ def test_roll_lifts_the_left_pitch_lowers_the_front_yaw_turns_left(angle: tuple[
     ahead, left, _ = rotation(*angle).T
     roll, pitch, yaw = angle
     np.testing.assert_allclose([left[2], ahead[2], ahead[1]], np.sin([roll, -pitch, yaw]), atol=1e-12)
+
+
+def test_the_test_drives_of_the_sample_have_dates_and_cameras_of_their_own() -> None:
+    drives = load(Ingest, ROOT / "params.yaml").drives
+    dates = {split: {drive[:10] for drive in getattr(drives, split)} for split in ("train", "val", "test")}
+    cameras = {split: {make_rig((96, 320), date).P_rect[2].tobytes() for date in dates[split]} for split in dates}
+    assert len(drives.test) >= 20
+    assert len(drives.val) >= 8
+    for other in ("train", "val"):
+        assert not dates["test"] & dates[other]
+        assert not cameras["test"] & cameras[other]

@@ -21,7 +21,7 @@ from pipeline.town.world import World
 from stages import town
 from tests.recorded_drive import drive_along, write_recorded
 
-DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_07_drive_0001"]  # two dates, two cameras
+DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_11_drive_0001"]  # two dates, two cameras
 
 
 def write_params(path: Path, source: str = "town", val: tuple[str, ...] = (), **settings: Any) -> Path:

@@ -63,6 +63,7 @@ def predict(
     model = model if len(model.parts) > 1 or (model / "best.pt").is_file() else TRAINED / model
     model = options.in_project(model)
     trained = load(model)
+    trained.check_same_scene()
     car = trained.angle_target.car
     data = _data_folder(model, encoder, params)
     sections = load_settings(params or data.parent / "params.yaml", trained.entry.input, data)

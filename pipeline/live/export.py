@@ -80,6 +80,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
     Raises:
         InputError: `out` contains other files, the network cannot be exported, or a file differs by more.
     """
+    model.check_same_scene()
     target = model.angle_target
     _check_replaceable(out)
     model.net.requires_grad_(False)

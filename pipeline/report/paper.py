@@ -21,7 +21,7 @@ class Published(NamedTuple):
 # eq. 4 and cites the paper of the LTC cell, so both count. None: the model has no such setting.
 _ALL: Settings = {
     "equivariant": (False, None), "cell": ("ltc", "eq4", None), "motion": ("none", None), "horizon": (0, None),
-    "fit_to": ("train", None), "roads": (None,), "accumulate": (None,),
+    "fit_to": ("train", None), "roads": (None,), "accumulate": (None,), "scene": ("same", None),
 }  # fmt: skip
 _POINTS: Settings = {**_ALL, "semantics": (0.0, None), "alpha": (0.0, None)}  # equal frame weights, unlike the CNN
 _SETS: Settings = {

@@ -48,6 +48,13 @@ class Entry(Section):
             "motion | none: 0, for motion whose speed is uncertain. For a path, its regression on this angle"
         ),
     ] = "motion"
+    scene: Annotated[
+        Literal["same", "another"],
+        Field(
+            description="another: a control that gets the scene of another frame of the drive, in training a random "
+            "one, otherwise the one half a drive away"
+        ),
+    ] = "same"
     uncertainty: Annotated[bool, Field(description="predict the standard deviation of the error, too")] = False
     fit_to: Annotated[
         Literal["train", "others", "both"],
@@ -93,7 +100,7 @@ class Entry(Section):
     @property
     def reading(self) -> dict[str, Any]:
         """Return the keyword arguments of windows.read_drive."""
-        return {name: getattr(self, name) for name in ("horizon", "motion", "base", "predict")}
+        return {name: getattr(self, name) for name in ("horizon", "motion", "base", "predict", "scene")}
 
     def build(
         self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None, outputs: int = 1

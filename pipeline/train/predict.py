@@ -149,6 +149,13 @@ class Trained:
             raise InputError("predicts the path ahead, expected an angle", f"model {self.name}", "Choose another model")
         return self.target
 
+    def check_same_scene(self) -> None:
+        """Raise InputError for a control that needs the scene of another frame of a complete drive."""
+        if self.entry.scene != "same":
+            raise InputError(
+                f"scene: {self.entry.scene} is a control for evaluation", f"model {self.name}", "Choose another model"
+            )
+
     def predict(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> np.ndarray:
         """Return the steering in rad [G], or the path in 1/m [G,R], left +; see :meth:`predict_with_sigma`."""
         return self.predict_with_sigma(graphs, numbers)[0]
@@ -178,7 +185,9 @@ class Trained:
                 f"train@{self.name}",
             )
         with error_context(where=f"model {self.name}"):
-            timeline = windows.Timeline.read(graphs, self.entry.motion, self.target.car, self.entry.base)
+            timeline = windows.Timeline.read(
+                graphs, self.entry.motion, self.target.car, self.entry.base, self.entry.scene
+            )
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows(numbers)
         (predicted,) = predict_drives(
             self.net, [timeline], self.entry.window, self.target, rows=[rows], opened={0: graphs}

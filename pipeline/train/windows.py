@@ -41,17 +41,25 @@ class Timeline:
     runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
     base_rad: np.ndarray  # float64 [G], angle to which the output is added, see `base` of a model's entry
     motion: np.ndarray | None  # float32 [G,4], see above; None without motion
+    scene: str  # same | another, see `scene` of a model's entry
 
     @classmethod
     def read(
-        cls, graphs: graph_file.Graphs, motion: str = "none", car: label.Car | None = None, base: str = "motion"
+        cls,
+        graphs: graph_file.Graphs,
+        motion: str = "none",
+        car: label.Car | None = None,
+        base: str = "motion",
+        scene: str = "same",
     ) -> "Timeline":
-        """Read the times of an open graph file, and motion of kind `motion` of a `car`; `base` as in a model's entry.
+        """Read the times of an open graph file, and motion of kind `motion` of a `car`.
+
+        `base` and `scene` as in a model's entry.
 
         Raises InputError if the file has no motion of this kind.
         """
         measured = None if motion == "none" else graphs.motion(motion)
-        return cls.of(graphs.path, graphs.frame, graphs.time_s, measured, car, base)
+        return cls.of(graphs.path, graphs.frame, graphs.time_s, measured, car, base, scene)
 
     @classmethod
     def of(
@@ -62,6 +70,7 @@ class Timeline:
         motion: MeasuredMotion | None,
         car: label.Car | None,
         base: str = "motion",
+        scene: str = "same",
     ) -> "Timeline":
         """Return the timeline of frames with these numbers, times, and measured motion of a `car`."""
         from models.steering.core.recurrent import NOMINAL_STEP_S
@@ -75,7 +84,17 @@ class Timeline:
             measured_rad = label.measured_angle(*motion, **vars(car))
             columns = np.stack([measured_rad, *motion], axis=1).astype(np.float32)
             base_rad = measured_rad if base == "motion" else base_rad
-        return cls(graphs, frame, time_s, dt_s.astype(np.float32), runs, base_rad, columns)
+        return cls(graphs, frame, time_s, dt_s.astype(np.float32), runs, base_rad, columns, scene)
+
+    def scene_shift(self, rng: np.random.Generator | None = None) -> int:
+        """Return the number of rows from the frames of a span to the frames whose scenes it gets, 0 with scene: same.
+
+        With scene: another, half of the drive, or with `rng` a random quarter to three quarters of it.
+        """
+        frames = len(self.frame)
+        if self.scene == "same":
+            return 0
+        return frames // 2 if rng is None else int(rng.integers(frames // 4, frames - frames // 4 + 1))
 
     def rows(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
         """Return the rows of frame `numbers`. Raises InputError for the first number that is not in the file."""
@@ -120,11 +139,15 @@ class LabelledDrive(Timeline):
 
 @dataclass(frozen=True)
 class Span:
-    """Rows [start, stop) of timeline number `drive`; its windows end at rows start+window-1 … stop-1."""
+    """Rows [start, stop) of timeline number `drive`; its windows end at rows start+window-1 … stop-1.
+
+    Its scenes are those of the frames `shift` rows later; the drive's first frame follows its last one.
+    """
 
     drive: int
     start: int
     stop: int
+    shift: int = 0
 
 
 def read_drives(
@@ -136,12 +159,13 @@ def read_drives(
     motion: str = "none",
     base: str = "motion",
     predict: str = "angle",
+    scene: str = "same",
 ) -> list[LabelledDrive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
     Raises InputError as :func:`read_drive`, or a :func:`target_fault`.
     """
-    drives = [read_drive(graphs, labels, name, horizon, motion, base, predict) for name in names]
+    drives = [read_drive(graphs, labels, name, horizon, motion, base, predict, scene) for name in names]
     if names and (fault := target_fault(drives, window)):
         raise fault
     return drives
@@ -177,12 +201,13 @@ def read_drive(
     motion: str = "none",
     base: str = "motion",
     predict: str = "angle",
+    scene: str = "same",
 ) -> LabelledDrive:
     """Read one drive's labels.
 
     Args:
         graphs, labels: folders of the graph variant and of the labels.
-        horizon, motion, base, predict: as in a model's entry.
+        horizon, motion, base, predict, scene: as in a model's entry.
     Raises:
         InputError: a label is missing, the file has no such motion, or the car drives and no frame is measured.
     """
@@ -206,7 +231,7 @@ def read_drive(
         edges_m, path_1pm = _read_path(truth) if predict == "path" else ((), np.empty((len(valid), 0)))
         target_valid = np.isfinite(path_1pm[here]).any(axis=1) if edges_m else (ahead >= 0) & valid[ahead]
         return LabelledDrive(
-            **vars(Timeline.read(file, motion, car, base)),
+            **vars(Timeline.read(file, motion, car, base, scene)),
             name=name,
             empty=file.empty,
             labels=labels,
@@ -264,7 +289,11 @@ def random_spans(drives: Sequence[LabelledDrive], window: int, windows: int, rng
             last = start + window - 1  # row of the first window's last frame
             phase = int(rng.integers(windows)) or windows  # windows in the first span
             edges = [last, *range(last + phase, stop, windows), stop]
-            spans += [Span(number, a - window + 1, b) for a, b in pairwise(edges) if a < b and drive.valid[a:b].any()]
+            spans += [
+                Span(number, a - window + 1, b, drive.scene_shift(rng))
+                for a, b in pairwise(edges)
+                if a < b and drive.valid[a:b].any()
+            ]
     rng.shuffle(spans)
     return spans
 
@@ -280,13 +309,14 @@ def spans(
     result: list[Span] = []
     for number, timeline in enumerate(timelines):
         wanted = np.arange(len(timeline.frame)) if rows is None else np.unique(rows[number])
+        shift = timeline.scene_shift()
         for start, stop in timeline.runs:
             span: Span | None = None
             for end in wanted[(wanted >= start + window - 1) & (wanted < stop)].tolist():  # a window's last frame
                 if span and end - window + 1 <= span.stop and end - (span.start + window - 1) < windows:
-                    span = result[-1] = Span(number, span.start, end + 1)
+                    span = result[-1] = Span(number, span.start, end + 1, shift)
                 else:
-                    span = Span(number, end - window + 1, end + 1)
+                    span = Span(number, end - window + 1, end + 1, shift)
                     result.append(span)
     return result
 
@@ -306,8 +336,16 @@ def batches(
         for group in groups:
             for number in {span.drive for span in group} - files.keys():
                 files[number] = stack.enter_context(graph_file.open_graphs(timelines[number].graphs))
-            read = graph_file.concatenate([files[span.drive].read(span.start, span.stop) for span in group])
-            yield read | _windows(timelines, group, window)
+            scenes = [frames for span in group for frames in _scenes(files[span.drive], span)]
+            yield graph_file.concatenate(scenes) | _windows(timelines, group, window)
+
+
+def _scenes(file: graph_file.Graphs, span: Span) -> list[Arrays]:
+    """Read the scenes of a span's frames, in two parts if they continue at the drive's start."""
+    frames = len(file.frame)
+    first = (span.start + span.shift) % frames
+    last = first + span.stop - span.start
+    return [file.read(a, b) for a, b in ((first, min(last, frames)), (0, last - frames)) if a < b]
 
 
 class Stream:

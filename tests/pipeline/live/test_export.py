@@ -96,6 +96,12 @@ class Height(nn.Module):
         return torch.tanh(self.read_out(mean_max_pool(batch.xyz, batch.ptr)))
 
 
+def test_a_control_is_not_exported(tmp_path: Path) -> None:
+    model = untrained.model(tmp_path, "blind", scene="another")
+    with pytest.raises(InputError, match="model net: scene: another is a control for evaluation"):
+        export(model, tmp_path / "graphs/semantic", tmp_path / "out", 1e-5)
+
+
 @pytest.mark.slow
 def test_a_new_network_needs_nothing_for_export(tmp_path: Path) -> None:
     model = untrained.model(tmp_path, "blind")

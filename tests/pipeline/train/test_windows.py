@@ -185,3 +185,35 @@ def test_a_stream_has_the_windows_of_the_file(folder: Path, base: str) -> None:
                 assert {"windows", "dt_s", "base_rad", "motion"} == arrays.keys()
     assert ends == [2, 3, *range(6, 22)]
     assert (timeline.base_rad[-1] != 0) == (base == "motion")
+
+
+@pytest.mark.parametrize("name", list(DRIVES))
+def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(original: Path, name: str) -> None:
+    """With 23 frames the scenes are 11 frames later, and continue at the start of the drive."""
+    folders = original / "graphs/semantic", original / "labels"
+    (drive,), (control,) = (windows.read_drives(*folders, [name], 8, scene=scene) for scene in ("same", "another"))
+    spans, shifted = windows.spans([drive], 8, 5), windows.spans([control], 8, 5)
+    assert [(span.start, span.stop) for span in spans] == [(span.start, span.stop) for span in shifted]
+    with open_graphs(drive.graphs) as graphs:
+        for span, moved in zip(spans, shifted, strict=True):
+            (batch,), (other,) = windows.batches([drive], [[span]], 8), windows.batches([control], [[moved]], 8)
+            frames = [graphs.read(row, row + 1) for row in ((np.arange(span.start, span.stop) + 11) % 23).tolist()]
+            assert batch.keys() == other.keys()
+            assert (other["xyz"] == np.concatenate([frame["xyz"] for frame in frames])).all()
+            assert not np.array_equal(other["xyz"], batch["xyz"])
+            degree = np.concatenate([frame["degree"] for frame in frames])
+            assert (other["degree"] == degree).all()
+            for key in ("windows", "dt_s", "base_rad", "steering_rad", "valid"):
+                assert (other[key] == batch[key]).all()
+
+
+def test_training_of_the_control_draws_far_scenes_and_leaves_other_random_numbers_alone(original: Path) -> None:
+    folders = original / "graphs/semantic", original / "labels"
+    drives, control = (windows.read_drives(*folders, list(DRIVES), 4, scene=scene) for scene in ("same", "another"))
+    drawn = [windows.random_spans(control, 4, 3, np.random.default_rng(seed)) for seed in (0, 0, 1)]
+    assert drawn[0] == drawn[1] != drawn[2]
+    shifts = {span.shift for spans in drawn for span in spans}
+    assert len(shifts) > 5
+    assert min(shifts) >= 5
+    assert max(shifts) <= 18
+    assert {span.shift for span in windows.random_spans(drives, 4, 3, np.random.default_rng(0))} == {0}

@@ -6,6 +6,7 @@ from typing import get_args
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import MotionKind, read
+from pipeline.motion import motion_file
 from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
 from pipeline.sections.models import Entry
 from pipeline.sections.motion import Motion
@@ -13,10 +14,10 @@ from pipeline.sections.preset import Params, validate
 from pipeline.train import runs
 
 
-def main(params: Path = Path("params.yaml")) -> Path:
+def main(params: Path = Path("params.yaml"), motion: Path = Path("data/motion")) -> Path:
     """Validate all sections, build each network once, and look for the files of weights. Returns `params`.
 
-    Reads and downloads no weights.
+    Reads and downloads no weights. If stage `motion` has run before, its scale is compared with what models expect.
     """
     settings = validate(read(params), params)
     with error_context(params):
@@ -31,6 +32,12 @@ def main(params: Path = Path("params.yaml")) -> Path:
         for name, model in settings.models.items():
             with error_context(f"models.{name}"):
                 check_model(model, settings)
+    if settings.labels.source == "wheel" and (problem := motion_file.uncertain_scale(motion)):
+        for name, model in settings.models.items():
+            if model.motion == "visual" and model.base == "motion":
+                print(
+                    f"note: models.{name} adds its output to an angle by measured speed, but {problem}: set base: none"
+                )
     inputs = {model.input for model in settings.models.values()}
     for name in settings.graphs:
         if name not in inputs:

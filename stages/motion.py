@@ -46,7 +46,12 @@ def main(
                 print(f"{kind}: no motion measured in {', '.join(without)}")
         for obsolete in set(get_args(MotionKind)) - set(settings.kinds):  # written by an earlier run
             _remove(out / obsolete)
-        motion_file.write_index(out, settings.kinds)
+        visual = [made[f"visual/{drive}"] for drive in splits] if "visual" in settings.kinds else []
+        frames = sum(summary["frames"] for summary in visual)
+        road_frames = sum(summary["road_frames"] for summary in visual) / frames if frames else None
+        motion_file.write_index(out, settings.kinds, road_frames)
+        if problem := motion_file.uncertain_scale(out):
+            print(f"visual: {problem}, so the speed is uncertain")
     return out
 
 
@@ -67,7 +72,7 @@ def _write(path: Path, *, kind: str, drive: str, ingest: Path, perception: Path,
         motion = MotionEstimator(kind, frames.camera, road_scale=settings.road_scale)
         estimates = (motion.estimate(frame) for frame in frames)
         valid = motion_file.write(file, kind, frames.frame, frames.time_s, estimates)
-        return {"frames": len(frames.frame), "valid": valid}
+        return {"frames": len(frames.frame), "valid": valid, "road_frames": motion.road_frames}
 
 
 if __name__ == "__main__":

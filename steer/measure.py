@@ -63,7 +63,6 @@ def measure(
     from pipeline.perception.perceive import FILE
 
     output, car = options.Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
-    options.use_device(device)
     encoder = options.in_project(encoder)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")

@@ -46,7 +46,6 @@ Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, y
 Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")]
 SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering wheel / angle of the front wheels")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
-Device = Annotated[str | None, typer.Option(help="cpu, cuda or cuda:N; default: a GPU if torch finds one")]
 _PIPE_WIDTH = 200  # columns where the output is not a terminal
 
 
@@ -59,20 +58,25 @@ def check_names(*paths: Path | None) -> None:
             raise InputError("name is not valid UTF-8", repr(os.fsencode(str(path))), "Rename it") from None
 
 
-def use_device(name: str | None) -> None:
-    """Make `name` the only device that torch finds; call it before any CUDA function. Raises InputError."""
+def use_device(name: str | None) -> str | None:
+    """Make `name` the only device that torch finds, before any CUDA function. Raises BadParameter."""
     if name is None:
-        return
+        return None
     match = re.fullmatch(r"cpu|cuda(?::(\d+))?", name)
     if not match:
-        raise InputError(f"unknown device {name!r} (expected cpu, cuda or cuda:N)", "--device")
+        raise typer.BadParameter(f"{name} is not cpu, cuda or cuda:N.")
     if name == "cpu" or match[1]:
         os.environ["CUDA_VISIBLE_DEVICES"] = match[1] or ""
     if name != "cpu":
         import torch
 
         if not torch.cuda.is_available():
-            raise InputError(f"torch finds no GPU for {name!r}", "--device", "Pass --device cpu, or install its driver")
+            raise typer.BadParameter(f"torch finds no GPU for {name}.")
+    return name
+
+
+_DEVICE = "cpu, cuda or cuda:N; default: a GPU if torch finds one"
+Device = Annotated[str | None, typer.Option(callback=use_device, help=_DEVICE)]
 
 
 def in_project(path: Path) -> Path:

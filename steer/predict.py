@@ -58,10 +58,9 @@ def predict(
     from pipeline.train.predict import load
 
     output = options.Output(quiet, as_json)
-    options.use_device(device)
     check_out(out, PREDICTED_FILES, source)
-    model = model if len(model.parts) > 1 or (model / "best.pt").is_file() else TRAINED / model
-    model = options.in_project(model)
+    named = len(model.parts) == 1 and not (model / "best.pt").is_file()
+    model = options.in_project(TRAINED / model if named else model)
     trained = load(model)
     trained.check_same_scene()
     car = trained.angle_target.car

@@ -1,5 +1,6 @@
 """The car's motion since the previous frame, frame by frame, from images and depth or from scans."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ class MotionEstimator:
         else:
             self.odometry = lidar.Odometry(np.eye(4) if camera.T_cam_velo is None else camera.T_cam_velo)
         self._clock = StepClock()
+        self.road_frames = 0
+        """Frames so far in which the road was found, which gives depth its scale; visual only."""
 
     def estimate(self, frame: Frame) -> Estimate | None:
         """Return the motion since the previous frame; None where it cannot be measured.
@@ -37,5 +40,7 @@ class MotionEstimator:
         if isinstance(self.odometry, lidar.Odometry) and frame.scan is None:
             return None
         step = self.odometry.step(frame)
+        if isinstance(self.odometry, visual.Odometry):
+            self.road_frames += math.isfinite(self.odometry.road.frame_height_m)
         duration_s = self._clock.duration(frame.number, frame.time_s)
         return Estimate(step, *rates(step.T_before, duration_s)) if step else None

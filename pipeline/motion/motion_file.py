@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pipeline.motion.estimator import Estimate
 
 RESIDUAL_UNITS = {"visual": "px", "lidar": "m"}
+MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 MAX_RATE = 1000.0  # m/s and rad/s: no car, not even at 100 frames per second
 
 
@@ -24,11 +25,25 @@ class Index(BaseModel):
     """Content of index.json."""
 
     kinds: list[MotionKind]
+    road_frames: float | None = None
 
 
-def write_index(folder: Path, kinds: Iterable[str]) -> None:
-    """Write ``index.json``; call it when the folder of each kind is complete."""
-    store.write_json(folder / "index.json", {"schema": store.SCHEMA, "kinds": sorted(kinds)})
+def write_index(folder: Path, kinds: Iterable[str], road_frames: float | None = None) -> None:
+    """Write ``index.json``; call it when the folder of each kind is complete.
+
+    `road_frames`: share of the frames in which visual odometry found the road.
+    """
+    store.write_json(
+        folder / "index.json", {"schema": store.SCHEMA, "kinds": sorted(kinds), "road_frames": road_frames}
+    )
+
+
+def uncertain_scale(folder: Path) -> str:
+    """Return why the scale of visual motion in `folder` is uncertain; empty if it is not, or nothing is measured."""
+    if not (folder / "index.json").is_file():
+        return ""
+    share = store.read_json(folder / "index.json", stage="motion", form=Index).get("road_frames")
+    return "" if share is None or share >= MIN_ROAD else f"the road was found in only {share:.0%} of the frames"
 
 
 def read_index(folder: Path) -> dict[str, Path]:

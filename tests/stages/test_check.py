@@ -5,6 +5,7 @@ import pytest
 import yaml
 
 from pipeline.base.errors import InputError
+from pipeline.motion import motion_file
 from pipeline.perception import weights
 from pipeline.sections import preset
 from stages import check
@@ -67,6 +68,31 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
     assert own["graphs"].items() <= table2["graphs"].items()
     assert own["models"].items() <= table2["models"].items()
     assert table2["models"].keys() >= PAPER
+
+
+@pytest.mark.parametrize(
+    ("source", "share", "base", "suggested"),
+    [
+        ("wheel", 0.12, "motion", True),
+        ("wheel", 0.12, "none", False),
+        ("wheel", 0.9, "motion", False),
+        ("wheel", None, "motion", False),
+        ("oxts", 0.12, "motion", False),
+    ],
+)
+def test_base_none_is_suggested_where_the_scale_is_uncertain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str, share: float | None, base: str, suggested: bool
+) -> None:
+    content = changed("labels.source", source)
+    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": "visual", "base": base}}
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
+    check.main(tmp_path / "params.yaml", tmp_path / "motion")  # no motion yet
+    motion_file.write_index(tmp_path / "motion", ["visual"], share)
+    capsys.readouterr()
+    check.main(tmp_path / "params.yaml", tmp_path / "motion")
+    printed = [line for line in capsys.readouterr().out.splitlines() if "graphs." not in line]
+    reason = "adds its output to an angle by measured speed, but the road was found in only 12% of the frames"
+    assert printed == ([f"note: models.net {reason}: set base: none"] if suggested else [])
 
 
 @pytest.mark.parametrize("kind", ["visual", "lidar"])

@@ -11,6 +11,7 @@ from pipeline.camera.camera import Camera, write_camera
 from pipeline.camera.images import to_units
 from pipeline.kitti.ingest_file import put_motion, put_pixels, put_scans
 from pipeline.kitti.oxts import make_rows
+from pipeline.motion import motion_file
 from pipeline.sections.perception import Perception
 from stages import motion
 from tests import rendered_street as street
@@ -79,6 +80,13 @@ def test_motion_since_the_previous_frame_by_number(root: Path, kind: str) -> Non
         assert file["T_before"][1][2, 3] == pytest.approx(0.6, rel=0.03)
         assert ("scale" in file) == (kind == "visual")
         assert file.params["motion"]["kinds"] == ["visual", "lidar"]
+
+
+def test_the_index_has_the_share_of_frames_with_a_road(root: Path) -> None:
+    index = store.read_json(root / "motion/index.json", stage="motion", form=motion_file.Index)
+    assert index["kinds"] == ["lidar", "visual"]
+    assert 0 < index["road_frames"] <= 1  # of ten frames of TURNS and STANDS; BLIND has none
+    assert motion_file.uncertain_scale(root / "motion") == ""
 
 
 @pytest.mark.parametrize("kind", ["visual", "lidar"])

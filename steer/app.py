@@ -37,14 +37,11 @@ def _add(name: str, command: Callable[..., object], after_stop: str, **options: 
     app.command(name, **{"no_args_is_help": True, **options})(guarded(command, after_stop))
 
 
-_add("predict", predict.predict, "The frames so far are in .unfinished of the output folder")
-_add("measure", measure.measure, "The frames so far are in .unfinished of the output folder")
-_add(
-    "import",
-    import_recording.import_recording,
-    "No drive was written; repeat the command",
-    help=import_recording.__doc__,
-)
+_UNFINISHED = "The frames so far are in .unfinished of the output folder"
+_NO_DRIVE = "No drive was written; repeat the command"
+_add("predict", predict.predict, _UNFINISHED, help=predict.__doc__)
+_add("measure", measure.measure, _UNFINISHED, help=measure.__doc__)
+_add("import", import_recording.import_recording, _NO_DRIVE, help=import_recording.__doc__)
 _add("show", artefacts.show, "Files that were written are complete")
 _add("diff", artefacts.diff, "Nothing was written")
 _add("doctor", doctor.doctor, "Nothing was written", no_args_is_help=False)

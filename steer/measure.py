@@ -1,4 +1,17 @@
-"""steer measure: measure the motion of a car from its video, without a trained steering model."""
+"""Measure a car's motion from its video.
+
+Speed, yaw rate, curvature, steering angle and track are measured by visual odometry. This needs the encoder that
+make street writes, but no steering model.
+
+Images of another shape than the encoder's are cropped around the horizon, which is estimated from the motion. Rates
+are Gaussian means over neighbouring frames, later ones included (yaw rate 0.2 s, speed 0.5 s). The steering angle
+is atan(wheelbase * yaw rate / speed), left positive. A frame whose motion cannot be measured has valid = 0 and no
+numbers. quality.json says how certain scale and focal length are.
+
+\b
+steer measure street.mp4 --fov 65 --out out/
+steer measure data/town/2026_01_03/2026_01_03_drive_0001_sync --encoder data/encoder
+"""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -41,20 +54,7 @@ def measure(
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Measure a car's motion from its video.
-
-    Speed, yaw rate, curvature, steering angle and track are measured by visual odometry. This needs the encoder that
-    make street writes, but no steering model.
-
-    Images of another shape than the encoder's are cropped around the horizon, which is estimated from the motion. Rates
-    are Gaussian means over neighbouring frames, later ones included (yaw rate 0.2 s, speed 0.5 s). The steering angle
-    is atan(wheelbase * yaw rate / speed), left positive. A frame whose motion cannot be measured has valid = 0 and no
-    numbers. quality.json says how certain scale and focal length are.
-
-    \b
-    steer measure street.mp4 --fov 65 --out out/
-    steer measure data/town/2026_01_03/2026_01_03_drive_0001_sync --encoder data/encoder
-    """
+    """Write the measured motion and print its quality; the module's docstring is the help text."""
     from pipeline.labels.label import Car
     from pipeline.live import measure as live
     from pipeline.live.results import MEASURED_FILES, check_out, comparison_lines

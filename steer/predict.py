@@ -1,4 +1,15 @@
-"""steer predict: predict the steering angle of a drive, a folder of images or a video, frame by frame."""
+"""Predict the steering angle of each frame with a trained model.
+
+Angles are in rad, left positive. The first frames, and those after a gap, have none until a window is complete.
+LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv also has the measured motion, without
+means over later frames: see steer measure.
+
+Results replace those of an earlier run when the run succeeds. Until then they are in OUT/.unfinished.
+
+\b
+steer predict data/town/2026_01_03/2026_01_03_drive_0001_sync --out out/
+steer predict street.mp4 --fov 65 --model data/train/motion
+"""
 
 import os
 from pathlib import Path
@@ -38,18 +49,7 @@ def predict(
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Predict the steering angle of each frame with a trained model.
-
-    Angles are in rad, left positive. The first frames, and those after a gap, have none until a window is complete.
-    LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv also has the measured motion, without
-    means over later frames: see steer measure.
-
-    Results replace those of an earlier run when the run succeeds. Until then they are in OUT/.unfinished.
-
-    \b
-    steer predict data/town/2026_01_03/2026_01_03_drive_0001_sync --out out/
-    steer predict street.mp4 --fov 65 --model data/train/motion
-    """
+    """Write the predicted angles and print their errors; the module's docstring is the help text."""
     from pipeline.live import predictor
     from pipeline.live.results import PREDICTED_FILES, STEERING, VIDEO, check_out, comparison_lines
     from pipeline.live.settings import load_settings

@@ -95,6 +95,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
         ],
         "recurrent": [(example.window, example.output) for example in examples],
     }
+    base = "measured angle of the last frame" if model.net.motion and model.entry.base == "motion" else "0"
     with replacing(out) as tmp:
         tmp.mkdir()
         differences = {
@@ -111,9 +112,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
                 "line": model.entry.model_dump(mode="json"),
             },
             "use": USE,
-            "base_rad": "measured angle of the last frame"
-            if model.net.motion and model.entry.base == "motion"
-            else "0",
+            "base_rad": base,
             "window": model.entry.window,
             "horizon": model.entry.horizon,
             **vars(target),

@@ -53,7 +53,7 @@ street: setup          ## make the encoder of real streets, weights/street, from
 
 UDACITY ?= data/raw/udacity
 udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
-	@python -m benchmarks.udacity compare $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
+	@python -m benchmarks.udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
 	$(UDACITY)/udacity_leaderboard.csv
 
 PRESET ?=

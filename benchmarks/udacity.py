@@ -1,19 +1,12 @@
 """Udacity's Challenge 2: the steering wheel's angle of a real drive, beside the predictions of three leading teams.
 
-python -m benchmarks.udacity compare VIDEO CSV LEADERBOARD
-python -m benchmarks.udacity split data/raw/2016_11_17/2016_11_17_drive_0001_sync
+python -m benchmarks.udacity VIDEO CSV LEADERBOARD
 
 VIDEO has the frames of the test drive Ch2_001, CSV their time_s and wheel_rad (left positive, by CAN), LEADERBOARD the
-teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. `compare` fits the wheel's angle to the
+teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. It fits the wheel's angle to the
 motion that steer measure finds by four constants, on the first minute alone, and compares all rows on the rest.
-
-`split` cuts the imported drive by time into drives for training, validation and testing: 0002 (0 to 100 s), 0003 (100
-to 120 s) and 0004 (120 to 180 s). Frames keep their numbers. 0004 starts 1.5 s earlier, without labels, so that windows
-of up to 16 frames predict all its labelled frames.
 """
 
-import os
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -22,8 +15,6 @@ import numpy as np
 import typer
 
 from pipeline.base.console import guarded
-from pipeline.base.errors import InputError
-from pipeline.kitti import steering_file
 
 FITTED_S = 60.0
 # Udacity published 2152 px for the right-hand camera of this rig. Of 640, 1400, 2000 and 2800 px, the last two have the
@@ -34,8 +25,6 @@ SPEED_SIGMA_S = 3.0
 CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
 LAGS_S = np.arange(-0.2, 0.41, 0.02)  # of the measured motion behind the wheel
 TEAMS = ("komanda", "rambo", "autumn")
-PARTS = {"0002": (0, 0, 1000), "0003": (1000, 1000, 1200), "0004": (1185, 1200, 1800)}
-"""New drive → first frame, first frame with a label, end."""
 
 
 class Wheel(NamedTuple):
@@ -129,28 +118,7 @@ def compare(
     print(text, f"frames measured: {valid.mean():.1%}; {wheel_fit}", sep="\n\n")
 
 
-def split(drive: Annotated[Path, typer.Argument(help="the drive that steer import wrote, with --wheel")]) -> list[Path]:
-    """Cut the drive into three, with hard links to the images; earlier ones are replaced. Return their folders."""
-    if "_drive_0001_" not in drive.name or not (drive / steering_file.FILE).is_file():
-        raise InputError("expected a drive 0001 with steering.csv", drive, "Import it: steer import, option --wheel")
-    angles, images = steering_file.read(drive / steering_file.FILE), sorted((drive / "image_02/data").iterdir())
-    folders = []
-    for number, (first, labelled, stop) in PARTS.items():
-        folder = drive.with_name(drive.name.replace("0001", number))
-        shutil.rmtree(folder, ignore_errors=True)
-        (folder / "image_02/data").mkdir(parents=True)
-        shutil.copy(drive / "image_02/timestamps.txt", folder / "image_02")
-        for image in images:
-            if first <= int(image.stem) < stop:
-                os.link(image, folder / "image_02/data" / image.name)
-        labels = {frame: angle for frame, angle in angles.items() if labelled <= frame < stop}
-        steering_file.write(folder / steering_file.FILE, labels)
-        folders.append(folder)
-    return folders
-
-
 if __name__ == "__main__":
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    for command in (compare, split):
-        app.command()(guarded(command, "Repeat the command"))
+    app.command()(guarded(compare, "Repeat the command"))
     app()

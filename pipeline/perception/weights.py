@@ -25,6 +25,8 @@ from pipeline.perception.examples import Classify
 from pipeline.sections.encoder import Teacher, WeightFile, Weights
 
 ALL = "all"
+STREET = Path("weights/street")
+"""Where make street writes the encoder of real streets."""
 TIMEOUT_S = 30  # without any data from the server
 WRAPPERS = ("state_dict", "model")  # keys of the tensors in published files that hold more than tensors
 
@@ -130,7 +132,8 @@ def _check_available(file: WeightFile) -> None:
             raise InputError("expected a regular file", file.path)
         return
     if not file.is_url:
-        raise InputError("file is missing", file.path, "Put it there, or name another one")
+        fix = "Make it: make street" if file.path.parent == STREET else "Put it there, or name another one"
+        raise InputError("file is missing", file.path, fix)
     if file.url.startswith("file://") and not Path(unquote(urlsplit(file.url).path)).is_file():
         raise InputError("expected a regular file", file.url, _by_hand(file))  # a device never ends
     if not file.sha256:

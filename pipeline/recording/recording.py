@@ -124,7 +124,7 @@ class Recording:
 
         def images() -> Generator[tuple[int, np.ndarray]]:
             for number, time_s, image in frames:
-                if all_s and time_s - all_s[0] >= self.end_s:
+                if all_s and time_s - all_s[0] > self.end_s - ROUNDING_S:
                     return
                 all_s.append(time_s)
                 if self._usable(np.array([time_s]), all_s[0])[0]:
@@ -143,7 +143,9 @@ class Recording:
     def _usable(self, time_s: np.ndarray, first_s: float) -> np.ndarray:
         """Return a mask of the images at `time_s` [F] to write; `first_s` is the time of the first image."""
         elapsed_s = time_s - first_s
-        return self._coverage(time_s)[0] & (elapsed_s >= self.start_s) & (elapsed_s < self.end_s)
+        return (
+            self._coverage(time_s)[0] & (elapsed_s > self.start_s - ROUNDING_S) & (elapsed_s < self.end_s - ROUNDING_S)
+        )
 
     def _coverage(self, time_s: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
         """Return a mask of the images at `time_s` [F] with motion (all without a log), and counts if there is a log."""

@@ -97,6 +97,9 @@ def test_without_motion_labels_come_from_images_or_the_wheel(
     assert "labels.source: wheel" in capsys.readouterr().out
     expected = {number: 0.1 - 0.3 * (number / 10 - 0.05) / 0.6 for number in range(1, 7)}
     assert steering_file.read(drive.steering) == pytest.approx(expected)
+    log.write_text(f"time_s,wheel_rad\n0.0,1.0\n{(FRAMES - 1) / 10 - 1e-15!r},2.0\n")  # ends 1e-15 s too early
+    drive = take(video, log, motion=None, wheel=log, steering_ratio=10.0, force=True)
+    assert steering_file.read(drive.steering)[FRAMES - 1] == pytest.approx(0.2)
     log.write_text("frame;wheel_rad\n4;1.5\n900;0\n")
     drive = take(video, log, motion=None, wheel=log, steering_ratio=10.0, force=True)
     assert steering_file.read(drive.steering) == {4: 0.15}

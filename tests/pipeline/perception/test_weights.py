@@ -64,6 +64,12 @@ def test_a_download_with_another_hash_leaves_nothing() -> None:
     assert list(Path("weights").iterdir()) == []
 
 
+def test_the_encoder_of_real_streets_is_made_by_make() -> None:
+    with pytest.raises(InputError, match="file is missing") as raised:
+        check_available(Weights.model_validate("weights/street/encoder.pt"))
+    assert raised.value.fix == "Make it: make street"
+
+
 @pytest.mark.parametrize(("kind", "problem"), [("folder", "regular"), ("pipe", "regular"), ("loop", "missing")])
 def test_what_is_no_file_of_weights_is_refused(kind: str, problem: str) -> None:
     path = Path("net.pth")

@@ -42,6 +42,7 @@ def write_page(
     story: Sequence[str],
     results: Results,
     tables: Sequence[Table],
+    paths: Sequence[Table],
     perception: Sequence[Table],
     figures: Mapping[str, str],
     data: Path,
@@ -53,6 +54,7 @@ def write_page(
         story: sentences about the results.
         results: of all models.
         tables: of models and baselines, the most important first.
+        paths: tables of the path ahead.
         perception: tables of depth, classes and motion.
         figures: name of a PNG file without suffix → caption; Figure 1 is shown first.
         data: holds a folder per stage; folders may be missing.
@@ -62,6 +64,7 @@ def write_page(
     shown = [] if results.models.empty else [*results.worst_drives(results.models)["drive"].unique()]
     sections: dict[str, Content] = {
         "Results": tables[:1],
+        "Path ahead": paths,
         **_steering(results),
         "Largest errors": [pictures.pop(name) for name in [*pictures] if name.startswith(ERRORS)],
         "Figures of the paper": [*pictures.values()],

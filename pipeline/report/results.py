@@ -94,7 +94,7 @@ def _load_metrics(folder: Path) -> dict[str, Any]:
     path = folder / "metrics.json"
     content = Metrics(**store.read_json(path, stage=f"evaluate@{folder.name}", form=Metrics)).model_dump()
     if content["model"] != folder.name:
-        raise InputError(f"expected model {folder.name}, got {content['model']}", path, _fix(folder.name))
+        raise InputError(f"expected model {folder.name}, got {content['model']}", path, fix(folder.name))
     for scores in filter(None, (content[split] for split in SPLITS)):
         for part in (scores, *scores["by_curvature"]):
             part["nmse_low"], part["nmse_high"] = part["nmse_ci95"] or (None, None)
@@ -139,7 +139,7 @@ def _baselines(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
     """Load a predictions.csv in the model's `folder` as rows of :attr:`Results.predictions`."""
-    with error_context(path, fix=_fix(folder.name)):
+    with error_context(path, fix=fix(folder.name)):
         table = pd.read_csv(path, dtype=_TYPES, keep_default_na=False, na_values=[""])
         table["sigma_rad"] = table.get("sigma_rad", np.nan)  # of models with uncertainty
         table = table[[*_TYPES]]
@@ -153,5 +153,6 @@ def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
     return table.assign(**{f"{name}_deg": np.rad2deg(angles) for name, angles in rad.items()})
 
 
-def _fix(model: str) -> str:
+def fix(model: str) -> str:
+    """Return how to recreate a model's damaged results."""
     return f"Recreate it: dvc repro --force --single-item evaluate@{model}"

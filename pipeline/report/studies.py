@@ -130,7 +130,8 @@ def claims(results: Results, settings: Evaluate) -> list[str]:
         if not {claim.model, claim.baseline} <= set(models.index):
             continue
         model, baseline = models.loc[claim.model], models.loc[claim.baseline]
-        low, high = _difference_interval(results.predictions, claim, settings)
+        counted = results.predictions[results.predictions["valid"] == 1]
+        _, low, high = difference(counted, claim.model, claim.baseline, settings)
         verdict = "better" if high < 0 else "worse" if low > 0 else "no difference shown"
         lines.append(
             f"- {claim.text}: {verdict}. nmse {model['test.nmse']:.3f} against {baseline['test.nmse']:.3f}, "
@@ -140,16 +141,39 @@ def claims(results: Results, settings: Evaluate) -> list[str]:
     return ["## Claims", "\n".join(lines)] if lines else []
 
 
-def _difference_interval(predictions: pd.DataFrame, claim: Claim, settings: Evaluate) -> tuple[float, float]:
-    """Return the 95 % interval of the difference in nmse of two models, where all their networks predict."""
+class Difference(NamedTuple):
+    """Difference in nmse of two models, and its 95 % interval; NaN without common frames or bends."""
+
+    nmse: float
+    low: float
+    high: float
+
+
+def difference(
+    predictions: pd.DataFrame,
+    first: str,
+    second: str,
+    settings: Evaluate,
+    true: str = "steering_rad",
+    predicted: str = "predicted_rad",
+) -> Difference:
+    """Return the paired difference in nmse of two models, in the frames where all their networks predict.
+
+    Args:
+        predictions: columns model, run, drive, frame, `true` and `predicted`; rows without one of the values are left
+            out.
+    """
     index = ["drive", "frame"]
-    counted = predictions[(predictions["valid"] == 1) & predictions["predicted_rad"].notna()]
-    counted = counted.assign(error=(counted["predicted_rad"] - counted["steering_rad"]) ** 2)
-    first, second = (
+    counted = predictions.dropna(subset=[true, predicted])
+    counted = counted.assign(error=(counted[predicted] - counted[true]) ** 2)
+    by_frame = [
         counted[counted["model"] == model].pivot(index=index, columns="run", values="error").dropna().mean(axis=1)
-        for model in (claim.model, claim.baseline)
-    )
-    frames = counted[counted["model"] == claim.model].drop_duplicates(index).set_index(index)
-    frames = frames.assign(error=first - second).dropna(subset="error").sort_index()
+        for model in (first, second)
+    ]
+    frames = counted[counted["model"] == first].drop_duplicates(index).set_index(index)
+    frames = frames.assign(error=by_frame[0] - by_frame[1]).dropna(subset="error").sort_index()
     drive = frames.index.get_level_values("drive").factorize()[0]
-    return interval(frames["error"].to_numpy(), frames["steering_rad"].to_numpy(), drive, settings)
+    error, truth = frames["error"].to_numpy(), frames[true].to_numpy()
+    if not truth.any():
+        return Difference(np.nan, np.nan, np.nan)
+    return Difference(float(error.sum() / (truth**2).sum()), *interval(error, truth, drive, settings))

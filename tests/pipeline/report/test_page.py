@@ -44,7 +44,7 @@ def data(tmp_path: Path) -> Path:
 def write(data: Path, story: list[str] | None = None) -> str:
     results = load_results(data / "evaluate", ["net", "ahead"])
     captions = {"chain": "Figure 1.", "paths": "Figure 5."}
-    write_page(data / "index.html", story or [], results, tables.steering_tables(results), [], captions, data)
+    write_page(data / "index.html", story or [], results, tables.steering_tables(results), [], [], captions, data)
     return (data / "index.html").read_text(encoding="utf-8")
 
 

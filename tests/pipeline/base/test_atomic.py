@@ -75,18 +75,18 @@ def test_two_writers_of_one_path_do_not_meet(tmp_path: Path) -> None:
 
 
 def test_sweeping_removes_what_was_left_and_nothing_else(tmp_path: Path) -> None:
-    left = [replacing(tmp_path / name) for name in ("a.h5", "b.h5", "index.json", "drive")]
-    paths = [one.__enter__() for one in left]  # killed here
+    unfinished = [replacing(tmp_path / name) for name in ("a.h5", "b.h5", "index.json", "drive")]
+    paths = [context.__enter__() for context in unfinished]  # killed here
     for path in paths[:2]:
         path.write_text("half")
     write(paths[3] / "image/0.png", "half")
     write(paths[3].with_name("drive.old") / "image/0.png", "whole")
     for name in (".own.tmp", ".own.txt.12345678.tmp", "a.h5", ".a.h5.12345678.tmp/own", ".x.tmp/x", "below/.a.tmp/a"):
-        write(tmp_path / name, "own")
-    own = {name: content for name, content in contents(tmp_path).items() if content == b"own"}
-    assert len(contents(tmp_path)) == len(own) + 4
+        write(tmp_path / name, "foreign")
+    foreign = {name: content for name, content in contents(tmp_path).items() if content == b"foreign"}
+    assert len(contents(tmp_path)) == len(foreign) + 4
     sweep(tmp_path)
-    assert contents(tmp_path) == own
+    assert contents(tmp_path) == foreign
     assert len(list(tmp_path.iterdir())) == 6
     sweep(tmp_path / "nowhere")
 

@@ -81,8 +81,8 @@ def test_a_full_disk_names_the_file_and_leaves_no_temporary_one(folder: Path, ex
     with pytest.raises(OSError, match=r"toy/c-") as raised:
         toy_stage.main(folder, workers=2)
     assert raised.value.errno == errno.EFBIG
-    left = [path.name.split("-")[0] for path in (folder / "data/.resume/toy").iterdir()]
-    assert set(left) <= {"a", "b", "empty"}
+    kept = [path.name.split("-")[0] for path in (folder / "data/.resume/toy").iterdir()]
+    assert set(kept) <= {"a", "b", "empty"}
     end_trouble(folder)
     toy_stage.main(folder, workers=1)
     assert outputs(folder) == expected
@@ -103,8 +103,8 @@ def run(out: Path, target: str = "{}.h5", stage: str = "labels", interrupt: bool
 
 def test_only_files_of_drives_of_an_earlier_index_are_removed(tmp_path: Path) -> None:
     out = tmp_path / "data/stage"
-    own = dict.fromkeys(("own.h5", "own.txt", "below/own.h5", "below/old.h5"), b"my own")
-    for name, content in {**own, "a.h5": b"earlier", "old.h5": b"earlier"}.items():
+    foreign = dict.fromkeys(("own.h5", "own.txt", "below/own.h5", "below/old.h5"), b"foreign")
+    for name, content in {**foreign, "a.h5": b"earlier", "old.h5": b"earlier"}.items():
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(content)
     (tmp_path / "data/outside.h5").touch()
@@ -112,7 +112,7 @@ def test_only_files_of_drives_of_an_earlier_index_are_removed(tmp_path: Path) ->
     write_index(out, {"a": "train", "old": "train", "gone": "val", "../outside": "test"})
     index = (out / "index.json").read_bytes()
     run(out)
-    assert contents(out) == {f"{drive}.h5": drive.encode() for drive in DRIVES} | own | {"index.json": index}
+    assert contents(out) == {f"{drive}.h5": drive.encode() for drive in DRIVES} | foreign | {"index.json": index}
     assert (tmp_path / "data/outside.h5").exists()
     (out / "index.json").write_text('{"drives": [7]}')
     write_file(tmp_path / ".resume/data-stage.lock", "")

@@ -37,8 +37,8 @@ def compare_texts(folder: Path, name: str, a: str, b: str, tolerance: float = 0.
     for which, content in (("a", a), ("b", b)):
         (folder / which).mkdir(exist_ok=True)
         (folder / which / name).write_text(content)
-    found = diff.compare(name, folder / "a" / name, folder / "b" / name, tolerance)
-    return {difference.key: difference for difference in found}
+    differences = diff.compare(name, folder / "a" / name, folder / "b" / name, tolerance)
+    return {difference.key: difference for difference in differences}
 
 
 def test_values_of_frames(folder: Path) -> None:
@@ -58,12 +58,12 @@ def test_values_of_frames(folder: Path) -> None:
 def test_json_by_key(tmp_path: Path) -> None:
     a = '{"test": {"nmse": 0.25, "frames": 9, "x": null}, "seeds": [0, 1], "on": true, "old": 1}'
     b = '{"test": {"nmse": 0.5, "frames": 9.0, "x": 3}, "seeds": [0, 1, 2], "on": 1, "new": 1}'
-    found = compare_texts(tmp_path, "metrics.json", a, b)
-    assert {key: difference.problem for key, difference in found.items()} == {
+    differences = compare_texts(tmp_path, "metrics.json", a, b)
+    assert {key: difference.problem for key, difference in differences.items()} == {
         "test.nmse": "0.25 and 0.5", "test.x": "None and 3", "seeds[2]": "only in B", "on": "True and 1",
         "old": "only in A", "new": "only in B",
     }  # fmt: skip
-    assert found["test.nmse"].largest == 0.25
+    assert differences["test.nmse"].largest == 0.25
     assert "test.nmse" not in compare_texts(tmp_path, "metrics.json", a, b, tolerance=0.3)
     assert compare_texts(tmp_path, "metrics.json", '{"a": [1, 2]}', '{"a":[1.0,2]}') == {}
 
@@ -73,8 +73,10 @@ def test_folders_are_compared_file_by_file(tmp_path: Path) -> None:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(name)
-    found = [each for pair in diff.pairs(tmp_path / "a", tmp_path / "b") for each in diff.compare(*pair, 0.0)]
-    assert [str(each) for each in found] == [
+    differences = [
+        difference for pair in diff.pairs(tmp_path / "a", tmp_path / "b") for difference in diff.compare(*pair, 0.0)
+    ]
+    assert [str(difference) for difference in differences] == [
         "table.md: 10 and 10 bytes, not the same", "x/one.json: only in A", "x/two.json: only in B",
     ]  # fmt: skip
 

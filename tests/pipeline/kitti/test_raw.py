@@ -148,10 +148,10 @@ def test_damaged_calibration(tmp_path: Path, old: str, new: str, problem: str) -
 def test_real_calibration_agrees_with_pykitti(real_kitti: Path) -> None:
     import pykitti
 
-    theirs = pykitti.raw(str(real_kitti), "2011_09_26", "0052").calib
-    ours = read_calibration(real_kitti / "2011_09_26", 2)
-    assert ours.T_cam_velo is not None
-    np.testing.assert_allclose(ours.K, theirs.K_cam2, rtol=1e-12)
-    np.testing.assert_allclose(ours.T_cam_velo[:3, :3], theirs.T_cam2_velo[:3, :3], atol=1e-12)
+    reference = pykitti.raw(str(real_kitti), "2011_09_26", "0052").calib
+    camera = read_calibration(real_kitti / "2011_09_26", 2)
+    assert camera.T_cam_velo is not None
+    np.testing.assert_allclose(camera.K, reference.K_cam2, rtol=1e-12)
+    np.testing.assert_allclose(camera.T_cam_velo[:3, :3], reference.T_cam2_velo[:3, :3], atol=1e-12)
     # pykitti leaves out P_rect's last column but for x: millimetres.
-    np.testing.assert_allclose(ours.T_cam_velo[:3, 3], theirs.T_cam2_velo[:3, 3], atol=0.004)
+    np.testing.assert_allclose(camera.T_cam_velo[:3, 3], reference.T_cam2_velo[:3, 3], atol=0.004)

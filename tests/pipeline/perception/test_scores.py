@@ -54,9 +54,9 @@ def test_class_scores_equal_hand_values() -> None:
     assert np.isnan(ious[2])  # predicted, but not in the truth
     scores = Scores()
     scores.confusion += matrix
-    found = scores.report()["classes"]
-    assert found["mean_iou"] == pytest.approx((2 / 3 + 1 / 3 + 1) / 3)
-    assert found["pixel_accuracy"] == pytest.approx(4 / 6)
+    report = scores.report()["classes"]
+    assert report["mean_iou"] == pytest.approx((2 / 3 + 1 / 3 + 1) / 3)
+    assert report["pixel_accuracy"] == pytest.approx(4 / 6)
 
 
 def test_predicted_void_is_an_error_of_the_true_class() -> None:

@@ -119,8 +119,10 @@ def test_nmea_sentences(track: Callable[[str], Path]) -> None:
     time_s, places, heading = bend(6, 0.25)
     text = nmea(time_s, places, 9.0, heading)
     damaged = text.splitlines()[2].replace("A,4900", "A,4800")
-    others = sentence("GPGGA,100000,4900.0,N,00824.0,E,1,08,0.9,545.4,M,46.9,M,,") + sentence("GNRMC,,V,,,,,,,,,,N")
-    fixes = read_nmea(track(f"{others}{text}{damaged}\n$GNRMC,garbage\n"))
+    without_fix = sentence("GPGGA,100000,4900.0,N,00824.0,E,1,08,0.9,545.4,M,46.9,M,,") + sentence(
+        "GNRMC,,V,,,,,,,,,,N"
+    )
+    fixes = read_nmea(track(f"{without_fix}{text}{damaged}\n$GNRMC,garbage\n"))
     np.testing.assert_allclose(fixes.time_s, START.timestamp() + time_s)
     np.testing.assert_allclose(np.stack([fixes.latitude_deg, fixes.longitude_deg], -1), places, atol=1e-8)
     velocity = 9 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)

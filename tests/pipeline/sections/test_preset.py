@@ -26,9 +26,9 @@ def test_the_text_is_the_merged_content_with_all_comments(name: str) -> None:
     assert yaml.safe_load(text) == preset.merged(name)
     head, *rest = text.splitlines()
     assert f"presets/{name}.yaml" in head
-    own = preset.PARAMS.read_text()
-    assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(r"^ *#.*", own, re.MULTILINE)
-    for line in own.splitlines():
+    original = preset.PARAMS.read_text()
+    assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(r"^ *#.*", original, re.MULTILINE)
+    for line in original.splitlines():
         key, _, comment = line.partition(" # ")
         if comment and any(other.startswith(key.partition(":")[0] + ":") for other in rest):
             assert any(comment in other for other in rest), line

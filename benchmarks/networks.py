@@ -47,7 +47,7 @@ def _compare_gcn(street: Street, batch: GraphBatch, form: str, graph: Callable[[
     net = GCN(1).to(DEVICE)
     layers = pyg_layers(net)
     return compare(
-        milliseconds(lambda: _backward(net.pooled(batch)), GCN_FRAMES),
+        milliseconds(lambda: _backward(net.pooled(batch, 1)), GCN_FRAMES),
         milliseconds(lambda: _backward(pooled(layers, graph(), batch)), GCN_FRAMES),
         "ms/frame",
         f"{street.title}: three graph convolutions / PyG GCNConv on {form}, forward + backward",

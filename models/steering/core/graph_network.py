@@ -7,7 +7,13 @@ from pydantic import AfterValidator, Field
 from torch import Tensor, nn
 
 from models.steering.core.batch import AnyGraph, FrameKind
-from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features, sector_max_pool
+from models.steering.core.features import (
+    FEATURE_MIRROR_SIGNS,
+    NODE_FEATURES,
+    mean_max_pool,
+    node_features,
+    sector_max_pool,
+)
 from models.steering.core.options import Fraction, NetworkOptions, Widths
 
 
@@ -33,9 +39,11 @@ class GraphNetwork(nn.Module):
 
     Args:
         layer: class with `layer(inputs, outputs)`, a static `operator(batch, dtype)`, computed once per batch for all
-            layers, and `forward(x [N, inputs], operator) -> [N, outputs]`.
+            layers, and `forward(x [N, ..., inputs], operator) -> [N, ..., outputs]`.
         features: F, numbers per frame for the recurrent network.
     """
+
+    signs: Tensor
 
     def __init__(self, layer: type[nn.Module], features: int, options: GraphOptions = GraphOptions()) -> None:
         super().__init__()
@@ -44,22 +52,38 @@ class GraphNetwork(nn.Module):
             layer(inputs, outputs) for inputs, outputs in zip([NODE_FEATURES, *widths[:-1]], widths, strict=True)
         )
         self.read_out = nn.Linear((2 + self.sectors) * widths[-1], features)
+        # A buffer: a tensor made of numbers would be a blocking copy to a GPU in each step.
+        signs = torch.tensor([[1.0] * NODE_FEATURES, FEATURE_MIRROR_SIGNS])
+        self.register_buffer("signs", signs, persistent=False)  # [2,25], of the frame and of its mirror image
 
     def forward(self, batch: AnyGraph) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
-        return self.project(self.pooled(batch))
+        return self.project(self.pooled(batch, 1))[:, 0]
 
-    def pooled(self, batch: AnyGraph) -> Tensor:
-        """Return mean ‖ max over each frame's points after the last layer, ‖ max over each sector's: [B, pooled]."""
+    def both(self, batch: AnyGraph) -> tuple[Tensor, Tensor]:
+        """Return `forward` of the frames and of their mirror images, each [B,F]."""
+        original, mirrored = self.project(self.pooled(batch, 2)).unbind(1)
+        return original, mirrored
+
+    def pooled(self, batch: AnyGraph, versions: int) -> Tensor:
+        """Return mean ‖ max over each frame's points after the last layer, ‖ max over each sector's: [B, S, pooled].
+
+        S `versions`, the frames and with 2 also their mirror images, share the graph: a node has S sets of channels.
+        """
         dtype = self.read_out.weight.dtype
         operator = self.layers[0].operator(batch, dtype)  # type: ignore[operator]
-        x = node_features(batch.xyz.to(dtype), batch.cls, self.semantics)  # [N, 25]
+        x = node_features(batch.xyz.to(dtype), batch.cls, self.semantics)[:, None]  # [N, 1, 25]
+        x = x * self.signs if versions == 2 else x
         for layer in self.layers:
-            x = layer(x, operator).relu()  # [N, width]
-        pooled = mean_max_pool(x, batch.ptr)
-        return (
-            torch.cat([pooled, sector_max_pool(x, batch.xyz, batch.ptr, self.sectors)], 1) if self.sectors else pooled
-        )
+            x = layer(x, operator).relu()  # [N, S, width]
+        pooled = mean_max_pool(x.flatten(1), batch.ptr).view(-1, 2, *x.shape[1:])
+        if self.sectors:
+            by_sector = sector_max_pool(x.flatten(1), batch.xyz, batch.ptr, self.sectors)
+            by_sector = by_sector.view(-1, self.sectors, *x.shape[1:])
+            if versions == 2:  # mirroring reverses the sectors
+                by_sector = torch.stack([by_sector[:, :, 0], by_sector[:, :, 1].flip(1)], dim=2)
+            pooled = torch.cat([pooled, by_sector], dim=1)
+        return pooled.transpose(1, 2).flatten(2)
 
     def project(self, pooled: Tensor) -> Tensor:
         """Map pooled values to features in (-1,1), where LTC synapses are sensitive: [..., pooled] → [..., F]."""

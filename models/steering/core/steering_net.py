@@ -124,11 +124,11 @@ class SteeringNet(nn.Module):
             raise ValueError(f"{file}: {problem}, expected [{len(features)}, {expected}] (sizes.features)")
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
             odd, even = self._recurrent_inputs(features, motion)
-            out = self._last(torch.cat([odd, even], dim=1), windows, dt_s)
-            if self.equivariant:
-                mirrored = self._last(torch.cat([-odd, even], dim=1), windows, dt_s)
-                out = (out + self._mirror(mirrored)) / 2
-            return out
+            if not self.equivariant:
+                return self._last(torch.cat([odd, even], dim=1), windows, dt_s)
+            inputs = torch.cat([torch.cat([odd, even], dim=1), torch.cat([-odd, even], dim=1)])
+            out = self._last(inputs, torch.cat([windows, windows + len(odd)]), dt_s.repeat(2, 1))
+            return (out[: len(windows)] + self._mirror(out[len(windows) :])) / 2
 
     def _mirror(self, output: Tensor) -> Tensor:
         """Return the output for the mirrored scene: steering changes its sign, its σ does not."""

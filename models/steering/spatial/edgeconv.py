@@ -10,7 +10,7 @@ from models.steering.core.options import Sizes
 
 
 class EdgeConvLayer(nn.Module):
-    """x_i ↦ max over neighbours j of W (x_i ‖ x_j - x_i) + b: [N, inputs] → [N, outputs]. The caller adds σ.
+    """x_i ↦ max over neighbours j of W (x_i ‖ x_j - x_i) + b: [N, ..., inputs] → [N, ..., outputs]. The caller adds σ.
 
     DGCNN applies ReLU to each edge, then takes the maximum; ReLU is monotone, so the order does not matter. The affine
     map splits, W = (W_i ‖ W_d), into max_j (W_d x_j) + (W_i - W_d) x_i + b: products per node, none per edge. Unlike
@@ -32,7 +32,8 @@ class EdgeConvLayer(nn.Module):
         centre = nn.functional.linear(x, centre_weight - difference_weight, self.linear.bias)
         difference = nn.functional.linear(x, difference_weight)
         dtype = self.linear.weight.dtype  # under autocast the products are bfloat16, too coarse to add up gradients
-        return aggregate(centre_plus_max, graph, difference.to(dtype), centre.to(dtype))
+        rows = (tensor.to(dtype).flatten(1) for tensor in (difference, centre))
+        return aggregate(centre_plus_max, graph, *rows).view_as(centre)
 
 
 def centre_plus_max(rows: Tensor, centre: Tensor, valid: Tensor | None = None) -> Tensor:

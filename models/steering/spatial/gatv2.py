@@ -15,7 +15,7 @@ SLOPE = 0.2  # of LeakyReLU, as in the paper
 
 
 class GATv2Layer(nn.Module):
-    """x_i ↦ Σ_j α_ij W_l x_j + b, α_ij = softmax_j(aᵀ LeakyReLU(W_l x_j + W_r x_i)): [N, inputs] → [N, outputs].
+    """x_i ↦ Σ_j α_ij W_l x_j + b, α_ij = softmax_j(aᵀ LeakyReLU(W_l x_j + W_r x_i)): [N, ..., inputs] → [N, ..., outputs].
 
     j runs over i's neighbours and i itself. The outputs are split among 4 heads, or the greatest common divisor of 4
     and `outputs`; each has its own a. W_l and W_r have biases, as in PyG. The caller adds σ.
@@ -39,7 +39,9 @@ class GATv2Layer(nn.Module):
 
     def forward(self, x: Tensor, graph: Chunks | Padded) -> Tensor:
         dtype = self.attention.dtype  # scores and softmax in full precision under autocast
-        return aggregate(attend, graph, self.left(x).to(dtype), self.right(x).to(dtype), self.attention) + self.bias
+        left, right = (linear(x).to(dtype) for linear in (self.left, self.right))
+        attention = self.attention.repeat(x.shape[1:-1].numel(), 1)  # the same for each set of channels
+        return aggregate(attend, graph, left.flatten(1), right.flatten(1), attention).view_as(left) + self.bias
 
 
 def attend(rows: Tensor, centre: Tensor, attention: Tensor, valid: Tensor | None = None) -> Tensor:

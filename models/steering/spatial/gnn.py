@@ -1,22 +1,17 @@
 """Graph convolution on a symmetric graph (paper eq. 3; Kipf and Welling 2017)."""
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.adjacency import normalised_adjacency, propagate
-from models.steering.core.batch import AnyGraph, GraphBatch, Padded, PaddedGraph
+from models.steering.core.batch import AnyGraph, Padded, PaddedGraph
 from models.steering.core.convolutions import convolve
-from models.steering.core.features import FEATURE_MIRROR_SIGNS, NODE_FEATURES
 from models.steering.core.graph_network import GraphNetwork, GraphOptions
 from models.steering.core.options import Sizes
 
-ORIGINAL_SIGNS = (1.0,) * NODE_FEATURES
-
 
 class GCNLayer(nn.Module):
-    """H ↦ D̃^(-1/2) Ã D̃^(-1/2) H W + b with Ã = A + I: [N, inputs] → [N, outputs]. The caller adds σ."""
+    """H ↦ D̃^(-1/2) Ã D̃^(-1/2) H W + b with Ã = A + I: [N, ..., inputs] → [N, ..., outputs]. The caller adds σ."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -34,8 +29,9 @@ class GCNLayer(nn.Module):
     def forward(self, x: Tensor, adjacency: Tensor | Padded) -> Tensor:
         inputs, outputs = self.weight.shape
         if inputs <= outputs:  # the sparse product runs on the narrower side
-            return propagate(adjacency, x) @ self.weight + self.bias
-        return propagate(adjacency, x @ self.weight) + self.bias
+            return propagate(adjacency, x.flatten(1)).view_as(x) @ self.weight + self.bias
+        x = x @ self.weight
+        return propagate(adjacency, x.flatten(1)).view_as(x) + self.bias
 
 
 class GCN(GraphNetwork):
@@ -47,29 +43,14 @@ class GCN(GraphNetwork):
     def __init__(self, features: int, options: GraphOptions = GraphOptions()) -> None:
         super().__init__(GCNLayer, features, options)
 
-    def pooled(self, batch: AnyGraph) -> Tensor:
-        if isinstance(batch, PaddedGraph) or self.sectors or _layer_by_layer(batch):
-            return super().pooled(batch)
-        return self._convolve(batch, [ORIGINAL_SIGNS])[:, 0]
-
-    def both(self, batch: AnyGraph) -> tuple[Tensor, Tensor]:
-        """Return `forward` of the frames and of their mirror images, each [B,F]."""
-        if isinstance(batch, PaddedGraph) or self.sectors or _layer_by_layer(batch):
-            return self(batch), self(batch.mirrored())
-        original, mirrored = self.project(self._convolve(batch, [ORIGINAL_SIGNS, FEATURE_MIRROR_SIGNS])).unbind(1)
-        return original, mirrored
-
-    def _convolve(self, batch: GraphBatch, signs: Sequence[Sequence[float]]) -> Tensor:
-        """Return mean ‖ max over each frame's points for S versions of the node features: [B, S, 2 width]."""
+    def pooled(self, batch: AnyGraph, versions: int) -> Tensor:
+        kind = batch.xyz.device.type
+        if isinstance(batch, PaddedGraph) or self.sectors or kind != "cpu" or torch.is_autocast_enabled(kind):
+            return super().pooled(batch, versions)
         weight, bias, *later = self.layers.parameters()
         # Mirroring changes the sign of node features; in Â H W that equals changing the sign of rows of W.
-        wide = torch.cat([weight * weight.new_tensor(version)[:, None] for version in signs], dim=1)
-        return convolve(batch, self.semantics, len(signs), [wide, bias.repeat(len(signs)), *later])
-
-
-def _layer_by_layer(batch: GraphBatch) -> bool:
-    kind = batch.xyz.device.type
-    return kind != "cpu" or torch.is_autocast_enabled(kind)
+        wide = torch.cat([weight * signs[:, None] for signs in self.signs[:versions]], dim=1)
+        return convolve(batch, self.semantics, versions, [wide, bias.repeat(versions), *later])
 
 
 class Options(GraphOptions):

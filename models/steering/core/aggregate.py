@@ -1,6 +1,7 @@
 """Aggregate functions of neighbours that are not a matrix product, without storing a row per edge."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -9,14 +10,16 @@ from torch.autograd.function import once_differentiable
 
 from models.steering.core.batch import AnyGraph, Padded, PaddedGraph
 
-EDGES = 1 << 14  # per chunk: at 64 channels 4 MB in float32, about a core's cache
-Chunks = list[tuple[Tensor, Tensor]]
-"""(node numbers [n], their neighbours' numbers [n,d]) of nodes with d neighbours each."""
+# Edges per chunk. On a CPU 4 MB in float32 at 64 channels, about a core's cache; on a GPU 256 MB, for few launches.
+EDGES = {"cpu": 1 << 14, "cuda": 1 << 20}
+Chunks = list[tuple[Tensor, Tensor, Tensor | None]]
+"""Node numbers [n], their neighbours' numbers [n,d], and which of them count, bool [n,d]; None: all."""
 
 
 def neighbourhoods(batch: AnyGraph, *, loops: bool) -> Chunks | Padded:
     """Split a batch's graph into chunks of about EDGES edges; a padded graph stays complete.
 
+    On a CPU the nodes of a chunk have equal degrees. On a GPU degrees between two powers of two share a chunk.
     `loops`: add each node as its own first neighbour. Otherwise nodes without neighbours are in no chunk.
     """
     if isinstance(batch, PaddedGraph):
@@ -25,18 +28,30 @@ def neighbourhoods(batch: AnyGraph, *, loops: bool) -> Chunks | Padded:
             numbers = torch.cat([torch.arange(numbers.shape[0])[:, None], numbers], dim=1)
             valid = nn.functional.pad(valid, (1, 0), value=True)
         return Padded(numbers, valid)
-    degree, indices = batch.degree, batch.indices
-    starts = degree.long().cumsum(0) - degree.long()
+    degree, indices, on_cpu = batch.degree, batch.indices, batch.degree.device.type == "cpu"
+    # The program would wait for a GPU to read the sizes of chunks from it.
+    counts = (degree if batch.cpu_degree is None else batch.cpu_degree).bincount().tolist()
+    powers = {1 + (1 << power) for power in range(8) if 1 << power < len(counts)}
+    bounds = range(len(counts) + 1) if on_cpu else sorted({0, 1, len(counts)} | powers)
+    starts, order = degree.long().cumsum(0) - degree.long(), degree.argsort(stable=True)
     chunks: Chunks = []
-    for count in degree.bincount().nonzero()[:, 0].tolist():
-        if not count and not loops:
+    last = 0
+    for low, high in pairwise(bounds):  # nodes with low <= degree < high
+        first, last = last, last + sum(counts[low:high])
+        if first == last or not (loops or low):
             continue
-        nodes = (degree == count).nonzero()[:, 0]
-        neighbours = indices[starts[nodes, None] + torch.arange(count, device=degree.device)].long()
+        nodes, slots = order[first:last], torch.arange(high - 1, device=degree.device)
+        entries, valid = starts[nodes, None] + slots, None
+        if high - low > 1:
+            entries, valid = entries.clamp_max(len(indices) - 1), slots < degree[nodes, None]
+        neighbours = indices[entries].long()
         if loops:
             neighbours = torch.cat([nodes[:, None], neighbours], dim=1)
-        rows = max(1, EDGES // neighbours.shape[1])
-        chunks += zip(torch.split(nodes, rows), torch.split(neighbours, rows), strict=True)
+            valid = valid if valid is None else nn.functional.pad(valid, (1, 0), value=True)
+        rows = max(1, EDGES[degree.device.type] // neighbours.shape[1])
+        parts = torch.split(nodes, rows)
+        valids = [None] * len(parts) if valid is None else torch.split(valid, rows)
+        chunks += zip(parts, torch.split(neighbours, rows), valids, strict=True)
     return chunks
 
 
@@ -47,7 +62,7 @@ def aggregate(
 
     Args:
         function: (x of the neighbours [n,d,C], `centre` of the nodes [n,C], *shared) → [n,C]; runs again in backward.
-            Its argument `valid` bool [n,d] tells which neighbours of a padded graph count; None: all.
+            Its argument `valid` bool [n,d] tells which neighbours count; None: all.
         graph: from `neighbourhoods`.
         x, centre: [N,C]
         shared: parameters of `function`.
@@ -72,8 +87,8 @@ class _Aggregate(torch.autograd.Function):
         ctx.save_for_backward(x, centre, *shared)
         out = torch.zeros_like(centre)
         with torch.autocast(x.device.type, enabled=False):  # backward runs outside of it
-            for nodes, neighbours in chunks:
-                out[nodes] = function(_rows(x, neighbours), centre[nodes], *shared)
+            for nodes, neighbours, valid in chunks:
+                out[nodes] = function(_rows(x, neighbours), centre[nodes], *shared, valid=valid)
         return out
 
     @staticmethod
@@ -81,10 +96,10 @@ class _Aggregate(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         x, centre, *shared = ctx.saved_tensors
         grad_x, grad_centre, *grad_shared = (torch.zeros_like(tensor) for tensor in (x, centre, *shared))
-        for nodes, neighbours in ctx.chunks:
+        for nodes, neighbours, valid in ctx.chunks:
             pieces = [piece.detach().requires_grad_() for piece in (_rows(x, neighbours), centre[nodes], *shared)]
             with torch.enable_grad(), torch.autocast(x.device.type, enabled=False):
-                out = ctx.function(*pieces)
+                out = ctx.function(*pieces, valid=valid)
             grad_rows, grad_nodes, *grad_parameters = torch.autograd.grad(out, pieces, gradient[nodes])
             grad_x.index_add_(0, neighbours.flatten(), grad_rows.flatten(0, 1))
             grad_centre[nodes] = grad_nodes

@@ -28,10 +28,13 @@ FrameKind = Literal["graph", "pointnet2", "image"]
 """Kinds of frames: GraphBatch or PaddedGraph, SetBatch, ImageBatch."""
 
 
+CPU_FIELDS = ("ptr", "cpu_degree")
+
+
 class _Movable:
     def to(self, device: torch.device | str) -> Self:
-        """Return a copy on `device`. `ptr` stays on the CPU: reading it from a GPU would stall each step."""
-        moved = {name: _move(value, device) for name, value in vars(self).items() if name != "ptr"}
+        """Return a copy on `device`. Fields in CPU_FIELDS stay: reading them from a GPU would stall each step."""
+        moved = {name: _move(value, device) for name, value in vars(self).items() if name not in CPU_FIELDS}
         return dataclasses.replace(self, **moved)  # type: ignore[type-var]
 
 
@@ -68,11 +71,16 @@ class GraphBatch(_Points):
     """Points with a symmetric graph per frame: E directed edges, two for each undirected one.
 
     degree [N], neighbours of each point, itself excluded; indices int32 or int64 [E], row numbers of the neighbours of
-    point 0, of point 1, … (CSR).
+    point 0, of point 1, … (CSR); cpu_degree, the degree on the CPU if `degree` is not there.
     """
 
     degree: Tensor
     indices: Tensor
+    cpu_degree: Tensor | None = None
+
+    def to(self, device: torch.device | str) -> Self:
+        moved = super().to(device)
+        return dataclasses.replace(moved, cpu_degree=self.degree if self.cpu_degree is None else self.cpu_degree)
 
     def blocks(self, points: int) -> Iterator[Self]:
         """Split the batch into blocks of complete frames with at most `points` points, or of one larger frame."""

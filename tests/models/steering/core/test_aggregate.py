@@ -10,19 +10,21 @@ from models.steering.spatial.gatv2 import GATv2Layer, attend
 @pytest.mark.parametrize("loops", [False, True])
 @pytest.mark.parametrize("edges", [1, 20, 10**6])
 def test_chunks_have_each_node_once_with_its_neighbours(make_batch, monkeypatch, loops, edges):
-    monkeypatch.setattr(module, "EDGES", edges)
+    monkeypatch.setitem(module.EDGES, "cpu", edges)
     batch = make_batch([13, 0, 1, 30])
     rows = [row.tolist() for row in batch.indices.split(batch.degree.tolist())]
     expected = {node: [node] * loops + row for node, row in enumerate(rows) if row or loops}
     chunks = neighbourhoods(batch, loops=loops)
-    assert sum(len(nodes) for nodes, _ in chunks) == len(expected)
-    assert {n: row for nodes, rows in chunks for n, row in zip(nodes.tolist(), rows.tolist(), strict=True)} == expected
-    assert all(len(nodes) == 1 or rows.numel() <= edges for nodes, rows in chunks)
+    assert sum(len(nodes) for nodes, _, _ in chunks) == len(expected)
+    pairs = ((nodes.tolist(), rows.tolist()) for nodes, rows, _ in chunks)
+    assert {node: row for nodes, rows in pairs for node, row in zip(nodes, rows, strict=True)} == expected
+    assert all(len(nodes) == 1 or rows.numel() <= edges for nodes, rows, _ in chunks)
+    assert all(valid is None for _, _, valid in chunks)
 
 
 @pytest.mark.parametrize("function", [centre_plus_max, attend])
 def test_gradients(make_batch, monkeypatch, function):
-    monkeypatch.setattr(module, "EDGES", 10)
+    monkeypatch.setitem(module.EDGES, "cpu", 10)
     batch = make_batch([9, 1])
     chunks = neighbourhoods(batch, loops=False)
     shared = [torch.randn(2, 2, dtype=torch.float64, requires_grad=True)] * (function is attend)

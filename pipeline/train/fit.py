@@ -1,5 +1,6 @@
 """Fit a steering network to the training drives, with early stopping and resume."""
 
+import copy
 import math
 import multiprocessing
 import sys
@@ -13,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
@@ -54,12 +54,12 @@ class Fit:
         self.settings, self.seed, self.world = settings, seed, world
         # The same network with gradients averaged over all processes.
         self.learner: nn.Module = DistributedDataParallel(net, broadcast_buffers=False) if world.size > 1 else net
-        self.average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(settings.average))  # type: ignore[no-untyped-call]
+        self.average = copy.deepcopy(net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in net.parameters() if parameter.ndim > 1]
         vectors = [parameter for parameter in net.parameters() if parameter.ndim <= 1]
         groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
-        self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
+        self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, fused=True)
         self.curve: list[Epoch] = []
         self.best = copy_weights(net)
 
@@ -91,7 +91,7 @@ class Fit:
                 self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
                 selected = selected_epoch(self.curve) == epoch
                 if selected:
-                    self.best = copy_weights(self.average.module)
+                    self.best = copy_weights(self.average)
                 if self.world.is_main:
                     checkpoint.write(state, {**metadata, **self._state(), "kind": predict.KIND, "epoch": epoch})
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
@@ -162,7 +162,9 @@ class Fit:
             (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(self.net.parameters(), settings.clip_norm)
             self.optimiser.step()
-            self.average.update_parameters(self.net)
+            decay = settings.average if step or epoch > 1 else 0.0  # starts with the weights after the first step
+            with torch.no_grad():
+                torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], 1 - decay)
             total += torch.stack([error.detach(), weight.sum()])
         error_sum, weight_sum = self.world.sum(total).tolist()
         return error_sum / weight_sum, rate
@@ -185,7 +187,7 @@ class Fit:
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """
-        self.average.module.load_state_dict(self.best)
+        self.average.load_state_dict(self.best)
         _, error, sigma = self._predict(drives, target)
         ratio = np.abs(error) / sigma
         factor = np.sqrt(np.mean(ratio**2))
@@ -193,9 +195,8 @@ class Fit:
 
     def _predict(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> np.ndarray:
         """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""
-        net: Any = self.average.module
         columns = []
-        predictions = predict.predict_drives(net, drives, self.window, target, self.world)
+        predictions = predict.predict_drives(self.average, drives, self.window, target, self.world)
         for drive, predicted in zip(drives, predictions, strict=True):
             error, sigma = predicted.steering_rad - drive.steering_rad, predicted.sigma_rad
             rows = np.stack([drive.steering_rad, error, np.full(len(error), np.nan) if sigma is None else sigma])

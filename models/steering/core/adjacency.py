@@ -4,7 +4,7 @@ import warnings
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from models.steering.core.batch import Padded
 
@@ -21,14 +21,13 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
     """
     nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
     node = torch.arange(nodes, dtype=indices.dtype, device=device)
-    row = node.repeat_interleave(degree.long() + 1, output_size=entries)  # of each entry
-    starts = torch.zeros(nodes + 1, dtype=torch.int64, device=device)
-    starts[1:] = (degree.long() + 1).cumsum(0)
-    neighbour = torch.ones(entries, dtype=torch.bool, device=device)
-    neighbour[starts[:-1]] = False
+    sizes = degree.long() + 1
+    row = node.repeat_interleave(sizes, output_size=entries)  # of each entry
+    starts = nn.functional.pad(sizes.cumsum(0), (1, 0))
+    neighbour = torch.ones(entries, dtype=torch.bool, device=device).index_fill_(0, starts[:-1], False)
     column = row.masked_scatter(neighbour, indices)
 
-    scale = (degree.to(dtype) + 1).rsqrt()  # [N], D̃^(-1/2)
+    scale = sizes.to(dtype).rsqrt()  # [N], D̃^(-1/2)
     values = scale.index_select(0, row) * scale.index_select(0, column)
     return _csr(starts.int(), column.int(), values, nodes)
 

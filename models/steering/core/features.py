@@ -27,7 +27,7 @@ def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
         [N, NODE_FEATURES], each column O(1) over a street, in the dtype of `xyz`.
     """
     x, y, z = xyz.unbind(1)
-    distance = (x.square() + z.square()).clamp_min(1.0).sqrt()
+    distance = torch.hypot(x, z).clamp_min(1.0)
     # The paper does not list node features. The scales fit a street seen to 80 m. x/distance is the bearing: it
     # separates near and far parts of a bend, and a network would have to learn the division.
     geometry = [x / 10, (y - GROUND_Y_M) / 2, z / 40, x / distance, distance.log() - 2.5, 10 / distance]

@@ -125,7 +125,7 @@ class SteeringNet(nn.Module):
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
             odd, even = self._recurrent_inputs(features, motion)
             if not self.equivariant:
-                return self._last(torch.cat([odd, even], dim=1), windows, dt_s)
+                return self._last(torch.cat([odd, even], dim=1) if self.motion else odd, windows, dt_s)
             inputs = torch.cat([torch.cat([odd, even], dim=1), torch.cat([-odd, even], dim=1)])
             out = self._last(inputs, torch.cat([windows, windows + len(odd)]), dt_s.repeat(2, 1))
             return (out[: len(windows)] + self._mirror(out[len(windows) :])) / 2

@@ -15,7 +15,7 @@ SLOPE = 0.2  # of LeakyReLU, as in the paper
 
 
 class GATv2Layer(nn.Module):
-    """x_i ↦ Σ_j α_ij W_l x_j + b, α_ij = softmax_j(aᵀ LeakyReLU(W_l x_j + W_r x_i)): [N, ..., inputs] → [N, ..., outputs].
+    """x_i ↦ Σ_j α_ij W_l x_j + b, α_ij = softmax_j(aᵀ LeakyReLU(W_l x_j + W_r x_i)), [N, .., C] → [N, .., C'].
 
     j runs over i's neighbours and i itself. The outputs are split among 4 heads, or the greatest common divisor of 4
     and `outputs`; each has its own a. W_l and W_r have biases, as in PyG. The caller adds σ.

@@ -72,30 +72,29 @@ GNN = {"spatial": "gnn", "semantics": 1.0}
 MOTION = GNN | {"equivariant": True, "motion": "visual", "horizon": 10}
 
 
-# The limits are the counts of this code, rounded up. The aims are 500, 400 and 700 for the first three networks, and
-# 1,500 for the others: most of what is above them are the steps of the recurrent network.
+# The limits are the counts of this code, rounded up.
 @pytest.mark.parametrize(
-    ("line", "write", "launches", "synchronisations"),
+    ("line", "write", "launches"),
     [
-        pytest.param(GNN, artefacts.write_graphs, 940, 0, id="sa-gnn-ncp"),
-        pytest.param(GNN, UNEQUAL, 1520, 0, id="sa-gnn-ncp, unequal frames"),
-        pytest.param(GNN | {"temporal": "lstm"}, artefacts.write_graphs, 470, 0, id="gnn-lstm"),
-        pytest.param(MOTION, artefacts.write_graphs, 1670, 0, id="motion-10"),
-        pytest.param({"spatial": "edgeconv"}, artefacts.write_graphs, 2300, 40, id="edgeconv-ncp"),
-        pytest.param({"spatial": "gatv2"}, artefacts.write_graphs, 3800, 40, id="gatv2-ncp"),
-        pytest.param(GNN | {"sectors": 9}, UNEQUAL, 1600, 0, id="gnn with sectors, unequal frames"),
-        pytest.param({"spatial": "polar"}, UNEQUAL, 840, 0, id="polar-ncp, unequal frames"),
-        pytest.param({"spatial": "pointnet2", "width": 0.25}, artefacts.write_sets, 1110, 0, id="pointnet2-ncp"),
-        pytest.param({"spatial": "cnn", "window": 16}, artefacts.write_images, 1430, 0, id="cnn-ncp"),
+        pytest.param(GNN, artefacts.write_graphs, 530, id="sa-gnn-ncp"),
+        pytest.param(GNN, UNEQUAL, 830, id="sa-gnn-ncp, unequal frames"),
+        pytest.param(GNN | {"temporal": "lstm"}, artefacts.write_graphs, 360, id="gnn-lstm"),
+        pytest.param(MOTION, artefacts.write_graphs, 560, id="motion-10"),
+        pytest.param({"spatial": "edgeconv"}, artefacts.write_graphs, 860, id="edgeconv-ncp"),
+        pytest.param({"spatial": "gatv2"}, artefacts.write_graphs, 1230, id="gatv2-ncp"),
+        pytest.param(GNN | {"sectors": 9}, UNEQUAL, 860, id="gnn with sectors, unequal frames"),
+        pytest.param({"spatial": "polar"}, UNEQUAL, 470, id="polar-ncp, unequal frames"),
+        pytest.param({"spatial": "pointnet2", "width": 0.25}, artefacts.write_sets, 790, id="pointnet2-ncp"),
+        pytest.param({"spatial": "cnn", "window": 16}, artefacts.write_images, 820, id="cnn-ncp"),
     ],
 )
 def test_a_training_step_stays_within_its_budget(
-    tmp_path: Path, line: dict[str, object], write: Callable[..., None], launches: int, synchronisations: int
+    tmp_path: Path, line: dict[str, object], write: Callable[..., None], launches: int
 ) -> None:
     counts = count(tmp_path, line, write)
     assert counts.launches <= launches
-    assert len(counts.copies) <= 1, counts.copies  # probably AveragedModel's counter of steps
-    assert len(counts.synchronisations) <= synchronisations, counts.synchronisations
+    assert not counts.copies
+    assert not counts.synchronisations
 
 
 def test_an_operator_on_both_devices_fails() -> None:

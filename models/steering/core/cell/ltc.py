@@ -45,29 +45,38 @@ class LTC(RecurrentCell):
     def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
         leak = softplus(self.leak)
         (v,) = state or (projected.new_zeros(len(projected), len(leak)),)  # [W,U]
-        c = softplus(self.capacity) * self.unfolds * NOMINAL_STEP_S / dt_s[..., None]  # [W,T,U]
+        c = softplus(self.capacity) * (self.unfolds * NOMINAL_STEP_S / dt_s[..., None])  # [W,T,U]
         fixed = projected + torch.cat([leak * self.rest, leak + EPSILON])  # numerator ‖ denominator, [W,T,2U]
         unfolded: tuple[Tensor, Tensor] = Unfolded.apply(  # type: ignore[no-untyped-call]
-            v, c, fixed, *self.internal.matrices(), self.unfolds
+            v, c, fixed, *self.internal.matrices(), self.internal.place, self.unfolds
         )
         potentials, v = unfolded
         return potentials[..., : self.motor] * self.output_scale + self.output_shift, (v,)
 
 
 class Unfolded(torch.autograd.Function):
-    """All steps of all frames as one autograd operator with explicit gradients.
+    """All K steps of all frames as one autograd operator with explicit gradients.
 
-    On arrays this small, autograd's bookkeeping costs more than the operators. Parameter gradients are summed over all
-    steps at once.
+    On arrays this small, starting an operator costs more than its arithmetic. So backward has one product per
+    step, with the Jacobians of all steps from a few operators on all of them.
 
     Args: v [W,U] before; c [W,T,U]; fixed [W,T,2U], the part of numerator ‖ denominator that is constant in a frame;
-        slope [U,S], threshold [S] and sums [S,2U] of the internal synapses; steps a frame.
+        slope [U,S], threshold [S] and sums [S,2U] of the internal synapses; place [S], their entries in a flattened
+        matrix [U,U]; steps a frame.
     Returns: v after each frame [W,T,U], and after the last one [W,U].
     """
 
     @staticmethod
     def forward(
-        ctx: Any, v: Tensor, c: Tensor, fixed: Tensor, slope: Tensor, threshold: Tensor, sums: Tensor, unfolds: int
+        ctx: Any,
+        v: Tensor,
+        c: Tensor,
+        fixed: Tensor,
+        slope: Tensor,
+        threshold: Tensor,
+        sums: Tensor,
+        place: Tensor,
+        unfolds: int,
     ) -> tuple[Tensor, Tensor]:
         fixed = torch.cat([fixed[..., : c.shape[2]], fixed[..., c.shape[2] :] + c], dim=2)
         below = -threshold.expand(len(v), -1)  # [W,S]; expanded, addmm is faster
@@ -80,7 +89,7 @@ class Unfolded(torch.autograd.Function):
                 potentials.append(v)
                 opened.append(open_)
                 denominators.append(denominator)
-        ctx.save_for_backward(c, slope, sums)
+        ctx.save_for_backward(c, slope, sums, place)
         ctx.steps = (potentials, opened, denominators) if any(ctx.needs_input_grad) else None
         # The returned tensors must not be the saved ones: that would be a reference cycle.
         return torch.stack(potentials[unfolds::unfolds], dim=1), v.clone()
@@ -88,34 +97,43 @@ class Unfolded(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_potentials: Tensor, grad_last: Tensor) -> tuple[Tensor | None, ...]:
-        c, slope, sums = ctx.saved_tensors
-        potentials, opened, denominators = ctx.steps
-        windows, frames, units = c.shape
-        unfolds = len(opened) // frames
-        sign = sums.new_ones(2 * units)
-        sign[units:] = -1  # the denominator enters with a minus
-        slope_t, sums_t = slope.T.contiguous(), (sums * sign).T.contiguous()
-        c_frames, grad_frames = c.unbind(1), grad_potentials.unbind(1)
-        upstream, grad_terms, grad_gates = grad_last, [], []
-        for step in reversed(range(len(opened))):
+        c, slope, sums, place = ctx.saved_tensors
+        potentials, opened, denominators = map(torch.stack, ctx.steps)  # [K+1,W,U], [K,W,S], [K,W,U]
+        (steps, windows, units), frames = denominators.shape, c.shape[1]
+        unfolds = steps // frames
+        before, after = potentials[:-1], potentials[1:]
+        inverse = denominators.reciprocal()
+        shares = torch.stack(
+            [inverse, -after * inverse], dim=2
+        )  # gradients of v by numerator and denominator, [K,W,2,U]
+        sigmoid_backward = torch.ops.aten.sigmoid_backward
+        by_synapse = sigmoid_backward(
+            shares.flatten(2) @ sums.T * slope.sum(0), opened
+        )  # a column of slope has 1 entry
+        jacobian = c.new_zeros(steps, windows, units**2).scatter_(2, place.expand_as(by_synapse), by_synapse)
+        jacobian = jacobian.view(frames, unfolds, windows, units, units)  # of v after a step [.., i, :] by v before it
+        inverse = inverse.view(frames, unfolds, windows, units)
+        jacobian.diagonal(dim1=3, dim2=4).add_(inverse * c.transpose(0, 1)[:, None])
+        transposed = jacobian.transpose(3, 4).flatten(0, 1)
+
+        grad_frames = grad_potentials.transpose(0, 1)[:, :, None]  # [T,W,1,U]
+        upstream = [grad_frames[-1] + grad_last[:, None]]  # of v after the last step, the one before, …, [W,1,U]
+        for step in reversed(range(steps)):
             frame, within = divmod(step, unfolds)
-            if within == unfolds - 1:
-                upstream = upstream + grad_frames[frame]
-            grad_numerator = upstream / denominators[step]
-            grad_term = torch.cat(
-                [grad_numerator, grad_numerator * potentials[step + 1]], dim=1
-            )  # [W,2U], up to the sign
-            grad_gate = torch.ops.aten.sigmoid_backward(grad_term @ sums_t, opened[step])  # [W,S], of the argument of σ
-            upstream = torch.addmm(grad_numerator * c_frames[frame], grad_gate, slope_t)
-            grad_terms.append(grad_term)
-            grad_gates.append(grad_gate)
-        before, open_ = torch.cat(potentials[:-1]), torch.cat(opened)  # [N W, …] for N steps
-        grad_term, grad_gate = torch.cat(grad_terms[::-1]) * sign, torch.cat(grad_gates[::-1])
-        grad_c = torch.addcmul(grad_term[:, units:], grad_term[:, :units], before)
+            gradient, matrix = upstream[-1], transposed[step]
+            if frame and not within:  # v before the step is also the output of the frame before
+                upstream.append(torch.baddbmm(grad_frames[frame - 1], gradient, matrix))
+            else:
+                upstream.append(torch.bmm(gradient, matrix))
+        grad_v = upstream.pop()[:, 0]
+        grad_terms = (shares * torch.stack(upstream[::-1])).flatten(2)  # of numerator ‖ denominator, [K,W,2U]
+        grad_gates = sigmoid_backward(grad_terms @ sums.T, opened).flatten(0, 1)  # of the argument of σ, [KW,S]
+        grad_c = torch.addcmul(grad_terms[..., units:], grad_terms[..., :units], before)
         grad_fixed, grad_c = (
-            gradient.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for gradient in (grad_term, grad_c)
+            gradient.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for gradient in (grad_terms, grad_c)
         )
-        return upstream, grad_c, grad_fixed, before.T @ grad_gate, -grad_gate.sum(0), open_.T @ grad_term, None
+        grad_slope, grad_sums = before.flatten(0, 1).T @ grad_gates, opened.flatten(0, 1).T @ grad_terms.flatten(0, 1)
+        return grad_v, grad_c, grad_fixed, grad_slope, -grad_gates.sum(0), grad_sums, None, None
 
 
 class Synapses(nn.Module):
@@ -123,6 +141,7 @@ class Synapses(nn.Module):
 
     pre: Tensor
     post: Tensor
+    place: Tensor
 
     def __init__(self, polarity: NDArray[int8]) -> None:
         super().__init__()
@@ -130,6 +149,9 @@ class Synapses(nn.Module):
         source, target = signs.nonzero().unbind(1)
         self.register_buffer("pre", nn.functional.one_hot(source, len(signs)).T.float())  # [P,S], source
         self.register_buffer("post", nn.functional.one_hot(target, signs.shape[1]).float())  # [S,U], target
+        self.register_buffer(
+            "place", source * signs.shape[1] + target, persistent=False
+        )  # [S], in the flattened matrix
         count = len(source)
         self.w = nn.Parameter(inverse_softplus(uniform(count, 0.001, 1.0)))  # before softplus
         self.sigma = nn.Parameter(uniform(count, 3.0, 8.0))
@@ -144,8 +166,8 @@ class Synapses(nn.Module):
         Two small dense products gather and scatter: for the 60 synapses of an NCP that is faster than indexing.
         """
         w = softplus(self.w)
-        sums = torch.cat([(w * self.erev)[:, None] * self.post, w[:, None] * self.post], dim=1)
-        return self.pre * self.sigma, self.sigma * self.mu, sums
+        sums = torch.stack([w * self.erev, w], dim=1)[..., None] * self.post[:, None]  # [S,2,U]
+        return self.pre * self.sigma, self.sigma * self.mu, sums.flatten(1)
 
 
 def uniform(count: int, low: float, high: float) -> Tensor:

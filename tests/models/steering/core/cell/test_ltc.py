@@ -79,9 +79,10 @@ def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
     v = torch.rand(windows, units, dtype=dtype)
     c = torch.rand(windows, frames, units, dtype=dtype) * 30 + 1
     fixed = cell.project_inputs(torch.randn(windows, frames, 5, dtype=dtype)) + 0.1
-    return [each.detach().requires_grad_() for each in (v, c, fixed, *cell.internal.matrices())]
+    return [each.detach().requires_grad_() for each in (v, c, fixed, *cell.internal.matrices())], cell.internal.place
 
 
 def test_explicit_gradients():
     torch.manual_seed(0)
-    assert torch.autograd.gradcheck(lambda *of: Unfolded.apply(*of, 3), inputs_of_steps(windows=2, frames=2))
+    inputs, place = inputs_of_steps(windows=2, frames=2)
+    assert torch.autograd.gradcheck(lambda *tensors: Unfolded.apply(*tensors, place, 3), inputs)

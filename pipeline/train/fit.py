@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +80,8 @@ class Fit:
         """
         self._resume(state, title)
         epochs, patience = self.settings.epochs, self.settings.patience
-        with reading.Reader(train, self.window, self.net.device) as reader:
+        with reading.Reader([*train, *val], self.window, self.net.device) as reader:
+            read_val = partial(reader.predictions, first=len(train))
             started, before = time.perf_counter(), len(self.curve)
             while len(self.curve) < epochs and not out_of_patience(self.curve, patience):
                 epoch = len(self.curve) + 1
@@ -88,7 +90,7 @@ class Fit:
                     raise InputError(
                         f"loss of epoch {epoch} is {loss}", title, "Lower train.learning_rate or clip_norm"
                     )
-                self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target)))
+                self.curve.append(Epoch(epoch, rate, loss, *self._validate(val, target, read_val)))
                 selected = selected_epoch(self.curve) == epoch
                 if selected:
                     self.best = copy_weights(self.average)
@@ -170,15 +172,15 @@ class Fit:
         return error_sum / weight_sum, rate
 
     def _validate(
-        self, drives: Sequence[windows.LabelledDrive], target: predict.Target | PathTarget
+        self, drives: Sequence[windows.LabelledDrive], target: predict.Target | PathTarget, read: Any
     ) -> tuple[float, float]:
         """Return MSE in rad² and nmse of the averaged weights; NaN without drives, the MSE also for a path."""
         if not drives:
             return math.nan, math.nan
         if isinstance(target, PathTarget):
-            net: Any = self.average.module
-            return math.nan, target.nmse(drives, predict.predict_drives(net, drives, self.window, target, self.world))
-        steering, error, _ = self._predict(drives, target)
+            predictions = predict.predict_drives(self.average, drives, self.window, target, self.world, read=read)
+            return math.nan, target.nmse(drives, predictions)
+        steering, error, _ = self._predict(drives, target, read)
         mse, zero = float(np.mean(error**2)), float(np.mean(steering**2))
         return mse, mse / zero if zero > 0 else math.nan
 
@@ -193,10 +195,10 @@ class Fit:
         factor = np.sqrt(np.mean(ratio**2))
         return replace(target, sigma_factor=float(factor), interval_95=float(np.quantile(ratio, 0.95) / factor))
 
-    def _predict(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> np.ndarray:
+    def _predict(self, drives: Sequence[windows.LabelledDrive], target: predict.Target, read: Any = None) -> np.ndarray:
         """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""
         columns = []
-        predictions = predict.predict_drives(self.average, drives, self.window, target, self.world)
+        predictions = predict.predict_drives(self.average, drives, self.window, target, self.world, read=read)
         for drive, predicted in zip(drives, predictions, strict=True):
             error, sigma = predicted.steering_rad - drive.steering_rad, predicted.sigma_rad
             rows = np.stack([drive.steering_rad, error, np.full(len(error), np.nan) if sigma is None else sigma])

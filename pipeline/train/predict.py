@@ -8,7 +8,7 @@ with graph_file.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as 
     steering_rad = model.predict(graphs, [60, 61, 200])
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -240,11 +240,13 @@ def predict_drives(
     world: World = World(),
     rows: Sequence[np.ndarray] | None = None,
     opened: Mapping[int, Graphs] | None = None,
+    read: Callable[[Sequence[windows.Span]], Iterable[Mapping[str, Any]]] | None = None,
 ) -> list[Any]:
     """Return the target's predictions, :class:`Prediction` or :class:`PathPrediction`, for each timeline's frames.
 
     With `rows`, int [..] per timeline, at least for these; other frames are not encoded. The processes of a `world`
-    share the work and all get the complete result. `opened` as in :func:`windows.batches`.
+    share the work and all get the complete result. `opened` as in :func:`windows.batches`; `read` replaces it: a
+    function that yields the batches of spans.
     """
     import torch
 
@@ -252,8 +254,12 @@ def predict_drives(
     share = [spans[index] for index in world.share(len(spans))]
     net.eval()
     with torch.inference_mode():
-        read = prefetch(windows.batches(timelines, [[span] for span in share], window, opened))
-        predicted = [target.decode(net(*net.inputs(batch)), batch["base_rad"]) for batch in read]
+        if read is None:
+            batches: Any = prefetch(windows.batches(timelines, [[span] for span in share], window, opened))
+        else:
+            batches = read(share)
+        outputs = [(net(*net.inputs(batch)), np.asarray(batch["base_rad"])) for batch in batches]
+        predicted = [target.decode(*output) for output in outputs]  # after the loop, which so does not wait for a GPU
     columns = target.outputs if net.uncertainty is None else 3
     result = [np.full((columns, len(timeline.frame)), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(share, predicted, strict=True))):

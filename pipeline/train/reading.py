@@ -5,9 +5,12 @@ process at a time, and numpy holds Python's lock. Random numbers depend on the s
 the reader.
 """
 
+import math
+import shutil
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,7 @@ from pipeline.train import windows
 from pipeline.train.augment import rescale
 
 AHEAD = 4  # batches per process
+SHARED_MEMORY = Path("/dev/shm")  # where torch's processes put batches; 64 MB in a container by default
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class TrainStep:
     """One batch: spans of frames, and the factors of their lengths."""
 
     runs: tuple[windows.Span, ...]
-    factor: np.ndarray  # float32, one per run
+    factor: np.ndarray | None = None  # float32, one per run; None: lengths as they are
     without_motion: np.ndarray | None = None  # bool, one per run: the network gets its motion as not measured
 
 
@@ -48,26 +52,50 @@ class Reader(Dataset[dict[str, Any]]):
         self._epoch: list[TrainStep] = []  # the loader's sampler; its processes live for several epochs
         if workers is None:
             workers = default_workers() if device.type == "cuda" else 0
+        self._workers, self._pin = workers, device.type == "cuda"
         self._loader: DataLoader[dict[str, Any]] | None = None
-        if workers:
-            self._loader = DataLoader(
-                self,
-                batch_size=None,
-                sampler=self._epoch,
-                num_workers=workers,
-                prefetch_factor=AHEAD,
-                persistent_workers=True,
-                pin_memory=device.type == "cuda",
-                multiprocessing_context="forkserver",
-            )
 
     def batches(self, steps: Sequence[TrainStep]) -> Generator[dict[str, Any]]:
         """Yield the steps' batches in order."""
         self._epoch[:] = steps
+        if self._workers and not self._loader and steps:
+            self._start(max(steps, key=lambda step: sum(run.stop - run.start for run in step.runs)))
         if self._loader:
             yield from self._loader
         else:
             yield from prefetch(self[step] for step in steps)
+
+    def predictions(self, spans: Sequence[windows.Span], first: int) -> Generator[dict[str, Any]]:
+        """Yield a batch per span, whose drives are numbered from drive `first` of this reader on."""
+        return self.batches([TrainStep((replace(span, drive=span.drive + first),)) for span in spans])
+
+    def _start(self, largest: TrainStep) -> None:
+        """Start as many processes as the shared memory has space for batches; none, with a note, if it is too small."""
+        batch_bytes = sum(tensor.nbytes for tensor in self[largest].values())
+        free_bytes = shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else 0
+        # Half of the space, as validation's batches may be larger. Two batches are in use while others are read.
+        ahead = free_bytes // 2 // batch_bytes - 2
+        workers = max(0, min(self._workers, ahead))
+        if ahead < self._workers * AHEAD:
+            needed_gb = 2 * (self._workers * AHEAD + 2) * batch_bytes / 1e9
+            readers = f"{workers} processes read" if workers else "one thread reads"
+            print(
+                f"note: {SHARED_MEMORY} has {free_bytes / 1e6:.0f} MB free, so {readers} ahead. {self._workers} "
+                f"processes need {needed_gb:.1f} GB; in a container: docker run --shm-size={math.ceil(needed_gb)}g",
+                flush=True,
+            )
+        self._workers = workers
+        if self._workers:
+            self._loader = DataLoader(
+                self,
+                batch_size=None,
+                sampler=self._epoch,
+                num_workers=self._workers,
+                prefetch_factor=min(AHEAD, ahead // self._workers),
+                persistent_workers=True,
+                pin_memory=self._pin,
+                multiprocessing_context="forkserver",
+            )
 
     def __getitem__(self, step: TrainStep) -> dict[str, Any]:
         """Return the arrays of a batch as tensors, which can be pinned."""
@@ -76,7 +104,8 @@ class Reader(Dataset[dict[str, Any]]):
             self._opened[drive] = self._files.enter_context(graphs)
         (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
         lengths = [run.stop - run.start for run in step.runs]
-        batch = rescale(batch, np.repeat(step.factor, lengths))
+        if step.factor is not None:
+            batch = rescale(batch, np.repeat(step.factor, lengths))
         if step.without_motion is not None:
             batch["motion"][np.repeat(step.without_motion, lengths)] = 0
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}

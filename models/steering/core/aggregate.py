@@ -41,7 +41,8 @@ def neighbourhoods(batch: AnyGraph, *, loops: bool) -> Chunks | Padded:
         if first == last or not (loops or low):
             continue
         nodes, slots = order[first:last], torch.arange(high - 1, device=degree.device)
-        entries, valid = starts[nodes, None] + slots, None
+        entries = starts[nodes, None] + slots
+        valid: Tensor | None = None
         if high - low > 1:
             entries, valid = entries.clamp_max(len(indices) - 1), slots < degree[nodes, None]
         neighbours = indices[entries].long()

@@ -1,14 +1,17 @@
 """A thread or worker processes read the same batches as this process."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from pipeline.train import augment, windows
+from pipeline.sections.models import Entry
+from pipeline.train import augment, predict, reading, windows
 from pipeline.train.reading import Reader, TrainStep
 from tests import artefacts
 
@@ -49,3 +52,45 @@ def test_batches_equal_the_reference(drives: list[windows.LabelledDrive], worker
             steps = planned(epoch)
             for step, batch in zip(steps, reader.batches(steps), strict=True):
                 same(batch, expected_batch(drives, step))
+
+
+@pytest.mark.parametrize(
+    ("free_batches", "processes", "note"), [(100, 2, ""), (8, 2, "2 processes read"), (1, 0, "one thread reads")]
+)
+def test_shared_memory_limits_the_processes(
+    drives: list[windows.LabelledDrive],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    free_batches: int,
+    processes: int,
+    note: str,
+) -> None:
+    (step, *_) = steps = planned(0)
+    with Reader(drives, 4, torch.device("cpu"), 0) as reader:
+        batch_bytes = sum(tensor.nbytes for tensor in reader[step].values())
+    monkeypatch.setattr(reading.shutil, "disk_usage", lambda _: SimpleNamespace(free=int(free_batches * batch_bytes)))
+    started = []
+    monkeypatch.setattr(reading, "DataLoader", lambda reader, **options: started.append(options) or [])
+    with Reader(drives, 4, torch.device("cpu"), 2) as reader:
+        read = list(reader.batches(steps))
+    assert sum(options["num_workers"] for options in started) == processes
+    assert all(2 * (2 + options["prefetch_factor"] * 2) <= free_batches for options in started)
+    printed = capsys.readouterr().out
+    assert note in printed
+    assert bool(note) == printed.startswith("note: /dev/shm has")
+    if not processes:
+        for batch, step in zip(read, steps, strict=True):
+            same(batch, expected_batch(drives, step))
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_predictions_are_the_same_with_each_reader(drives: list[windows.LabelledDrive], workers: int) -> None:
+    torch.manual_seed(0)
+    entry = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 4})
+    net, target = entry.build("graph"), predict.Target.from_drives(drives)
+    (expected,) = predict.predict_drives(net, drives[1:], 4, target)
+    with Reader(drives, 4, torch.device("cpu"), workers) as reader:
+        read = partial(reader.predictions, first=1)
+        (predicted,) = predict.predict_drives(net, drives[1:], 4, target, read=read)
+    np.testing.assert_array_equal(predicted.steering_rad, expected.steering_rad, strict=True)
+    assert np.isfinite(predicted.steering_rad).any()

@@ -42,17 +42,17 @@ def neighbourhoods(batch: AnyGraph, *, loops: bool) -> Chunks | Padded:
             continue
         nodes, slots = order[first:last], torch.arange(high - 1, device=degree.device)
         entries = starts[nodes, None] + slots
-        valid: Tensor | None = None
+        mask: Tensor | None = None
         if high - low > 1:
-            entries, valid = entries.clamp_max(len(indices) - 1), slots < degree[nodes, None]
+            entries, mask = entries.clamp_max(len(indices) - 1), slots < degree[nodes, None]
         neighbours = indices[entries].long()
         if loops:
             neighbours = torch.cat([nodes[:, None], neighbours], dim=1)
-            valid = valid if valid is None else nn.functional.pad(valid, (1, 0), value=True)
+            mask = mask if mask is None else nn.functional.pad(mask, (1, 0), value=True)
         rows = max(1, EDGES[degree.device.type] // neighbours.shape[1])
         parts = torch.split(nodes, rows)
-        valids = [None] * len(parts) if valid is None else torch.split(valid, rows)
-        chunks += zip(parts, torch.split(neighbours, rows), valids, strict=True)
+        masks = [None] * len(parts) if mask is None else torch.split(mask, rows)
+        chunks += zip(parts, torch.split(neighbours, rows), masks, strict=True)
     return chunks
 
 

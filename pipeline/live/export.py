@@ -120,10 +120,7 @@ def export(model: Trained, graphs: Path, out: Path, tolerance: float) -> dict[st
                 part: {name: INPUTS[name.rstrip("0123456789")] for name in arrays}
                 for part, ((arrays, _), *_) in calls.items()
             },
-            "verified": {
-                "windows": len(examples),
-                "drives": list(dict.fromkeys(example.drive for example in examples)),
-            },
+            "verified": {"windows": len(examples), "drives": [*dict.fromkeys(example.drive for example in examples)]},
             "largest_difference": differences,
             "torch": torch.__version__,
             "sha256": {path.name: file_hash(path) for path in sorted(tmp.iterdir())},

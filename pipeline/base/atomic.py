@@ -1,4 +1,4 @@
-"""Files and folders that appear under their name when they are complete, and one writer per stage folder."""
+"""Replace files and folders in one step, and hold the write lock of a stage folder."""
 
 import errno
 import io
@@ -18,7 +18,7 @@ DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # the disk, the user's qu
 _LEFTOVER = re.compile(r"\.(?P<name>.+)\.\w{8}\.tmp")  # mkdtemp's eight characters
 _OLD = ".old"
 _OTHER_PATH = "Pass another path, or move it away"
-# Of network file systems, for instance Lustre without -o flock, or NFS without its lock daemon.
+# Errors of network file systems without locks, for instance Lustre without -o flock, or NFS without its lock daemon.
 _UNSUPPORTED = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
 
 

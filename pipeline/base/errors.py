@@ -42,7 +42,7 @@ _frame: int | None = None
 
 
 def named_frames(numbers: Iterable[int]) -> Iterator[int]:
-    """Yield frame numbers; an error before the next one is requested names the frame, by :func:`take_frame`."""
+    """Yield frame numbers. An error before the next one is requested names the frame, see :func:`take_frame`."""
     global _frame
     for number in numbers:
         _frame = int(number)

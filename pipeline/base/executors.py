@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SCHEDULER = "STEER_SCHEDULER"
 CONNECT_S = 5
 _DIGITS = 4  # of STEER_WORKERS
-# Their versions determine the bytes.
+# Packages whose versions determine the bytes of artefacts.
 LIBRARIES = ("numpy", "scipy", "torch", "opencv-python-headless", "open3d", "h5py", "hdf5plugin")
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
 _SPAWN = multiprocessing.get_context("spawn")

@@ -118,7 +118,7 @@ def parse(kind: type[S], value: Any, where: str) -> S:
         return kind.model_validate(value)
     except ValidationError as error:
         faults = error.errors()
-        # An unknown key before the key that is missing in its place.
+        # Report an unknown key first: it may be a missing key, misspelt.
         first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
         key = ".".join(str(part) for part in (where, *first["loc"]) if part not in ("", "[key]"))
         if first["type"] == "extra_forbidden":
@@ -127,7 +127,7 @@ def parse(kind: type[S], value: Any, where: str) -> S:
             raise InputError(f"unknown key{suggestion}", key) from error
         if first["type"] == "missing":
             raise InputError("key is missing", key, _COPY) from error
-        # A rule on a complete section would print all of it.
+        # The input of a rule on a section is the complete section, too long for a message.
         got = "" if isinstance(first["input"], dict) else f" (got {_shorten(first['input'])})"
         problem = first["msg"].removeprefix("Value error, ")
         if first["type"] == "too_short":

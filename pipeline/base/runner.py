@@ -111,7 +111,7 @@ def run_jobs(
 
     Args:
         workers: as in :func:`run_over_drives`.
-        threads: of each process, in which case none runs in this process; None: the cores are divided among them.
+        threads: of each process, and no job runs in this process; None: the cores are divided among the processes.
         name: job → its name in errors.
 
     Raises the first error after the jobs in progress are done; no other job is started.
@@ -178,7 +178,7 @@ def _make(item: tuple[str, Path, Work]) -> tuple[Summary, float]:
 
 
 def _publish(targets: Mapping[Path, Path]) -> None:
-    """Give finished files and folders their final paths, too, and remove drives that are no longer listed."""
+    """Link finished files and folders to their final paths, and remove files of drives that are no longer listed."""
     sweep(*{target.parent for target in targets.values()})
     for path, target in targets.items():
         with replacing(target) as tmp:

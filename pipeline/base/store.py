@@ -5,8 +5,8 @@ determine the file), and what the stage adds; every dataset has an attribute ``u
 frame numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row. Ragged data: ``ptr`` int64 [F+1] and
 concatenated rows; frame i owns ``rows[ptr[i]:ptr[i+1]]``. The attribute ``pointer`` of the rows names the pointers.
 
-Files are deterministic: written once, in a fixed order, with no clock, host or user inside, to a temporary name that
-is changed when they are complete. Readers validate what they read, which HDF5 does not.
+Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They have a temporary name
+until they are complete. Readers validate what they read, which HDF5 does not.
 """
 
 import json

@@ -45,8 +45,8 @@ def read_truth(drive: DriveReader, camera: Camera, row: int, labelled: bool = Tr
 def visible(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     """Return sparse depth [H,W] without points that are hidden from the camera.
 
-    The scanner is above the camera and looks over objects, so points behind an object project between the object's. A
-    point is dropped if another point within 0.23 degrees, about one ring of KITTI's scanner, is a fifth nearer.
+    The scanner is above the camera and looks over objects, so points behind an object project between those of the
+    object. A point is dropped if another one within 0.23 degrees, about one ring of KITTI's scanner, is a fifth nearer.
     """
     import cv2
 

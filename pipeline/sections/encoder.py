@@ -53,7 +53,7 @@ class WeightFile(BaseModel):
 
 
 class Weights(Section):
-    """Setting ``weights``: one checkpoint of this project, or the published file of each of some parts."""
+    """Setting ``weights``: one checkpoint of this project, or published files of single parts."""
 
     checkpoint: WeightFile | None = None
     backbone: WeightFile | None = None

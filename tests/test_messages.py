@@ -57,7 +57,7 @@ FILES: dict[str, tuple[Path, bytes | None, Callable[[Path], object]]] = {
     "params_out_of_range": (PARAMS, changed_params("wheelbase_m: 2.7", "wheelbase_m: -1"), partial(load, Labels)),
     "params_wrong_value": (PARAMS, changed_params("standstill: invalid", "standstill: never"), partial(load, Labels)),
     "params_without_section": (PARAMS, changed_params("labels:", "label:"), partial(load, Labels)),
-    "params_invalid_yaml": (PARAMS, changed_params("labels:", "labels: ["), partial(load, Labels)),
+    "params_invalid_yaml": (PARAMS, b"clouds: {}\nlabels: [\n  a: 1\nb: 2\n", partial(load, Labels)),
     "params_unknown_entry": (PARAMS, changed_params("", ""), partial(load_entry, Variant, "graphs", "semantik")),
     "params_missing": (Path("params.yml"), None, partial(load, Labels)),
     "stage_input_missing": (Path("data/labels"), None, partial(store.read_index, stage="labels")),

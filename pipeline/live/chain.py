@@ -4,9 +4,7 @@ Reading, perception and motion run in threads of their own. Memory holds a few f
 """
 
 import math
-from collections import deque
-from collections.abc import Generator, Iterable, Sequence
-from contextlib import closing
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,18 +15,11 @@ import torch
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import resized, rounded_as_stored
 from pipeline.fitting.prefetch import prefetch
-from pipeline.labels.label import Car
 from pipeline.motion.estimator import Estimate, MotionEstimator
-from pipeline.motion.visual import STANDSTILL, Odometry
+from pipeline.motion.visual import Odometry
 from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.perception.perceive import EncoderInput, open_encoder
 from pipeline.sections.perception import Perception
-
-# Standard deviations of Gaussian means. A driver turns the wheel in a second, and a car changes its speed more slowly;
-# a speed from one pair of images has much more noise than a yaw rate.
-YAW_SIGMA_S, SPEED_SIGMA_S = 0.2, 0.5
-REACH = 2.0  # sigmas on both sides
-BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
 
 
 class Course(NamedTuple):
@@ -41,6 +32,8 @@ class Course(NamedTuple):
     x_m: float  # ahead
     y_m: float  # to the left
     heading_rad: float
+    speed_sigma: float = 0.0  # relative standard deviation
+    steering_sigma_rad: float | None = None
 
 
 @dataclass
@@ -109,69 +102,3 @@ class Chain:
             if self.odometry:
                 frame.problem, frame.road_height_m = self.odometry.problem, self.odometry.road.frame_height_m
             yield frame
-
-
-def add_courses(frames: Generator[FrameState], car: Car, smooth: bool) -> Generator[FrameState]:
-    """Add the course to each frame whose motion is measured; closes `frames`.
-
-    Args:
-        frames: in order.
-        car: for the steering angle.
-        smooth: take means over neighbouring frames, later ones included, so frames come a second late.
-    """
-    track = _Track(car)
-    recent: deque[FrameState] = deque()
-    waiting = 0  # index in `recent` of the first frame without a course
-    reach_s = REACH * max(YAW_SIGMA_S, SPEED_SIGMA_S) if smooth else 0.0
-    with closing(frames):
-        for frame in frames:
-            frame.image = frame.depth_m = frame.cls = frame.scan = None  # not needed any more
-            recent.append(frame)
-            while waiting < len(recent) and recent[waiting].time_s <= frame.time_s - reach_s:
-                yield track.add(recent[waiting], recent)
-                waiting += 1
-            while recent[0].time_s < recent[min(waiting, len(recent) - 1)].time_s - reach_s:
-                recent.popleft()
-                waiting -= 1
-    for late in list(recent)[waiting:]:
-        yield track.add(late, recent)
-
-
-class _Track:
-    """Integrates the motion of frames in order."""
-
-    def __init__(self, car: Car) -> None:
-        self._car = car
-        self._x_m = self._y_m = self._heading_rad = 0.0
-        self._yaw_rate_radps = self._speed_mps = 0.0
-        self._measured_s, self._last_s = -math.inf, math.nan
-
-    def add(self, frame: FrameState, neighbours: Iterable[FrameState]) -> FrameState:
-        """Add the course to the next frame, with means over its `neighbours`, itself included."""
-        if frame.estimate:
-            measured = [(other.time_s - frame.time_s, other.estimate) for other in neighbours if other.estimate]
-            self._yaw_rate_radps = _mean([(s, estimate.yaw_rate_radps) for s, estimate in measured], YAW_SIGMA_S)
-            self._speed_mps = _mean([(s, estimate.speed_mps) for s, estimate in measured], SPEED_SIGMA_S)
-            self._measured_s = frame.time_s
-        elif frame.problem in STANDSTILL or frame.time_s - self._measured_s > BRIDGED_S:
-            self._yaw_rate_radps = self._speed_mps = 0.0
-        step_s = 0.0 if math.isnan(self._last_s) else frame.time_s - self._last_s
-        self._last_s = frame.time_s
-        turned_rad = self._yaw_rate_radps * step_s
-        self._x_m += self._speed_mps * step_s * math.cos(self._heading_rad + turned_rad / 2)
-        self._y_m += self._speed_mps * step_s * math.sin(self._heading_rad + turned_rad / 2)
-        self._heading_rad += turned_rad
-        if frame.estimate:
-            curvature_1pm = steering_rad = None
-            if abs(self._speed_mps) >= self._car.min_speed_mps:
-                curvature_1pm = self._yaw_rate_radps / self._speed_mps
-                steering_rad = math.atan(self._car.wheelbase_m * curvature_1pm)
-            rates = self._speed_mps, self._yaw_rate_radps, curvature_1pm, steering_rad
-            frame.course = Course(*rates, self._x_m, self._y_m, self._heading_rad)
-        return frame
-
-
-def _mean(values: Sequence[tuple[float, float]], sigma_s: float) -> float:
-    """Return the Gaussian mean of (seconds from the centre, value)."""
-    weights = [math.exp(-((seconds / sigma_s) ** 2) / 2) * (abs(seconds) <= REACH * sigma_s) for seconds, _ in values]
-    return sum(weight * value for weight, (_, value) in zip(weights, values, strict=True)) / sum(weights)

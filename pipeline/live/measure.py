@@ -14,7 +14,8 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.fitting.prefetch import prefetch
 from pipeline.labels.label import Car
-from pipeline.live.chain import Chain, FrameState, add_courses
+from pipeline.live.chain import Chain, FrameState
+from pipeline.live.course import add_courses
 from pipeline.live.results import MEASURED_FILES, MOTION, POSES, QUALITY, TRACK, Results, result_folder, write_frames
 from pipeline.live.source import ROTATE, Source
 from pipeline.live.track import PoseFormat, draw_track, pose_lines
@@ -57,7 +58,7 @@ def measure(
         source.count = min(max_frames, source.count or max_frames)
     with closing(_first(source.frames, max_frames)) as frames, result_folder(out, *MEASURED_FILES) as folder:
         upright = _refuse_rotated(prefetch(chain.run(frames), 1), source.path)
-        courses = add_courses(upright, car, smooth=True)
+        courses = add_courses(upright, car, smooth=True, height_known=source.height_known)
         results = write_frames(courses, folder / MOTION, source, car, warm_up=1, video=video, visible=visible)
         quality = _quality(results.road_heights_m, chain.odometry, camera.height_m if source.height_known else None)
         store.write_json(folder / QUALITY, quality)

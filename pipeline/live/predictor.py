@@ -20,7 +20,8 @@ from pipeline.graphs import frame_graph
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import single
-from pipeline.live.chain import Chain, FrameState, add_courses
+from pipeline.live.chain import Chain, FrameState
+from pipeline.live.course import add_courses
 from pipeline.live.results import PREDICTED_FILES, STEERING, TRACK, Results, result_folder, write_frames
 from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
@@ -89,7 +90,7 @@ def predict(
         camera, used = source.cropped.scaled(settings.ingest.image_size), encoder if perceives else None
         chain = Chain(camera, source.name, used, kinds, settings.perception, settings.motion.road_scale)
         predicted = Predictor(model, settings, source, camera).run(chain.run(frames))
-        courses = add_courses(predicted, car, smooth=False)
+        courses = add_courses(predicted, car, smooth=False, height_known=source.height_known)
         with result_folder(out, *PREDICTED_FILES) as folder:
             show = {"video": video, "visible": visible}
             results = write_frames(courses, folder / STEERING, source, car, warm_up=model.entry.window, **show)

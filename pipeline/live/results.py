@@ -29,12 +29,13 @@ PREDICTED_FILES, MEASURED_FILES = (STEERING, TRACK, VIDEO), (MOTION, TRACK, QUAL
 FILES = {*PREDICTED_FILES, *MEASURED_FILES}
 UNFINISHED = ".unfinished"
 MEASURED = (
-    "valid", "speed_mps", "yaw_rate_radps", "curvature_1pm", "measured_rad", "x_m", "y_m", "heading_rad", "points",
-    "residual",
+    "valid", "speed_mps", "yaw_rate_radps", "curvature_1pm", "measured_rad", "x_m", "y_m", "heading_rad",
+    "speed_sigma", "measured_sigma_rad", "points", "residual",
 )  # fmt: skip
 """Motion since the previous frame, left positive, empty if not `valid`; curvature and angle also at low speed.
 
-x and y are the position ahead and to the left of the first frame. `points` agree with the motion, with a median error
+x and y are the position ahead and to the left of the first frame. `speed_sigma` is relative.
+`points` agree with the motion, with a median error
 `residual` (px; of scans m).
 """
 COLUMNS = {

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
@@ -60,7 +60,7 @@ def measure(
         upright = _refuse_rotated(prefetch(chain.run(frames), 1), source.path)
         courses = add_courses(upright, car, smooth=True, height_known=source.height_known)
         results = write_frames(courses, folder / MOTION, source, car, warm_up=1, video=video, visible=visible)
-        quality = _quality(results.road_heights_m, chain.odometry, camera.height_m if source.height_known else None)
+        quality = _quality(results, chain.odometry, source)
         store.write_json(folder / QUALITY, quality)
         draw_track(folder / TRACK, source.name, results)
         if poses:
@@ -92,31 +92,33 @@ def _refuse_rotated(frames: Generator[FrameState], path: Path) -> Generator[Fram
             yield frame
 
 
-def _quality(road_heights_m: Sequence[float], odometry: Odometry, height_m: float | None) -> dict[str, Any]:
-    """Return the content of quality.json; None where unknown.
-
-    `road_heights_m` of the camera over the road by the encoder's depth, NaN without a road; `height_m` by the user.
-    """
-    heights_m = np.array(road_heights_m)
+def _quality(results: Results, odometry: Odometry, source: Source) -> dict[str, Any]:
+    """Return the content of quality.json; None where unknown. Heights of the road are by the encoder's depth."""
+    heights_m = np.array(results.road_heights_m)
     known = heights_m[np.isfinite(heights_m)]
     gradient, information = odometry.focal
+    sigmas = [course.speed_sigma for _, course in results.courses]
     summary: dict[str, Any] = {
-        "camera_height_m": height_m,
+        "K": source.camera.K.tolist(),
+        "distortion": source.distortion or None,
+        "camera_height_m": source.camera.height_m if source.height_known else None,
         "road_frames": float(np.isfinite(heights_m).mean()),
         "road_height_m": float(np.median(known)) if len(known) else None,
         "road_height_spread": float(known.std() / known.mean()) if len(known) else None,
+        "speed_sigma": float(np.median(sigmas)) if sigmas else None,
+        "speed_ratio": results.speed_ratio(),
         "pitch_deg": math.degrees(math.atan(odometry.road.slope)),
         "focal_ratio": math.exp(float(np.clip(-gradient / information, -1, 1))) if information > 0 else None,
         "focal_sigma": float(information**-0.5) if information > 0 else None,
     }
-    return summary | {"remarks": _remarks(summary)}
+    return summary | {"remarks": _remarks(summary, source.truth)}
 
 
-def _remarks(summary: dict[str, Any]) -> list[str]:
+def _remarks(summary: dict[str, Any], truth: str) -> list[str]:
     """Return warnings about the scale and the focal length, or why there are none."""
     height_m, road_m, spread = (summary[key] for key in ("camera_height_m", "road_height_m", "road_height_spread"))
     if road_m is None or summary["road_frames"] < MIN_ROAD:
-        scale = f"road found in {summary['road_frames']:.0%} of the frames: speed and curvature are uncertain"
+        scale = f"road found in {summary['road_frames']:.0%} of the frames, so speed stays near a typical car's"
     elif height_m is None:
         scale = (
             f"the encoder's depth, which puts the camera {road_m:.2f} m above the road (spread {spread:.0%}). Measure "
@@ -126,6 +128,10 @@ def _remarks(summary: dict[str, Any]) -> list[str]:
         scale = f"the camera's height of {height_m:.2f} m over the road (spread {spread:.0%})"
         scale += ", uncertain" if spread > MAX_SPREAD else ""
     remarks = [f"scale: {scale}"]
+    if summary["speed_sigma"] is not None:
+        remarks.append(f"speed and curvature may be off by {summary['speed_sigma']:.0%} (one standard deviation)")
+    if summary["speed_ratio"] is not None:
+        remarks.append(f"speed is {summary['speed_ratio']:.2f} times the one recorded in {truth}")
     ratio, sigma = summary["focal_ratio"], summary["focal_sigma"]
     if ratio is None or sigma > FOCAL_TOLERANCE / 2:
         remarks.append("focal length: too few turns to check it")

@@ -34,9 +34,8 @@ MEASURED = (
 )  # fmt: skip
 """Motion since the previous frame, left positive, empty if not `valid`; curvature and angle also at low speed.
 
-x and y are the position ahead and to the left of the first frame. `speed_sigma` is relative.
-`points` agree with the motion, with a median error
-`residual` (px; of scans m).
+x and y are the position ahead and to the left of the first frame. `speed_sigma` and `measured_sigma_rad` are standard
+deviations, that of speed relative. `points` agree with the motion, with a median error `residual` (px; of scans m).
 """
 COLUMNS = {
     STEERING: ("drive", "frame", "time_s", "predicted_rad", "driven_rad", "latency_ms", *MEASURED, "sigma_rad"),
@@ -47,6 +46,7 @@ standard deviation, the others for the frame."""
 KNOWN = ("frame", "time_s", "measured_rad", "measured_mps", "predicted_rad", "driven_rad", "driven_mps")
 FIRST_COLUMNS = "drive,frame,time_s,"
 LEFTOVER = re.compile(rf"\.({'|'.join(map(re.escape, sorted(FILES)))})\..{{8}}\.tmp")  # of a killed process
+MIN_DRIVEN_MPS = 1.0  # of frames whose speeds are compared
 LINE_S = 30.0  # between lines of progress without a terminal
 RECENT = 2000  # frames that latency quantiles are computed from
 BOOTSTRAP = Evaluate(
@@ -189,6 +189,12 @@ class Results:
         rows["zero"] = np.zeros(len(number))
         scores = {name: _errors(target_rad[used], angle_rad[used]) for name, angle_rad in rows.items()}
         return {"truth": truth, "frames": int(used.sum()), "horizon": horizon, **scores}
+
+    def speed_ratio(self) -> float | None:
+        """Return the measured distance divided by the driven one, of frames with both speeds; None without any."""
+        measured_mps, driven_mps = self.columns("measured_mps", "driven_mps")
+        used = np.isfinite(measured_mps) & (driven_mps >= MIN_DRIVEN_MPS)
+        return float(measured_mps[used].sum() / driven_mps[used].sum()) if used.any() else None
 
     def speed(self) -> str:
         """Return latency and rate as text."""

@@ -45,6 +45,7 @@ class Source:
     notes: list[str] = field(default_factory=list)  # for the user; grows while frames are read
     slope: float = 0.0  # of the road, metres down per metre ahead of the camera
     height_known: bool = False  # of the camera over the road
+    distortion: str = ""  # of the lens; frames are without it
 
     @property
     def cropped(self) -> Camera:
@@ -207,6 +208,7 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
     fps = footage.fps or DEFAULT_FPS
     name = os.fsencode(path.stem).decode(errors="backslashreplace")
     source = Source(path, name, camera, crop, frames(), footage.count, fps, truth=truth.name, notes=notes)
+    source.distortion = lens.distortion or ""
     if crop.size != footage.size:
         rows, columns = crop
         part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"

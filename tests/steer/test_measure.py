@@ -185,4 +185,4 @@ def test_missing_and_unsuitable_inputs_are_named(
     text, progress = capsys.readouterr()
     assert "3 of 3 frames, " in progress
     assert "assuming 10 per second" in text
-    assert "pass --camera-height" in text or "speed and curvature are uncertain" in text
+    assert "pass --camera-height" in text or "typical car" in text

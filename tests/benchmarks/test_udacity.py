@@ -5,24 +5,21 @@ import pytest
 
 from benchmarks import udacity
 
-
-def motion() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    time_s = np.arange(600) / 10
-    return time_s, 0.2 * np.sin(time_s / 3), 15 + 4 * np.sin(time_s / 7)
+TIME_S = np.arange(600) / 10
+MEASURED = 0.2 * np.sin(TIME_S / 3)
 
 
-def test_the_four_constants_are_found() -> None:
-    wheel = udacity.Wheel(gain=42.0, understeer=0.003, offset_rad=0.02, lag_s=0.1)
-    true_rad = wheel.angle(*motion())
-    found = udacity.fit(*motion(), true_rad)
+def test_the_three_constants_are_found() -> None:
+    wheel = udacity.Wheel(gain=42.0, offset_rad=0.02, lag_s=0.1)
+    true_rad = wheel.angle(TIME_S, MEASURED)
+    found = udacity.fit(TIME_S, MEASURED, true_rad)
     assert found == pytest.approx(wheel, rel=1e-3, abs=1e-3)
-    assert found.angle(*motion()) == pytest.approx(true_rad, abs=1e-6)
+    assert found.angle(TIME_S, MEASURED) == pytest.approx(true_rad, abs=1e-6)
 
 
 def test_the_lag_is_the_delay_of_the_motion_behind_the_wheel() -> None:
-    time_s, yaw_rate_radps, speed_mps = motion()
-    earlier = np.interp(time_s + 0.2, time_s, yaw_rate_radps)  # a wheel that leads by two frames
-    assert udacity.fit(time_s, yaw_rate_radps, speed_mps, 2 * earlier).lag_s == pytest.approx(0.2, abs=0.03)
+    earlier = np.interp(TIME_S + 0.2, TIME_S, MEASURED)  # a wheel that leads by two frames
+    assert udacity.fit(TIME_S, MEASURED, 2 * earlier).lag_s == pytest.approx(0.2, abs=0.03)
 
 
 def test_rows_are_sorted_by_their_error() -> None:

@@ -4,7 +4,7 @@ Reading, perception and motion run in threads of their own. Memory holds a few f
 """
 
 import math
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,6 +51,7 @@ class FrameState(Frame):
     arrays: dict[str, Any] = field(default_factory=dict)  # input of the spatial network, see graph_file.single
     predicted_rad: float | None = None  # None until the first complete window
     sigma_rad: float | None = None  # of the prediction, by models with uncertainty
+    path_1pm: Sequence[float] | None = None  # predicted curvature by range of the path ahead, by models of the path
     latency_s: float = 0.0  # from `started_s` to the prediction
 
     @property

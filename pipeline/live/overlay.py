@@ -1,5 +1,6 @@
 """Write a video with the driven, measured and predicted path on the street, and a legend with their angles."""
 
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from fractions import Fraction
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from pipeline.camera.geometry import project
 from pipeline.live.chain import FrameState
+from pipeline.live.course import follow, path_steps
 from pipeline.live.source import Source
 
 COLOURS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}  # RGB
@@ -28,8 +30,14 @@ Colour = tuple[int, int, int]
 class Overlay:
     """An H.264 video in fragmented MP4; a context manager."""
 
-    def __init__(self, path: Path, source: Source, wheelbase_m: float, *, predicts: bool = True) -> None:
-        """Open the video for the images of `source`; `predicts`: the filled path is the predicted one."""
+    def __init__(
+        self, path: Path, source: Source, wheelbase_m: float, *, predicts: bool = True, ahead_m: Sequence[float] = ()
+    ) -> None:
+        """Open the video for the images of `source`.
+
+        `predicts`: the filled path is the predicted one. `ahead_m`: edges of its ranges, for models of the path.
+        """
+        self._ahead_m = ahead_m
         self._camera, self._slope, self._wheelbase_m = source.camera.scaled(source.shown), source.slope, wheelbase_m
         self._names = [*(["predicted"] if predicts else []), "measured", *(["driven"] if source.truth else [])]
         height, width = source.shown
@@ -51,6 +59,9 @@ class Overlay:
         angles = {"predicted": frame.predicted_rad, "measured": measured_rad, "driven": frame.driven_rad}
         for name in self._names:
             angle_rad, colour, filled = angles[name], COLOURS[name], name == self._names[0]
+            if name == "predicted" and frame.path_1pm:
+                steps = path_steps(frame.path_1pm, self._ahead_m, STEP_M)
+                self._draw_path(image, steps, colour, self._thick, filled=filled)
             if angle_rad is None:
                 continue
             self._draw_path(image, self._arc(angle_rad), colour, self._thick, filled=filled)
@@ -74,7 +85,11 @@ class Overlay:
         for name in self._names:
             angle_rad = angles[name]
             spread = f" +- {np.rad2deg(frame.sigma_rad):.1f}" if name == "predicted" and frame.sigma_rad else ""
-            texts[f"{name}: {missing[name] if angle_rad is None else _degrees(angle_rad) + spread}"] = COLOURS[name]
+            text = missing[name] if angle_rad is None else _degrees(angle_rad) + spread
+            if name == "predicted" and frame.path_1pm:
+                turned_rad = float(path_steps(frame.path_1pm, self._ahead_m, STEP_M).sum() * STEP_M)
+                text = f"turns {_degrees(turned_rad)} in {self._ahead_m[-1]:g} m"
+            texts[f"{name}: {text}"] = COLOURS[name]
         style = cv2.FONT_HERSHEY_SIMPLEX, self._font
         (line_px, margin), widths = (round(36 * self._font), round(16 * self._font)), []
         for text in texts:
@@ -99,9 +114,7 @@ class Overlay:
         """Draw the path of the rear wheels on a plane road, of the curvature of each step [N]."""
         import cv2
 
-        heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
-        halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
-        middle = np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad)))  # ahead + left i
+        middle, heading_rad = follow(curvature_1pm, STEP_M)
         sides, width = [], self._camera.size[1]
         for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
             wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)

@@ -30,6 +30,7 @@ from pipeline.perception.depth_scale import needs_scan
 from pipeline.perception.perceive import FILE
 from pipeline.sections.ingest import SAMPLE
 from pipeline.train import windows
+from pipeline.train.path_target import PathTarget
 from pipeline.train.predict import Trained
 
 TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
@@ -83,7 +84,7 @@ def predict(
         InputError: the source lacks an input of the model, or no frame can be read.
     """
     source.notes += differences(model, source, focal_by_width(data))
-    kinds, car = motion_kinds(model, settings), model.angle_target.car
+    kinds, car = motion_kinds(model, settings), model.target.car
     perceives = (encoder / FILE).is_file() or settings.variant.source != "ingest" or "visual" in kinds
     kinds |= {"visual"} if perceives else set()
     with closing(source.frames) as frames:
@@ -92,8 +93,17 @@ def predict(
         predicted = Predictor(model, settings, source, camera).run(chain.run(frames))
         courses = add_courses(predicted, car, smooth=False, height_known=source.height_known)
         with result_folder(out, *PREDICTED_FILES) as folder:
-            show = {"video": video, "visible": visible}
-            results = write_frames(courses, folder / STEERING, source, car, warm_up=model.entry.window, **show)
+            edges_m = model.target.ahead_m if isinstance(model.target, PathTarget) else ()
+            results = write_frames(
+                courses,
+                folder / STEERING,
+                source,
+                car,
+                warm_up=model.entry.window,
+                video=video,
+                visible=visible,
+                ahead_m=edges_m,
+            )
             draw_track(folder / TRACK, source.name, results)
     return results
 
@@ -143,8 +153,8 @@ class Predictor:
         return single(frame_graph.build(cloud, variant, self._drive, number))
 
     def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
-        """Add the angle predicted after each frame that completes a window."""
-        net, target, entry = self.model.net, self.model.angle_target, self.model.entry
+        """Add the angle or the path predicted after each frame that completes a window."""
+        net, target, entry = self.model.net, self.model.target, self.model.entry
         stream = windows.Stream(entry.window, target.car if entry.motion != "none" else None, entry.base)
         features: deque[torch.Tensor] = deque(maxlen=entry.window)  # each [1,F]
         for frame in frames:
@@ -155,7 +165,10 @@ class Predictor:
                 features.append(net.encode(net.frames(frame.arrays)))
                 if window:
                     output = net.run_windows(torch.cat([*features]), *net.windows(window))
-                    rows = target.decode(output, window["base_rad"])
-                    frame.predicted_rad, frame.sigma_rad = [*rows[:, 0].tolist(), None][:2]
+                    values = target.decode(output, window["base_rad"])[:, 0].tolist()
+                    if entry.predict == "path":
+                        frame.path_1pm = values
+                    else:
+                        frame.predicted_rad, frame.sigma_rad = [*values, None][:2]
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame

@@ -1,6 +1,7 @@
 """The results of a run: a CSV file, a video, counts, and the folder in which they appear when it succeeds."""
 
 import csv
+import math
 import os
 import re
 import sys
@@ -8,6 +9,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -111,14 +113,20 @@ def result_folder(out: Path, *names: str) -> Iterator[Path]:
 class Results:
     """Writes and counts frames in order. The first `warm_up` frames, which initialise libraries, have no latency."""
 
-    def __init__(self, file: TextIO, drive: str, warm_up: int, columns: Sequence[str]) -> None:
-        self._file, self._drive, self._warm_up = file, drive, warm_up
+    def __init__(
+        self, file: TextIO, drive: str, warm_up: int, columns: Sequence[str], ahead_m: Sequence[float] = ()
+    ) -> None:
+        """Write the header; with the edges `ahead_m` of ranges of a predicted path, each range has a column."""
+        self._file, self._drive, self._warm_up, self.ahead_m = file, drive, warm_up, ahead_m
+        self._path_columns = [f"path_{near:g}_{far:g}m_1pm" for near, far in pairwise(ahead_m)]
+        columns = [*columns, *self._path_columns]
         self._rows = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
         self._rows.writeheader()
         self.frames = self.predicted = self.valid = 0
         self.problems: Counter[str] = Counter()
         self.courses: list[tuple[float, Course]] = []  # with their times in seconds
         self._known: list[tuple[float, ...]] = []  # for each frame, the values of KNOWN
+        self.paths: list[tuple[Course, Sequence[float]]] = []  # predicted, the length of a path apart
         self.road_heights_m: list[float] = []
         self.gaps: list[tuple[int, int]] = []  # numbers of the frames before and after each
         self._last: int | None = None
@@ -131,12 +139,14 @@ class Results:
             self.gaps.append((self._last, frame.number))
         self._last = frame.number
         self.frames += 1
-        self.predicted += frame.predicted_rad is not None
+        self.predicted += frame.predicted_rad is not None or frame.path_1pm is not None
         self.valid += frame.course is not None
         if frame.problem:
             self.problems[frame.problem] += 1
         if frame.course:
             self.courses.append((frame.time_s, frame.course))
+            if frame.path_1pm and self._farther(frame.course):
+                self.paths.append((frame.course, frame.path_1pm))
         measured = (frame.course.steering_rad, frame.course.speed_mps) if frame.course else (None, None)
         known = (frame.number, frame.time_s, *measured, frame.predicted_rad, frame.driven_rad, frame.driven_mps)
         self._known.append(tuple(np.nan if value is None else value for value in known))
@@ -148,8 +158,17 @@ class Results:
         row = {"drive": self._drive, "frame": frame.number, "time_s": f"{frame.time_s:.6f}"}
         row |= {"predicted_rad": _format(frame.predicted_rad, 6), "driven_rad": _format(frame.driven_rad, 9)}
         row |= {"latency_ms": f"{frame.latency_s * 1e3:.1f}", "sigma_rad": _format(frame.sigma_rad, 6)}
+        if frame.path_1pm:
+            row |= {name: _format(value, 6) for name, value in zip(self._path_columns, frame.path_1pm, strict=True)}
         self._rows.writerow(row | dict(zip(MEASURED, _measured(frame), strict=True)))
         self._file.flush()
+
+    def _farther(self, course: Course) -> bool:
+        """Return whether the last of `paths` ends before a course."""
+        if not self.paths:
+            return True
+        last, _ = self.paths[-1]
+        return math.hypot(course.x_m - last.x_m, course.y_m - last.y_m) > self.ahead_m[-1]
 
     def columns(self, *names: str) -> list[np.ndarray]:
         """Return values of all frames [N] by names of KNOWN; NaN where unknown, all of them for other names."""
@@ -233,20 +252,30 @@ def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
 
 
 def write_frames(
-    frames: Generator[FrameState], path: Path, source: Source, car: Car, *, warm_up: int, video: bool, visible: bool
+    frames: Generator[FrameState],
+    path: Path,
+    source: Source,
+    car: Car,
+    *,
+    warm_up: int,
+    video: bool,
+    visible: bool,
+    ahead_m: Sequence[float] = (),
 ) -> Results:
     """Write `frames` of `source` to the CSV file `path`, and a video beside it; closes `frames`.
 
     Args:
+        ahead_m: edges of the ranges of the predicted path, for models of the path.
         visible: show a progress bar, or without a terminal a line every LINE_S.
     Raises:
         InputError: there is no frame.
     """
     with ExitStack() as stack:
         file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
-        results, overlay = Results(file, source.name, warm_up, COLUMNS[path.name]), None
+        results, overlay = Results(file, source.name, warm_up, COLUMNS[path.name], ahead_m), None
         if video:
-            overlay = Overlay(path.with_name(VIDEO), source, car.wheelbase_m, predicts=path.name == STEERING)
+            show: dict[str, Any] = {"predicts": path.name == STEERING, "ahead_m": ahead_m}
+            overlay = Overlay(path.with_name(VIDEO), source, car.wheelbase_m, **show)
             stack.enter_context(overlay)
         bar = stack.enter_context(tqdm(total=source.count, unit=" frames", disable=None if visible else True))
         printed_s = time.perf_counter()

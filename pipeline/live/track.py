@@ -8,9 +8,11 @@ from typing import Literal
 import numpy as np
 from matplotlib.figure import Figure
 
+from pipeline.live.course import follow, path_steps
 from pipeline.live.results import Results
 
 PoseFormat = Literal["kitti", "tum"]
+STEP_M = 0.5  # of drawn paths
 COLOURS = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}
 
 
@@ -59,6 +61,11 @@ def draw_track(path: Path, title: str, results: Results) -> None:
         ahead_left = np.array([(course.x_m, course.y_m) for _, course in results.courses])
         _, (ahead_m, left_m) = _separate(seconds, ahead_left.T)
         above.plot(-left_m, ahead_m, color=COLOURS["measured"])
+        for index, (course, path_1pm) in enumerate(results.paths):
+            places, _ = follow(path_steps(path_1pm, results.ahead_m, STEP_M), STEP_M)
+            places = complex(course.x_m, course.y_m) + places * np.exp(1j * course.heading_rad)
+            label = "predicted path" if index == 0 else None
+            above.plot(-places.imag, places.real, color=COLOURS["predicted"], label=label)
         above.plot(0, 0, "o", color="tab:green", label="start")
         above.legend(loc="best")
     for axes, unit, factor in ((speed, "mps", 1.0), (steering, "rad", 180 / math.pi)):

@@ -16,6 +16,8 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
+from pipeline.graphs.graph_file import open_graphs
+from pipeline.train.predict import load
 from steer.predict import predict
 from tests.footage import write_video
 from tests.steer import trained
@@ -39,7 +41,7 @@ def read(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("model", trained.MODELS)
+@pytest.mark.parametrize("model", ["points", "scans", "images"])
 def test_predictions_equal_those_of_evaluate(sample: Path, tmp_path: Path, model: str) -> None:
     predict(drive(sample), model=sample / f"data/train/{model}", out=tmp_path, video=False)
     evaluated, live = read(sample / f"data/evaluate/{model}/predictions.csv"), read(tmp_path / "steering.csv")
@@ -68,7 +70,23 @@ def test_a_model_is_found_by_name_and_compared_with_oxts(
     assert comparison["predicted"]["nmse"] == pytest.approx(nmse, rel=1e-3)
     with pytest.raises(InputError, match=r"data/train/scan: no trained model") as raised:
         predict(drive(sample), model=Path("scan"), out=tmp_path)
-    assert "images, points, scans" in raised.value.fix
+    assert "images, path, points, scans" in raised.value.fix
+
+
+def test_a_predicted_path_has_columns_and_is_drawn(sample: Path, tmp_path: Path) -> None:
+    predict(drive(sample), model=sample / "data/train/path", out=tmp_path)
+    rows = read(tmp_path / "steering.csv")
+    paths = [[float(row[f"path_{edges}m_1pm"] or "nan") for edges in ("0_2", "2_4")] for row in rows]
+    with open_graphs(sample / f"data/graphs/image/{trained.TEST}.h5") as graphs:
+        expected = load(sample / "data/train/path", "cpu").predict(graphs)
+    np.testing.assert_allclose(paths, expected, atol=2e-6)
+    assert np.isfinite(paths).sum() >= 20
+    assert not any(row["predicted_rad"] for row in rows)
+    predict(drive(sample), model=sample / "data/train/path", out=tmp_path / "again")
+    unlike = sample / "data/train/images"
+    predict(drive(sample), model=unlike, out=tmp_path)
+    for name in ("overlay.mp4", "track.png"):
+        assert (tmp_path / name).read_bytes() != (tmp_path / "again" / name).read_bytes()
 
 
 def test_images_need_intrinsics_and_are_cropped(

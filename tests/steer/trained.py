@@ -1,4 +1,4 @@
-"""A small sample driven through the whole chain in this process, with three models."""
+"""A small sample driven through the whole chain in this process, with four models."""
 
 from contextlib import chdir
 from pathlib import Path
@@ -19,6 +19,7 @@ MODELS = {
         "horizon": 2,
     },
     "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},
+    "path": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2, "predict": "path"},
 }  # fmt: skip
 VARIANTS = {
     "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},
@@ -43,6 +44,7 @@ def make(folder: Path) -> None:
     params["motion"] |= {"kinds": ["visual", "lidar"]}
     params["clouds"] |= {"max_points": 2000}
     params["graphs"], params["models"] = VARIANTS, MODELS
+    params["labels"] |= {"ahead_m": [0, 2, 4]}
     params["train"] |= {"epochs": 1}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
     with chdir(folder):

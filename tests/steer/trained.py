@@ -37,7 +37,7 @@ def make(folder: Path) -> None:
     params["town"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
     params["ingest"] |= {
         "image_size": [96, 320],
-        "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0001"], "test": [TEST]},
+        "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]},
     }
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
     params["perception"] |= {"reach": 1.1, "depth_scale": "camera_height"}

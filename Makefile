@@ -40,7 +40,7 @@ $(RUNS): run-of-%:
 	@cd "runs/$*" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc config cache.type hardlink,copy && dvc cache dir ../../.dvc/cache && dvc repro
 	@rm -rf "data/report/$*"; [ ! -e "runs/$*/data/report/settings/studies.md" ] || cp -RL "runs/$*/data/report/settings" "data/report/$*"
 	@for kind in md csv; do cp "runs/$*/data/report/table.$$kind" "data/report/$*.$$kind"; done
-	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md"
+	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md" && echo "Open data/report/$*.html in a browser."
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
 	@mkdir -p runs/encoder && python -m pipeline.sections.preset encoder --out runs/encoder/params.yaml

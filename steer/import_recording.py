@@ -57,6 +57,7 @@ def import_recording(
     start: Start = 0.0,
     end: End = None,
     split: Split = None,
+    camera_height: options.CameraHeight = None,
     force: Annotated[bool, typer.Option("--force", help="replace existing drives, and their preset")] = False,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
@@ -93,8 +94,8 @@ def import_recording(
     summary = recording.write(out, drives, shares, force=force, visible=output.visible)
     labels = "oxts" if log else "wheel" if angles else "visual"
     if preset:
-        drive_preset.write(preset, drives, labels, summary["hz"], camera)
-    for line in (*_lines(summary), *_next_steps(out, drives, labels, preset)):
+        drive_preset.write(preset, drives, labels, summary["hz"], camera, camera_height)
+    for line in (*_lines(summary), *_next_steps(out, drives, labels, camera_height, preset)):
         output.line(line)
     output.result(summary | {"preset": preset, "K": camera.K.tolist()})
 
@@ -114,10 +115,14 @@ def _shares(split: str | None) -> list[float]:
 
 def _lines(summary: dict[str, Any]) -> Iterator[str]:
     """Yield the lines of the log."""
+    from pipeline.recording.recording import GAP_S
+
     height, width = summary["size"]
     for (drive, frames), folder in zip(summary["drives"].items(), summary["folders"], strict=True):
         yield f"{drive}: {frames} of {summary['images']} images, written to {folder}"
     yield f"{width} x {height} pixels, {{first_s:.3f}} to {{last_s:.3f}} s".format_map(summary)
+    if len(summary["drives"]) > 1:
+        yield f"left out: {GAP_S:g} s between the drives, as neighbouring images are almost the same"
     if summary["steering_angles"]:
         yield "{steering_angles} recorded steering angles".format_map(summary)
     if summary["motion"]:
@@ -132,12 +137,15 @@ def _lines(summary: dict[str, Any]) -> Iterator[str]:
         yield f"the video's timestamps end at image {summary['untimed_from']}; later times follow from its frame rate"
 
 
-def _next_steps(out: Path, drives: Sequence[str], labels: str, preset: Path | None) -> Iterator[str]:
+def _next_steps(
+    out: Path, drives: Sequence[str], labels: str, height_m: float | None, preset: Path | None
+) -> Iterator[str]:
     """Yield the line that says how to train; with a preset, its commands can be copied."""
     from pipeline.base.resume import ROOT
 
     if preset is None:
-        settings = f"ingest.source: kitti and labels.source: {labels}"
+        height = f", perception.camera_height_m: {height_m:g}" if height_m else ""
+        settings = f"ingest.source: kitti, labels.source: {labels}{height}"
         yield f"next: set {settings} in params.yaml, replace ingest.drives by {drives[0]} and others, run dvc repro"
         yield "Only this recording? Repeat with --split 60,20,20 --force: then no file has to be edited"
         return

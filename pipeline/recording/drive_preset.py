@@ -23,7 +23,7 @@ encoder:                        # depth of real streets without classes, by make
   weights: weights/street/encoder.pt
   epochs: 0
 
-labels:
+{perception}labels:
   source: {source}
 
 clouds:
@@ -49,7 +49,9 @@ def check_replaceable(path: Path) -> None:
         raise InputError("expected a preset that steer import wrote", path, "Move it away, or pass another --drive")
 
 
-def write(path: Path, drives: Sequence[str], source: str, hz: float, camera: Camera) -> None:
+def write(
+    path: Path, drives: Sequence[str], source: str, hz: float, camera: Camera, height_m: float | None = None
+) -> None:
     """Write a preset with two models, with and without measured motion as input.
 
     Args:
@@ -58,6 +60,7 @@ def write(path: Path, drives: Sequence[str], source: str, hz: float, camera: Cam
         source: of the labels. Motion that is the label cannot be an input for the same frame, so visual labels are
             predicted a second ahead. The scale of a wheel's angle and of measured motion may differ: base is none.
         hz: images per second.
+        height_m: of the camera over the road, which gives measured motion its scale; None: KITTI's.
         camera: of the images. Depth grows with focal length / width, and so does its limit.
     """
     check_replaceable(path)
@@ -67,6 +70,7 @@ def write(path: Path, drives: Sequence[str], source: str, hz: float, camera: Cam
         name=path.stem,
         drives=", ".join(f"{split}: [{drive}]" for split, drive in zip(SPLITS, drives, strict=True)),
         source=source,
+        perception=f"perception:\n  camera_height_m: {height_m:g}\n\n" if height_m else "",
         max_depth_m=MAX_DEPTH_M * max(1.0, ratio),
         depth_comment="              # far things are large in a narrow view" if ratio > 1 else "",
         models_comment="the angle a second ahead" if source == "visual" else "the present angle",

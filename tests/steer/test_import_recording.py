@@ -149,7 +149,7 @@ def test_a_split_recording_has_a_preset_that_check_accepts(
         "oxts": {},
         "wheel": {"motion": None, "wheel": wheel, "steering_ratio": 10.0},
     }[labels]
-    first = take(write_longer(tmp_path), log, split="60,20,20", max_gap=60.0, **options)
+    first = take(write_longer(tmp_path), log, split="60,20,20", max_gap=60.0, camera_height=1.4, **options)
     folders = [
         first.folder,
         *(first.folder.with_name(f"2027_03_31_drive_{number}_sync") for number in ("0002", "0003")),
@@ -172,7 +172,7 @@ def test_a_split_recording_has_a_preset_that_check_accepts(
     content = preset.merged(str(path))
     assert list(content["models"]) == ["motion", "scene"]
     settings = preset.validate(content, path)
-    assert settings.labels.source == labels
+    assert (settings.labels.source, settings.perception.camera_height_m) == (labels, 1.4)
     assert [*settings.ingest.drives.splits()] == [drive.folder.name.removesuffix("_sync") for drive in drives]
     assert (settings.models["motion"].base, settings.models["motion"].horizon) == (base, horizon)
     for model in settings.models.values():

@@ -16,8 +16,8 @@ from pipeline.perception.truth import read_truth, training_rows
 
 CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
-COLOUR_CAMERAS = (2, 3)  # KITTI's
-GREY = 0.15  # share of augmented images without colour: some drives have a grey camera
+# Shares of augmented images without colour: some drives have a grey camera. A teacher is for real streets.
+GREY, GREY_OF_TEACHER = 0.15, 0.5
 Classify = Callable[[np.ndarray, Camera], np.ndarray]
 """Image uint8 [H,W,3] and its camera → trainIds uint8 [H,W], 255 where unknown."""
 
@@ -61,8 +61,9 @@ class Examples:
     ) -> None:
         """Choose `frames` frames, evenly spread over `drives`, from the files of stage ingest.
 
-        A `teacher` classifies frames without class labels, before augmentation. It skips drives with a grey camera,
-        where networks trained on colour confuse trees with people. Ground truth of `unlabelled` drives is ignored.
+        A `teacher` classifies frames without class labels, before augmentation. It skips drives whose first image is
+        grey, where networks trained on colour confuse road and sidewalk. Ground truth of `unlabelled` drives is
+        ignored.
         Raises InputError if no frame has an image together with depth, classes, a LiDAR scan or a teacher.
         """
         self._stack = ExitStack()
@@ -78,6 +79,7 @@ class Examples:
             )
         self._frames = [frame_rows[int(i)] for i in spread(len(frame_rows), frames)]
         self.has_teacher = any(drive.teacher for drive in self._drives)
+        self.grey = GREY_OF_TEACHER if self.has_teacher else GREY
         self.frames_per_drive = {
             name: sum(source is drive for source, _ in self._frames)
             for name, drive in zip(drives, self._drives, strict=True)
@@ -93,7 +95,7 @@ class Examples:
 
     def _open(self, path: Path, teacher: Classify | None, labelled: bool) -> _Drive:
         file = self._stack.enter_context(DriveReader(path, stage="ingest"))
-        if file.attrs.get("camera", 2) not in COLOUR_CAMERAS:
+        if teacher and is_grey(file):
             teacher = None
         camera = read_camera(file, CAMERA_HEIGHT_M)  # the fit does not use the height
         return _Drive(file, camera, teacher, labelled, training_rows(file, bool(teacher), labelled))
@@ -120,9 +122,15 @@ class Examples:
         self._stack.close()
 
 
-def augment(example: Example, rng: np.random.Generator) -> Example:
-    """Return the example with random mirroring, brightness, contrast and colour."""
-    return relit(mirrored(example) if rng.random() < 0.5 else example, rng)
+def is_grey(file: DriveReader) -> bool:
+    """Return whether the first image of a file of stage ingest is grey; its camera's number does not show it."""
+    rows = np.flatnonzero(file["has_image"])
+    return len(rows) > 0 and not np.ptp(file.row("image", rows[0]), axis=-1).any()
+
+
+def augment(example: Example, rng: np.random.Generator, grey: float) -> Example:
+    """Return the example with random mirroring, brightness, contrast and colour; a share `grey` without colour."""
+    return relit(mirrored(example) if rng.random() < 0.5 else example, rng, grey)
 
 
 def mirrored(example: Example) -> Example:
@@ -130,14 +138,13 @@ def mirrored(example: Example) -> Example:
     return Example(example.image[:, ::-1], example.camera.mirrored(), example.depth_m[:, ::-1], example.cls[:, ::-1])
 
 
-def relit(example: Example, rng: np.random.Generator) -> Example:
-    """Return the example with random gain, contrast, gamma and gain per colour; some without colour."""
+def relit(example: Example, rng: np.random.Generator, grey: float) -> Example:
+    """Return the example with random gain, contrast, gamma and gain per colour; a share `grey` without colour."""
     gain = rng.uniform(0.75, 1.3) * rng.uniform(0.9, 1.1, 3)
     contrast, gamma = rng.uniform(0.75, 1.3), rng.uniform(0.8, 1.25)
     level = (np.arange(256) / 255) ** gamma
     table = np.clip(255 * (gain[:, None] * (0.45 + contrast * (level - 0.45))), 0, 255).astype(np.uint8)  # [3,256]
     image = np.stack([table[channel][example.image[..., channel]] for channel in range(3)], axis=-1)
-    if rng.random() < GREY:
-        grey = (image @ LUMA).astype(np.uint8)
-        image = np.repeat(grey[..., None], 3, axis=-1)
+    if rng.random() < grey:
+        image = np.repeat((image @ LUMA).astype(np.uint8)[..., None], 3, axis=-1)
     return replace(example, image=image)

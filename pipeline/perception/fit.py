@@ -129,7 +129,7 @@ def _batches(
     """Yield image, K, depth and classes of augmented examples in random order."""
     order = rng.permutation(len(examples))
     for start in range(0, len(order), batch):
-        chosen = [augment(examples[int(i)], rng) for i in order[start : start + batch]]
+        chosen = [augment(examples[int(i)], rng, examples.grey) for i in order[start : start + batch]]
         arrays = zip(*((one.image, one.camera.K, one.depth_m, one.cls) for one in chosen), strict=True)
         image, K, depth_m, cls = (torch.from_numpy(np.stack(parts)).to(device) for parts in arrays)
         yield image.permute(0, 3, 1, 2), K, depth_m, cls.long()

@@ -206,7 +206,8 @@ def supervision(
 ) -> Supervision:
     """Return the training target of a head.
 
-    A published file of the head takes precedence over ground truth; a project checkpoint only initialises the fit.
+    A published file of the head takes precedence over ground truth, unless a teacher supplies classes: then, like a
+    project checkpoint, it only initialises the fit.
 
     Args:
         head: a key of GROUND_TRUTH.
@@ -218,10 +219,11 @@ def supervision(
     Raises InputError if there is neither a target nor a file, or only the head's file without its backbone's.
     """
     target = next((target for kind, target in GROUND_TRUTH[head].items() if kind in ground_truth), None)
-    if target is None and head == "class_head" and teacher:
+    taught = teacher and head == "class_head"
+    if target is None and taught:
         target = Supervision.TEACHER
     if target:
-        return Supervision.FILE if weights and head in weights.parts else target
+        return Supervision.FILE if weights and head in weights.parts and not taught else target
     part = part_without_weights(model, weights, (head, "backbone"))
     if part is None:
         return Supervision.FILE

@@ -1,7 +1,7 @@
-"""RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres, and a class head on its features.
+"""RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres, beside the classes of ESPNetv2.
 
 The authors' files ``encoder.pth`` and ``depth.pth`` of ``s/ms_640_192`` are the weights of backbone and depth head,
-under Monodepth2's terms: non-commercial use only. The class head is fitted; backbone `street` has none.
+under Monodepth2's terms: non-commercial use only. Those of the class head are ESPNetv2's; backbone `street` has none.
 """
 
 from collections import OrderedDict
@@ -12,7 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.backbones import Backbone, Part, Parts, conv
+from models.encoder.backbones import Backbone, Part, Parts
+from models.encoder.backbones.espnetv2 import DecodedClasses, ESPNetv2
 from pipeline.camera import classes
 
 SIZE = (192, 640)  # of its training images; depth is wrong at other sizes
@@ -22,12 +23,10 @@ COARSER = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4, for its trainin
 KITTI_FOCAL = 721.5377 / 1242  # focal length by image width of its training images
 STEREO_M = 5.4  # metres per unit: KITTI's baseline of 0.54 m is 0.1 in its training
 NEAR, FAR = 0.1, 100.0  # range of depth in units
-CLASS_WIDTH = 48
-DROPPED = 0.1  # share of features dropped in training
 
 
 def rtmonodepth_s() -> Parts:
-    """Return the parts; the class head has no published weights."""
+    """Return the parts; the class head reads the image, as the depth's features are poor in classes."""
     return Parts(Encoder(), Depth(), Classes())
 
 
@@ -40,7 +39,7 @@ def street() -> Parts:
 
 
 class Encoder(Backbone):
-    """Image, resized to SIZE → maps at 1/2, 1/4, 1/8 and 1/16 of SIZE."""
+    """Image → itself, and maps of it resized to SIZE, at 1/2, 1/4, 1/8 and 1/16 of SIZE."""
 
     mean, std = (0.45,) * 3, (0.225,) * 3
 
@@ -58,8 +57,8 @@ class Encoder(Backbone):
         )
 
     def forward(self, image: Tensor, rays: Tensor) -> list[Tensor]:
-        """Return maps [B,WIDTHS[l],192/2^(l+1),640/2^(l+1)] of an image [B,3,H,W]."""
-        maps = [F.relu(self.conv1(resized(image, SIZE)))]
+        """Return an image [B,3,H,W] and its maps [B,WIDTHS[l],192/2^(l+1),640/2^(l+1)]."""
+        maps = [image, F.relu(self.conv1(resized(image, SIZE)))]
         for layer in self.convs:
             maps.append(layer(maps[-1]))
         return maps
@@ -106,25 +105,23 @@ class ConvELU(nn.Module):
 
 
 class Classes(Part):
-    """Class head: maps at 1/16, 1/8 and 1/4 and the mean over the image, merged from coarse to fine."""
+    """ESPNetv2 as a class head; its published file has the weights."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.whole = nn.Conv2d(WIDTHS[3], CLASS_WIDTH, 1)
-        self.sides = nn.ModuleList(nn.Conv2d(width, CLASS_WIDTH, 1) for width in WIDTHS[:0:-1])
-        self.around = conv(CLASS_WIDTH, CLASS_WIDTH, dilation=2)
-        self.merges = nn.ModuleList(conv(CLASS_WIDTH, CLASS_WIDTH) for _ in WIDTHS[2:])
-        self.drop = nn.Dropout2d(DROPPED)
-        self.last = nn.Conv2d(CLASS_WIDTH, classes.COUNT, 1)
+        self.network, self.resize = ESPNetv2(2.0), DecodedClasses()
 
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
-        """Return logits [B,19,H,W]."""
-        coarse, *finer = maps[:0:-1]
-        y = self.sides[0](self.drop(coarse)) + self.whole(coarse.mean(dim=(2, 3), keepdim=True))
-        y = y + self.around(y)
-        for side, merge, x in zip(self.sides[1:], self.merges, finer, strict=True):
-            y = merge(F.relu(resized(y, x.shape[-2:]) + side(self.drop(x))))
-        return resized(self.last(y), rays.shape[-2:])
+        """Return logits [B,20,H,W], void last."""
+        scale, mean, std = (
+            maps[0].new_tensor(values)[:, None, None] for values in (Encoder.std, ESPNetv2.mean, ESPNetv2.std)
+        )
+        image = (maps[0] * scale + Encoder.mean[0] - mean) / std  # from the backbone's normalisation to its own
+        logits: Tensor = self.resize(self.network(image, rays), rays)
+        return logits
+
+    def convert_names(self, published: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        return {f"network.{name}": tensor for name, tensor in published.items()}
 
 
 class Void(Part):

@@ -8,7 +8,8 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import rays
-from pipeline.perception.examples import Example, Examples, mirrored, spread
+from pipeline.perception import examples as module
+from pipeline.perception.examples import Example, Examples, mirrored, relit, spread
 from tests import street
 
 DENSE, LIDAR, BARE, BLIND, GREY = DRIVES = [f"2026_01_01_drive_000{number}" for number in range(1, 6)]
@@ -23,7 +24,7 @@ def ingest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     street.write_drive(folder, BLIND, 3, lidar=True, images=False)
     street.write_drive(folder, GREY, 3, dense=False)
     with h5py.File(folder / f"{GREY}.h5", "r+") as file:
-        file.attrs["camera"] = 0
+        file["image"][:] = file["image"][..., :1]  # still camera 2, like a grey video that was imported
     return folder
 
 
@@ -69,6 +70,7 @@ def test_a_teacher_classifies_each_colour_frame_without_labels_once(ingest: Path
 
     with Examples(ingest, [DENSE, BARE, GREY], 9, teacher) as examples:
         assert examples.has_teacher
+        assert examples.grey == module.GREY_OF_TEACHER > module.GREY
         assert examples.frames_per_drive == {DENSE: 4, BARE: 3, GREY: 0}
         for _ in range(2):
             cls = [examples[i].cls for i in range(7)]
@@ -94,3 +96,13 @@ def test_mirroring_negates_the_rays_and_is_its_own_inverse(example: Example) -> 
     np.testing.assert_allclose(back.camera.K, street.K)
     for name in ("image", "depth_m", "cls"):
         np.testing.assert_array_equal(getattr(back, name), getattr(example, name))
+
+
+@pytest.mark.parametrize(("grey", "expected"), [(0.0, 0), (0.5, 32), (1.0, 64)])
+def test_a_share_of_the_images_loses_its_colour_and_keeps_its_classes(
+    example: Example, grey: float, expected: int
+) -> None:
+    rng = np.random.default_rng(0)
+    results = [relit(example, rng, grey) for _ in range(64)]
+    assert sum(not np.ptp(result.image, axis=-1).any() for result in results) == pytest.approx(expected, abs=10 * grey)
+    assert all(result.cls is example.cls for result in results)

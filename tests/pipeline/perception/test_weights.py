@@ -168,6 +168,8 @@ def files(*parts: str) -> Weights:
         ("depth_head", ESPNET, None, {"cls"}, False, Supervision.FLAT_GROUND),
         ("class_head", SMALL, None, ALL, True, Supervision.CLASS_LABELS),
         ("class_head", SMALL, None, {"lidar"}, True, Supervision.TEACHER),
+        ("class_head", SMALL, files("class_head"), {"lidar"}, True, Supervision.TEACHER),  # it starts from the file
+        ("class_head", SMALL, files("class_head"), ALL, True, Supervision.CLASS_LABELS),
         ("class_head", ESPNET, files("backbone"), {"lidar"}, False, Supervision.FILE),  # its classes are the backbone's
         ("depth_head", SMALL, None, {"cls"}, False, "no depth_head"),
         ("class_head", SMALL, None, {"depth"}, False, "no class_head"),

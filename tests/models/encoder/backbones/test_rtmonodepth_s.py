@@ -33,7 +33,7 @@ def predict(model: UnifiedEncoder, image: Tensor, K: Tensor) -> tuple[Tensor, Te
 def test_number_of_parameters_matches_the_published_files() -> None:
     sizes = [sum(parameter.numel() for parameter in part.parameters()) for part in rtmonodepth_s()]
     assert sizes[:2] == [858_048, 376_979 - 866]  # without the two coarser heads of its training
-    assert sum(sizes) < 1_400_000
+    assert sizes[2] == sum(parameter.numel() for parameter in UnifiedEncoder("espnetv2").backbone.parameters())
 
 
 def test_depth_grows_with_the_focal_length() -> None:
@@ -55,10 +55,18 @@ def test_an_image_of_any_size_is_resized_to_the_training_size(size: tuple[int, i
     K = torch.from_numpy(Camera(KITTI_K[0].numpy(), SIZE).scaled(size).K).expand(2, 3, 3)
     depth, logits = predict(model, image, K)
     assert depth.shape == (2, *size)
-    assert logits.shape == (2, classes.COUNT, *size)
+    assert logits.shape == (2, classes.COUNT + 1, *size)
     enlarged = torch.nn.functional.interpolate(image, SIZE, mode="bilinear", antialias=True)
     whole, _ = predict(model, enlarged, KITTI_K.expand(2, 3, 3))
     torch.testing.assert_close(depth.log().mean(), whole.log().mean(), rtol=2e-2, atol=0)
+
+
+def test_published_weights_of_espnetv2_give_its_classes() -> None:
+    model, published = unified(), UnifiedEncoder("espnetv2").eval()
+    model.class_head.load_state_dict(model.class_head.convert_names(published.backbone.state_dict()))
+    image = torch.rand(2, 3, 60, 100)  # not a multiple of its strides
+    K = KITTI_K.expand(2, 3, 3)
+    torch.testing.assert_close(predict(model, image, K)[1], predict(published, image, K)[1], rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.slow

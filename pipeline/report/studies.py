@@ -56,6 +56,7 @@ CLAIMS = (
     Claim("semantics: λ = 1 against 0", DEFAULT, "lambda-0"),
     Claim("NCP against LSTM", DEFAULT, "lstm"),
     Claim("the scene, beyond odometry, one second ahead", "motion-10", "motion-10-blind"),
+    Claim("the scene of the frame itself, one second ahead", "motion-10", "motion-10-another"),
     Claim("the scene, beyond odometry, one second ahead, leave-one-out", "motion-others-10", "blind-others-10"),
 )
 

@@ -45,7 +45,7 @@ def test_the_preset_has_models_of_every_study() -> None:
     assert studies.DEFAULT in names
     for name in studies.STUDIES:
         assert [model for model in names if re.fullmatch(rf"{name}-\d+", model)]
-    presets = [names, preset.merged("table2")["models"], preset.merged("real")["models"]]
+    presets = [names, *(preset.merged(other)["models"] for other in ("table2", "real", "roads"))]
     for claim in studies.CLAIMS:
         assert any({claim.model, claim.baseline} <= models.keys() for models in presets)
 

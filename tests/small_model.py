@@ -19,7 +19,7 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
     content = yaml.safe_load(PARAMS.read_text())
     line = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
     line |= model or {}
-    options = {"cnn": {}, "pointnet2": {"semantics": 1.0}}.get(
+    options = {"cnn": {}, "pointnet2": {"semantics": 1.0}, "polar": {}}.get(
         str(line["spatial"]), {"layers": [16, 16], "semantics": 1.0}
     )
     content["models"] = {"net": options | line}

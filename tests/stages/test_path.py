@@ -66,6 +66,17 @@ def test_a_path_is_learned_from_the_scene_and_scored_by_range(data: Path) -> Non
         assert scores["without_decisions"]["frames"] == len(driven)  # the drives have no corner
 
 
+@pytest.mark.parametrize("spatial", ["gnn", "polar"])
+def test_the_control_with_another_scene_learns_nothing(data: Path, spatial: str) -> None:
+    nmse = {}
+    for scene in ("same", "another"):
+        write_params(data, {"predict": "path", "spatial": spatial, "scene": scene}, epochs=12, average=0.0)
+        run_train(data)
+        nmse[scene] = json.loads((run_evaluate(data) / "metrics.json").read_text())["train"][0]["nmse"]
+    assert nmse["same"] < 0.75
+    assert nmse["another"] > 0.9
+
+
 @pytest.mark.parametrize("temporal", ["ncp", "lstm"])
 def test_with_motion_training_starts_at_the_regression(data: Path, temporal: str) -> None:
     """The baseline regression is what an untrained network predicts; training changes it."""

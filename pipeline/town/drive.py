@@ -71,6 +71,7 @@ class Drive:
     def write(self, path: Path) -> None:
         """Render all frames into the folder `path`, with their oxts files and timestamps.txt of all sensors.
 
+        A drawn drive also has the oxts files of the frames after the last image, for labels of the path ahead.
         Ground truth lies beside them: truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds).
         """
         images, scans, packets = (path / sensor / "data" for sensor in SENSORS)
@@ -79,7 +80,10 @@ class Drive:
             folder.mkdir(parents=True)
         for sensor in SENSORS:
             (path / sensor / "timestamps.txt").write_bytes(self._recording.timestamps)
-        for i, number in enumerate(named_frames(self._recording.packets)):
+        for number, packet in self._recording.packets.items():
+            (packets / f"{number:010d}.txt").write_bytes(packet)
+        rendered = [*self._recording.packets][: len(self._journey.motion.time_s)]
+        for i, number in enumerate(named_frames(rendered)):
             self._world.set_traffic([vehicle.at(i) for vehicle in self._traffic if vehicle.visible[i]])
             pose, png = self._journey.pose(i), f"{number:010d}.png"
             rgb, depth_m, cls = self._camera.take(self._world, self._light, pose)
@@ -88,14 +92,13 @@ class Drive:
             write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
             scan = self._scanner.take(self._world, pose, random_of(self._name, self._seed, number))
             (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
-            (packets / f"{number:010d}.txt").write_bytes(self._recording.packets[number])
 
     def summary(self) -> dict[str, Any]:
         """Return the number of frames, metres driven and mean squared steering angle of the road (WHEELBASE_M)."""
         motion = self._journey.motion
         steering = np.arctan(WHEELBASE_M * self._journey.route.curvature(motion.s_m))
         return {
-            "frames": len(self._recording.packets),
+            "frames": len(motion.time_s),
             "metres": round(float(motion.s_m[-1] - motion.s_m[0]), 1),
             "mean_steering_squared_rad2": round(float(np.mean(steering**2)), 5),
         }

@@ -11,6 +11,7 @@ from pipeline.town.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route
 
 PERIOD_S = 0.1036  # KITTI's synchronised stream
 JITTER_S = 0.001
+FRAMES_AFTER = 45  # recorded by oxts after the last image: most drive on for 30 m, the path ahead of the last images
 ACCELERATE_MPS2, BRAKE_MPS2 = 1.8, 2.2
 LATERAL_MPS2 = (1.5, 3.2)  # range over drivers
 _WAIT_S = (0.8, 2.0)  # of a stop
@@ -43,13 +44,26 @@ class Body:
 
 @dataclass(frozen=True)
 class Journey:
-    """Positions xy [F,2] and headings heading_rad [F] of the IMU; `motion` is its place along the route."""
+    """Positions xy [F,2] and headings heading_rad [F] of the IMU; `motion` is its place along the route.
+
+    `after`: how it continues for FRAMES_AFTER frames; None: the drive ends.
+    """
 
     route: Route
     motion: Travel
     body: Body
     xy: np.ndarray
     heading_rad: np.ndarray
+    after: Travel | None = None
+
+    def continued(self) -> "Journey":
+        """Return the journey with the frames `after`, on which the body leans as in the last frame."""
+        if self.after is None:
+            return self
+        values = zip(vars(self.motion).values(), vars(self.after).values(), strict=True)
+        motion = Travel(*map(np.concatenate, values))
+        body = Body(*(np.pad(lean, (0, len(self.after.s_m)), mode="edge") for lean in vars(self.body).values()))
+        return Journey(self.route, motion, body, *self.route.at(motion.s_m))
 
     def pose(self, frame: int) -> np.ndarray:
         """Return T_world_imu [4,4]."""
@@ -65,8 +79,10 @@ def draw_journey(rng: np.random.Generator, frames: int, character: Character, fi
     cruise = rng.uniform(*character.cruise_mps)
     route = draw_route(rng, cruise * times[-1] + AHEAD_M, character.lane_m, first)
     speed = speed_profile(route, cruise, rng.uniform(*LATERAL_MPS2), draw_stops(rng, route, 0.75 * cruise * times[-1]))
-    motion = drive(route, speed, times, rng.uniform(*_WAIT_S))
-    return Journey(route, motion, draw_body(route, motion, rng), *route.at(motion.s_m))
+    wait_s = rng.uniform(*_WAIT_S)
+    motion = drive(route, speed, times, wait_s)
+    after = drive(route, speed, times[-1] + PERIOD_S * np.arange(1, FRAMES_AFTER + 1), wait_s)
+    return Journey(route, motion, draw_body(route, motion, rng), *route.at(motion.s_m), after)
 
 
 def frame_times(rng: np.random.Generator, frames: int) -> np.ndarray:

@@ -64,9 +64,11 @@ def make_recording(rows: np.ndarray, time_s: np.ndarray, date: str, start_s: flo
 
 
 def record(journey: Journey, date: str, rng: np.random.Generator) -> Recording:
-    """Return the oxts files of a drawn drive, at a random place and time of day."""
-    rows = oxts_rows(journey, *rng.uniform((48.9, 8.3), (49.1, 8.5)))
-    return make_recording(rows, journey.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)
+    """Return the oxts files of a drawn drive and of the frames after it, at a random place and time of day."""
+    place_deg, complete = rng.uniform((48.9, 8.3), (49.1, 8.5)), journey.continued()
+    rows = oxts_rows(journey, *place_deg)
+    rows = np.concatenate([rows, oxts_rows(complete, *place_deg)[len(rows) :]])
+    return make_recording(rows, complete.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)
 
 
 def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np.ndarray:

@@ -64,7 +64,7 @@ def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
     assert "drive_0001: 2 frames" in capsys.readouterr().out
     town.main(out=out, params=write_params(params, frames={"train": 1, "val": 1, "test": 1}), workers=1)
-    assert [len(drive.oxts) for drive in find_drives(out, DRIVES).values()] == [1, 1, 1]
+    assert [len(drive.images(2)) for drive in find_drives(out, DRIVES).values()] == [1, 1, 1]
 
 
 def test_nothing_to_render_with_kitti(tmp_path: Path) -> None:

@@ -7,9 +7,11 @@ import pytest
 
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres
-from pipeline.kitti.oxts import read_times
+from pipeline.kitti.oxts import VF, WU, read_times
 from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.town import motion
 from pipeline.town.drive import Drive
+from pipeline.town.motion import FRAMES_AFTER
 from pipeline.town.oxts import ALTITUDE_M
 from pipeline.town.rig import make_rig, rotation, write_calibration
 
@@ -31,8 +33,9 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> RawDrive:
 
 
 def test_every_frame_is_complete(drive: RawDrive) -> None:
-    for files in (drive.images(2), drive.scans, drive.oxts, drive.truth_depth, drive.truth_cls):
+    for files in (drive.images(2), drive.scans, drive.truth_depth, drive.truth_cls):
         assert list(files) == list(range(FRAMES))
+    assert list(drive.oxts) == list(range(FRAMES + FRAMES_AFTER))
     times = read_times(drive.oxts_times, list(range(FRAMES)))
     assert times[-1] == pytest.approx(0.1036 * (FRAMES - 1), abs=0.005)
     for frame in (0, FRAMES - 1):
@@ -41,6 +44,24 @@ def test_every_frame_is_complete(drive: RawDrive) -> None:
         assert {classes.ROAD, classes.SIDEWALK} < set(np.unique(cls).tolist())
         assert 40 < rgb.mean() < 210
         assert rgb.std() > 20
+
+
+def test_oxts_continues_after_the_last_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The car drives on smoothly, and the frames with an image do not depend on those after them."""
+    drive = render(tmp_path / "a", frames=4)
+    rows, times = np.array([np.loadtxt(path) for path in drive.oxts.values()]), list(drive.oxts)
+    speed_mps, yaw_rate_radps = rows[:, VF], rows[:, WU]
+    time_s = read_times(drive.oxts_times, times)
+    assert np.abs(np.diff(speed_mps) / np.diff(time_s)).max() < 2.5
+    turned = np.cumsum(yaw_rate_radps[1:] * np.diff(time_s))
+    np.testing.assert_allclose(np.unwrap(rows[1:, 5]) - rows[0, 5], turned, atol=0.03)
+    monkeypatch.setattr(motion, "FRAMES_AFTER", 3)
+    shorter = render(tmp_path / "b", frames=4)
+    assert len(shorter.oxts) == 4 + 3
+    for number in range(4):
+        for files in (drive.oxts, drive.images(2), drive.scans):
+            other = tmp_path / "b" / files[number].relative_to(tmp_path / "a")
+            assert files[number].read_bytes() == other.read_bytes()
 
 
 def test_scans_agree_with_dense_depth(drive: RawDrive) -> None:
@@ -107,7 +128,7 @@ def test_static_world_moves_as_oxts_measures(drive: RawDrive) -> None:
 def test_name_and_seed_determine_all_bytes(tmp_path: Path) -> None:
     first, again = render(tmp_path / "a"), render(tmp_path / "b")
     files = [path for path in first.folder.rglob("*") if path.is_file()]
-    assert len(files) == 2 * 5 + 3
+    assert len(files) == 2 * 5 + FRAMES_AFTER + 3
     for path in files:
         assert path.read_bytes() == (again.folder / path.relative_to(first.folder)).read_bytes(), path
     for different in (render(tmp_path / "a", "2026_01_01_drive_0002"), render(tmp_path / "c", seed=1)):

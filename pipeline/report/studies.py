@@ -57,7 +57,7 @@ CLAIMS = (
     Claim("NCP against LSTM", DEFAULT, "lstm"),
     Claim("the scene, beyond odometry, one second ahead", "motion-10", "motion-10-blind"),
     Claim("the scene of the frame itself, one second ahead", "motion-10", "motion-10-another"),
-    Claim("the scene, beyond odometry, one second ahead, leave-one-out", "motion-others-10", "blind-others-10"),
+    Claim("the scene, beyond odometry, one second ahead, leave-one-out", "motion-10-others", "blind-10-others"),
 )
 
 

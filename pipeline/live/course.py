@@ -20,11 +20,12 @@ BRIDGED_S = 1.0  # longest gap over which the track continues with the last moti
 # time of the logarithm in a drive.
 TYPICAL_MPS, SPREAD, SPREAD_S = 8.4, 0.4, 20.0
 # Standard deviations of the logarithm of depth's scale where all, and where no recent frame shows a road; correlation
-# times of the scale's error and of the share of frames with a road.
-ROAD_SCALE, NO_SCALE, SCALE_S, SHARE_S = 0.03, 1.0, 20.0, 20.0
+# times of the scale's error and of the share of frames with a road. NO_SCALE: a depth network sees a lens of 17 degrees
+# as if it was KITTI's, whose focal length is 5.8 times shorter.
+ROAD_SCALE, NO_SCALE, SCALE_S, SHARE_S = 0.03, math.log(5.8), 20.0, 20.0
 HEIGHT_SCALE = 0.2  # of a camera of unknown height over the road
 LEAST_MPS = 0.3  # in logarithms
-YAW_NOISE_RADPS, SPEED_NOISE = 0.003, 0.02  # least errors of means: KITTI odometry 03 has 0.2 deg/s
+YAW_NOISE_RADPS, SPEED_NOISE = 0.003, 0.01  # least errors of means: KITTI odometry 03 has 0.2 deg/s
 
 
 def add_courses(frames: Generator[FrameState], car: Car, *, smooth: bool, height_known: bool) -> Generator[FrameState]:

@@ -64,7 +64,7 @@ def main(
             content[split] = scores.report()
             print(f"scores, {split}: {summary_line(content[split])}", flush=True)
             for kind, motion_scores in motion_scored[split].items():
-                print(f"{kind} motion, {split}: {comparison.summary_line(motion_scores)}", flush=True)
+                print(f"{_pair(kind)}, {split}: {comparison.summary_line(motion_scores)}", flush=True)
         store.write_json(out / "metrics.json", content)
     return out
 
@@ -84,7 +84,7 @@ def _score_drive(
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)), mode)
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path / "metrics.json", {**report, "motion": motion})
-    lines = [f"{kind} motion: {comparison.summary_line(scores)}" for kind, scores in motion.items()]
+    lines = [f"{_pair(kind)}: {comparison.summary_line(scores)}" for kind, scores in motion.items()]
     return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
 
 
@@ -115,6 +115,12 @@ def _score_motion(
                 pair = labels[kind].at(rows[kind]), labels[reference].at(rows[kind])
                 errors.setdefault(name, []).append(comparison.errors(*pair))
     return {kind: comparison.score(errors_of_kind) for kind, errors_of_kind in errors.items()}
+
+
+def _pair(kind: str) -> str:
+    """Return the two sources that a key of the scores compares, in words."""
+    source, _, reference = kind.partition("-")
+    return f"{source} against {reference or 'oxts'}"
 
 
 if __name__ == "__main__":

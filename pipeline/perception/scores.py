@@ -162,4 +162,4 @@ def summary_line(report: Mapping[str, Any]) -> str:
     ]
     if report["classes"]:
         parts.append(f"mean IoU {report['classes']['mean_iou']:.3f} of {len(report['classes']['iou'])} classes")
-    return ", ".join(parts) or "no ground truth"
+    return ", ".join(parts) or "no ground truth of depth or classes"

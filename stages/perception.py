@@ -55,7 +55,9 @@ def main(
 
 
 def _perceive(path: Path, *, drive: str, ingest: Path, encoder: Path, settings: Perception) -> Summary:
-    from pipeline.perception.perceive import passes, read_batches
+    import torch
+
+    from pipeline.perception.perceive import GPU_BATCH, passes, read_batches
 
     predict, params = _encoder(encoder, settings.precision), {"perception": settings.model_dump()}
     with (
@@ -70,7 +72,8 @@ def _perceive(path: Path, *, drive: str, ingest: Path, encoder: Path, settings: 
         file.append("depth_m", np.zeros((0, *camera.size), np.uint16), unit)
         file.append("cls", np.zeros((0, *camera.size), np.uint8), "Cityscapes trainId")
         postprocess = DepthPostprocessor(settings, camera)
-        batches = read_batches(source, camera, with_image, settings.batch, scans=needs_scan(settings.depth_scale))
+        size = max(settings.batch, GPU_BATCH) if torch.cuda.is_available() else settings.batch
+        batches = read_batches(source, camera, with_image, size, scans=needs_scan(settings.depth_scale))
         # One thread reads, others run the network, this one scales and writes.
         with closing(passes(lambda batch: (batch, *predict(batch)), batches)) as results:
             for batch, depth, cls in results:

@@ -105,6 +105,9 @@ class Gpu(TorchDispatchMode):
                 mock.patch(f"{place}._get_foreach_kernels_supported_devices", return_value=devices)
             )
         self._stack.enter_context(mock.patch("torch.cuda._lazy_init", return_value=None))
+        # Inference mode passes composite operators, such as `to`, which launch nothing themselves.
+        self._stack.enter_context(mock.patch("torch.inference_mode", torch.no_grad))
+        self._stack.enter_context(mock.patch.object(Tensor, "pin_memory", lambda tensor: self.pin(tensor)))
         self._stack.enter_context(warnings.catch_warnings())
         warnings.filterwarnings("ignore", message="User provided device_type of 'cuda'")
         self._stack.enter_context(_Functions(self))

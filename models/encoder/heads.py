@@ -125,7 +125,7 @@ def ground_plane_depth(cls: Tensor, slope: Tensor, camera_height_m: float) -> Te
         camera_height_m: height of the camera over the ground.
     """
     plane = camera_height_m / slope.clamp(min=camera_height_m / MAX_DEPTH_M)  # [B,H,W]
-    ground = torch.isin(cls, cls.new_tensor(classes.GROUND)) & (plane < MAX_GROUND_M)
+    ground = torch.stack([cls == number for number in classes.GROUND]).any(0) & (plane < MAX_GROUND_M)
     height = cls.shape[-2]
     rows = torch.arange(height, device=cls.device)[:, None].expand_as(cls)
     nearest = torch.where(ground, rows, height - 1).flip(-2).cummin(dim=-2).values.flip(-2)

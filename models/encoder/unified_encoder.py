@@ -32,12 +32,17 @@ class UnifiedEncoder(nn.Module):
     The children `backbone`, `depth_head` and `class_head` are the Parts of ``models/encoder/backbones``.
     """
 
+    mean_std: Tensor
+
     def __init__(self, backbone: str) -> None:
         """`backbone` is a key of BACKBONES. Raises ValueError if it is unknown or needs a missing package."""
         super().__init__()
         if backbone not in BACKBONES:
             raise ValueError(f"unknown backbone {backbone!r} (known: {', '.join(BACKBONES)})")
         self.backbone, self.depth_head, self.class_head = BACKBONES[backbone]()
+        # A buffer: a tensor made of numbers would be a blocking copy to a GPU in each pass.
+        mean_std = torch.tensor([self.backbone.mean, self.backbone.std])
+        self.register_buffer("mean_std", mean_std[..., None, None], persistent=False)  # [2,3,1,1]
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         """Return depth [B,H,W], metres along the optical axis, and class logits [B,19,H,W], or 20 with void last.
@@ -47,8 +52,8 @@ class UnifiedEncoder(nn.Module):
             K: pinhole intrinsics [B,3,3] at this image size.
         """
         rgb = image.float() / 255 if image.dtype == torch.uint8 else image
-        mean, std = rgb.new_tensor(self.backbone.mean), rgb.new_tensor(self.backbone.std)
-        rgb = (rgb - mean[:, None, None]) / std[:, None, None]
+        mean, std = self.mean_std.to(rgb.dtype)
+        rgb = (rgb - mean) / std
         rays = ray_slopes(K, image.shape[-2:])
         features = self.backbone(rgb, rays)
         return self.depth_head(features, rays), self.class_head(features, rays)

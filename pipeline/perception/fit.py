@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from tqdm import tqdm
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera import classes
 from pipeline.fitting import checkpoint
+from pipeline.fitting.prefetch import prefetch
 from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.perception.examples import Examples, augment
 
@@ -63,18 +64,20 @@ def fit(
     for epoch in range(len(curve), epochs):
         start = time.perf_counter()
         torch.manual_seed(seed + epoch)  # a resumed run draws the same dropout
-        sums = torch.zeros(2, dtype=torch.float64)
-        batches = _batches(examples, batch, np.random.default_rng([seed, epoch]), device)
+        sums = torch.zeros(2, dtype=torch.float64, device=device)  # read once per epoch: no step waits for a GPU
+        batches = _batches(examples, batch, np.random.default_rng([seed, epoch]), pinned=device.type == "cuda")
+        batches = prefetch(batches) if device.type == "cuda" else batches
         bar = tqdm(batches, f"epoch {epoch + 1}/{epochs}", steps, unit="batch", leave=False, disable=None)
-        for step, (image, K, depth, cls) in enumerate(bar):
+        for step, tensors in enumerate(bar):
+            image, K, depth, cls = (tensor.to(device, non_blocking=True) for tensor in tensors)
             for group in optimiser.param_groups:
                 group["lr"] = learning_rate * warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
-            depth_m, logits = model(image, K)
-            losses = depth_and_class_loss(depth_m, logits, depth, cls)
+            depth_m, logits = model(image.permute(0, 3, 1, 2), K)
+            losses = depth_and_class_loss(depth_m, logits, depth, cls.long())
             optimiser.zero_grad(set_to_none=True)
             losses.sum().backward()  # type: ignore[no-untyped-call]
             optimiser.step()
-            sums += losses.detach().cpu()
+            sums += losses.detach()
         depth_loss, class_loss = (sums / steps).tolist()
         row = EpochLoss(epoch + 1, depth_loss + class_loss, depth_loss, class_loss)
         if not math.isfinite(row.loss):
@@ -123,13 +126,11 @@ def _resume(state_path: Path, model: nn.Module, optimiser: torch.optim.Optimizer
     return [EpochLoss(**row) for row in state["curve"]]
 
 
-def _batches(
-    examples: Examples, batch: int, rng: np.random.Generator, device: torch.device
-) -> Iterator[tuple[Tensor, ...]]:
-    """Yield image, K, depth and classes of augmented examples in random order."""
+def _batches(examples: Examples, batch: int, rng: np.random.Generator, *, pinned: bool) -> Generator[list[Tensor]]:
+    """Yield image [B,H,W,3], K, depth and classes of augmented examples in random order; `pinned` for a GPU."""
     order = rng.permutation(len(examples))
     for start in range(0, len(order), batch):
         chosen = [augment(examples[int(i)], rng, examples.grey) for i in order[start : start + batch]]
         arrays = zip(*((one.image, one.camera.K, one.depth_m, one.cls) for one in chosen), strict=True)
-        image, K, depth_m, cls = (torch.from_numpy(np.stack(parts)).to(device) for parts in arrays)
-        yield image.permute(0, 3, 1, 2), K, depth_m, cls.long()
+        tensors = [torch.from_numpy(np.stack(parts)) for parts in arrays]
+        yield [tensor.pin_memory() for tensor in tensors] if pinned else tensors

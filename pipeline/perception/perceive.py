@@ -23,6 +23,7 @@ from pipeline.perception import precomputed
 
 FILE = "encoder.pt"
 KIND = "unified encoder"
+GPU_BATCH = 32  # images per pass at least; a CPU runs them one by one
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -129,12 +130,13 @@ def perceive(
         precision: of products, as in section perception.
     """
     device = next(model.parameters()).device
-    at_once = 1 if device.type == "cpu" else len(images)
+    tensors, at_once = [torch.from_numpy(images), torch.from_numpy(camera.K)], 1
+    if device.type != "cpu":
+        tensors, at_once = [tensor.pin_memory() for tensor in tensors], len(images)
     with torch.inference_mode(), autocast(device, precision):
-        intrinsics = torch.from_numpy(camera.K).to(device)
+        pixels, intrinsics = (tensor.to(device, non_blocking=True) for tensor in tensors)
         outputs = [
-            model(part.to(device).permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3))
-            for part in torch.split(torch.from_numpy(images), at_once)
+            model(part.permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3)) for part in torch.split(pixels, at_once)
         ]
         depth = torch.cat([depth.float() for depth, _ in outputs])
         cls = torch.cat([likeliest(logits) for _, logits in outputs])

@@ -66,7 +66,12 @@ def to_cityscapes(logits: Tensor) -> Tensor:
     A class has the summed probability of its members. A class without members is below all others, so that it is never
     predicted, also between interpolated pixels, and has a finite loss as a target.
     """
-    gathered = {target: torch.logsumexp(logits[:, group], dim=1) for target, group in enumerate(GROUPS) if group}
+    planes = logits.unbind(1)  # an index from a list would be a blocking copy to a GPU for each class
+    gathered = {
+        target: torch.stack([planes[member] for member in group], dim=1).logsumexp(1)
+        for target, group in enumerate(GROUPS)
+        if group
+    }
     # Without gradients, which would train the least likely class.
     never = torch.stack(list(gathered.values())).amin(dim=0).detach() - MARGIN
     return torch.stack([gathered.get(target, never) for target in range(len(GROUPS))], dim=1)

@@ -19,7 +19,7 @@ DRIVE, SIZE = "2026_01_01_drive_0001", (56, 140)
 K = np.array([[60.0, 0, 69.5], [0, 60.0, 27.5], [0, 0, 1]])
 LIMITS = {
     **{"small": 100, "espnetv2": 460, "espnetv2-s1": 460, "dinov2-vits14": 350},
-    **{"swin-t": 560, "rtmonodepth-s": 100, "street": 80},
+    **{"swin-t": 560, "rtmonodepth-s": 480, "street": 80},
 }
 
 

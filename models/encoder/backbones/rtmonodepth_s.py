@@ -107,15 +107,17 @@ class ConvELU(nn.Module):
 class Classes(Part):
     """ESPNetv2 as a class head; its published file has the weights."""
 
+    colours: Tensor
+
     def __init__(self) -> None:
         super().__init__()
         self.network, self.resize = ESPNetv2(2.0), DecodedClasses()
+        colours = torch.tensor([Encoder.std, ESPNetv2.mean, ESPNetv2.std])[..., None, None]
+        self.register_buffer("colours", colours, persistent=False)  # [3,3,1,1]
 
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
         """Return logits [B,20,H,W], void last."""
-        scale, mean, std = (
-            maps[0].new_tensor(values)[:, None, None] for values in (Encoder.std, ESPNetv2.mean, ESPNetv2.std)
-        )
+        scale, mean, std = self.colours
         image = (maps[0] * scale + Encoder.mean[0] - mean) / std  # from the backbone's normalisation to its own
         logits: Tensor = self.resize(self.network(image, rays), rays)
         return logits

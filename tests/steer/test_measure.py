@@ -77,8 +77,10 @@ def column(out: Path, name: str) -> np.ndarray:
 
 
 def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, images = tmp_path / "out", write_folder(tmp_path / "images", drive(30))
-    measure(images, out=out, encoder=encoder, as_json=True, **LENS)
+    out, images, log = tmp_path / "out", write_folder(tmp_path / "images", drive(30)), tmp_path / "can.csv"
+    log.write_text(f"time_s,speed_mps,yaw_rate_radps\n0,{SPEED / 1.2},{YAW_RATE}\n2,{SPEED / 1.2},{YAW_RATE}\n")
+    logs = {"motion": log, "poses": "kitti", "distortion": "0,0,0,0"}
+    measure(images, out=out, encoder=encoder, as_json=True, **logs, **LENS)
     result = json.loads(capsys.readouterr().out)
     assert (result["frames"], result["valid"]) == (30, 29)
     assert column(out, "valid").tolist() == [0] + 29 * [1]
@@ -91,6 +93,12 @@ def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsy
     quality = json.loads((out / "quality.json").read_text())
     assert quality["road_height_m"] == pytest.approx(CAMERA_HEIGHT_M, rel=0.1)
     assert any("camera's height of 1.65 m" in remark for remark in quality["remarks"])
+    assert (quality["K"][0][0], quality["distortion"]) == (180, "0,0,0,0")
+    assert quality["speed_ratio"] == pytest.approx(1.2, rel=0.1)
+    assert any("times the one recorded in can.csv" in remark for remark in quality["remarks"])
+    assert result["comparison"]["frames"] == 20  # to the end of the log at 2 s
+    assert quality["speed_sigma"] < 0.1
+    assert len((out / "poses.txt").read_text().splitlines()) == 30
     assert (out / "track.png").read_bytes().startswith(b"\x89PNG")
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30

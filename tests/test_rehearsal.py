@@ -29,7 +29,7 @@ def test_make_kitti_on_rendered_drives(tmp_path: Path) -> None:
     scratch.run(folder, "env", "STEER_WORKERS=2", "python", "-m", "stages.town", "--out", "raw")
     (folder / "data/raw").symlink_to(folder / "raw")
 
-    # The published weights are absent.
+    # The published weights are absent. Random depth measures no visual motion, so ours take motion from scans.
     torch.manual_seed(0)
     backbone = params["encoder"]["backbone"]
     perceive.save(folder / "weights", backbone, UnifiedEncoder(backbone).state_dict())
@@ -39,6 +39,11 @@ def test_make_kitti_on_rendered_drives(tmp_path: Path) -> None:
         | {
             "ingest": params["ingest"] | {"drives": DRIVES},
             "encoder": params["encoder"] | {"weights": "weights/encoder.pt"},
+            "motion": params["motion"] | {"kinds": ["visual", "lidar"]},
+            "models": {
+                name: entry | ({"motion": "lidar"} if entry.get("motion") == "visual" else {})
+                for name, entry in params["models"].items()
+            },
             "train": params["train"] | {"epochs": 2},
         },
     )

@@ -77,22 +77,6 @@ def test_the_control_with_another_scene_learns_nothing(data: Path, spatial: str)
     assert nmse["another"] > 0.9
 
 
-@pytest.mark.parametrize("temporal", ["ncp", "lstm"])
-def test_with_motion_training_starts_at_the_regression(data: Path, temporal: str) -> None:
-    """The baseline regression is what an untrained network predicts; training changes it."""
-    write_params(data, {"predict": "path", "motion": "visual", "temporal": temporal}, epochs=1, learning_rate=1e-9)
-    regression = [row["baselines"]["regression"] for row in _test_scores(data)]
-    assert [row["nmse"] for row in _test_scores(data)] == pytest.approx(regression, rel=1e-3)
-    write_params(data, {"predict": "path", "motion": "visual", "temporal": temporal}, epochs=4, average=0.0)
-    assert [row["nmse"] for row in _test_scores(data)] != pytest.approx(regression, rel=1e-3)
-
-
-def _test_scores(data: Path) -> list[dict[str, float]]:
-    run_train(data)
-    scores: list[dict[str, float]] = json.loads((run_evaluate(data) / "metrics.json").read_text())["test"]
-    return scores
-
-
 def test_mirrored_drives_give_the_mirrored_path(data: Path) -> None:
     write_params(data, {"predict": "path", "motion": "visual", "equivariant": True}, epochs=2)
     model, path = predict.load(run_train(data)), data / f"graphs/semantic/{TEST}.h5"

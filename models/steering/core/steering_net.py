@@ -52,8 +52,7 @@ class SteeringNet(nn.Module):
             angle, in units of its standard deviation. The paper has no such input.
         uncertainty: network from the recurrent network's state [W,U] to log σ [W,1], the logarithm of the error's
             standard deviation. Its gradient ends at the state: it does not change what steering is learned from.
-        path: number of ranges R of a network for the path ahead; 0: an angle. With motion, its outputs [W,R] are
-            multiplied by gains that start at 0: training starts at the best prediction from the motion alone.
+        path: predict the path ahead, R numbers per window, and not an angle.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class SteeringNet(nn.Module):
         equivariant: bool = False,
         motion: bool = False,
         uncertainty: nn.Module | None = None,
-        path: int = 0,
+        path: bool = False,
     ) -> None:
         super().__init__()
         self.spatial = spatial
@@ -74,7 +73,6 @@ class SteeringNet(nn.Module):
         self.features: tuple[str, int] | None = None
         """File of the spatial network and its number of features per frame, if known, for the error message."""
         self.path = path
-        self.gain = nn.Parameter(torch.zeros(path)) if path and motion else None
 
     def encode(self, batch: Batch) -> Tensor:
         """Return the spatial features of each frame [B,F]."""
@@ -171,7 +169,7 @@ class SteeringNet(nn.Module):
         projected = self.temporal.project_inputs(inputs)  # [B,S]
         out, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
         if self.path:
-            return out[:, -1] if self.gain is None else out[:, -1] * self.gain
+            return out[:, -1]
         if self.uncertainty is None:
             return out[:, -1, 0]
         log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1]
@@ -207,7 +205,7 @@ def build(
     if uncertainty:
         units = temporal_net.state_size(inputs)
         sigma_net = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
-    net = SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net, path=sizes.outputs if path else 0)
+    net = SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net, path)
     net.features = f"{type(spatial).__module__.replace('.', '/')}.py", sizes.features
     return net
 

@@ -90,7 +90,7 @@ class EntrySettings(Form, extra="allow"):
 class VariantSettings(Form, extra="allow"):
     """The graph variant: the settings that the report uses; further keys are allowed."""
 
-    k: Annotated[int, Field(ge=1, le=1000)] | None = None
+    k: Annotated[int, Field(ge=0, le=1000)] | None = None
     keep_inter_class: Fraction = 1.0
     accumulate: dict[str, Any] | None = None
 

@@ -101,6 +101,7 @@ def _load_metrics(folder: Path) -> dict[str, Any]:
         scores["by_curvature"] = {
             _range(part): {"baselines": {"zero": part.pop("zero") or {}}, **part} for part in scores["by_curvature"]
         }
+    content["variant"]["k"] = content["variant"]["k"] or None  # 0: points without edges, so no graph is drawn
     network = paper.name(content["line"] | {"accumulate": content["variant"]["accumulate"]})
     row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
     published = paper.PAPER[network] if network else None

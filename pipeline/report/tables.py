@@ -133,7 +133,8 @@ def _by_drive(rows: pd.DataFrame, drives: Mapping[str, str]) -> pd.DataFrame:
 def _settings(models: pd.DataFrame) -> pd.DataFrame:
     entries = models.filter(regex=r"^line\.\w+$").rename(columns=lambda column: column.removeprefix("line."))
     rows = pd.concat([models[["model", *_SIZES]], entries.reindex(columns=[*_SETTINGS])], axis=1)
-    rows["pruned"] = 1 - (rows["edges_per_frame"] / rows["edges_per_frame_unpruned"]).astype(float)
+    edges, unpruned = (rows[name].astype(float) for name in ("edges_per_frame", "edges_per_frame_unpruned"))
+    rows["pruned"] = 1 - edges / unpruned  # NaN without edges
     rows["temporal"] += [f" ({cell})" if cell else "" for cell in rows["cell"].where(rows["temporal"] == "ncp", "")]
     rows["fit_to"] += [f" ({roads} roads)" if pd.notna(roads) else "" for roads in rows["roads"]]
     columns = {

@@ -66,6 +66,15 @@ def test_a_path_is_learned_from_the_scene_and_scored_by_range(data: Path) -> Non
         assert scores["without_decisions"]["frames"] == len(driven)  # the drives have no corner
 
 
+def test_points_without_edges_are_evaluated(data: Path) -> None:
+    for drive in SPLITS:
+        with h5py.File(data / f"graphs/semantic/{drive}.h5", "a") as file:
+            file.attrs["params"] = file.attrs["params"].replace(b'"k": 6', b'"k": 0')
+    write_params(data, {"predict": "path", "spatial": "polar"}, epochs=1)
+    run_train(data)
+    assert json.loads((run_evaluate(data) / "metrics.json").read_text())["variant"]["k"] == 0
+
+
 @pytest.mark.parametrize("spatial", ["gnn", "polar"])
 def test_the_control_with_another_scene_learns_nothing(data: Path, spatial: str) -> None:
     nmse = {}

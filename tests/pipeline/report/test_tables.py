@@ -38,6 +38,14 @@ def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
     assert "Means over 3 seeds" in first.note
 
 
+def test_points_without_edges_are_neither_pruned_nor_drawn(tmp_path: Path) -> None:
+    content = examples.metrics("polar") | {"variant": {"k": 0}, "edges_per_frame": 0.0, "edges_per_frame_unpruned": 0.0}
+    results = examples.results(tmp_path, content)
+    models = next(table for table in tables.steering_tables(results) if table.title == "Models")
+    assert cells(models, "polar")["pruned"] == tables.NONE
+    assert results.models.iloc[0]["variant.k"] is None
+
+
 def test_the_table_by_drive_has_a_row_per_drive(tmp_path: Path) -> None:
     results = examples.results(tmp_path, examples.metrics("sa-gnn-ncp"), examples.metrics("motion-10", horizon=10))
     table = next(table for table in tables.steering_tables(results) if table.title == "nmse by test drive")

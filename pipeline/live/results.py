@@ -216,8 +216,9 @@ class Results:
         return float(measured_mps[used].sum() / driven_mps[used].sum()) if used.any() else None
 
     def speed(self) -> str:
-        """Return latency and rate as text."""
-        return "{hz:.1f} Hz, latency p50 {p50_ms:.0f} ms, p95 {p95_ms:.0f} ms".format_map(self.summary())
+        """Return the rate as text, and the latency of predictions."""
+        text = "{hz:.1f} frames/s" + (", latency p50 {p50_ms:.0f} ms, p95 {p95_ms:.0f} ms" if self.predicted else "")
+        return text.format_map(self.summary())
 
     def lines(self, notes: Sequence[str]) -> Iterator[str]:
         """Yield text for the user: gaps, the `notes` of the source, and why motion could not be measured."""

@@ -192,5 +192,6 @@ def test_missing_and_unsuitable_inputs_are_named(
     assert len(rows(tmp_path / "out")) == 3
     text, progress = capsys.readouterr()
     assert "3 of 3 frames, " in progress
+    assert "latency" not in progress  # a measurement predicts nothing
     assert "assuming 10 per second" in text
     assert "pass --camera-height" in text or "typical car" in text

@@ -24,8 +24,8 @@ def show(
 
     \b
     steer show data
-    steer show data/graphs/semantic/2026_01_03_drive_0001.h5
-    steer show data/graphs/semantic/2026_01_03_drive_0001.h5 --frame 40
+    steer show data/graphs/semantic/2026_01_10_drive_0004.h5
+    steer show data/graphs/semantic/2026_01_10_drive_0004.h5 --frame 20
     steer show data/train/sa-gnn-ncp --json
     """
     from pipeline.inspect import artefact, project

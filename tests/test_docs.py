@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.base.params import load
 from pipeline.base.resume import ROOT
+from pipeline.sections.ingest import Ingest
+from pipeline.sections.town import Town
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "data/README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
@@ -38,3 +41,14 @@ def test_the_readme_is_short() -> None:
     lines = (ROOT / "README.md").read_text().splitlines()
     assert len(lines) <= 120
     assert max(map(len, lines)) <= 110
+
+
+@pytest.mark.parametrize("name", ["README.md", "pipeline/train/predict.py", "steer/artefacts.py"])
+def test_examples_name_drives_and_frames_of_the_sample(name: str) -> None:
+    text = (ROOT / name).read_text()
+    drives = re.findall(r"2026_\d\d_\d\d_drive_\d{4}", text)
+    frames = re.findall(r"--frame (\d+)|predict\(graphs, \[([\d, ]+)\]", text)
+    assert drives
+    assert set(drives) <= load(Ingest, ROOT / "params.yaml").drives.splits().keys()
+    last = load(Town, ROOT / "params.yaml").frames.test - 1
+    assert all(int(number) <= last for groups in frames for part in groups if part for number in part.split(","))

@@ -17,7 +17,7 @@ from pipeline.base.files import read_yaml
 
 
 def matches(pattern: str, expected: str) -> AfterValidator:
-    """Return a check of text against a regular expression, whose error says what is `expected` in words."""
+    """Return a validator of text by a regular expression; its error names in words what is `expected`."""
 
     def check(text: str) -> str:
         if not re.fullmatch(pattern, text):

@@ -6,7 +6,7 @@ frame numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row. 
 concatenated rows; frame i owns ``rows[ptr[i]:ptr[i+1]]``. The attribute ``pointer`` of the rows names the pointers.
 
 Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They have a temporary name
-until they are complete. Readers validate what they read, which HDF5 does not.
+until they are complete. HDF5 does not check contents, so readers do.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Write predictions.csv, the steering of the test drives frame by frame, and structure.json, the graph of one frame."""
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.evaluate.split import Case
 from pipeline.graphs import graph_file
+from pipeline.train.predict import Prediction
 from pipeline.train.windows import LabelledDrive
 
 MAX_POINTS = 5000  # more points slow a browser down
@@ -24,27 +25,36 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     `odometry_rad` is the angle measured at the last input frame, which the baseline `odometry` predicts. Models with
     uncertainty have a last column `sigma_rad`, the standard deviation of the predicted angle.
     """
+    write_columns(path, (_columns(case, case.predictions[seed]) for case in cases))
+
+
+def write_columns(path: Path, drives: Iterable[Mapping[str, Iterable[Any]]]) -> None:
+    """Write a CSV file from the columns of each drive, name → values."""
     with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
-        for number, case in enumerate(cases):
-            drive, predicted = case.drive, case.predictions[seed]
-            columns = {
-                "drive": [drive.name] * len(drive.frame),
-                "frame": drive.frame,
-                "time_s": text(drive.time_s, 6),
-                "speed_mps": text(drive.speed_mps, 4),
-                "steering_rad": text(drive.steering_rad, 9),
-                "predicted_rad": text(predicted.steering_rad, 6),
-                "valid": drive.valid.astype(int),
-                "onset": case.onset.astype(int),
-                # Of the first kind of motion in the graph file.
-                "odometry_rad": text(next(iter(drive.measured_rad.values()), np.full(len(drive.frame), np.nan)), 6),
-            }
-            if predicted.sigma_rad is not None:
-                columns["sigma_rad"] = text(predicted.sigma_rad, 6)
+        for number, columns in enumerate(drives):
             if not number:
                 rows.writerow(columns)
             rows.writerows(zip(*columns.values(), strict=True))
+
+
+def _columns(case: Case, predicted: Prediction) -> dict[str, Iterable[Any]]:
+    drive = case.drive
+    columns: dict[str, Iterable[Any]] = {
+        "drive": [drive.name] * len(drive.frame),
+        "frame": drive.frame,
+        "time_s": text(drive.time_s, 6),
+        "speed_mps": text(drive.speed_mps, 4),
+        "steering_rad": text(drive.steering_rad, 9),
+        "predicted_rad": text(predicted.steering_rad, 6),
+        "valid": drive.valid.astype(int),
+        "onset": case.onset.astype(int),
+        # Of the first kind of motion in the graph file.
+        "odometry_rad": text(next(iter(drive.measured_rad.values()), np.full(len(drive.frame), np.nan)), 6),
+    }
+    if predicted.sigma_rad is not None:
+        columns["sigma_rad"] = text(predicted.sigma_rad, 6)
+    return columns
 
 
 def text(values: np.ndarray, digits: int) -> Iterator[str]:

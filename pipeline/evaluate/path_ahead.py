@@ -1,18 +1,17 @@
 """Compute the errors of predictions of the path ahead, range by range, and write them frame by frame."""
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.atomic import replacing
 from pipeline.evaluate import decisions, errors
-from pipeline.evaluate.by_frame import text
+from pipeline.evaluate.by_frame import text, write_columns
 from pipeline.evaluate.split import Case, measured_kinds
 from pipeline.sections.evaluate import Evaluate
+from pipeline.train.path_target import PathPrediction
 
 
 def range_names(ahead_m: Sequence[float]) -> list[str]:
@@ -40,7 +39,7 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> list[dict[str, Any]]:
 
 
 def _columns(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the true path and those of baselines [G,R], predictions [S,G,R], and frames near an onset [G,R].
+    """Return the true and the baselines' paths [G,R], predicted paths [S,G,R], and which are near an onset [G,R].
 
     - held: the present measured curvature, of the first of `kinds` of motion.
     - regression: held times its regression coefficient on the training drives.
@@ -86,23 +85,21 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     `frame`, `time_s`, `speed_mps` and `onset` are as in by_frame.write_predictions, `measured_1pm` is the measured
     curvature of the first kind of motion; `driven_RANGE_1pm` and `predicted_RANGE_1pm` follow for each range.
     """
-    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        for number, case in enumerate(cases):
-            drive = case.drive
-            kinds = [*drive.measured_rad][:1]
-            columns = {
-                "drive": [drive.name] * len(drive.frame),
-                "frame": drive.frame,
-                "time_s": text(drive.time_s, 6),
-                "speed_mps": text(drive.speed_mps, 4),
-                "onset": case.onset.astype(int),
-                "measured_1pm": text(drive.measured_1pm(kinds[0]) if kinds else np.full(len(drive.frame), np.nan), 6),
-            }
-            for name, driven, predicted in zip(
-                range_names(drive.ahead_m), drive.path_1pm.T, case.predictions[seed].path_1pm.T, strict=True
-            ):
-                columns |= {f"driven_{name}_1pm": text(driven, 6), f"predicted_{name}_1pm": text(predicted, 6)}
-            if not number:
-                rows.writerow(columns)
-            rows.writerows(zip(*columns.values(), strict=True))
+    write_columns(path, (_columns_by_frame(case, case.predictions[seed]) for case in cases))
+
+
+def _columns_by_frame(case: Case, predicted: PathPrediction) -> dict[str, Iterable[Any]]:
+    drive = case.drive
+    kinds = [*drive.measured_rad][:1]
+    columns: dict[str, Iterable[Any]] = {
+        "drive": [drive.name] * len(drive.frame),
+        "frame": drive.frame,
+        "time_s": text(drive.time_s, 6),
+        "speed_mps": text(drive.speed_mps, 4),
+        "onset": case.onset.astype(int),
+        "measured_1pm": text(drive.measured_1pm(kinds[0]) if kinds else np.full(len(drive.frame), np.nan), 6),
+    }
+    ranges = zip(range_names(drive.ahead_m), drive.path_1pm.T, predicted.path_1pm.T, strict=True)
+    for name, driven_1pm, predicted_1pm in ranges:
+        columns |= {f"driven_{name}_1pm": text(driven_1pm, 6), f"predicted_{name}_1pm": text(predicted_1pm, 6)}
+    return columns

@@ -4,8 +4,8 @@ from pipeline.graphs import graph_file
 from pipeline.train import predict
 
 model = predict.load("data/train/sa-gnn-ncp")
-with graph_file.open_graphs("data/graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
-    steering_rad = model.predict(graphs, [60, 61, 200])
+with graph_file.open_graphs("data/graphs/semantic/2026_01_10_drive_0004.h5") as graphs:
+    steering_rad = model.predict(graphs, [20, 21, 30])
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -20,6 +20,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -155,17 +156,13 @@ def read_drives(
     labels: Path,
     names: Sequence[str],
     window: int,
-    horizon: int = 0,
-    motion: str = "none",
-    base: str = "motion",
-    predict: str = "angle",
-    scene: str = "same",
+    **reading: Any,
 ) -> list[LabelledDrive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
-    Raises InputError as :func:`read_drive`, or a :func:`target_fault`.
+    `reading` are keyword arguments of :func:`read_drive`. Raises InputError as that, or a :func:`target_fault`.
     """
-    drives = [read_drive(graphs, labels, name, horizon, motion, base, predict, scene) for name in names]
+    drives = [read_drive(graphs, labels, name, **reading) for name in names]
     if names and (fault := target_fault(drives, window)):
         raise fault
     return drives

@@ -108,7 +108,7 @@ def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
     test = json.loads((metrics / "metrics.json").read_text())["test"]
     assert test["frames"] == 60 - 3 - 5
     assert test["nmse"] < 0.8 * test["baselines"]["odometry"]["nmse"]
-    (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [TEST], 4, 5, "visual")
+    (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [TEST], 4, horizon=5, motion="visual")
     assert load(output / "best.pt")["target"]["std_rad"] != pytest.approx(
         drive.steering_rad[drive.valid].std(), rel=0.05
     )

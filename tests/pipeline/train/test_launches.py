@@ -51,7 +51,7 @@ def count(folder: Path, line: dict[str, object], write: Callable[..., None]) -> 
             path = folder / f"graphs/semantic/{name}.h5"
             artefacts.add_motion(path, entry.motion, np.linspace(-0.3, 0.4, FRAMES))
     drives = windows.read_drives(
-        folder / "graphs/semantic", folder / "labels", list(DRIVES), entry.window, entry.horizon, entry.motion
+        folder / "graphs/semantic", folder / "labels", list(DRIVES), entry.window, **entry.reading
     )
     with graph_file.open_graphs(drives[0].graphs) as graphs:
         contents = graphs.contents

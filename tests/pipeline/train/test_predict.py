@@ -121,9 +121,9 @@ def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
     name = next(iter(DRIVES))
     artefacts.write_dataset(tmp_path, {name: "train"}, frames=40, points=12)
     graphs, labels = tmp_path / "graphs/semantic", tmp_path / "labels"
-    (plain,) = windows.read_drives(graphs, labels, [name], WINDOW, 5)
+    (plain,) = windows.read_drives(graphs, labels, [name], WINDOW, horizon=5)
     artefacts.add_motion(graphs / f"{name}.h5", "lidar", np.full(40, 0.05))
-    (drive,) = windows.read_drives(graphs, labels, [name], WINDOW, 5, "lidar")
+    (drive,) = windows.read_drives(graphs, labels, [name], WINDOW, horizon=5, motion="lidar")
     drive.valid[:10] = False
     target = predict.Target.from_drives([drive])
     assert target.mean_rad == pytest.approx(plain.steering_rad[10:35].mean())

@@ -139,7 +139,7 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
             moved = np.arange(23) != 5
             artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", truth["steering_rad"], moved)
     without = _read(folder)
-    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "visual")
+    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion="visual")
     held = np.where(moved, drives[0].steering_rad, drives[0].steering_rad[4])
     assert drives[0].base_rad == pytest.approx(held, abs=1e-6)
     assert drives[0].measured_rad["visual"] is not None
@@ -155,7 +155,7 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     assert "motion" not in plain
     assert not plain["base_rad"].any()
     without_base = windows.read_drives(
-        folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, 0, "visual", "none"
+        folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion="visual", base="none"
     )
     (batch_without_base,) = windows.batches(without_base, [group], 8)
     assert (batch_without_base["motion"] == batch["motion"]).all()

@@ -32,8 +32,12 @@ if TYPE_CHECKING:
 
 WARM_UP = 0.05  # share of the steps
 TARGETS = "steering_rad", "path_1pm", "base_rad", "valid"  # arrays of a batch that are not inputs of the network
-MOTION_DROPOUT = 0.3  # share of the runs of frames without motion as input, if the path is predicted: motion says much
-# about the nearest ranges and little about the others, and a network that always has it learns too little of the scene
+MOTION_DROPOUT = 0.5
+"""Share of the runs of frames whose motion is hidden from a network that predicts ahead.
+
+Motion alone is a good first guess, and a network that always has it finds the scene late or never. There the network
+predicts from the scene alone, as a network without motion does. docs/results.md has the effect.
+"""
 
 
 class Fit:
@@ -107,13 +111,14 @@ class Fit:
             sys.stdout.flush()
 
     def _plan(
-        self, drives: Sequence[windows.LabelledDrive], epoch: int, motion_dropout: float
+        self, drives: Sequence[windows.LabelledDrive], epoch: int
     ) -> tuple[list[list[int]], list[reading.TrainStep]]:
         """Return the numbers of this process's runs of frames in each step, and this process's steps.
 
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
         """
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
+        ahead = bool(drives[0].horizon or drives[0].ahead_m)
         spans = windows.random_spans(drives, self.window, settings.run_windows, rng)
         groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
         shares = [self.world.share(len(group)) for group in groups]
@@ -121,8 +126,8 @@ class Fit:
         for group, share in zip(groups, shares, strict=True):
             members = share or [0]  # a process without a run takes part with a run of weight 0
             factor = settings.rescale ** rng.uniform(-1, 1, len(group))[members]  # drawn for all processes' runs
-            dropped = rng.random(len(group))[members] < motion_dropout if motion_dropout else None
-            steps.append(reading.TrainStep(tuple(group[run] for run in members), factor.astype(np.float32), dropped))
+            hidden = rng.random(len(group))[members] < MOTION_DROPOUT if ahead and self.net.motion else None
+            steps.append(reading.TrainStep(tuple(group[run] for run in members), factor.astype(np.float32), hidden))
         return shares, steps
 
     def _train(
@@ -135,7 +140,7 @@ class Fit:
         """Train for one epoch; return the mean loss and the last learning rate."""
         settings, device, path = self.settings, self.net.device, isinstance(target, PathTarget)
         loss = robust_loss if path else weighted_loss
-        shares, steps = self._plan(drives, epoch, MOTION_DROPOUT if path and self.net.motion else 0.0)
+        shares, steps = self._plan(drives, epoch)
         self.learner.train()
         total, rate = torch.zeros(2, dtype=torch.float64, device=device), 0.0  # sums of weight · error², weight
         alone = multiprocessing.parent_process() is None  # several bars on one terminal overwrite each other

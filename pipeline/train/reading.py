@@ -33,7 +33,7 @@ class TrainStep:
 
     runs: tuple[windows.Span, ...]
     factor: np.ndarray | None = None  # float32, one per run; None: lengths as they are
-    without_motion: np.ndarray | None = None  # bool, one per run: the network gets its motion as not measured
+    hide_motion: np.ndarray | None = None  # bool, one per run: motion is not measured, and the base angle is 0
 
 
 class Reader(Dataset[dict[str, Any]]):
@@ -106,8 +106,10 @@ class Reader(Dataset[dict[str, Any]]):
         lengths = [run.stop - run.start for run in step.runs]
         if step.factor is not None:
             batch = rescale(batch, np.repeat(step.factor, lengths))
-        if step.without_motion is not None:
-            batch["motion"][np.repeat(step.without_motion, lengths)] = 0
+        if step.hide_motion is not None:
+            hidden = np.repeat(step.hide_motion, lengths)
+            batch["motion"][hidden] = 0
+            batch["base_rad"][hidden[batch["windows"][:, -1]]] = 0
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
 
     def __getstate__(self) -> dict[str, Any]:

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from pipeline.sections.models import Entry
-from pipeline.train import augment, predict, reading, windows
+from pipeline.sections.train import Train
+from pipeline.train import augment, fit, predict, reading, windows
 from pipeline.train.reading import Reader, TrainStep
-from tests import artefacts
+from tests import artefacts, small_model
 
 
 @pytest.fixture
@@ -94,3 +96,37 @@ def test_predictions_are_the_same_with_each_reader(drives: list[windows.Labelled
         (predicted,) = predict.predict_drives(net, drives[1:], 4, target, read=read)
     np.testing.assert_array_equal(predicted.steering_rad, expected.steering_rad, strict=True)
     assert np.isfinite(predicted.steering_rad).any()
+
+
+def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[windows.LabelledDrive], tmp_path: Path) -> None:
+    names = [drive.name for drive in drives]
+    for name in names:
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", np.full(30, 0.2))
+    folders = tmp_path / "graphs/semantic", tmp_path / "labels"
+    moving = windows.read_drives(*folders, names, 4, horizon=5, motion="visual")
+    runs = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
+    with Reader(moving, 4, torch.device("cpu"), 0) as reader:
+        shown, half = reader[TrainStep(runs)], reader[TrainStep(runs, hide_motion=np.array([False, True]))]
+    assert (shown["base_rad"] != 0).all()
+    assert (shown["motion"][:, 3] == 1).all()
+    for name in ("motion", "base_rad"):
+        first = len(shown[name]) // 2
+        assert torch.equal(half[name][:first], shown[name][:first])
+        assert not half[name][first:].any()
+    assert torch.equal(half["steering_rad"], shown["steering_rad"])
+
+
+@pytest.mark.parametrize(("ahead", "motion", "hides"), [(5, True, True), (0, True, False), (5, False, False)])
+def test_motion_is_hidden_from_half_of_the_runs_if_the_target_lies_ahead(
+    drives: list[windows.LabelledDrive], tmp_path: Path, ahead: int, motion: bool, hides: bool
+) -> None:
+    names = [drive.name for drive in drives]
+    drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", names, 4, horizon=ahead)
+    line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
+    entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
+    settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"run_windows": 1})
+    fitting = fit.Fit(entry.build("graph"), 4, 0.0, settings, seed=0)
+    _, steps = fitting._plan(drives, epoch=1)
+    hidden = [step.hide_motion for step in steps if step.hide_motion is not None]
+    assert bool(hidden) == hides
+    assert not hides or 0.3 < np.concatenate(hidden).mean() < 0.7

@@ -11,6 +11,7 @@ from pipeline.base.atomic import stage_folder, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import SPLITS, check_name, load
 from pipeline.evaluate import by_frame, path_ahead
+from pipeline.evaluate.errors import interval_text
 from pipeline.evaluate.schema import Metrics, PathMetrics
 from pipeline.evaluate.split import Case, inputs, metrics, odometry
 from pipeline.graphs import graph_file
@@ -106,16 +107,15 @@ def _predict(
 def _summary(result: Mapping[str, Any]) -> str:
     test = result["test"]
     spread = "" if test["nmse_std"] is None else f" ± {test['nmse_std']:.3f} over {len(result['seeds'])} seeds"
-    low, high = test["nmse_ci95"]
     return (
-        f"{result['model']}: test nmse {test['nmse']:.3f}{spread} [{low:.3f}, {high:.3f}], "
+        f"{result['model']}: test nmse {test['nmse']:.3f}{spread} ({interval_text(test['nmse_ci95'])}), "
         f"mean error {test['mae_deg']:.2f} deg over {test['frames']} frames"
     )
 
 
 def _path_summary(result: Mapping[str, Any]) -> str:
     texts = [
-        "{from_m:g}-{to_m:g} m {nmse:.3f} [{nmse_ci95[0]:.3f}, {nmse_ci95[1]:.3f}]".format_map(scores)
+        f"{scores['from_m']:g}-{scores['to_m']:g} m {scores['nmse']:.3f} ({interval_text(scores['nmse_ci95'])})"
         for scores in result["test"]
         if scores["nmse"] is not None
     ]

@@ -26,8 +26,8 @@ def doctor(
 ) -> None:
     """Check raw drives and the project.
 
-    Lists drives that are missing, partly extracted or damaged, and stages that have to run. Problems of drives that
-    params.yaml does not name are notes. Exit status: 0 no problems, 1 problems.
+    Lists drives that are missing, partly extracted or damaged, and stages that have to run, which is no problem.
+    Problems of drives that params.yaml does not name are notes. Exit status: 0 no problems, 1 problems.
 
     \b
     steer doctor
@@ -63,8 +63,6 @@ def doctor(
             problems += [f"{drive}: no oxts, which labels.source: oxts needs. {fix}" for drive in lacking]
         problems += _missing_drives(names, root, drives, project) + project.problems
         notes += project.notes
-        if project.due:
-            problems.append(f"stages that have to run: {len(project.due)}. Run: dvc repro check pictures report")
     commands = [check.fix for check in used if check.fix]
     _print(output, drives, project, {"problems": problems, "commands": commands, "notes": notes})
     fields = ("folder", "due", "unused", "free_bytes", "due_bytes")
@@ -104,9 +102,13 @@ def _print(
             for check in drives
         ])  # fmt: skip
     if project:
+        from pipeline.inspect.project import NOT_RUN
+
         output.line(f"project {project.folder}: {project.free_bytes / 1e9:.1f} GB free")
+        if changed := {stage: reason for stage, reason in project.due.items() if reason != NOT_RUN}:
+            output.table([{"stage": stage, "has to run because": reason} for stage, reason in changed.items()])
         if project.due:
-            output.table([{"stage": stage, "has to run because": reason} for stage, reason in project.due.items()])
+            output.line(f"stages that have to run: {len(project.due)}. Run: dvc repro check pictures report")
     for title, texts in lists.items():
         if texts:
             output.line("\n  ".join([f"{title}:", *texts]))

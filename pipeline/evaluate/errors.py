@@ -4,6 +4,7 @@ Angles are in rad unless named deg. Predictions are [N], or [S,N] for S seeds, o
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -42,7 +43,7 @@ def by_curvature(
 ) -> list[dict[str, Any]]:
     """Return the scores in bins of |curvature|, straightest first, each with the scores of predicting `zero`.
 
-    Predictions are [S,N]; `nmse_ci95` is the interval of nmse in the bin, None if every angle is 0.
+    Predictions are [S,N]; `nmse_ci95` is the :func:`interval` of nmse in the bin, None also if every angle is 0.
 
     A model that always drives straight ahead has a small mean error, but not in the bins of bends. A bin without frames
     has only its bounds and `frames` 0.
@@ -56,13 +57,15 @@ def by_curvature(
             row["zero"] = scores(steering_rad[inside], np.zeros(inside.sum()))
             error = ((predicted_rad[:, inside] - steering_rad[inside]) ** 2).mean(axis=0)
             known = steering_rad[inside].any()
-            row["nmse_ci95"] = list(interval(error, steering_rad[inside], drive[inside], settings)) if known else None
+            row["nmse_ci95"] = interval(error, steering_rad[inside], drive[inside], settings) if known else None
         rows.append(row)
     return rows
 
 
-def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, settings: Evaluate) -> tuple[float, float]:
+def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, settings: Evaluate) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ Θ² over other roads, from a circular block bootstrap of resampled drives.
+
+    None if all rows are one block: each draw would be the same, and an interval of zero width claims certainty.
 
     Drives are drawn with replacement, and within each drawn drive blocks of consecutive rows, since errors of
     neighbouring frames are correlated. A block that passes the end of its drive continues at its start, so that all
@@ -78,6 +81,8 @@ def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, set
     first = np.flatnonzero(np.diff(drive, prepend=drive[0] - 1))  # [D] first row of each drive
     rows = np.diff(first, append=len(drive))  # [D]
     blocks = -(-rows // settings.bootstrap_block_frames)  # [D] of equal length, which together cover the drive
+    if blocks.sum() < 2:
+        return None
     length = np.round(rows / blocks).astype(int)
     block_sums = np.concatenate(  # [2,N] sums of error and Θ² over the block that starts at each row
         [
@@ -100,7 +105,13 @@ def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, set
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios.append(np.where(zeros > 0, errors / zeros, np.nan))
     low, high = np.nanpercentile(np.concatenate(ratios), [2.5, 97.5])
-    return float(low), float(high)
+    return [float(low), float(high)]
+
+
+def interval_text(bounds: Sequence[float | None] | None, form: str = ".3f") -> str:
+    """Return the bounds of an :func:`interval` as text; if it is None, or its bounds are None or NaN, the reason."""
+    low, high = bounds or (None, None)
+    return "too short for an interval" if low is None or math.isnan(low) else f"{low:{form}} to {high:{form}}"
 
 
 def _circular_sums(values: np.ndarray, length: int) -> np.ndarray:

@@ -73,7 +73,7 @@ def _scores(
         "frames": len(true),
         "nmse": float(by_seed.mean()),
         "nmse_std": float(by_seed.std(ddof=1)) if len(by_seed) > 1 else None,
-        "nmse_ci95": list(errors.interval(error.mean(axis=0), true, drive[scored], settings)),
+        "nmse_ci95": errors.interval(error.mean(axis=0), true, drive[scored], settings),
         "baselines": {"zero": 1.0}
         | {name: float(((values - true) ** 2).sum() / zero) for name, values in known.items()},
     }

@@ -62,7 +62,7 @@ class Uncertainty(Form):
 
 class Split(ErrorsAndBaselines):
     nmse_std: Number | None
-    nmse_ci95: Interval
+    nmse_ci95: Interval | None
     by_curvature: Annotated[list[Bin], Field(min_length=1)]
     by_drive: dict[str, ErrorsAndBaselines]
     without_decisions: ErrorsAndBaselines

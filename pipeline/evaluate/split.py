@@ -84,7 +84,7 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, Any]:
     by_seed = [errors.scores(steering, one_seed)["nmse"] for one_seed in predicted]
     return scores(slice(None)) | {
         "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
-        "nmse_ci95": list(errors.interval(error, steering, drive, settings)),
+        "nmse_ci95": errors.interval(error, steering, drive, settings),
         "by_curvature": errors.by_curvature(steering, predicted, curvature, drive, settings),
         "by_drive": {case.drive.name: scores(drive == number) for number, case in enumerate(cases)},
         "without_decisions": scores(~near_onset),

@@ -21,6 +21,7 @@ from pipeline.sections.labels import Labels
 from pipeline.sections.models import Entry
 
 Stages = Mapping[str, Mapping[str, Any]]
+NOT_RUN = "has not run here"  # why a stage is due
 
 
 @dataclass
@@ -110,7 +111,7 @@ def due_stages(folder: Path) -> dict[str, str]:
     due: dict[str, str] = {}
     for stage in TopologicalSorter(inputs).static_order():
         if stage in status:
-            due[stage] = _reason(status[stage]) if stage in lock else "has not run here"
+            due[stage] = _reason(status[stage]) if stage in lock else NOT_RUN
         elif changed := next((name for name in inputs[stage] if name in due), ""):
             due[stage] = due[changed] if due[changed].startswith("needs ") else f"needs {changed}"
     return due

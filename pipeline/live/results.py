@@ -51,8 +51,9 @@ LEFTOVER = re.compile(rf"\.({'|'.join(map(re.escape, sorted(FILES)))})\..{{8}}\.
 MIN_DRIVEN_MPS = 1.0  # of frames whose speeds are compared
 LINE_S = 30.0  # between lines of progress without a terminal
 RECENT = 2000  # frames that latency quantiles are computed from
+BLOCK_S = 5.0  # errors of nearer frames are correlated
 BOOTSTRAP = Evaluate(
-    bootstrap_samples=2000, bootstrap_block_frames=50, curvature_bins_1pm=[1.0], path="bicycle", seed=0
+    bootstrap_samples=2000, bootstrap_block_frames=1, curvature_bins_1pm=[1.0], path="bicycle", seed=0
 )  # for the interval of nmse
 
 
@@ -193,8 +194,8 @@ class Results:
             column: predicted or measured; errors are computed on its frames. Elsewhere the measured angle repeats the
                 last one, or 0.
         """
-        names = "frame", "driven_rad", "predicted_rad", "measured_rad"
-        number, driven_rad, predicted_rad, measured_rad = self.columns(*names)
+        names = "frame", "time_s", "driven_rad", "predicted_rad", "measured_rad"
+        number, time_s, driven_rad, predicted_rad, measured_rad = self.columns(*names)
         driven = dict(zip(number.tolist(), driven_rad.tolist(), strict=True))
         target_rad = np.array([driven.get(frame + horizon, np.nan) for frame in number.tolist()])
         angles_rad = {"predicted": predicted_rad, "measured": measured_rad}
@@ -206,7 +207,9 @@ class Results:
             last = np.maximum.accumulate(np.where(np.isfinite(measured_rad), np.arange(len(number)), -1))
             rows["measured"] = np.where(last >= 0, measured_rad[last], 0.0)
         rows["zero"] = np.zeros(len(number))
-        scores = {name: _errors(target_rad[used], angle_rad[used]) for name, angle_rad in rows.items()}
+        block = max(1, round(BLOCK_S / float(np.median(np.diff(time_s))))) if len(time_s) > 1 else 1
+        settings = BOOTSTRAP.model_copy(update={"bootstrap_block_frames": block})
+        scores = {name: _errors(target_rad[used], angle_rad[used], settings) for name, angle_rad in rows.items()}
         return {"truth": truth, "frames": int(used.sum()), "horizon": horizon, **scores}
 
     def speed_ratio(self) -> float | None:
@@ -229,11 +232,11 @@ class Results:
             yield f"motion measured in {self.valid} of {self.frames} frames; not measured: {reasons}"
 
 
-def _errors(target_rad: np.ndarray, angle_rad: np.ndarray) -> dict[str, Any]:
+def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:
     """Return nmse, its 95 % interval, rmse_deg and correlation of angles [N]; None where not defined."""
     scores = errors.scores(target_rad, angle_rad)
     nmse, drive = scores["nmse"], np.zeros(len(target_rad), int)
-    interval = None if nmse is None else errors.interval((angle_rad - target_rad) ** 2, target_rad, drive, BOOTSTRAP)
+    interval = None if nmse is None else errors.interval((angle_rad - target_rad) ** 2, target_rad, drive, settings)
     varies = np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0
     correlation = float(np.corrcoef(target_rad, angle_rad)[0, 1]) if varies else None
     return {"nmse": nmse, "nmse_ci95": interval, "rmse_deg": scores["rmse_deg"], "correlation": correlation}
@@ -247,7 +250,7 @@ def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
     yield f"truth from {comparison['truth']}, {comparison['frames']} frames{ahead}:"
     for name in ("predicted", "measured", "zero"):
         if row := comparison.get(name):
-            nmse = "-" if row["nmse"] is None else "{:.3f} ({:.3f} to {:.3f})".format(row["nmse"], *row["nmse_ci95"])
+            nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
             correlation = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
             yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{correlation}"
 

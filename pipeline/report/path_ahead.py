@@ -8,6 +8,7 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.base.errors import error_context
+from pipeline.evaluate.errors import interval_text
 from pipeline.evaluate.schema import PathMetrics, Range, RangeErrors
 from pipeline.report.results import fix
 from pipeline.report.studies import Difference, difference
@@ -70,7 +71,7 @@ def tables(results: Sequence[PathResults], settings: Evaluate) -> list[Table]:
     first, *others = results
     rows = [
         {"models": f"{first.metrics.model} − {other.metrics.model}"}
-        | {f"{name} m": _cell(*found) for name, found in differences(first, other, settings).items()}
+        | {f"{name} m": _cell(found.nmse, found[1:]) for name, found in differences(first, other, settings).items()}
         for other in others
     ]
     if rows:
@@ -108,8 +109,7 @@ def _by_range(results: Sequence[PathResults], part: Callable[[Range], RangeError
     for metrics, _ in results:
         for row in metrics.test:
             errors, column = part(row), f"{_name(row)} m"
-            low, high = errors.nmse_ci95 or (None, None)
-            rows.setdefault(metrics.model, {})[column] = _cell(errors.nmse, low, high)
+            rows.setdefault(metrics.model, {})[column] = _cell(errors.nmse, errors.nmse_ci95 or (None, None))
             for baseline in ("zero", "held", "regression"):
                 if baseline in errors.baselines:
                     rows.setdefault(f"*{baseline}*", {}).setdefault(column, _cell(errors.baselines[baseline]))
@@ -118,7 +118,7 @@ def _by_range(results: Sequence[PathResults], part: Callable[[Range], RangeError
     return pd.DataFrame([{"model": name} | rows[name] for name in ordered]).fillna(NONE)
 
 
-def _cell(value: float | None, low: float | None = None, high: float | None = None) -> str:
+def _cell(value: float | None, interval: Sequence[float | None] = ()) -> str:
     if value is None or pd.isna(value):
         return NONE
-    return f"{value:.3f}" if low is None or high is None else f"{value:.3f} ({low:.3f} to {high:.3f})"
+    return f"{value:.3f} ({interval_text(interval)})" if interval else f"{value:.3f}"

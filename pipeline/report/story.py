@@ -6,9 +6,11 @@ The 95 % intervals decide the wording: a difference that they contain is called 
 from collections.abc import Sequence
 from typing import Literal, get_args
 
+import numpy as np
 import pandas as pd
 
 from pipeline.base.params import MotionKind
+from pipeline.evaluate.errors import interval_text
 from pipeline.report.results import Results, columns_below
 
 MAX_NAMES = 3  # models named in a sentence
@@ -49,18 +51,21 @@ def sentences(results: Results) -> list[str]:
 
 
 def _verdict(row: pd.Series, reference: float = 1.0, key: str = "test") -> Verdict:
-    """Return whether the interval of nmse is below or above a reference; zero has 1."""
+    """Return whether the interval of nmse is below or above a reference; zero has 1. Unclear without an interval."""
     low, high = row[f"{key}.nmse_low"], row[f"{key}.nmse_high"]
+    if pd.isna(low):
+        return "unclear"
     return "better" if high < reference else "worse" if low > reference else "unclear"
 
 
 def _accuracy(best: pd.Series) -> str:
     ahead = f" {best['line.horizon']} frames ahead" if best["line.horizon"] else ""
     low, high = best["test.nmse_low"], best["test.nmse_high"]
+    interval = interval_text(None) if pd.isna(low) else f"95 % interval {_percent(low)} to {_percent(high)}"
     return (
         f"{best['model']} predicts the steering angle{ahead} with a mean error of {best['test.mae_deg']:.1f}° and "
         f"{_AGAINST_ZERO[_verdict(best)]}: it has {_percent(best['test.nmse'])} of the squared error of zero "
-        f"(95 % interval {_percent(low)} to {_percent(high)})."
+        f"({interval})."
     )
 
 
@@ -68,7 +73,8 @@ def _rank(best: pd.Series, group: pd.DataFrame) -> list[str]:
     if len(group) == 1:
         return []
     text = f"It has the lowest error of {len(group)} models"
-    names = [*group["model"][(group["test.nmse"] <= best["test.nmse_high"]) & (group["model"] != best["model"])]]
+    high = np.inf if pd.isna(best["test.nmse_high"]) else best["test.nmse_high"]
+    names = [*group["model"][(group["test.nmse"] <= high) & (group["model"] != best["model"])]]
     if not names:
         return [f"{text}."]
     others = " and ".join(names) if len(names) <= MAX_NAMES else f"{len(names)} of them"

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from pipeline.base.atomic import replacing
 from pipeline.drawing import figure_file
-from pipeline.evaluate.errors import interval
+from pipeline.evaluate.errors import interval, interval_text
 from pipeline.report.results import Results
 from pipeline.report.tables import Table, cells, with_text
 from pipeline.sections.evaluate import Evaluate
@@ -136,14 +136,14 @@ def claims(results: Results, settings: Evaluate) -> list[str]:
         verdict = "better" if high < 0 else "worse" if low > 0 else "no difference shown"
         lines.append(
             f"- {claim.text}: {verdict}. nmse {model['test.nmse']:.3f} against {baseline['test.nmse']:.3f}, "
-            f"difference {low:+.3f} to {high:+.3f} (95 %); {model['parameters']:,} parameters against "
+            f"difference {interval_text((low, high), '+.3f')} (95 %); {model['parameters']:,} parameters against "
             f"{baseline['parameters']:,}"
         )
     return ["## Claims", "\n".join(lines)] if lines else []
 
 
 class Difference(NamedTuple):
-    """Difference in nmse of two models, and its 95 % interval; NaN without common frames or bends."""
+    """Difference in nmse of two models, NaN without common frames or bends, and its 95 % interval, or NaN."""
 
     nmse: float
     low: float
@@ -177,4 +177,5 @@ def difference(
     error, truth = frames["error"].to_numpy(), frames[true].to_numpy()
     if not truth.any():
         return Difference(np.nan, np.nan, np.nan)
-    return Difference(float(error.sum() / (truth**2).sum()), *interval(error, truth, drive, settings))
+    bounds = interval(error, truth, drive, settings) or (np.nan, np.nan)
+    return Difference(float(error.sum() / (truth**2).sum()), *bounds)

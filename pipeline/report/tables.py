@@ -7,6 +7,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from pipeline.base.params import SPLITS
+from pipeline.evaluate.errors import interval_text
 from pipeline.report.results import Results, columns_below
 
 Columns = Mapping[str, tuple[str, str]]
@@ -74,7 +75,7 @@ def with_text(metrics: pd.DataFrame) -> pd.DataFrame:
         {
             "name": f"*{model}*" if baseline else model,
             "nmse": (NONE if pd.isna(nmse) else f"{nmse:.3f}") + ("" if pd.isna(std) else f" ± {std:.3f}"),
-            "interval": None if pd.isna(low) else f"{low:.3f} to {high:.3f}",
+            "interval": None if baseline or pd.isna(nmse) else interval_text((low, high)),
         }
         for model, baseline, nmse, std, low, high in rows.itertuples(index=False, name=None)
     ]

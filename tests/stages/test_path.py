@@ -58,7 +58,7 @@ def test_a_path_is_learned_from_the_scene_and_scored_by_range(data: Path) -> Non
         zero = (driven**2).sum()
         assert scores["frames"] == len(driven)
         assert scores["nmse"] == pytest.approx(error / zero, rel=1e-3)
-        assert scores["nmse_ci95"][0] <= scores["nmse"] * (1 + 1e-9)
+        assert scores["nmse_ci95"] is None  # one drive, not longer than a block
         assert scores["baselines"]["held"] == pytest.approx(((measured - driven) ** 2).sum() / zero, rel=1e-3)
         regression = ((coefficient * measured - driven) ** 2).sum() / zero
         assert scores["baselines"]["regression"] == pytest.approx(regression, rel=1e-3)

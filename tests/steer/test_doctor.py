@@ -103,9 +103,15 @@ def test_drives_of_params_that_are_missing(project: Path, root: Path) -> None:
 
 
 def test_due_stages(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    set_due(monkeypatch, {"ingest": "changed deps: params.yaml", "graphs@lidar": "needs ingest"})
-    text = doctor(status=1)
+    """They are no problem, and a stage that has never run needs no reason."""
+    set_due(
+        monkeypatch, {"ingest": "changed deps: params.yaml", "report": checks.NOT_RUN, "graphs@lidar": "needs ingest"}
+    )
+    text = doctor(status=0)
     assert ["ingest", "changed", "deps:", "params.yaml"] in [line.split() for line in text.splitlines()]
-    assert "stages that have to run: 1" in text
-    found = json.loads(doctor("--json", status=1))["project"]
-    assert (set(found["due"]), found["unused"]) == ({"ingest"}, ["graphs@lidar"])
+    assert "stages that have to run: 2. Run: dvc repro" in text
+    assert text.endswith("no problems found\n")
+    found = json.loads(doctor("--json", status=0))["project"]
+    assert (set(found["due"]), found["unused"]) == ({"ingest", "report"}, ["graphs@lidar"])
+    set_due(monkeypatch, {"ingest": checks.NOT_RUN, "report": checks.NOT_RUN})
+    assert checks.NOT_RUN not in doctor(status=0)

@@ -30,13 +30,16 @@ def test_errors_by_curvature_stand_beside_those_of_zero() -> None:
     assert (straight["frames"], sharp["frames"], sharp["to_1pm"]) == (2, 2, None)
     assert sharp["zero"]["mse_rad2"] == pytest.approx((0.04 + 0.09) / 2)
     assert straight["mse_rad2"] == pytest.approx(0.0001 / 2)
+    assert sharp["nmse_ci95"] is None  # its two frames are one block
+    drives = np.arange(4)
+    *_, sharp = errors.by_curvature(steering, predicted, curvature, drives, settings)
     low, high = sharp["nmse_ci95"]
     assert low <= sharp["nmse"] <= high
     zeros = errors.by_curvature(np.zeros(4), predicted, curvature, drive, settings)
     assert zeros[0]["nmse_ci95"] is None
 
 
-def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> tuple:
+def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> list[float]:
     """Return the interval for errors [N] or [S,N] in rad."""
     general = {"curvature_bins_1pm": [0.1], "path": "bicycle", "seed": 0}
     settings = Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, **general)
@@ -83,7 +86,7 @@ def test_interval_draws_drives_and_circular_blocks_within_them() -> None:
     low, high = interval(steering, error, drive, block=20, samples=500)
     # Two drives are drawn, each complete: error ratios 1, 0.1 (one of each) and 0.
     assert (low, high) == (0.0, pytest.approx(1.0))
-    assert interval(steering, error, drive, block=500, samples=500) == (low, high)
+    assert interval(steering, error, drive, block=500, samples=500) == [low, high]
     # All of the error is in the last row: blocks that do not wrap around would rarely contain it.
     steering, drive = np.full(60, 0.1), np.zeros(60)
     error = np.zeros(60)
@@ -141,7 +144,20 @@ def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
     low, high = errors.interval(difference, steering, drive, settings)
     alone = interval(steering, one, drive, 50, 500)
     assert high - low < 0.5 * (alone[1] - alone[0])
-    assert errors.interval(0 * difference, steering, drive, settings) == (0.0, 0.0)
+    assert errors.interval(0 * difference, steering, drive, settings) == [0.0, 0.0]
+
+
+def test_a_single_block_has_no_interval() -> None:
+    steering, drive = np.linspace(0.1, 0.2, 51), np.zeros(51)
+    error = np.linspace(0, 0.1, 51)
+    assert interval(steering[:50], error[:50], drive[:50], block=50, samples=50) is None
+    low, high = interval(steering, error, drive, block=50, samples=50)
+    assert low < high
+    low, high = interval(steering[:50], error[:50], np.repeat([0, 1], 25), block=50, samples=50)
+    assert low < high
+    assert errors.interval_text([0.25, 0.5]) == "0.250 to 0.500"
+    for unknown in (None, (None, None), (np.nan, np.nan)):
+        assert errors.interval_text(unknown) == "too short for an interval"
 
 
 def test_scores_of_normal_errors_with_known_sigma() -> None:

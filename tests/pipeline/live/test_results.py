@@ -118,6 +118,20 @@ def test_predictions_are_compared_with_the_angle_of_the_later_frame(horizon: int
     assert not list(comparison_lines(None))
 
 
+@pytest.mark.parametrize(("count", "known"), [(50, False), (60, True)])
+@pytest.mark.parametrize("fps", [10.0, 2.0])
+def test_a_clip_of_five_seconds_has_no_interval(count: int, known: bool, fps: float) -> None:
+    """Whatever the frame rate; an interval of zero width would claim certainty."""
+    results = Results(io.StringIO(), "drive", 1, COLUMNS[STEERING])
+    for number in range(round(count * fps / FPS)):
+        state = FrameState(number, number / fps, driven_rad=0.1, predicted_rad=0.002 * number)
+        results.add(state)
+    comparison = results.compare("oxts", "predicted")
+    assert comparison is not None
+    assert (comparison["predicted"]["nmse_ci95"] is not None) == known
+    assert any("(too short for an interval)" in line for line in comparison_lines(comparison)) == (not known)
+
+
 def write(out: Path, rows: str) -> None:
     with result_folder(out, STEERING, VIDEO) as folder:
         (folder / STEERING).write_text(HEADER + rows)

@@ -189,6 +189,19 @@ def test_a_bin_where_every_angle_is_0_has_no_verdict(tmp_path: Path) -> None:
     assert bends.endswith("; on straight road (|curvature| 0 to 0.03 1/m) it has RMSE 2.6°, zero has 0.0°.")
 
 
+def test_without_an_interval_nothing_is_shown(tmp_path: Path) -> None:
+    contents = [model(name, odometry=0.4, regression=0.4) for name in ("net", "second")]
+    for content in contents:
+        content["test"]["nmse_ci95"] = None
+    accuracy, rank, odometry, *_ = sentences(examples.results(tmp_path, *contents))
+    assert accuracy.endswith(
+        "is not shown to be better than always predicting zero: it has 20 % of the squared error of zero (too short "
+        "for an interval)."
+    )
+    assert rank == "It has the lowest error of 2 models, but is not shown to be better than second."
+    assert odometry == "It is not shown to be better than odometry, which has 40 % of the squared error of zero."
+
+
 def test_a_model_on_odometry_of_a_wrong_scale_gets_no_base(tmp_path: Path) -> None:
     content = model(odometry=2.4, regression=0.08, factor=0.38, motion="visual", base="motion")
     *_, step = sentences(examples.results(tmp_path, content))

@@ -29,12 +29,13 @@ class World:
         """Return this process's part of `count` indices; empty if there are too few."""
         return list(range(self.rank, count, self.size))
 
-    def sum(self, tensor: "Tensor") -> "Tensor":
-        """Add up the processes' tensors, in place."""
+    def mean(self, tensor: "Tensor") -> "Tensor":
+        """Average the processes' tensors, in place."""
         if self.size > 1:
             from torch import distributed
 
             distributed.all_reduce(tensor)
+            tensor /= self.size
         return tensor
 
     def gather(self, part: T) -> list[T]:

@@ -68,6 +68,11 @@ class Fit:
         self.curve: list[Epoch] = []
         self.best = copy_weights(net)
 
+    def targets(self, target: predict.Target | PathTarget) -> reading.Targets:
+        """Return the function by which the reader's processes compute a batch's targets, on the CPU."""
+        dtype = next(self.net.parameters()).dtype
+        return partial(step_targets, target=target, alpha=self.alpha, mirror=self.settings.mirror, dtype=dtype)
+
     def run(
         self,
         train: Sequence[windows.LabelledDrive],
@@ -84,12 +89,12 @@ class Fit:
         """
         self._resume(state, title)
         epochs, patience = self.settings.epochs, self.settings.patience
-        with reading.Reader([*train, *val], self.window, self.net.device) as reader:
+        with reading.Reader([*train, *val], self.window, self.net.device, self.targets(target)) as reader:
             read_val = partial(reader.predictions, first=len(train))
             started, before = time.perf_counter(), len(self.curve)
             while len(self.curve) < epochs and not out_of_patience(self.curve, patience):
                 epoch = len(self.curve) + 1
-                loss, rate = self._train(reader, train, target, epoch)
+                loss, rate = self._train(reader, train, epoch)
                 if not math.isfinite(loss):
                     raise InputError(
                         f"loss of epoch {epoch} is {loss}", title, "Lower train.learning_rate or clip_norm"
@@ -131,18 +136,14 @@ class Fit:
         return shares, steps
 
     def _train(
-        self,
-        reader: reading.Reader,
-        drives: Sequence[windows.LabelledDrive],
-        target: predict.Target | PathTarget,
-        epoch: int,
+        self, reader: reading.Reader, drives: Sequence[windows.LabelledDrive], epoch: int
     ) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
-        settings, device, path = self.settings, self.net.device, isinstance(target, PathTarget)
-        loss = robust_loss if path else weighted_loss
+        settings, device, net = self.settings, self.net.device, self.net
+        loss = robust_loss if net.path else weighted_loss
         shares, steps = self._plan(drives, epoch)
         self.learner.train()
-        total, rate = torch.zeros(2, dtype=torch.float64, device=device), 0.0  # sums of weight · error², weight
+        errors, masses, rate = [], [], 0.0
         alone = multiprocessing.parent_process() is None  # several bars on one terminal overwrite each other
         hidden = not (alone and self.world.is_main and sys.stderr.isatty())
         bar = tqdm(reader.batches(steps), f"epoch {epoch}", len(steps), unit="step", leave=False, disable=hidden)
@@ -151,30 +152,24 @@ class Fit:
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rate
             # Copied before the forward pass: the copies do not wait for it.
-            targets = {name: batch[name].to(device, non_blocking=True) for name in TARGETS if name in batch}
+            residual, weight = (batch[name].to(device, non_blocking=True) for name in ("residual", "weight"))
             with autocast(device, settings.precision):
-                predicted = self.learner(*self.net.inputs(batch), pairs=settings.mirror)
-            targets = {name: tensor.to(predicted) for name, tensor in targets.items()}
-            weight = targets["valid"]  # [W], of a path [W,R]
-            if not path:
-                weight = weight * torch.exp(self.alpha * targets["steering_rad"].abs())
+                predicted = self.learner(*net.inputs(batch), pairs=settings.mirror)
             weight = weight if share else torch.zeros_like(weight)
-            residual = target.residual(targets)
-            if settings.mirror:
-                residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])
-            mass = self.world.sum(weight.sum())
             error = loss(predicted, residual, weight)
+            # A mean over processes, as DistributedDataParallel averages gradients. Not 0: each run has a valid target.
+            mass = self.world.mean(weight.sum())
             self.optimiser.zero_grad(set_to_none=True)
-            # DistributedDataParallel averages gradients over processes; the loss is a sum over them.
-            (error * self.world.size / mass.clamp_min(torch.finfo(mass.dtype).tiny)).backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(self.net.parameters(), settings.clip_norm)
+            (error / mass).backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)
             self.optimiser.step()
             decay = settings.average if step or epoch > 1 else 0.0  # starts with the weights after the first step
             with torch.no_grad():
-                torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], 1 - decay)
-            total += torch.stack([error.detach(), weight.sum()])
-        error_sum, weight_sum = self.world.sum(total).tolist()
-        return error_sum / weight_sum, rate
+                torch._foreach_lerp_([*self.average.parameters()], [*net.parameters()], 1 - decay)
+            errors.append(error.detach())
+            masses.append(mass)
+        error_sum, mass_sum = self.world.mean(torch.stack(errors + masses).double().view(2, -1).sum(1)).tolist()
+        return error_sum / mass_sum, rate
 
     def _validate(
         self, drives: Sequence[windows.LabelledDrive], target: predict.Target | PathTarget, read: Any
@@ -238,6 +233,22 @@ def copy_weights(net: nn.Module) -> dict[str, Tensor]:
     return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
 
 
+def step_targets(
+    batch: Mapping[str, Tensor], target: predict.Target | PathTarget, alpha: float, mirror: bool, dtype: torch.dtype
+) -> dict[str, Tensor]:
+    """Return `residual`, the outputs that the network should have, and their `weight` in the loss, both [W] or [W,R].
+
+    With `mirror` those of the mirrored windows follow.
+    """
+    arrays = {name: batch[name].to(dtype) for name in TARGETS if name in batch}
+    residual, weight = target.residual(arrays), arrays["valid"]
+    if isinstance(target, predict.Target):
+        weight = weight * torch.exp(alpha * arrays["steering_rad"].abs())
+    if mirror:
+        residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])
+    return {"residual": residual, "weight": weight}
+
+
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     """Return Σ w (Θ̂ - Θ)² over windows [W]: paper eq. 9 when divided by Σ w.
 
@@ -245,7 +256,7 @@ def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     up to a constant. As the loss of Θ̂, it gives hard windows a large σ instead of learning them.
     """
     if predicted.ndim == 1:
-        return (weight * (predicted - target).square()).sum()
+        return (weight * nn.functional.mse_loss(predicted, target, reduction="none")).sum()
     mean, log_sigma = predicted.unbind(1)
     error = mean - target
     likelihood = log_sigma + (error.detach() * torch.exp(-log_sigma)).square() / 2

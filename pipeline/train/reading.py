@@ -7,7 +7,7 @@ the reader.
 
 import math
 import shutil
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from pipeline.base.executors import default_workers
@@ -24,6 +25,8 @@ from pipeline.train import windows
 from pipeline.train.augment import rescale
 
 AHEAD = 4  # batches per process
+Targets = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
+"""Arrays of a batch → further arrays, computed where it is read."""
 SHARED_MEMORY = Path("/dev/shm")  # where torch's processes put batches; 64 MB in a container by default
 
 
@@ -43,10 +46,15 @@ class Reader(Dataset[dict[str, Any]]):
     """
 
     def __init__(
-        self, drives: Sequence[windows.LabelledDrive], window: int, device: torch.device, workers: int | None = None
+        self,
+        drives: Sequence[windows.LabelledDrive],
+        window: int,
+        device: torch.device,
+        targets: Targets | None = None,
+        workers: int | None = None,
     ) -> None:
         """`workers`: processes; 0: a thread. None: STEER_WORKERS on a GPU, a thread on a CPU."""
-        self._drives, self._window = drives, window
+        self._drives, self._window, self._targets = drives, window, targets
         self._opened: dict[int, graph_file.Graphs] = {}
         self._files = ExitStack()
         self._epoch: list[TrainStep] = []  # the loader's sampler; its processes live for several epochs
@@ -110,7 +118,8 @@ class Reader(Dataset[dict[str, Any]]):
             hidden = np.repeat(step.hide_motion, lengths)
             batch["motion"][hidden] = 0
             batch["base_rad"][hidden[batch["windows"][:, -1]]] = 0
-        return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
+        tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
+        return tensors | (self._targets(tensors) if self._targets else {})
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_opened": {}, "_files": ExitStack(), "_loader": None}  # for the loader's processes

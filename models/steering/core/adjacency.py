@@ -20,9 +20,8 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
         [N,N] with E + N entries; in each row the diagonal first, then the neighbours in the given order.
     """
     nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
-    node = torch.arange(nodes, dtype=indices.dtype, device=device)
-    sizes = degree.long() + 1
-    row = node.repeat_interleave(sizes, output_size=entries)  # of each entry
+    sizes = degree.to(indices.dtype) + 1
+    row = torch.repeat_interleave(sizes, output_size=entries)  # of each entry
     starts = nn.functional.pad(sizes.cumsum(0), (1, 0))
     neighbour = torch.ones(entries, dtype=torch.bool, device=device).index_fill_(0, starts[:-1], False)
     column = row.masked_scatter(neighbour, indices)

@@ -76,14 +76,14 @@ class GraphNetwork(nn.Module):
         x = x * self.signs if versions == 2 else x
         for layer in self.layers:
             x = layer(x, operator).relu()  # [N, S, width]
-        pooled = mean_max_pool(x.flatten(1), batch.ptr).view(-1, 2, *x.shape[1:])
+        pooled = mean_max_pool(x, batch.ptr)  # [B, S, 2 width]
         if self.sectors:
             by_sector = sector_max_pool(x.flatten(1), batch.xyz, batch.ptr, self.sectors)
             by_sector = by_sector.view(-1, self.sectors, *x.shape[1:])
             if versions == 2:  # mirroring reverses the sectors
                 by_sector = torch.stack([by_sector[:, :, 0], by_sector[:, :, 1].flip(1)], dim=2)
-            pooled = torch.cat([pooled, by_sector], dim=1)
-        return pooled.transpose(1, 2).flatten(2)
+            pooled = torch.cat([pooled, by_sector.transpose(1, 2).flatten(2)], dim=2)
+        return pooled
 
     def project(self, pooled: Tensor) -> Tensor:
         """Map pooled values to features in (-1,1), where LTC synapses are sensitive: [..., pooled] → [..., F]."""

@@ -171,7 +171,7 @@ class SteeringNet(nn.Module):
         if self.path:
             return out[:, -1]
         if self.uncertainty is None:
-            return out[:, -1, 0]
+            return out[:, -1].squeeze(1)
         log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1]
         return torch.cat([out[:, -1], log_sigma], dim=1)
 

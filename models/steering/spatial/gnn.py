@@ -29,7 +29,7 @@ class GCNLayer(nn.Module):
     def forward(self, x: Tensor, adjacency: Tensor | Padded) -> Tensor:
         inputs, outputs = self.weight.shape
         if inputs <= outputs:  # the sparse product runs on the narrower side
-            return propagate(adjacency, x.flatten(1)).view_as(x) @ self.weight + self.bias
+            return nn.functional.linear(propagate(adjacency, x.flatten(1)).view_as(x), self.weight.T, self.bias)
         x = x @ self.weight
         return propagate(adjacency, x.flatten(1)).view_as(x) + self.bias
 

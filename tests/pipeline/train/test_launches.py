@@ -58,11 +58,13 @@ def count(folder: Path, line: dict[str, object], write: Callable[..., None]) -> 
     torch.manual_seed(0)
     net = entry.build(**contents.model_dump())
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"])
-    with simulated_gpu.Gpu() as gpu, reading.Reader(drives, entry.window, torch.device("cpu")) as reader:
+    with simulated_gpu.Gpu() as gpu:
         gpu.move(net)
-        pinned: Any = PinnedReader(reader, gpu)
         run = fit.Fit(net, entry.window, entry.alpha, settings, seed=0)
-        loss, _ = run._train(pinned, drives, predict.Target.from_drives(drives), 1)
+        targets = run.targets(predict.Target.from_drives(drives))
+        with reading.Reader(drives, entry.window, torch.device("cpu"), targets) as reader:
+            pinned: Any = PinnedReader(reader, gpu)
+            loss, _ = run._train(pinned, drives, 1)
     assert np.isfinite(loss)
     counts: Counts = pinned.steps[-1]
     return counts

@@ -49,7 +49,7 @@ def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_batches_equal_the_reference(drives: list[windows.LabelledDrive], workers: int) -> None:
-    with Reader(drives, 4, torch.device("cpu"), workers) as reader:
+    with Reader(drives, 4, torch.device("cpu"), workers=workers) as reader:
         for epoch in range(2):  # with the same processes
             steps = planned(epoch)
             for step, batch in zip(steps, reader.batches(steps), strict=True):
@@ -68,12 +68,12 @@ def test_shared_memory_limits_the_processes(
     note: str,
 ) -> None:
     (step, *_) = steps = planned(0)
-    with Reader(drives, 4, torch.device("cpu"), 0) as reader:
+    with Reader(drives, 4, torch.device("cpu"), workers=0) as reader:
         batch_bytes = sum(tensor.nbytes for tensor in reader[step].values())
     monkeypatch.setattr(reading.shutil, "disk_usage", lambda _: SimpleNamespace(free=int(free_batches * batch_bytes)))
     started = []
     monkeypatch.setattr(reading, "DataLoader", lambda reader, **options: started.append(options) or [])
-    with Reader(drives, 4, torch.device("cpu"), 2) as reader:
+    with Reader(drives, 4, torch.device("cpu"), workers=2) as reader:
         read = list(reader.batches(steps))
     assert sum(options["num_workers"] for options in started) == processes
     assert all(2 * (2 + options["prefetch_factor"] * 2) <= free_batches for options in started)
@@ -91,7 +91,7 @@ def test_predictions_are_the_same_with_each_reader(drives: list[windows.Labelled
     entry = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 4})
     net, target = entry.build("graph"), predict.Target.from_drives(drives)
     (expected,) = predict.predict_drives(net, drives[1:], 4, target)
-    with Reader(drives, 4, torch.device("cpu"), workers) as reader:
+    with Reader(drives, 4, torch.device("cpu"), workers=workers) as reader:
         read = partial(reader.predictions, first=1)
         (predicted,) = predict.predict_drives(net, drives[1:], 4, target, read=read)
     np.testing.assert_array_equal(predicted.steering_rad, expected.steering_rad, strict=True)
@@ -105,7 +105,7 @@ def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[windows.Labe
     folders = tmp_path / "graphs/semantic", tmp_path / "labels"
     moving = windows.read_drives(*folders, names, 4, horizon=5, motion="visual")
     runs = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
-    with Reader(moving, 4, torch.device("cpu"), 0) as reader:
+    with Reader(moving, 4, torch.device("cpu"), workers=0) as reader:
         shown, half = reader[TrainStep(runs)], reader[TrainStep(runs, hide_motion=np.array([False, True]))]
     assert (shown["base_rad"] != 0).all()
     assert (shown["motion"][:, 3] == 1).all()

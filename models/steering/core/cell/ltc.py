@@ -47,11 +47,10 @@ class LTC(RecurrentCell):
         (v,) = state or (projected.new_zeros(len(projected), len(leak)),)  # [W,U]
         c = softplus(self.capacity) * (self.unfolds * NOMINAL_STEP_S / dt_s[..., None])  # [W,T,U]
         fixed = projected + torch.cat([leak * self.rest, leak + EPSILON])  # numerator ‖ denominator, [W,T,2U]
-        unfolded: tuple[Tensor, Tensor] = Unfolded.apply(  # type: ignore[no-untyped-call]
+        potentials: Tensor = Unfolded.apply(  # type: ignore[no-untyped-call]
             v, c, fixed, *self.internal.matrices(), self.internal.place, self.unfolds
         )
-        potentials, v = unfolded
-        return potentials[..., : self.motor] * self.output_scale + self.output_shift, (v,)
+        return potentials[..., : self.motor] * self.output_scale + self.output_shift, (potentials[:, -1],)
 
 
 class Unfolded(torch.autograd.Function):
@@ -63,7 +62,7 @@ class Unfolded(torch.autograd.Function):
     Args: v [W,U] before; c [W,T,U]; fixed [W,T,2U], the part of numerator ‖ denominator that is constant in a frame;
         slope [U,S], threshold [S] and sums [S,2U] of the internal synapses; place [S], their entries in a flattened
         matrix [U,U]; steps a frame.
-    Returns: v after each frame [W,T,U], and after the last one [W,U].
+    Returns: v after each frame [W,T,U].
     """
 
     @staticmethod
@@ -77,7 +76,7 @@ class Unfolded(torch.autograd.Function):
         sums: Tensor,
         place: Tensor,
         unfolds: int,
-    ) -> tuple[Tensor, Tensor]:
+    ) -> Tensor:
         fixed = torch.cat([fixed[..., : c.shape[2]], fixed[..., c.shape[2] :] + c], dim=2)
         below = -threshold.expand(len(v), -1)  # [W,S]; expanded, addmm is faster
         potentials, opened, denominators = [v], [], []
@@ -91,12 +90,11 @@ class Unfolded(torch.autograd.Function):
                 denominators.append(denominator)
         ctx.save_for_backward(c, slope, sums, place)
         ctx.steps = (potentials, opened, denominators) if any(ctx.needs_input_grad) else None
-        # The returned tensors must not be the saved ones: that would be a reference cycle.
-        return torch.stack(potentials[unfolds::unfolds], dim=1), v.clone()
+        return torch.stack(potentials[unfolds::unfolds], dim=1)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad_potentials: Tensor, grad_last: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, grad_potentials: Tensor) -> tuple[Tensor | None, ...]:
         c, slope, sums, place = ctx.saved_tensors
         potentials, opened, denominators = map(torch.stack, ctx.steps)  # [K+1,W,U], [K,W,S], [K,W,U]
         (steps, windows, units), frames = denominators.shape, c.shape[1]
@@ -117,7 +115,7 @@ class Unfolded(torch.autograd.Function):
         transposed = jacobian.transpose(3, 4).flatten(0, 1)
 
         grad_frames = grad_potentials.transpose(0, 1)[:, :, None]  # [T,W,1,U]
-        upstream = [grad_frames[-1] + grad_last[:, None]]  # of v after the last step, the one before, …, [W,1,U]
+        upstream = [grad_frames[-1]]  # of v after the last step, the one before, …, [W,1,U]
         for step in reversed(range(steps)):
             frame, within = divmod(step, unfolds)
             gradient, matrix = upstream[-1], transposed[step]

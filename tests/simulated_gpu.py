@@ -3,10 +3,11 @@
 with simulated_gpu.Gpu() as gpu:
     gpu.move(net)
     ...
-print(gpu.launches, gpu.blocking_copies, gpu.synchronisations)
+print(gpu.launches, gpu.moved_bytes, gpu.copies, gpu.synchronisations)
 
 An operator is one launch, unless it only returns a view or allocates; a _foreach operator on lists is one. A real GPU
-launches at least as many kernels. An operator on tensors of both devices raises an error.
+launches at least as many kernels. `moved_bytes` assumes that each operator reads its inputs from memory and writes its
+results there. An operator on tensors of both devices raises an error.
 """
 
 import warnings
@@ -66,6 +67,7 @@ class Gpu(TorchDispatchMode):
     def __init__(self) -> None:
         super().__init__()
         self.operators: Counter[str] = Counter()  # launches by operator
+        self.moved_bytes = 0
         self.copies: list[str] = []  # blocking copies to the GPU
         self.synchronisations: list[str] = []
         self._pinned: dict[int, Tensor] = {}
@@ -79,6 +81,7 @@ class Gpu(TorchDispatchMode):
         """Start counting again."""
         for record in (self.operators, self.copies, self.synchronisations):
             record.clear()
+        self.moved_bytes = 0
 
     def move(self, net: nn.Module) -> None:
         """Move a network's parameters and buffers to the simulated GPU."""
@@ -134,8 +137,12 @@ class Gpu(TorchDispatchMode):
             mixed = [tensor for tensor in tensors if not isinstance(tensor, OnGpu) and tensor.ndim]
             if mixed:
                 raise RuntimeError(f"{operator}: tensors of both devices, on the CPU {[t.shape for t in mixed]}")
+        launches = self.launches
         self._count(operator, name, args, kwargs)
-        return _wrap(operator(*_unwrap(args), **_unwrap(kwargs)), args, kwargs)
+        result = _wrap(operator(*_unwrap(args), **_unwrap(kwargs)), args, kwargs)
+        if self.launches > launches:
+            self.moved_bytes += sum(map(_bytes, tensors + _tensors(result)))
+        return result
 
     def _copy(self, operator: Any, name: str, target: Any, args: Any, kwargs: Any) -> Any:
         source = args[1] if name == "copy_" else args[0]
@@ -198,6 +205,13 @@ class _Functions(TorchFunctionMode):
 
 def _tensors(tree: Any) -> list[Tensor]:
     return [leaf for leaf in tree_flatten(tree)[0] if isinstance(leaf, Tensor)]
+
+
+def _bytes(tensor: Tensor) -> int:
+    values = tensor.values if isinstance(tensor, OnGpu) else tensor
+    if values.layout == torch.sparse_csr:
+        return sum(part.nbytes for part in (values.crow_indices(), values.col_indices(), values.values()))
+    return min(values.nbytes, values.untyped_storage().nbytes())  # an expanded tensor has fewer than its elements
 
 
 def _unwrap(tree: Any) -> Any:

@@ -39,7 +39,7 @@ def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
     """Return mean ‖ max over each frame's points: [N,..,C], ptr [B+1] → [B,..,2C]; zeros for a frame without points."""
     # A loop over frames is faster here than segment_reduce (8x, 2 cores) and, unlike index_add, deterministic on CUDA.
     if _uniform_on_gpu(x, ptr):
-        frames = x.unflatten(0, (len(ptr) - 1, -1))
+        frames = x.reshape(len(ptr) - 1, -1, *x.shape[1:])
         return torch.cat([frames.mean(1), frames.amax(1)], dim=-1)
     halves = (
         (points.mean(0), points.amax(0)) if points.shape[0] else (points.sum(0),) * 2 for points in _by_frame(x, ptr)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.train import fit, runs
+from pipeline.train import fit, predict, runs
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
@@ -53,6 +53,21 @@ def test_epochs_without_validation_error_are_not_selected() -> None:
     assert selected_epoch(epochs(0.9, 0.8, nothing)) == 2
     assert selected_epoch(epochs(nothing, nothing)) == 2
     assert selected_epoch([]) == 0
+
+
+def test_targets_of_a_step_are_standardised_weighted_and_mirrored() -> None:
+    target = predict.Target(mean_rad=0.0, std_rad=0.5, wheelbase_m=2.7, min_speed_mps=1.0)
+    batch = {
+        "steering_rad": torch.tensor([0.2, -0.3, 0.0]),
+        "base_rad": torch.tensor([0.1, 0.0, 0.0]),
+        "valid": torch.tensor([True, True, False]),
+    }
+    plain = fit.step_targets(batch, target, alpha=2.0, mirror=False, dtype=torch.float64)
+    assert plain["residual"].tolist() == pytest.approx([0.2, -0.6, 0.0])
+    assert plain["weight"].tolist() == pytest.approx([np.exp(0.4), np.exp(0.6), 0.0])
+    both = fit.step_targets(batch, target, alpha=2.0, mirror=True, dtype=torch.float64)
+    assert torch.equal(both["residual"], torch.cat([plain["residual"], -plain["residual"]]))
+    assert torch.equal(both["weight"], torch.cat([plain["weight"], plain["weight"]]))
 
 
 def test_loss_with_uncertainty_is_the_likelihood_of_a_normal_distribution() -> None:

@@ -49,7 +49,7 @@ def main(
         for model in evaluated:
             dvc_files.write_learning(data / "train" / model, out / "learning")
         dvc_files.write_steering(results.predictions, out / "steering")
-        captions = draw(out / "figures", results, data)
+        captions = draw(out / "figures", results, paths, data)
         story = sentences(results)
         write_page(out / "index.html", story, results, steering, path_tables, perception_tables, captions, data)
         comparison = studies.write(results, out / "settings", settings)

@@ -140,25 +140,6 @@ class _Track:
         self._speed_sigma = math.hypot(sigma, self._height_sigma)
 
 
-def follow(curvature_1pm: np.ndarray, step_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places ahead + left i in metres, complex, and headings in rad, both [N+1], after steps of a path.
-
-    `curvature_1pm` of each step [N], left positive.
-    """
-    heading_rad = np.append(0, np.cumsum(curvature_1pm * step_m))
-    halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
-    return np.append(0, np.cumsum(step_m * np.exp(1j * halfway_rad))), heading_rad
-
-
-def path_steps(path_1pm: Sequence[float], ahead_m: Sequence[float], step_m: float) -> np.ndarray:
-    """Return the curvature of each step [N] of a path with the mean curvature `path_1pm` [R] in ranges of edges [R+1].
-
-    Before the first edge, the path has the curvature of the first range.
-    """
-    middles_m = np.arange(step_m / 2, ahead_m[-1], step_m)
-    return np.asarray(path_1pm)[np.searchsorted(np.asarray(ahead_m)[1:-1], middles_m)]
-
-
 def _mean(seconds: np.ndarray, values: np.ndarray, sigma_s: float) -> tuple[float, float]:
     """Return the Gaussian mean of values [N] at `seconds` [N] from the centre, and its error.
 

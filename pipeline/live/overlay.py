@@ -9,17 +9,13 @@ from typing import Self
 import av
 import numpy as np
 
-from pipeline.camera.geometry import project
+from pipeline.drawing.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.live.chain import FrameState
-from pipeline.live.course import follow, path_steps
 from pipeline.live.source import Source
 
-COLOURS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}  # RGB
-HALF_TRACK_M, STEP_M = 0.8, 0.5
 # A path ends at this multiple of the distance of the nearest visible road, within limits: a narrow lens sees no nearer
 # road than 11 m.
 REACH, MIN_REACH_M, MAX_REACH_M = 5.0, 30.0, 100.0
-NEAREST_M = 1.0  # drawn distance from the camera
 # Fragments can be played without the index that other MP4 files end with, so a killed run leaves a playable video.
 CONTAINER = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
 
@@ -114,14 +110,8 @@ class Overlay:
         """Draw the path of the rear wheels on a plane road, of the curvature of each step [N]."""
         import cv2
 
-        middle, heading_rad = follow(curvature_1pm, STEP_M)
-        sides, width = [], self._camera.size[1]
-        for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
-            wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)
-            down = self._camera.height_m + self._slope * wheel.real
-            uv, z = project(np.stack([-wheel.imag, down, wheel.real], axis=1), self._camera.K)
-            near = np.clip(uv[z > NEAREST_M], -5 * width, 5 * width)  # OpenCV's coordinates end at 32,767
-            sides.append(np.rint(near).astype(np.int32))
+        tracks = wheel_tracks(curvature_1pm, self._camera, self._slope)
+        sides = [np.rint(track).astype(np.int32) for track in tracks]
         if filled:
             shade = image.copy()
             cv2.fillPoly(shade, [np.concatenate([sides[0], sides[1][::-1]])], colour)

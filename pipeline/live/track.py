@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.live.course import follow, path_steps
+from pipeline.drawing.path import STEP_M, follow, path_steps
 from pipeline.live.results import Results
 
 PoseFormat = Literal["kitti", "tum"]
-STEP_M = 0.5  # of drawn paths
 COLOURS = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}
 
 

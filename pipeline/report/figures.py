@@ -1,5 +1,6 @@
 """Draw the figures of the paper that the data at hand allows, as PNG and SVG files, and write their captions."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,12 @@ from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera, read_camera
 from pipeline.drawing import figure_file, street_view
+from pipeline.drawing.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.evaluate.paths import Track, segments
 from pipeline.graphs import graph, graph_file
+from pipeline.report.path_ahead import PathResults
 from pipeline.report.results import Results, load_structures, steering_lines
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
@@ -26,22 +30,26 @@ Captions = dict[str, str]
 """Name of the file without suffix → caption."""
 
 
-def draw(out: Path, results: Results, data: Path) -> Captions:
+def draw(out: Path, results: Results, paths: Sequence[PathResults], data: Path) -> Captions:
     """Draw figures of the best model that predicts the current angle, from the stages' folders in `data`.
 
-    The largest errors are drawn for the best model of each horizon.
+    The largest errors are drawn for the best model of each horizon, and for the best of the path ahead.
     """
-    if results.models.empty:
-        return {}
     captions: Captions = {}
-    for horizon, models in results.models.sort_values("test.nmse", kind="stable").groupby("line.horizon"):
+    by_error = results.models.sort_values("test.nmse", kind="stable") if len(results.models) else pd.DataFrame()
+    for horizon, models in by_error.groupby("line.horizon") if len(by_error) else ():
         best = models.iloc[0]
         steering = results.first_seed([best["model"]])
         if horizon == 0:
             captions |= _draw_images(out, best, steering, data)
             captions |= _draw_pruning(out, best, data / "evaluate")
             captions |= _draw_paths(out, models[:MAX_MODELS], results)
-        captions |= _draw_errors(out / f"{ERRORS}-{horizon}", best, steering, data / "ingest")
+        angles = f"angles {horizon} frames later" if horizon else "angles"
+        captions |= _draw_errors(out / f"{ERRORS}-{horizon}", best["model"], angles, steering, data / "ingest")
+    for path in sorted(paths, key=lambda path: path.mean_nmse)[:1]:
+        angles = f"paths and the angles by which they turn in {path.ahead_m[-1]:g} m"
+        first = path.predictions[path.predictions["run"] == ""]
+        captions |= _draw_errors(out / f"{ERRORS}-path", path.metrics.model, angles, first, data / "ingest", path)
     return captions
 
 
@@ -169,43 +177,61 @@ def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(largest)
 
 
-def _draw_errors(path: Path, model: pd.Series, predictions: pd.DataFrame, ingest: Path) -> Captions:
-    """Draw the last image that a model got before each of its largest errors; nothing without images."""
+def _draw_errors(
+    file: Path, model: str, angles: str, predictions: pd.DataFrame, ingest: Path, paths: PathResults | None = None
+) -> Captions:
+    """Draw the last image that a model got before each of its largest errors; nothing without images.
+
+    `angles`: the meaning of driven_deg and predicted_deg. With `paths`, both paths are drawn on the street.
+    """
     shown = []
     for _, row in largest_errors(predictions).iterrows():
-        image = _read_image(ingest / f"{row['drive']}.h5", row["frame"])
-        if image is not None:
-            shown.append((row, image))
+        if found := _read_image(ingest / f"{row['drive']}.h5", row["frame"]):
+            shown.append((row, *found))
     if not shown:
         return {}
-    horizon = model["line.horizon"]
-    ahead = f" {horizon} frames later" if horizon else ""
     (height, width), rows = shown[0][1].shape[:2], -(-len(shown) // 2)
     figure = Figure(figsize=(12, (6 * height / width + 0.3) * rows), layout="constrained")
     for panel in figure.subplots(rows, 2, squeeze=False).ravel():
         panel.set_axis_off()
-    for panel, (row, image) in zip(figure.axes, shown, strict=False):
+    for panel, (row, image, camera) in zip(figure.axes, shown, strict=False):
         panel.imshow(image)
-        angles = f"driven {row['driven_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
-        title = f"{row['drive']}, frame {row['frame']}: {angles}, share {row['share']:.0%}"
+        if paths:
+            for kind in ("driven", "predicted"):
+                steps = path_steps(paths.curvature_1pm(row, kind), paths.ahead_m, STEP_M)
+                draw_path(panel, wheel_tracks(steps, camera), kind)
+        text = f"driven {row['driven_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
+        title = f"{row['drive']}, frame {row['frame']}: {text}, share {row['share']:.0%}"
         panel.set_title(title, fontsize="small", loc="left")
-    _save(figure, path)
+    _save(figure, file)
+    colours = " Red: driven, green: predicted." if paths else ""
     caption = (
-        f"Largest errors of {model['model']}, first seed: the last image of its input, angles{ahead} (left +), and the "
-        f"share of the squared error that lies within {APART_S:g} s."
+        f"Largest errors of {model}, first seed: the last image of its input, {angles} (left +), and the share of the "
+        f"squared error that lies within {APART_S:g} s.{colours}"
     )
-    return {path.name: caption}
+    return {file.name: caption}
 
 
-def _read_image(path: Path, number: int) -> np.ndarray | None:
-    """Read a frame's image from a file of stage ingest; None if the file, the frame or its image is missing."""
+def draw_path(panel: Axes, tracks: Sequence[np.ndarray], kind: str) -> None:
+    """Draw the tracks of both wheels, :func:`wheel_tracks`, over the image in a panel; `kind`: a key of COLOURS."""
+    limits = panel.get_xlim(), panel.get_ylim()
+    left, right = tracks
+    colour = [value / 255 for value in COLOURS[kind]]
+    panel.fill(*np.concatenate([left, right[::-1]]).T, color=colour, alpha=0.3, linewidth=0)
+    for side in tracks:
+        panel.plot(*side.T, color=colour, linewidth=1.5)
+    panel.set(xlim=limits[0], ylim=limits[1])
+
+
+def _read_image(path: Path, number: int) -> tuple[np.ndarray, Camera] | None:
+    """Read a frame's image and its camera from a file of stage ingest; None if file, frame or image is missing."""
     if not path.is_file():
         return None
     with store.DriveReader(path, stage="ingest") as images:
         if number not in images.frame:
             return None
         row = images.row_of(number)
-        return images.row("image", row) if images["has_image"][row] else None
+        return (images.row("image", row), read_camera(images)) if images["has_image"][row] else None
 
 
 def _draw_paths(out: Path, models: pd.DataFrame, results: Results) -> Captions:

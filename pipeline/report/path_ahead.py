@@ -1,9 +1,11 @@
 """Compare models that predict the path ahead: tables by range, with paired differences, and DVC's metrics."""
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from pipeline.base import store
@@ -31,7 +33,24 @@ class PathResults(NamedTuple):
     """Results of a model that predicts the path ahead."""
 
     metrics: PathMetrics
-    predictions: pd.DataFrame  # rows of predictions.csv of each seed, with columns model and run
+    predictions: pd.DataFrame
+    """Rows of predictions.csv of each seed, with model, run, elapsed_s, and the angles driven_deg and predicted_deg by
+    which the path turns in all ranges together; NaN without one of them."""
+
+    @property
+    def ahead_m(self) -> list[float]:
+        """Return the edges of the ranges."""
+        return [self.metrics.test[0].from_m, *(row.to_m for row in self.metrics.test)]
+
+    @property
+    def mean_nmse(self) -> float:
+        """Return the mean over the ranges; infinite if none has a bend."""
+        known = [row.nmse for row in self.metrics.test if row.nmse is not None]
+        return float(np.mean(known)) if known else np.inf
+
+    def curvature_1pm(self, row: pd.Series, kind: str) -> list[float]:
+        """Return the driven or predicted path [R] of a row of `predictions`."""
+        return [float(row[f"{kind}_{_name(errors)}_1pm"]) for errors in self.metrics.test]
 
 
 def path_models(evaluate: Path, models: Sequence[str]) -> list[str]:
@@ -52,9 +71,13 @@ def _load(folder: Path) -> PathResults:
     runs = []
     for path in sorted(folder.rglob("predictions.csv")):
         with error_context(path, fix=fix(folder.name)):
-            columns = [f"{kind}_{_name(row)}_1pm" for row in metrics.test for kind in ("driven", "predicted")]
-            types = {"drive": str, "frame": int, **dict.fromkeys(columns, float)}
+            columns = {kind: [f"{kind}_{_name(row)}_1pm" for row in metrics.test] for kind in ("driven", "predicted")}
+            types = {"drive": str, "frame": int, **dict.fromkeys(["time_s", *chain(*columns.values())], float)}
             table = pd.read_csv(path, usecols=[*types], dtype=types)
+            table["elapsed_s"] = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
+            for kind, names in columns.items():
+                turned_rad = table[names].to_numpy() @ [row.to_m - row.from_m for row in metrics.test]
+                table[f"{kind}_deg"] = np.rad2deg(turned_rad)
         runs.append(table.assign(model=folder.name, run=".".join(path.parent.relative_to(folder).parts)))
     return PathResults(metrics, pd.concat(runs, ignore_index=True))
 

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.labels.label import Car
 from pipeline.live.chain import FrameState
-from pipeline.live.course import TYPICAL_MPS, SpeedFilter, add_courses, follow, path_steps
+from pipeline.live.course import TYPICAL_MPS, SpeedFilter, add_courses
 from pipeline.motion.estimator import Estimate
 from pipeline.motion.step import Step
 
@@ -74,12 +74,3 @@ def test_reversing_and_standing_keep_sign_and_zero() -> None:
     speeds = [speed.add(number / 10, mps, True, 0.02)[0] for number, mps in enumerate([-2.0] * 20 + [0.0] * 5)]
     assert speeds[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
     assert speeds[20:] == [0.0] * 5
-
-
-def test_a_path_of_ranges_ends_where_its_arcs_do() -> None:
-    """5 m straight on, then a quarter of a circle of 10 m to the left."""
-    steps = path_steps([0.0, 0.1], [0, 5, 5 + 5 * np.pi], 0.01)
-    places, heading_rad = follow(steps, 0.01)
-    assert places[500] == pytest.approx(5.0)
-    assert places[-1] == pytest.approx(15 + 10j, abs=0.02)
-    assert heading_rad[-1] == pytest.approx(np.pi / 2, abs=2e-3)

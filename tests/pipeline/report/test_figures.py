@@ -43,7 +43,7 @@ def test_figures_show_what_the_encoder_has(tmp_path: Path, monkeypatch: pytest.M
     }
     store.write_json(tmp_path / "evaluate/net/structure.json", {drive: graph})
     results = examples.load_results(tmp_path / "evaluate", ["net"])
-    captions = figures.draw(tmp_path / "figures", results, tmp_path)
+    captions = figures.draw(tmp_path / "figures", results, [], tmp_path)
     assert [*captions] == ["chain", "street", *["pruning"] * with_classes, "paths", "errors-0"]
     numbers = [1, 2, 3, 4] if with_classes else [1, 2, 4]
     assert [caption[:8] for caption in captions.values()][: len(numbers)] == [f"Figure {number}" for number in numbers]
@@ -60,12 +60,13 @@ def test_each_horizon_has_its_largest_errors_where_images_are_there(tmp_path: Pa
     for horizon in (0, 10):
         examples.write_model(tmp_path, examples.metrics(f"net-{horizon}", horizon=horizon), table)
     captions = figures.draw(
-        tmp_path / "figures", examples.load_results(tmp_path / "evaluate", ["net-0", "net-10"]), tmp_path
+        tmp_path / "figures", examples.load_results(tmp_path / "evaluate", ["net-0", "net-10"]), [], tmp_path
     )
     assert [*captions] == ["paths"]  # the images of the largest errors, frames 7 and later, are not there
     table.loc[table["frame"] == 8, "predicted_rad"] = 1.0
     examples.write_model(tmp_path, examples.metrics("net-10", horizon=10), table)
-    captions = figures.draw(tmp_path / "figures", examples.load_results(tmp_path / "evaluate", ["net-10"]), tmp_path)
+    results = examples.load_results(tmp_path / "evaluate", ["net-10"])
+    captions = figures.draw(tmp_path / "figures", results, [], tmp_path)
     assert [*captions] == ["errors-10"]
 
 

@@ -70,7 +70,7 @@ def test_a_structure_without_neighbours_in_the_metrics_is_left_out(data: Path) -
     store.write_json(data / "evaluate/net/metrics.json", content)
     assert "Graphs in 3D" not in headings(write(data))
     results = load_results(data / "evaluate", ["net", "ahead"])
-    assert "pruning" not in figures.draw(data / "figures", results, data)
+    assert "pruning" not in figures.draw(data / "figures", results, [], data)
 
 
 def test_without_classes_nothing_is_called_pruned(data: Path) -> None:

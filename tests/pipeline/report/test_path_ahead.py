@@ -10,9 +10,12 @@ import pytest
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.report import path_ahead
+from pipeline.camera.camera import read_camera
+from pipeline.drawing.path import wheel_tracks
+from pipeline.report import figures, path_ahead
 from pipeline.sections.evaluate import Evaluate
 from stages import report
+from tests import street
 from tests.pipeline.report import examples
 
 SETTINGS = Evaluate.model_validate(
@@ -88,6 +91,36 @@ def test_the_report_shows_models_of_angles_and_of_paths(tmp_path: Path) -> None:
         assert "Path ahead" in page
     metrics = (tmp_path / "report/metrics.json").read_text()
     assert '"scene.nmse_5-10m": 0.8' in metrics
+
+
+def test_the_largest_errors_of_the_best_model_are_drawn_on_the_street(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[tuple[str, np.ndarray]] = []
+    monkeypatch.setattr(figures, "draw_path", lambda _, tracks, kind: drawn.append((kind, tracks[0])))
+    street.write_drive(tmp_path / "ingest", examples.DRIVES[0], 30)
+    write(tmp_path, "worse", 0.9)
+    write(tmp_path, "scene", 0.8)
+    content = store.read_json(tmp_path / "evaluate/worse/metrics.json", stage="evaluate")
+    content["test"][0]["nmse"] = 0.9
+    store.write_json(tmp_path / "evaluate/worse/metrics.json", content)
+    paths = path_ahead.load_paths(tmp_path / "evaluate", ["worse", "scene"])
+    turned = np.rad2deg(10 * np.sin(np.arange(30)))
+    np.testing.assert_allclose(paths[1].predictions["driven_deg"], np.tile(turned, 2))
+    np.testing.assert_allclose(paths[1].predictions["predicted_deg"], 0.8 * np.tile(turned, 2))
+    captions = figures.draw(tmp_path / "figures", examples.results(tmp_path), paths, tmp_path)
+    assert [*captions] == ["errors-path"]
+    assert captions["errors-path"].startswith("Largest errors of scene, first seed")
+    assert "turn in 10 m" in captions["errors-path"]
+    assert (tmp_path / "figures/errors-path.png").is_file()
+    assert [kind for kind, _ in drawn] == ["driven", "predicted"] * (len(drawn) // 2)
+    with store.DriveReader(tmp_path / f"ingest/{examples.DRIVES[0]}.h5", stage="ingest") as images:
+        camera = read_camera(images)
+    frame = int(np.abs(turned).argmax())
+    (_, driven), (_, predicted) = drawn[:2]
+    for tracks, scale in ((driven, 1.0), (predicted, 0.8)):
+        steps = np.full(20, scale * np.sin(frame))
+        np.testing.assert_allclose(tracks, wheel_tracks(steps, camera)[0])
 
 
 @pytest.mark.parametrize("column", ["frame", "predicted_5-10_1pm"])

@@ -23,7 +23,8 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> list[dict[str, Any]]:
     """Return for each range the errors of the frames with a known path and a prediction, means over the seeds.
 
     `nmse` is MSE / MSE of the straight path, None if every path is straight. `without_decisions` leaves out the frames
-    whose path reaches the onset of a turn (:func:`decisions.near_onsets_ahead`).
+    whose path reaches the onset of a turn (:func:`decisions.near_onsets_ahead`). With uncertainty, `coverage_68` is the
+    share of frames whose path is within ±σ of the prediction.
     """
     parts = [_columns(case, measured_kinds(cases)) for case in cases]
     columns = {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}  # [...,N,R]
@@ -50,6 +51,9 @@ def _columns(case: Case, kinds: Sequence[str]) -> dict[str, np.ndarray]:
         "predicted": np.stack([seed.path_1pm for seed in case.predictions]),
         "near_onset": decisions.near_onsets_ahead(drive, case.turns),
     }
+    sigmas = [seed.sigma_1pm for seed in case.predictions if seed.sigma_1pm is not None]
+    if sigmas:
+        columns["sigma"] = np.stack(sigmas)
     for kind in kinds[:1]:
         columns["held"] = np.repeat(drive.measured_1pm(kind)[:, None], case.target.outputs, axis=1)
         if kind in case.target.coefficients:
@@ -61,7 +65,7 @@ def _scores(
     columns: dict[str, np.ndarray], drive: np.ndarray, scored: np.ndarray, settings: Evaluate
 ) -> dict[str, Any]:
     """Return the errors of columns [...,N] in the rows that are `scored`; None without rows or bends."""
-    true, predicted, *_ = (values[..., scored] for values in columns.values())
+    true, predicted = (columns[name][..., scored] for name in ("true", "predicted"))
     zero = float((true**2).sum())
     if not zero:
         return {"frames": len(true), **dict.fromkeys(("nmse", "nmse_std", "nmse_ci95")), "baselines": {}}
@@ -69,7 +73,10 @@ def _scores(
     by_seed = error.sum(axis=1) / zero
     baselines = {name: columns[name][scored] for name in ("held", "regression") if name in columns}
     known = {name: values for name, values in baselines.items() if np.isfinite(values).all()}
-    return {
+    within = {}
+    if "sigma" in columns:
+        within["coverage_68"] = float((np.abs(predicted - true) <= columns["sigma"][..., scored]).mean())
+    return within | {
         "frames": len(true),
         "nmse": float(by_seed.mean()),
         "nmse_std": float(by_seed.std(ddof=1)) if len(by_seed) > 1 else None,
@@ -83,7 +90,8 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     """Write one row per frame with the path that seed number `seed` predicts; unknown values are empty fields.
 
     `frame`, `time_s`, `speed_mps` and `onset` are as in by_frame.write_predictions, `measured_1pm` is the measured
-    curvature of the first kind of motion; `driven_RANGE_1pm` and `predicted_RANGE_1pm` follow for each range.
+    curvature of the first kind of motion; `driven_RANGE_1pm` and `predicted_RANGE_1pm` follow for each range, and with
+    uncertainty `sigma_RANGE_1pm`.
     """
     write_columns(path, (_columns_by_frame(case, case.predictions[seed]) for case in cases))
 
@@ -102,4 +110,7 @@ def _columns_by_frame(case: Case, predicted: PathPrediction) -> dict[str, Iterab
     ranges = zip(range_names(drive.ahead_m), drive.path_1pm.T, predicted.path_1pm.T, strict=True)
     for name, driven_1pm, predicted_1pm in ranges:
         columns |= {f"driven_{name}_1pm": text(driven_1pm, 6), f"predicted_{name}_1pm": text(predicted_1pm, 6)}
+    if predicted.sigma_1pm is not None:
+        sigmas = zip(range_names(drive.ahead_m), predicted.sigma_1pm.T, strict=True)
+        columns |= {f"sigma_{name}_1pm": text(sigma_1pm, 6) for name, sigma_1pm in sigmas}
     return columns

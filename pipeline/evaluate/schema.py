@@ -135,6 +135,7 @@ class RangeErrors(Form):
     nmse: Number | None
     nmse_std: Number | None
     nmse_ci95: Interval | None
+    coverage_68: Fraction | None = None
     baselines: dict[str, Number]
 
 

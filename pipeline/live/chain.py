@@ -52,6 +52,7 @@ class FrameState(Frame):
     predicted_rad: float | None = None  # None until the first complete window
     sigma_rad: float | None = None  # of the prediction, by models with uncertainty
     path_1pm: Sequence[float] | None = None  # predicted curvature by range of the path ahead, by models of the path
+    path_sigma_1pm: Sequence[float] | None = None  # of the path, by models with uncertainty
     latency_s: float = 0.0  # from `started_s` to the prediction
 
     @property

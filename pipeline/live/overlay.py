@@ -56,8 +56,10 @@ class Overlay:
         for name in self._names:
             angle_rad, colour, filled = angles[name], COLOURS[name], name == self._names[0]
             if name == "predicted" and frame.path_1pm:
-                steps = path_steps(frame.path_1pm, self._ahead_m, STEP_M)
-                self._draw_path(image, steps, colour, self._thick, filled=filled)
+                self._draw_path(image, self._steps_of(frame.path_1pm), colour, self._thick, filled=filled)
+                for side in (-1, 1) if frame.path_sigma_1pm else ():  # the band where all ranges are off by σ
+                    pairs = zip(frame.path_1pm, frame.path_sigma_1pm or (), strict=True)
+                    self._draw_path(image, self._steps_of([mean + side * sigma for mean, sigma in pairs]), colour, 1)
             if angle_rad is None:
                 continue
             self._draw_path(image, self._arc(angle_rad), colour, self._thick, filled=filled)
@@ -83,7 +85,7 @@ class Overlay:
             spread = f" +- {np.rad2deg(frame.sigma_rad):.1f}" if name == "predicted" and frame.sigma_rad else ""
             text = missing[name] if angle_rad is None else _degrees(angle_rad) + spread
             if name == "predicted" and frame.path_1pm:
-                turned_rad = float(path_steps(frame.path_1pm, self._ahead_m, STEP_M).sum() * STEP_M)
+                turned_rad = float(self._steps_of(frame.path_1pm).sum() * STEP_M)
                 text = f"turns {_degrees(turned_rad)} in {self._ahead_m[-1]:g} m"
             texts[f"{name}: {text}"] = COLOURS[name]
         style = cv2.FONT_HERSHEY_SIMPLEX, self._font
@@ -94,6 +96,10 @@ class Overlay:
         box //= 3
         for row, (text, colour) in enumerate(texts.items(), start=1):
             cv2.putText(image, text, (margin, row * line_px), *style, colour, 1, cv2.LINE_AA)
+
+    def _steps_of(self, path_1pm: Sequence[float]) -> np.ndarray:
+        """Return the curvature of each step of a path by ranges [R]."""
+        return path_steps(path_1pm, self._ahead_m, STEP_M)
 
     def _arc(self, steering_rad: float) -> np.ndarray:
         """Return the curvature of each step of the path at a constant steering angle [N]."""

@@ -103,6 +103,7 @@ def predict(
                 video=video,
                 visible=visible,
                 ahead_m=edges_m,
+                uncertainty=model.entry.uncertainty,
             )
             draw_track(folder / TRACK, source.name, results)
     return results
@@ -167,7 +168,8 @@ class Predictor:
                     output = net.run_windows(torch.cat([*features]), *net.windows(window))
                     values = target.decode(output, window["base_rad"])[:, 0].tolist()
                     if entry.predict == "path":
-                        frame.path_1pm = values
+                        frame.path_1pm = values[: target.outputs]
+                        frame.path_sigma_1pm = values[target.outputs :] or None
                     else:
                         frame.predicted_rad, frame.sigma_rad = [*values, None][:2]
             frame.latency_s = time.perf_counter() - frame.started_s

@@ -115,11 +115,22 @@ class Results:
     """Writes and counts frames in order. The first `warm_up` frames, which initialise libraries, have no latency."""
 
     def __init__(
-        self, file: TextIO, drive: str, warm_up: int, columns: Sequence[str], ahead_m: Sequence[float] = ()
+        self,
+        file: TextIO,
+        drive: str,
+        warm_up: int,
+        columns: Sequence[str],
+        ahead_m: Sequence[float] = (),
+        uncertainty: bool = False,
     ) -> None:
-        """Write the header; with the edges `ahead_m` of ranges of a predicted path, each range has a column."""
+        """Write the header.
+
+        With the edges `ahead_m` of ranges of a predicted path, each range has a column, with `uncertainty` two.
+        """
         self._file, self._drive, self._warm_up, self.ahead_m = file, drive, warm_up, ahead_m
         self._path_columns = [f"path_{near:g}_{far:g}m_1pm" for near, far in pairwise(ahead_m)]
+        if uncertainty:
+            self._path_columns += [f"{name.removesuffix('_1pm')}_sigma_1pm" for name in self._path_columns]
         columns = [*columns, *self._path_columns]
         self._rows = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
         self._rows.writeheader()
@@ -160,7 +171,8 @@ class Results:
         row |= {"predicted_rad": _format(frame.predicted_rad, 6), "driven_rad": _format(frame.driven_rad, 9)}
         row |= {"latency_ms": f"{frame.latency_s * 1e3:.1f}", "sigma_rad": _format(frame.sigma_rad, 6)}
         if frame.path_1pm:
-            row |= {name: _format(value, 6) for name, value in zip(self._path_columns, frame.path_1pm, strict=True)}
+            values = [*frame.path_1pm, *(frame.path_sigma_1pm or ())]
+            row |= {name: _format(value, 6) for name, value in zip(self._path_columns, values, strict=True)}
         self._rows.writerow(row | dict(zip(MEASURED, _measured(frame), strict=True)))
         self._file.flush()
 
@@ -265,18 +277,20 @@ def write_frames(
     video: bool,
     visible: bool,
     ahead_m: Sequence[float] = (),
+    uncertainty: bool = False,
 ) -> Results:
     """Write `frames` of `source` to the CSV file `path`, and a video beside it; closes `frames`.
 
     Args:
         ahead_m: edges of the ranges of the predicted path, for models of the path.
+        uncertainty: write the σ of the path, too.
         visible: show a progress bar, or without a terminal a line every LINE_S.
     Raises:
         InputError: there is no frame.
     """
     with ExitStack() as stack:
         file = stack.enter_context(path.open("w", newline="", encoding="utf-8"))
-        results, overlay = Results(file, source.name, warm_up, COLUMNS[path.name], ahead_m), None
+        results, overlay = Results(file, source.name, warm_up, COLUMNS[path.name], ahead_m, uncertainty), None
         if video:
             show: dict[str, Any] = {"predicts": path.name == STEERING, "ahead_m": ahead_m}
             overlay = Overlay(path.with_name(VIDEO), source, car.wheelbase_m, **show)

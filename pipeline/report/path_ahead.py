@@ -23,6 +23,7 @@ _NOTE = (
     "parentheses: 95 % interval for other roads."
 )
 _WITHOUT = "Without frames whose path reaches the onset of a turn, where the driver's choice is unknown."
+_WITHIN = "Share of the frames whose path is within ±σ of the prediction; 68 % on the validation drives."
 _DIFFERENCES = (
     "nmse of the first model minus that of the second on the same frames, mean over the seeds, with its 95 % interval: "
     "below 0, the first is better."
@@ -91,6 +92,13 @@ def tables(results: Sequence[PathResults], settings: Evaluate) -> list[Table]:
         Table("Path ahead", _by_range(results, lambda row: row), f"{_NOTE} {results[0].metrics.model}: {counts}."),
         Table("Path ahead, without decisions", _by_range(results, lambda row: row.without_decisions), _WITHOUT),
     ]
+    shares = [
+        {"model": metrics.model}
+        | {f"{_name(row)} m": f"{row.coverage_68:.1%}" for row in metrics.test if row.coverage_68 is not None}
+        for metrics, _ in results
+    ]
+    if certain := [row for row in shares if len(row) > 1]:
+        built.append(Table("Path ahead, within σ", pd.DataFrame(certain).fillna(NONE), _WITHIN))
     first, *others = results
     rows = [
         {"models": f"{first.metrics.model} − {other.metrics.model}"}

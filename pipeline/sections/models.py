@@ -74,7 +74,7 @@ class Entry(Section):
     @model_validator(mode="after")
     def _check_path(self) -> Self:
         if self.predict == "path":
-            for key, value in {"horizon": self.horizon, "uncertainty": self.uncertainty, "alpha": self.alpha}.items():
+            for key, value in {"horizon": self.horizon, "alpha": self.alpha}.items():
                 if value:
                     raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
         return self

@@ -184,12 +184,18 @@ class Fit:
         mse, zero = float(np.mean(error**2)), float(np.mean(steering**2))
         return mse, mse / zero if zero > 0 else math.nan
 
-    def calibrate(self, drives: Sequence[windows.LabelledDrive], target: predict.Target) -> predict.Target:
+    def calibrate(
+        self, drives: Sequence[windows.LabelledDrive], target: predict.Target | PathTarget
+    ) -> predict.Target | PathTarget:
         """Return the target with the scale of σ and the 95 % interval fitted to the drives' errors; best weights.
 
         Training errors are smaller than those on new drives, so σ fitted to them is too small.
         """
         self.average.load_state_dict(self.best)
+        if isinstance(target, PathTarget):
+            return target.calibrated(
+                drives, predict.predict_drives(self.average, drives, self.window, target, self.world)
+            )
         _, error, sigma = self._predict(drives, target)
         ratio = np.abs(error) / sigma
         factor = np.sqrt(np.mean(ratio**2))
@@ -266,6 +272,13 @@ def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
 def robust_loss(predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     """Return Σ w Huber(κ̂ - κ) over windows and ranges [W,R], standardised: linear beyond one standard deviation.
 
-    The path at a junction is the driver's choice, and squared errors there would dominate.
+    The path at a junction is the driver's choice, and squared errors there would dominate. With `predicted` [W,2R],
+    κ̂ and log σ, Σ w (log σ + Huber((κ̂ - κ) / σ)) is added for σ alone, as in :func:`weighted_loss`.
     """
-    return (weight * nn.functional.huber_loss(predicted, target, reduction="none")).sum()
+    huber = partial(nn.functional.huber_loss, reduction="none")
+    if predicted.shape == target.shape:
+        return (weight * huber(predicted, target)).sum()
+    mean, log_sigma = predicted.chunk(2, dim=1)
+    scale = torch.exp(-log_sigma)
+    likelihood = log_sigma + huber(mean.detach() * scale, target * scale)
+    return (weight * (huber(mean, target) + likelihood)).sum()

@@ -1,7 +1,7 @@
 """Scale of the outputs of a network that predicts the path ahead, and its predictions."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -16,10 +16,17 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+WITHIN = 0.6827  # share of a normal distribution within one standard deviation
+
+
 class PathPrediction(NamedTuple):
-    """Predicted path ahead of G frames, [G,R] in 1/m, left positive; NaN where no complete window ends."""
+    """Predicted path ahead of G frames, [G,R] in 1/m, left positive; NaN where no complete window ends.
+
+    With uncertainty also its standard deviation.
+    """
 
     path_1pm: np.ndarray
+    sigma_1pm: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -29,7 +36,8 @@ class PathTarget:
     κ_r is the mean curvature in range r of `ahead_m`, and κ the measured curvature at the window's last frame, or 0
     without motion and with base: none. base_r is the regression coefficient of κ_r on κ, and std_r the standard
     deviation of the residual. So output 0 means the best prediction from κ alone. `coefficients` are regression
-    coefficients by kind of measured motion, for baselines.
+    coefficients by kind of measured motion, for baselines. With uncertainty, σ_r = std_r · sigma_factor_r · exp(output
+    R + r); the factors are chosen so that ±σ contains 68 % of the validation drives' errors in each range.
     """
 
     ahead_m: list[FiniteFloat]  # R+1 edges
@@ -38,6 +46,7 @@ class PathTarget:
     wheelbase_m: FiniteFloat
     min_speed_mps: FiniteFloat
     coefficients: dict[str, list[FiniteFloat]] = field(default_factory=dict)
+    sigma_factor: list[FiniteFloat] = field(default_factory=list)  # [R]; none: 1
 
     @classmethod
     def from_drives(cls, drives: Sequence[windows.LabelledDrive]) -> "PathTarget":
@@ -76,14 +85,32 @@ class PathTarget:
         return torch.stack([(path - base * curvature) / std for path, base, std in columns], dim=1)
 
     def decode(self, output: "Tensor", base_rad: np.ndarray) -> np.ndarray:
-        """Return the path ahead [R,W] in 1/m of a network's output [W,R]."""
-        curvature = np.tan(base_rad) / self.wheelbase_m
-        standardised = output.double().cpu().numpy().T
-        return np.array(self.base)[:, None] * curvature + np.array(self.std_1pm)[:, None] * standardised
+        """Return the path ahead [R,W] in 1/m of a network's output [W,R]; of [W,2R] with its σ, [2R,W]."""
+        curvature, std = np.tan(base_rad) / self.wheelbase_m, np.array(self.std_1pm)[:, None]
+        values = output.double().cpu().numpy().T
+        path = np.array(self.base)[:, None] * curvature + std * values[: self.outputs]
+        if len(values) == self.outputs:
+            return path
+        factor = np.array(self.sigma_factor or [1.0])[:, None]
+        return np.concatenate([path, std * factor * np.exp(values[self.outputs :])])
+
+    def columns(self, uncertainty: bool) -> int:
+        """Return the number of rows of :meth:`decode`."""
+        return self.outputs * (1 + uncertainty)
 
     def prediction(self, values: np.ndarray) -> PathPrediction:
-        """Return :meth:`decode`'s values, collected for G frames [R,G]."""
-        return PathPrediction(values.T)
+        """Return :meth:`decode`'s values, collected for G frames [R or 2R, G]."""
+        return PathPrediction(*(part.T for part in np.split(values, len(values) // self.outputs)))
+
+    def calibrated(
+        self, drives: Sequence[windows.LabelledDrive], predictions: Sequence[PathPrediction]
+    ) -> "PathTarget":
+        """Return the target whose ±σ contains 68 % of the errors on the drives; a range without any keeps factor 1."""
+        true = np.concatenate([drive.path_1pm for drive in drives])
+        path = np.concatenate([prediction.path_1pm for prediction in predictions])
+        sigma = np.concatenate([prediction.sigma_1pm for prediction in predictions if prediction.sigma_1pm is not None])
+        ratios = (ratio[np.isfinite(ratio)] for ratio in (np.abs(path - true) / sigma).T)
+        return replace(self, sigma_factor=[float(np.quantile(r, WITHIN)) if len(r) else 1.0 for r in ratios])
 
     def nmse(self, drives: Sequence[windows.LabelledDrive], predictions: Sequence[PathPrediction]) -> float:
         """Return the mean over the ranges of MSE / MSE of the straight path; NaN if every path is straight."""

@@ -99,6 +99,10 @@ class Target:
         sigma_rad = self.std_rad * self.sigma_factor * np.exp(values[1:])  # [0 or 1, W]
         return np.concatenate([steering_rad[None], sigma_rad, self.interval_95 * sigma_rad])
 
+    def columns(self, uncertainty: bool) -> int:
+        """Return the number of rows of :meth:`decode`."""
+        return 3 if uncertainty else 1
+
     def prediction(self, values: np.ndarray) -> Prediction:
         """Return :meth:`decode`'s values, collected for G frames [1 or 3, G]."""
         return Prediction(*values)
@@ -260,7 +264,7 @@ def predict_drives(
             batches = read(share)
         outputs = [(net(*net.inputs(batch)), np.asarray(batch["base_rad"])) for batch in batches]
         predicted = [target.decode(*output) for output in outputs]  # after the loop, which so does not wait for a GPU
-    columns = target.outputs if net.uncertainty is None else 3
+    columns = target.columns(net.uncertainty is not None)
     result = [np.full((columns, len(timeline.frame)), np.nan) for timeline in timelines]
     for part in world.gather(list(zip(share, predicted, strict=True))):
         for span, values in part:

@@ -92,7 +92,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         **inputs,
     }
     fitting.run(train, val, target, state, metadata, f"{job.name} {run}")
-    if entry.uncertainty and val and isinstance(target, predict.Target):
+    if entry.uncertainty and val:
         metadata["target"] = vars(fitting.calibrate(val, target))
     if world.is_main:
         figures = {

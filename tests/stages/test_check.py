@@ -120,7 +120,7 @@ def test_a_path_needs_ranges_and_is_no_input(tmp_path: Path) -> None:
         run(tmp_path, content)
 
 
-@pytest.mark.parametrize(("key", "value"), [("horizon", 10), ("uncertainty", True), ("alpha", 5.0)])
+@pytest.mark.parametrize(("key", "value"), [("horizon", 10), ("alpha", 5.0)])
 def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any) -> None:
     content = changed(MODEL, yaml.safe_load((ROOT / "params.yaml").read_text())["models"]["sa-gnn-ncp"])
     content["models"]["sa-gnn-ncp"] |= {"predict": "path", key: value}

@@ -13,6 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.graphs import graph_file
 from pipeline.train import fit, predict
+from pipeline.train.windows import read_drive
 from tests import artefacts
 from tests.small_model import SPLITS, run_evaluate, run_train, write_params
 
@@ -66,6 +67,23 @@ def test_a_path_is_learned_from_the_scene_and_scored_by_range(data: Path) -> Non
         assert scores["without_decisions"]["frames"] == len(driven)  # the drives have no corner
 
 
+def test_the_band_contains_two_thirds_of_the_validation_errors(data: Path) -> None:
+    """Second route: coverage again from predictions.csv, and the validation drive's from Python's predictions."""
+    write_params(data, {"predict": "path", "motion": "visual", "uncertainty": True}, epochs=4)
+    trained, evaluated = run_train(data), run_evaluate(data)
+    metrics, table = json.loads((evaluated / "metrics.json").read_text()), pd.read_csv(evaluated / "predictions.csv")
+    for name, scores in zip(NAMES, metrics["test"], strict=True):
+        rows = table.dropna(subset=[f"driven_{name}_1pm", f"predicted_{name}_1pm"])
+        within = (rows[f"predicted_{name}_1pm"] - rows[f"driven_{name}_1pm"]).abs() <= rows[f"sigma_{name}_1pm"]
+        assert scores["coverage_68"] == pytest.approx(within.mean(), abs=0.03)  # six decimals
+    drive = read_drive(data / "graphs/semantic", data / "labels", "2026_01_02_drive_0001", predict="path")
+    with graph_file.open_graphs(drive.graphs) as graphs:
+        path_1pm, sigma_1pm = predict.load(trained, "cpu").predict_with_sigma(graphs)
+    known = np.isfinite(path_1pm) & np.isfinite(drive.path_1pm)
+    within = (np.abs(path_1pm - drive.path_1pm) <= sigma_1pm).sum(axis=0) / known.sum(axis=0)
+    np.testing.assert_allclose(within, 0.6827, atol=0.03)
+
+
 def test_points_without_edges_are_evaluated(data: Path) -> None:
     for drive in SPLITS:
         with h5py.File(data / f"graphs/semantic/{drive}.h5", "a") as file:
@@ -87,7 +105,7 @@ def test_the_control_with_another_scene_learns_nothing(data: Path, spatial: str)
 
 
 def test_mirrored_drives_give_the_mirrored_path(data: Path) -> None:
-    write_params(data, {"predict": "path", "motion": "visual", "equivariant": True}, epochs=2)
+    write_params(data, {"predict": "path", "motion": "visual", "equivariant": True, "uncertainty": True}, epochs=2)
     model, path = predict.load(run_train(data)), data / f"graphs/semantic/{TEST}.h5"
     with graph_file.open_graphs(path) as graphs:
         left = model.predict(graphs)
@@ -105,7 +123,7 @@ def test_scenes_are_not_rescaled_and_motion_is_dropped_only_for_paths(
     seen: dict[str, list[np.ndarray]] = {"path": [], "angle": []}
 
     def record(predict_: str) -> None:
-        write_params(data, {"predict": predict_, "motion": "visual", "horizon": 5 * (predict_ == "angle")}, epochs=2)
+        write_params(data, {"predict": predict_, "motion": "visual"}, epochs=2)
         read = fit.reading.Reader.__getitem__
 
         def watched(self: object, step: fit.reading.TrainStep) -> dict[str, torch.Tensor]:

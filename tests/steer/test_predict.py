@@ -78,8 +78,10 @@ def test_a_predicted_path_has_columns_and_is_drawn(sample: Path, tmp_path: Path)
     rows = read(tmp_path / "steering.csv")
     paths = [[float(row[f"path_{edges}m_1pm"] or "nan") for edges in ("0_2", "2_4")] for row in rows]
     with open_graphs(sample / f"data/graphs/image/{trained.TEST}.h5") as graphs:
-        expected = load(sample / "data/train/path", "cpu").predict(graphs)
+        expected, sigma_1pm = load(sample / "data/train/path", "cpu").predict_with_sigma(graphs)
     np.testing.assert_allclose(paths, expected, atol=2e-6)
+    sigmas = [[float(row[f"path_{edges}m_sigma_1pm"] or "nan") for edges in ("0_2", "2_4")] for row in rows]
+    np.testing.assert_allclose(sigmas, sigma_1pm, atol=2e-6)
     assert np.isfinite(paths).sum() >= 20
     assert not any(row["predicted_rad"] for row in rows)
     predict(drive(sample), model=sample / "data/train/path", out=tmp_path / "again")

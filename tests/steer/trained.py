@@ -19,7 +19,9 @@ MODELS = {
         "horizon": 2,
     },
     "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},
-    "path": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2, "predict": "path"},
+    "path": {
+        "input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2, "predict": "path", "uncertainty": True,
+    },
 }  # fmt: skip
 VARIANTS = {
     "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},

@@ -50,8 +50,9 @@ class SteeringNet(nn.Module):
             recurrent network. The paper has no such symmetry.
         motion: the recurrent network also gets the measured motion, and its output is the residual to the measured
             angle, in units of its standard deviation. The paper has no such input.
-        uncertainty: network from the recurrent network's state [W,U] to log σ [W,1], the logarithm of the error's
-            standard deviation. Its gradient ends at the state: it does not change what steering is learned from.
+        uncertainty: network from the recurrent network's state [W,U] to log σ [W,1] or [W,R], the logarithm of the
+            error's standard deviation. Its gradient ends at the state: it does not change what the mean is learned
+            from.
         path: predict the path ahead, R numbers per window, and not an angle.
     """
 
@@ -101,7 +102,8 @@ class SteeringNet(nn.Module):
             motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
             pairs: predict for the windows and for their mirror images.
         Returns:
-            [W]; with uncertainty [W,2], the second is log σ; of a path [W,R]. With pairs the mirror images follow.
+            [W], of a path [W,R]; with uncertainty [W,2] or [W,2R], the second half is log σ. With pairs the mirror
+            images follow.
         """
         if not pairs:
             return self.run_windows(self.encode(batch), windows, dt_s, motion)
@@ -130,7 +132,10 @@ class SteeringNet(nn.Module):
 
     def _mirror(self, output: Tensor) -> Tensor:
         """Return the output for the mirrored scene: steering changes its sign, its σ does not."""
-        return -output if self.uncertainty is None else torch.cat([-output[:, :1], output[:, 1:]], dim=1)
+        if self.uncertainty is None:
+            return -output
+        mean, log_sigma = output.chunk(2, dim=1)
+        return torch.cat([-mean, log_sigma], dim=1)
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
         """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
@@ -168,11 +173,9 @@ class SteeringNet(nn.Module):
         """Run the recurrent network on inputs [B,D]; return its output at each window's end."""
         projected = self.temporal.project_inputs(inputs)  # [B,S]
         out, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
-        if self.path:
-            return out[:, -1]
         if self.uncertainty is None:
-            return out[:, -1].squeeze(1)
-        log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1]
+            return out[:, -1] if self.path else out[:, -1].squeeze(1)
+        log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1], of a path [W,R]
         return torch.cat([out[:, -1], log_sigma], dim=1)
 
 
@@ -204,7 +207,7 @@ def build(
     sigma_net = None
     if uncertainty:
         units = temporal_net.state_size(inputs)
-        sigma_net = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 1))
+        sigma_net = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, sizes.outputs))
     net = SteeringNet(spatial_net, temporal_net, equivariant, motion, sigma_net, path)
     net.features = f"{type(spatial).__module__.replace('.', '/')}.py", sizes.features
     return net

@@ -70,6 +70,19 @@ def test_targets_of_a_step_are_standardised_weighted_and_mirrored() -> None:
     assert torch.equal(both["weight"], torch.cat([plain["weight"], plain["weight"]]))
 
 
+def test_robust_loss_with_uncertainty_learns_the_path_as_before() -> None:
+    predicted = torch.tensor([[0.5, 0.1, -1.0, 0.3], [9.0, 0.2, 0.0, 0.5]], requires_grad=True)
+    target, weight = torch.tensor([[0.2, 0.4], [0.0, 0.3]]), torch.tensor([[2.0, 1.0], [1.0, 0.0]])
+    plain = fit.robust_loss(predicted[:, :2], target, weight)
+    loss = fit.robust_loss(predicted, target, weight)
+    ratio = (predicted[:, :2] - target).abs() / predicted[:, 2:].exp()
+    huber = torch.where(ratio < 1, ratio.square() / 2, ratio - 0.5)
+    assert loss.item() == pytest.approx((plain + (weight * (predicted[:, 2:] + huber)).sum()).item())
+    (alone,), (both,) = (torch.autograd.grad(value, predicted, retain_graph=True) for value in (plain, loss))
+    assert torch.equal(alone[:, :2], both[:, :2])
+    assert both[0, 2:].all()
+
+
 def test_loss_with_uncertainty_is_the_likelihood_of_a_normal_distribution() -> None:
     predicted = torch.tensor([[0.5, -1.0], [0.1, 0.3], [9.0, 0.0]], requires_grad=True)
     target, weight = torch.tensor([0.2, 0.4, 0.0]), torch.tensor([2.0, 1.0, 0.0])

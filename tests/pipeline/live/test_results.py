@@ -74,6 +74,23 @@ def test_path_and_legend_are_inside_the_picture(tmp_path: Path, size: tuple[int,
     assert not black.any()  # the frame is not changed
 
 
+def test_the_band_of_a_path_is_drawn_outside_of_it(tmp_path: Path) -> None:
+    lit = []
+    for sigma_1pm in (None, [0.02, 0.02]):
+        camera = Camera(np.array([[200.0, 0, 160], [0, 200, 40], [0, 0, 1]]), SIZE, 1.5)
+        source = Source(tmp_path, "drive", camera, Crop(slice(0, 9), slice(0, 9)), iter(()), None, FPS)  # type: ignore[arg-type]
+        frame = FrameState(0, 0.0, source_image=np.zeros((*SIZE, 3), np.uint8), path_1pm=[0.0, 0.0])
+        frame.path_sigma_1pm = sigma_1pm
+        with Overlay(tmp_path / VIDEO, source, 2.7, ahead_m=[0, 10, 20]) as video:
+            video.add(frame)
+        with av.open(str(tmp_path / VIDEO)) as file:
+            (image,) = (picture.to_ndarray(format="rgb24") for picture in file.decode(video=0))
+        lit.append((image[..., 1] > 60) & (np.arange(SIZE[0])[:, None] > 55))  # green, below the legend
+    without, with_band = lit
+    assert with_band[:, :160].sum() > without[:, :160].sum()
+    assert with_band[:, 160:].sum() > without[:, 160:].sum()
+
+
 def decoded(path: Path) -> int:
     with av.open(str(path)) as file:
         return sum(1 for _ in file.decode(video=0))

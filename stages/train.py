@@ -31,10 +31,10 @@ def main(
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
-    One network per seed, and per test drive with fit_to: others or both. On a CPU, networks are trained in parallel,
-    one process each. Returns the model's folder.
+    One network per seed, and per test drive with fit_to: others or both. Networks are trained in parallel, one process
+    each; on a GPU as many as its free memory allows. Returns the model's folder.
     """
-    from pipeline.train.training import Job, fit_run
+    from pipeline.train.training import Job, fit_run, networks_at_once
 
     entry, settings = load_entry(Entry, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
@@ -64,8 +64,11 @@ def main(
             sweep(*(run.folder for run in todo))
         if not folds[0].val and world.is_main:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
-        if len(todo) > 1 and world.size == 1 and device.type == "cpu":
-            for _ in run_jobs(partial(fit_run, job=job), todo, threads=1):
+        at_once = networks_at_once(job, folds[0].train[0], device) if world.size == 1 else 1
+        if len(todo) > 1 and at_once != 1:
+            # Each process of a GPU reads with a thread: together they read in parallel, and need no shared memory.
+            work = partial(fit_run, job=job, device=device, readers=None if at_once is None else 0)
+            for _ in run_jobs(work, todo, workers=at_once, threads=1):
                 pass
         else:
             for run in todo:

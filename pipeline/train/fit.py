@@ -81,15 +81,16 @@ class Fit:
         state: Path,
         metadata: Mapping[str, Any],
         title: str,
+        readers: int | None = None,
     ) -> None:
         """Train until the last epoch, or until validation stops improving; results are `best` and `curve`.
 
         After each epoch the file `state` is written, with the run's `metadata`. If it exists, training continues from
-        it, to the same result. Raises InputError if the loss is not finite.
+        it, to the same result. `readers` as the workers of a Reader. Raises InputError if the loss is not finite.
         """
         self._resume(state, title)
         epochs, patience = self.settings.epochs, self.settings.patience
-        with reading.Reader([*train, *val], self.window, self.net.device, self.targets(target)) as reader:
+        with reading.Reader([*train, *val], self.window, self.net.device, self.targets(target), readers) as reader:
             read_val = partial(reader.predictions, first=len(train))
             started, before = time.perf_counter(), len(self.curve)
             while len(self.curve) < epochs and not out_of_patience(self.curve, patience):

@@ -71,7 +71,7 @@ class Reader(Dataset[dict[str, Any]]):
         if self._loader:
             yield from self._loader
         else:
-            yield from prefetch(self[step] for step in steps)
+            yield from prefetch(self._pinned(self[step]) for step in steps)
 
     def predictions(self, spans: Sequence[windows.Span], first: int) -> Generator[dict[str, Any]]:
         """Yield a batch per span, whose drives are numbered from drive `first` of this reader on."""
@@ -104,6 +104,9 @@ class Reader(Dataset[dict[str, Any]]):
                 pin_memory=self._pin,
                 multiprocessing_context="forkserver",
             )
+
+    def _pinned(self, batch: dict[str, Any]) -> dict[str, Any]:
+        return {name: tensor.pin_memory() for name, tensor in batch.items()} if self._pin else batch
 
     def __getitem__(self, step: TrainStep) -> dict[str, Any]:
         """Return the arrays of a batch as tensors, which can be pinned."""

@@ -12,6 +12,7 @@ from models.steering.core import steering_net
 from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.executors import default_workers
 from pipeline.base.resume import file_hash, revision, stage_key
 from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
@@ -24,6 +25,10 @@ from pipeline.train.path_target import PathTarget
 from pipeline.train.runs import Run
 
 SMALL = 8_000  # points per frame
+# Estimates of what a training step needs on a GPU, upper bounds of docs/scale.md.
+GPU_BYTES_PER_NETWORK = 10**9  # context, libraries, weights
+GPU_BYTES_PER_POINT = 3_200
+POINTS_OF_AN_IMAGE = 45_000
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,27 @@ class Job:
         return (PathTarget if self.entry.predict == "path" else predict.Target).from_drives(drives)
 
 
-def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu") -> None:
+def networks_at_once(job: Job, drive: str, device: torch.device) -> int | None:
+    """Return how many networks a GPU trains at once, by its free memory and STEER_WORKERS; None for a CPU.
+
+    Frames are estimated to have as many points as those of `drive`.
+    """
+    if device.type == "cpu":
+        return None
+    with graph_file.open_graphs(job.variant / f"{drive}.h5") as graphs:
+        points = graphs.points_per_frame or POINTS_OF_AN_IMAGE
+    frames = job.settings.batch_runs * (job.settings.run_windows + job.entry.window - 1)
+    free_bytes, _ = torch.cuda.mem_get_info(device)
+    fitting = int(free_bytes // (GPU_BYTES_PER_NETWORK + frames * points * GPU_BYTES_PER_POINT))
+    return max(1, min(default_workers(), fitting))
+
+
+def fit_run(
+    run: Run, job: Job, world: World = World(), device: torch.device | str = "cpu", readers: int | None = None
+) -> None:
     """Train one network, from an interrupted run's state if there is one, and write its folder.
+
+    `readers`: processes that read its batches; None: as a Reader's default.
 
     Raises InputError: the network does not fit the graphs, the loss is not finite, or the processes of `world` differ
     in code, settings or files.
@@ -91,7 +115,7 @@ def fit_run(run: Run, job: Job, world: World = World(), device: torch.device | s
         "card": predict.Card.from_drives(train).model_dump(),
         **inputs,
     }
-    fitting.run(train, val, target, state, metadata, f"{job.name} {run}")
+    fitting.run(train, val, target, state, metadata, f"{job.name} {run}", readers)
     if entry.uncertainty and val:
         metadata["target"] = vars(fitting.calibrate(val, target))
     if world.is_main:

@@ -6,8 +6,9 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -17,7 +18,10 @@ import torch
 
 from pipeline.base import store
 from pipeline.fitting import checkpoint
-from pipeline.train import windows
+from pipeline.train import distributed, windows
+from pipeline.train.runs import Run
+from pipeline.train.training import networks_at_once
+from stages import train
 from tests import artefacts
 from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params
 
@@ -180,6 +184,38 @@ def clone(folder: Path, to: Path) -> Path:
     shutil.copy(folder / "params.yaml", to)
     shutil.copy(PARAMS.parent / "dvc.yaml", to)
     return to
+
+
+def test_networks_in_processes_of_one_gpu_equal_those_trained_one_after_the_other(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_params(folder, epochs=1, seeds=[0, 7])
+    monkeypatch.setenv("STEER_WORKERS", "2")
+    run_train(folder)  # in two processes
+    expected = contents(folder)
+    shutil.rmtree(folder / "train")
+    gpu, found = torch.device("cuda", 0), {}
+
+    def one_after_the_other(
+        work: partial[None], jobs: Sequence[Run], *, workers: int, threads: int
+    ) -> Iterator[tuple[Run, None]]:
+        found.update(work.keywords, workers=workers)
+        for run in jobs:
+            yield run, work.func(run, job=work.keywords["job"])
+
+    monkeypatch.setattr(distributed, "process_group", lambda: nullcontext((distributed.World(), gpu)))
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _: (20 * 10**9, 24 * 10**9))
+    monkeypatch.setattr(train, "run_jobs", one_after_the_other)
+    run_train(folder)
+    assert contents(folder) == expected
+    assert (found["workers"], found["device"], found["readers"]) == (2, gpu, 0)
+
+    monkeypatch.setenv("STEER_WORKERS", "16")
+    drive = next(iter(SPLITS))
+    for free_gb, networks in (0.5, 1), (3.5, 3), (100, 16):
+        monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _, free=int(free_gb * 1e9): (free, free))
+        assert networks_at_once(found["job"], drive, gpu) == networks
+    assert networks_at_once(found["job"], drive, torch.device("cpu")) is None
 
 
 @pytest.mark.slow

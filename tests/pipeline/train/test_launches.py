@@ -27,16 +27,15 @@ class Counts(NamedTuple):
     synchronisations: int
 
 
-class PinnedReader:
-    """Batches in pinned memory, as a GPU's reader returns them; `counts` has those of each batch."""
+class CountingReader:
+    """The batches of a reader; `counts` has those of each batch."""
 
     def __init__(self, reader: reading.Reader, gpu: simulated_gpu.Gpu) -> None:
         self._reader, self._gpu = reader, gpu
         self.counts: list[Counts] = []
 
     def batches(self, steps: Sequence[reading.TrainStep]) -> Iterator[dict[str, Any]]:
-        for step in steps:
-            batch = {name: self._gpu.pin(tensor) for name, tensor in self._reader[step].items()}
+        for batch in self._reader.batches(steps):
             self._gpu.reset()
             yield batch
             self.counts.append(counted(self._gpu))
@@ -72,14 +71,14 @@ def count(folder: Path, line: dict[str, object], write: Callable[..., None]) -> 
         gpu.move(net)
         run = fit.Fit(net, entry.window, entry.alpha, settings, seed=0)
         target = predict.Target.from_drives(drives)
-        with reading.Reader(drives, entry.window, torch.device("cpu"), run.targets(target)) as reader:
-            pinned: Any = PinnedReader(reader, gpu)
-            loss, _ = run._train(pinned, drives, 1)
-            step: Counts = pinned.counts[-1]
-            pinned.counts.clear()
-            mse, _ = run._validate(drives, target, pinned.predictions)
-            validation: Counts = pinned.counts[-1]
-            assert len(pinned.counts) == len(drives)
+        with reading.Reader(drives, entry.window, net.device, run.targets(target), workers=0) as reader:
+            counting: Any = CountingReader(reader, gpu)
+            loss, _ = run._train(counting, drives, 1)
+            step: Counts = counting.counts[-1]
+            counting.counts.clear()
+            mse, _ = run._validate(drives, target, counting.predictions)
+            validation: Counts = counting.counts[-1]
+            assert len(counting.counts) == len(drives)
         rest = Counts(*np.subtract(counted(gpu), validation))
     assert np.isfinite([loss, mse]).all()
     return step, validation, rest

@@ -35,8 +35,8 @@ TARGETS = "steering_rad", "path_1pm", "base_rad", "valid"  # arrays of a batch t
 MOTION_DROPOUT = 0.5
 """Share of the runs of frames whose motion is hidden from a network that predicts ahead.
 
-Motion alone is a good first guess, and a network that always has it finds the scene late or never. There the network
-predicts from the scene alone, as a network without motion does. docs/results.md has the effect.
+Motion alone is a good first guess, and a network that always has it learns to use the scene late or never. In these
+runs it has to predict from the scene alone. docs/results.md has the effect.
 """
 
 

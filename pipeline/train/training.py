@@ -75,7 +75,6 @@ def fit_run(
     """Train one network, from an interrupted run's state if there is one, and write its folder.
 
     `readers`: processes that read its batches; None: as a Reader's default.
-
     Raises InputError: the network does not fit the graphs, the loss is not finite, or the processes of `world` differ
     in code, settings or files.
     """

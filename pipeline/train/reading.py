@@ -116,7 +116,7 @@ class Reader(Dataset[dict[str, Any]]):
         (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
         lengths = [run.stop - run.start for run in step.runs]
         if step.factor is not None:
-            batch = rescale(batch, np.repeat(step.factor, lengths))
+            batch = rescale(batch, np.repeat(step.factor, lengths), self._drives[0].ahead_m)
         if step.hide_motion is not None:
             hidden = np.repeat(step.hide_motion, lengths)
             batch["motion"][hidden] = 0

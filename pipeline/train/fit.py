@@ -158,8 +158,9 @@ class Fit:
                 predicted = self.learner(*net.inputs(batch), pairs=settings.mirror)
             weight = weight if share else torch.zeros_like(weight)
             error = loss(predicted, residual, weight)
-            # A mean over processes, as DistributedDataParallel averages gradients. Not 0: each run has a valid target.
-            mass = self.world.mean(weight.sum())
+            # A mean over processes, as DistributedDataParallel averages gradients. Each run has a valid target, but all
+            # ranges of a scaled path may be unknown: then the error is 0, too.
+            mass = self.world.mean(weight.sum()).clamp_min(1e-6)
             self.optimiser.zero_grad(set_to_none=True)
             (error / mass).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)

@@ -21,7 +21,8 @@ from pipeline.graphs import graph_file
 from pipeline.report.figures import draw_path
 from pipeline.sections.town import Town
 from pipeline.town.drive import Drive
-from pipeline.train import predict, windows
+from pipeline.train import predict
+from pipeline.train.labelled_drive import read_drive
 
 SIZE = 432, 1440  # of the picture, [H, W]; the network gets the images of stage ingest
 
@@ -30,7 +31,7 @@ def main(data: str, model: str, drive: str, number: str) -> None:
     """Draw both paths on the street and from above; `data` holds the stages' folders."""
     trained, frame = predict.load(Path(data) / "train" / model, "cpu"), int(number)
     variant = Path(data) / "graphs" / trained.entry.input
-    labelled = windows.read_drive(variant, Path(data) / "labels", drive, **trained.entry.reading)
+    labelled = read_drive(variant, Path(data) / "labels", drive, **trained.entry.reading)
     with graph_file.open_graphs(labelled.graphs) as graphs:
         (predicted,) = trained.predict(graphs, [frame])
     (driven,) = labelled.path_1pm[labelled.rows([frame])]

@@ -16,7 +16,8 @@ from pipeline.evaluate.schema import Metrics, PathMetrics
 from pipeline.evaluate.split import Case, inputs, metrics, odometry
 from pipeline.graphs import graph_file
 from pipeline.sections.evaluate import Evaluate
-from pipeline.train import predict, runs, windows
+from pipeline.train import predict, runs
+from pipeline.train.labelled_drive import read_drive
 
 
 def main(
@@ -94,7 +95,7 @@ def _predict(
         seeds = [model for run, model in models.items() if run.fold == fold]
         for part, drives in cases.items():
             for name in (name for name in getattr(fold, part) if name not in drives):
-                drive = windows.read_drive(variant, labels, name, **entry.reading)
+                drive = read_drive(variant, labels, name, **entry.reading)
                 if drive.ahead_m != tuple(getattr(seeds[0].target, "ahead_m", ())):
                     problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
                     raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{seeds[0].name}")

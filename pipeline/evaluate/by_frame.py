@@ -11,8 +11,8 @@ from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.evaluate.split import Case
 from pipeline.graphs import graph_file
+from pipeline.train.labelled_drive import LabelledDrive
 from pipeline.train.predict import Prediction
-from pipeline.train.windows import LabelledDrive
 
 MAX_POINTS = 5000  # more points slow a browser down
 

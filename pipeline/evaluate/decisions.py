@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base import store
-from pipeline.train.windows import LabelledDrive
+from pipeline.train.labelled_drive import LabelledDrive
 
 STRAIGHT_1PM = 0.015  # radius 67 m; a car that keeps its lane stays below
 TURN_RAD = np.pi / 4

@@ -21,6 +21,7 @@ from pipeline.base.resume import file_hash
 from pipeline.graphs import graph_file
 from pipeline.graphs.graph_file import Arrays
 from pipeline.train import windows
+from pipeline.train.labelled_drive import Timeline
 from pipeline.train.predict import Trained
 
 MANIFEST = "export.json"
@@ -185,7 +186,7 @@ def read_examples(model: Trained, graphs: Path) -> list[Example]:
 
 def _read_drive(model: Trained, drive: str, graphs: graph_file.Graphs) -> Iterator[Example]:
     steering_rad = model.predict(graphs)
-    timeline = windows.Timeline.read(graphs, model.entry.motion, model.target.car, model.entry.base)
+    timeline = Timeline.read(graphs, model.entry.motion, model.target.car, model.entry.base)
     ends = np.flatnonzero(~np.isnan(steering_rad))
     for end in ends[np.linspace(0, len(ends) - 1, min(WINDOWS_PER_DRIVE, len(ends))).round().astype(int)].tolist():
         span = windows.Span(0, end - model.entry.window + 1, end + 1)

@@ -99,7 +99,7 @@ class Entry(Section):
 
     @property
     def reading(self) -> dict[str, Any]:
-        """Return the keyword arguments of windows.read_drive."""
+        """Return the keyword arguments of labelled_drive.read_drive."""
         return {name: getattr(self, name) for name in ("horizon", "motion", "base", "predict", "scene")}
 
     def build(

@@ -25,6 +25,7 @@ from pipeline.sections.train import Train
 from pipeline.train import predict, reading, windows
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World
+from pipeline.train.labelled_drive import LabelledDrive
 from pipeline.train.path_target import PathTarget
 
 if TYPE_CHECKING:
@@ -75,8 +76,8 @@ class Fit:
 
     def run(
         self,
-        train: Sequence[windows.LabelledDrive],
-        val: Sequence[windows.LabelledDrive],
+        train: Sequence[LabelledDrive],
+        val: Sequence[LabelledDrive],
         target: predict.Target | PathTarget,
         state: Path,
         metadata: Mapping[str, Any],
@@ -116,9 +117,7 @@ class Fit:
             sys.stdout.write(f"{line}\n")
             sys.stdout.flush()
 
-    def _plan(
-        self, drives: Sequence[windows.LabelledDrive], epoch: int
-    ) -> tuple[list[list[int]], list[reading.TrainStep]]:
+    def _plan(self, drives: Sequence[LabelledDrive], epoch: int) -> tuple[list[list[int]], list[reading.TrainStep]]:
         """Return the numbers of this process's runs of frames in each step, and this process's steps.
 
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
@@ -136,9 +135,7 @@ class Fit:
             steps.append(reading.TrainStep(tuple(group[run] for run in members), factor.astype(np.float32), hidden))
         return shares, steps
 
-    def _train(
-        self, reader: reading.Reader, drives: Sequence[windows.LabelledDrive], epoch: int
-    ) -> tuple[float, float]:
+    def _train(self, reader: reading.Reader, drives: Sequence[LabelledDrive], epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
         settings, device, net = self.settings, self.net.device, self.net
         loss = robust_loss if net.path else weighted_loss
@@ -174,7 +171,7 @@ class Fit:
         return error_sum / mass_sum, rate
 
     def _validate(
-        self, drives: Sequence[windows.LabelledDrive], target: predict.Target | PathTarget, read: Any
+        self, drives: Sequence[LabelledDrive], target: predict.Target | PathTarget, read: Any
     ) -> tuple[float, float]:
         """Return MSE in rad² and nmse of the averaged weights; NaN without drives, the MSE also for a path."""
         if not drives:
@@ -187,7 +184,7 @@ class Fit:
         return mse, mse / zero if zero > 0 else math.nan
 
     def calibrate(
-        self, drives: Sequence[windows.LabelledDrive], target: predict.Target | PathTarget
+        self, drives: Sequence[LabelledDrive], target: predict.Target | PathTarget
     ) -> predict.Target | PathTarget:
         """Return the target with the scale of σ and the 95 % interval fitted to the drives' errors; best weights.
 
@@ -203,7 +200,7 @@ class Fit:
         factor = np.sqrt(np.mean(ratio**2))
         return replace(target, sigma_factor=float(factor), interval_95=float(np.quantile(ratio, 0.95) / factor))
 
-    def _predict(self, drives: Sequence[windows.LabelledDrive], target: predict.Target, read: Any = None) -> np.ndarray:
+    def _predict(self, drives: Sequence[LabelledDrive], target: predict.Target, read: Any = None) -> np.ndarray:
         """Return Θ, its error, and σ (NaN without uncertainty) of the valid frames with a prediction, [3,N] in rad."""
         columns = []
         predictions = predict.predict_drives(self.average, drives, self.window, target, self.world, read=read)

@@ -10,7 +10,7 @@ from pydantic import Field, FiniteFloat
 
 from pipeline.base.errors import InputError
 from pipeline.labels import label
-from pipeline.train import windows
+from pipeline.train.labelled_drive import LabelledDrive
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -49,7 +49,7 @@ class PathTarget:
     sigma_factor: list[FiniteFloat] = field(default_factory=list)  # [R]; none: 1
 
     @classmethod
-    def from_drives(cls, drives: Sequence[windows.LabelledDrive]) -> "PathTarget":
+    def from_drives(cls, drives: Sequence[LabelledDrive]) -> "PathTarget":
         """Raise InputError if the drives never drive on to the end of a range."""
         car, edges = drives[0].car, drives[0].ahead_m
         path = np.concatenate([drive.path_1pm for drive in drives])  # [N,R]
@@ -102,9 +102,7 @@ class PathTarget:
         """Return :meth:`decode`'s values, collected for G frames [R or 2R, G]."""
         return PathPrediction(*(part.T for part in np.split(values, len(values) // self.outputs)))
 
-    def calibrated(
-        self, drives: Sequence[windows.LabelledDrive], predictions: Sequence[PathPrediction]
-    ) -> "PathTarget":
+    def calibrated(self, drives: Sequence[LabelledDrive], predictions: Sequence[PathPrediction]) -> "PathTarget":
         """Return the target whose ±σ contains 68 % of the errors on the drives; a range without any keeps factor 1."""
         true = np.concatenate([drive.path_1pm for drive in drives])
         path = np.concatenate([prediction.path_1pm for prediction in predictions])
@@ -112,7 +110,7 @@ class PathTarget:
         ratios = (ratio[np.isfinite(ratio)] for ratio in (np.abs(path - true) / sigma).T)
         return replace(self, sigma_factor=[float(np.quantile(r, WITHIN)) if len(r) else 1.0 for r in ratios])
 
-    def nmse(self, drives: Sequence[windows.LabelledDrive], predictions: Sequence[PathPrediction]) -> float:
+    def nmse(self, drives: Sequence[LabelledDrive], predictions: Sequence[PathPrediction]) -> float:
         """Return the mean over the ranges of MSE / MSE of the straight path; NaN if every path is straight."""
         true = np.concatenate([drive.path_1pm for drive in drives])
         error = np.concatenate([prediction.path_1pm for prediction in predictions]) - true

@@ -2,6 +2,7 @@
 
 from pipeline.graphs import graph_file
 from pipeline.train import predict
+from pipeline.train.labelled_drive import Timeline, LabelledDrive
 
 model = predict.load("data/train/sa-gnn-ncp")
 with graph_file.open_graphs("data/graphs/semantic/2026_01_10_drive_0004.h5") as graphs:
@@ -24,6 +25,7 @@ from pipeline.labels import label
 from pipeline.sections.models import Entry
 from pipeline.train import runs, windows
 from pipeline.train.distributed import World
+from pipeline.train.labelled_drive import LabelledDrive, Timeline
 from pipeline.train.path_target import PathPrediction, PathTarget
 
 if TYPE_CHECKING:
@@ -68,7 +70,7 @@ class Target:
     interval_95: FiniteFloat = 1.96
 
     @classmethod
-    def from_drives(cls, drives: Sequence[windows.LabelledDrive]) -> "Target":
+    def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Target":
         steering = np.concatenate([drive.steering_rad[drive.valid] for drive in drives])
         residual = np.concatenate([(drive.steering_rad - drive.base_rad)[drive.valid] for drive in drives])
         std = max(float(residual.std()), 1e-6)  # 0 for a straight road
@@ -115,7 +117,7 @@ class Card(BaseModel):
     fps: Annotated[FiniteFloat, Field(gt=0)]
 
     @classmethod
-    def from_drives(cls, drives: Sequence[windows.LabelledDrive]) -> "Card":
+    def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Card":
         steps_s = np.concatenate([np.diff(drive.time_s) for drive in drives])
         return cls(drives=[drive.name for drive in drives], fps=float(1 / np.median(steps_s)))
 
@@ -189,9 +191,7 @@ class Trained:
                 f"train@{self.name}",
             )
         with error_context(where=f"model {self.name}"):
-            timeline = windows.Timeline.read(
-                graphs, self.entry.motion, self.target.car, self.entry.base, self.entry.scene
-            )
+            timeline = Timeline.read(graphs, self.entry.motion, self.target.car, self.entry.base, self.entry.scene)
         rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows(numbers)
         (predicted,) = predict_drives(
             self.net, [timeline], self.entry.window, self.target, rows=[rows], opened={0: graphs}
@@ -238,7 +238,7 @@ def _parse(content: Mapping[str, Any]) -> Checkpoint:
 
 def predict_drives(
     net: "SteeringNet",
-    timelines: Sequence[windows.Timeline],
+    timelines: Sequence[Timeline],
     window: int,
     target: Target | PathTarget,
     world: World = World(),

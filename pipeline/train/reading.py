@@ -23,6 +23,7 @@ from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs import graph_file
 from pipeline.train import windows
 from pipeline.train.augment import rescale
+from pipeline.train.labelled_drive import LabelledDrive
 
 AHEAD = 4  # batches per process
 Targets = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
@@ -47,7 +48,7 @@ class Reader(Dataset[dict[str, Any]]):
 
     def __init__(
         self,
-        drives: Sequence[windows.LabelledDrive],
+        drives: Sequence[LabelledDrive],
         window: int,
         device: torch.device,
         targets: Targets | None = None,

@@ -17,7 +17,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
 from pipeline.sections.models import Entry
-from pipeline.train import windows
+from pipeline.train.labelled_drive import read_drive, target_fault
 
 _SEED, _FOLD = "seed-", "fold-"
 
@@ -79,12 +79,12 @@ def drop_untestable(folds: Sequence[Fold], graphs: Path, labels: Path, entry: En
     Args:
         graphs: folder of the variant.
     Raises:
-        InputError: no fold is left; or as :func:`windows.read_drive`.
+        InputError: no fold is left; or as :func:`read_drive`.
     """
     testable, faults = [], []
     for fold in folds:
-        drives = [windows.read_drive(graphs, labels, name, **entry.reading) for name in fold.test]
-        if fault := windows.target_fault(drives, entry.window):
+        drives = [read_drive(graphs, labels, name, **entry.reading) for name in fold.test]
+        if fault := target_fault(drives, entry.window):
             faults.append(fault)
         else:
             testable.append(fold)

@@ -18,9 +18,10 @@ from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
 from pipeline.sections.models import Entry
 from pipeline.sections.train import Train
-from pipeline.train import fit, predict, windows
+from pipeline.train import fit, predict
 from pipeline.train.curve import selected_epoch, write_curve
 from pipeline.train.distributed import World
+from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.path_target import PathTarget
 from pipeline.train.runs import Run
 
@@ -45,11 +46,11 @@ class Job:
     files: dict[str, list[str]]  # training or validation drive → hashes of its files
     pending: Path  # folder for the states of interrupted runs
 
-    def read_drives(self, names: tuple[str, ...]) -> list[windows.LabelledDrive]:
+    def read_drives(self, names: tuple[str, ...]) -> list[LabelledDrive]:
         """Read drives with targets for this model."""
-        return windows.read_drives(self.variant, self.labels, names, self.entry.window, **self.entry.reading)
+        return read_drives(self.variant, self.labels, names, self.entry.window, **self.entry.reading)
 
-    def target(self, drives: list[windows.LabelledDrive]) -> "predict.Target | PathTarget":
+    def target(self, drives: list[LabelledDrive]) -> "predict.Target | PathTarget":
         """Return the scale of the outputs, from training drives. Raises InputError."""
         return (PathTarget if self.entry.predict == "path" else predict.Target).from_drives(drives)
 

@@ -7,7 +7,8 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
-from pipeline.train import predict, windows
+from pipeline.train import predict
+from pipeline.train.labelled_drive import read_drive
 from stages import evaluate, report
 from tests.small_model import run_evaluate, run_train, write_params, write_two_test_drives
 
@@ -51,7 +52,7 @@ def test_uncertainty_is_calibrated_on_validation_drives(folder: Path) -> None:
     trained, evaluated = run_train(folder), run_evaluate(folder)
     assert json.loads((evaluated / "metrics.json").read_text())["test"]["uncertainty"]["nll"] < 9
     model, val = predict.load(trained), "2026_01_02_drive_0001"
-    drive = windows.read_drive(folder / "graphs/semantic", folder / "labels", val)
+    drive = read_drive(folder / "graphs/semantic", folder / "labels", val)
     with graph_file.open_graphs(drive.graphs) as graphs:
         predicted = model.predict_with_sigma(graphs)
     ratio = (predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad

@@ -13,7 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.graphs import graph_file
 from pipeline.train import fit, predict
-from pipeline.train.windows import read_drive
+from pipeline.train.labelled_drive import read_drive
 from tests import artefacts
 from tests.small_model import SPLITS, run_evaluate, run_train, write_params
 

@@ -19,6 +19,7 @@ import torch
 from pipeline.base import store
 from pipeline.fitting import checkpoint
 from pipeline.train import distributed, windows
+from pipeline.train.labelled_drive import read_drives
 from pipeline.train.runs import Run
 from pipeline.train.training import networks_at_once
 from stages import train
@@ -112,7 +113,7 @@ def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
     test = json.loads((metrics / "metrics.json").read_text())["test"]
     assert test["frames"] == 60 - 3 - 5
     assert test["nmse"] < 0.8 * test["baselines"]["odometry"]["nmse"]
-    (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [TEST], 4, horizon=5, motion="visual")
+    (drive,) = read_drives(folder / "graphs/semantic", folder / "labels", [TEST], 4, horizon=5, motion="visual")
     assert load(output / "best.pt")["target"]["std_rad"] != pytest.approx(
         drive.steering_rad[drive.valid].std(), rel=0.05
     )
@@ -237,7 +238,7 @@ def test_two_machines_train_as_one_process(folder: Path, tmp_path: Path, monkeyp
         torch.testing.assert_close(two["net"][name], tensor, rtol=1e-7, atol=1e-9)
     assert {path.name for path in (clones[1] / "data").iterdir()} == {"graphs", "labels"}
     # Some steps had one run: the process without a run took part with weight 0.
-    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", store.drives_in(SPLITS, "train"), 4)
+    drives = read_drives(folder / "graphs/semantic", folder / "labels", store.drives_in(SPLITS, "train"), 4)
     counts = [len(windows.random_spans(drives, 4, 24, np.random.default_rng([0, n + 1]))) for n in range(epochs)]
     assert any(count % 2 for count in counts)
 

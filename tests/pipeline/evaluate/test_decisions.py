@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.evaluate import decisions
-from pipeline.train import windows
+from pipeline.train.labelled_drive import read_drive
 from tests import artefacts
 
 NAME = "2026_01_03_drive_0001"
@@ -66,7 +66,7 @@ def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: i
     steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
     artefacts.write_labels(tmp_path / f"labels/{NAME}.h5", NAME, steering, frame)
     artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
-    drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
+    drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
     assert np.flatnonzero(decisions.near_onsets(drive, decisions.read_turns(drive))).tolist() == list(range(first, 41))
 
 
@@ -76,7 +76,7 @@ def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path: Path) -> None
     steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
     artefacts.write_labels(tmp_path / f"labels/{NAME}.h5", NAME, steering, frame, ahead_m=edges_m)
     artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
-    drive = windows.read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, predict="path")
+    drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, predict="path")
     turns = decisions.read_turns(drive)
     assert turns.frame.tolist() == [30]
     near, far = decisions.near_onsets_ahead(drive, turns).T

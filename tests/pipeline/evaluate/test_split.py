@@ -8,7 +8,7 @@ import pytest
 from pipeline.base.params import load
 from pipeline.evaluate import split
 from pipeline.sections.evaluate import Evaluate
-from pipeline.train import windows
+from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.predict import Prediction, Target
 from tests import artefacts
 
@@ -16,12 +16,12 @@ PARAMS = Path(__file__).resolve().parents[3] / "params.yaml"
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
-def drives(folder: Path, write: object = artefacts.write_graphs, horizon: int = 0) -> list[windows.LabelledDrive]:
+def drives(folder: Path, write: object = artefacts.write_graphs, horizon: int = 0) -> list[LabelledDrive]:
     artefacts.write_dataset(folder, dict.fromkeys(NAMES, "test"), frames=30, points=40, write=write)
-    return windows.read_drives(folder / "graphs/semantic", folder / "labels", NAMES, 4, horizon=horizon)
+    return read_drives(folder / "graphs/semantic", folder / "labels", NAMES, 4, horizon=horizon)
 
 
-def case(drive: windows.LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> split.Case:
+def case(drive: LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> split.Case:
     return split.Case(drive, [Prediction(angles) for angles in seeds], Target(mean, 1.0, 2.7, 1.0, {"visual": 0.5}))
 
 
@@ -72,12 +72,12 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
             artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "lidar", drive.steering_rad)
 
     def baselines(horizon: int = 5) -> dict:
-        again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, horizon=horizon)
+        again = read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, horizon=horizon)
         return metrics([case(drive, np.zeros(30)) for drive in again])
 
     found, (first, second) = (
         baselines()["baselines"],
-        windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4),
+        read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4),
     )
     assert list(found) == ["zero", "train_mean", "persistence", "odometry", "regression"]
     assert list(baselines(0)["baselines"]) == ["zero", "train_mean", "persistence", "odometry", "regression"]
@@ -100,7 +100,7 @@ def test_odometry_is_not_compared_with_labels_from_the_same_motion(
     for drive in drives(tmp_path):
         for kind in ("visual", "lidar"):
             artefacts.add_motion(drive.graphs, kind, drive.steering_rad)
-    again = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, horizon=horizon)
+    again = read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, horizon=horizon)
     cases = [case(drive, np.zeros(30)) for drive in again]
     assert split.measured_kinds(cases) == kinds
     assert {drive.label_source for drive in again} == {"visual"}

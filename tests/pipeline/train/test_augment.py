@@ -6,6 +6,7 @@ import pytest
 
 from pipeline.graphs.graph_file import Arrays
 from pipeline.train import augment, windows
+from pipeline.train.labelled_drive import read_drives
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES, read_batch
 
@@ -60,7 +61,7 @@ def test_a_range_that_overlaps_an_unknown_one_is_unknown() -> None:
 
 def test_a_path_in_a_batch_is_scaled_with_its_scene(tmp_path: Path) -> None:
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
-    drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(DRIVES), 4, predict="path")
+    drives = read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(DRIVES), 4, predict="path")
     (batch,) = windows.batches(drives, [[windows.Span(0, 0, 20)]], 4)
     scaled = augment.rescale(batch, np.full(20, 1.25, np.float32), drives[0].ahead_m)
     assert (scaled["xyz"] == batch["xyz"] * np.float32(1.25)).all()

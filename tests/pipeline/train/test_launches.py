@@ -14,6 +14,7 @@ from pipeline.graphs import graph_file
 from pipeline.sections.models import Entry
 from pipeline.sections.train import Train
 from pipeline.train import fit, predict, reading, windows
+from pipeline.train.labelled_drive import read_drives
 from tests import artefacts, simulated_gpu, small_model
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
@@ -59,9 +60,7 @@ def count(folder: Path, line: dict[str, object], write: Callable[..., None]) -> 
         for name in DRIVES:
             path = folder / f"graphs/semantic/{name}.h5"
             artefacts.add_motion(path, entry.motion, np.linspace(-0.3, 0.4, FRAMES))
-    drives = windows.read_drives(
-        folder / "graphs/semantic", folder / "labels", list(DRIVES), entry.window, **entry.reading
-    )
+    drives = read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), entry.window, **entry.reading)
     with graph_file.open_graphs(drives[0].graphs) as graphs:
         contents = graphs.contents
     torch.manual_seed(0)

@@ -8,21 +8,22 @@ import torch
 
 from pipeline.base.errors import InputError
 from pipeline.train import windows
+from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.path_target import PathPrediction, PathTarget
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES
 
 
 @pytest.fixture
-def drives(tmp_path: Path) -> list[windows.LabelledDrive]:
+def drives(tmp_path: Path) -> list[LabelledDrive]:
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, scale in zip(DRIVES, (0.2, -0.3), strict=True):
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", scale * np.sin(np.arange(40) / 5))
     folders = tmp_path / "graphs/semantic", tmp_path / "labels"
-    return windows.read_drives(*folders, list(DRIVES), 4, motion="visual", predict="path")
+    return read_drives(*folders, list(DRIVES), 4, motion="visual", predict="path")
 
 
-def test_the_base_is_the_regression_on_the_measured_curvature(drives: list[windows.LabelledDrive]) -> None:
+def test_the_base_is_the_regression_on_the_measured_curvature(drives: list[LabelledDrive]) -> None:
     target = PathTarget.from_drives(drives)
     path = np.concatenate([drive.path_1pm for drive in drives])
     measured = np.concatenate([np.tan(drive.base_rad) / 2.7 for drive in drives])
@@ -35,7 +36,7 @@ def test_the_base_is_the_regression_on_the_measured_curvature(drives: list[windo
     assert target.coefficients == {"visual": pytest.approx(target.base)}
 
 
-def test_outputs_and_paths_are_inverse(drives: list[windows.LabelledDrive]) -> None:
+def test_outputs_and_paths_are_inverse(drives: list[LabelledDrive]) -> None:
     target = PathTarget.from_drives(drives)
     (batch,) = windows.batches(drives, [windows.spans(drives, 4, 100)], 4)
     assert "steering_rad" not in batch
@@ -49,7 +50,7 @@ def test_outputs_and_paths_are_inverse(drives: list[windows.LabelledDrive]) -> N
     assert not batch["path_1pm"][invalid].any()
 
 
-def test_nmse_is_1_for_the_straight_path_and_ignores_unknown_frames(drives: list[windows.LabelledDrive]) -> None:
+def test_nmse_is_1_for_the_straight_path_and_ignores_unknown_frames(drives: list[LabelledDrive]) -> None:
     target = PathTarget.from_drives(drives)
     straight = [PathPrediction(np.zeros_like(drive.path_1pm)) for drive in drives]
     assert target.nmse(drives, straight) == pytest.approx(1)
@@ -59,16 +60,16 @@ def test_nmse_is_1_for_the_straight_path_and_ignores_unknown_frames(drives: list
     assert np.isnan(target.nmse(drives, unknown))
 
 
-def test_without_motion_the_base_is_zero(drives: list[windows.LabelledDrive]) -> None:
+def test_without_motion_the_base_is_zero(drives: list[LabelledDrive]) -> None:
     graphs, labels = drives[0].graphs.parent, drives[0].labels.parent
-    target = PathTarget.from_drives(windows.read_drives(graphs, labels, list(DRIVES), 4, predict="path"))
+    target = PathTarget.from_drives(read_drives(graphs, labels, list(DRIVES), 4, predict="path"))
     assert target.base == [0, 0]
     assert target.coefficients["visual"] == pytest.approx(PathTarget.from_drives(drives).base)
 
 
-def test_a_range_that_is_never_driven(drives: list[windows.LabelledDrive]) -> None:
+def test_a_range_that_is_never_driven(drives: list[LabelledDrive]) -> None:
     graphs, labels = drives[0].graphs.parent, drives[0].labels.parent
     for name in DRIVES:
         artefacts.write_labels(labels / f"{name}.h5", name, np.full(40, 0.1), np.arange(40), ahead_m=[0, 5, 100])
     with pytest.raises(InputError, match=r"no frame is followed by a path from 5 to 100 m in 2026.*labels\.ahead_m"):
-        PathTarget.from_drives(windows.read_drives(graphs, labels, list(DRIVES), 4, predict="path"))
+        PathTarget.from_drives(read_drives(graphs, labels, list(DRIVES), 4, predict="path"))

@@ -13,6 +13,7 @@ from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
 from pipeline.sections.models import Entry
 from pipeline.train import predict, windows
+from pipeline.train.labelled_drive import Timeline, read_drives
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES
 
@@ -49,7 +50,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_shared_frames_equal_naive_windows_and_gaps_are_nan(model: predict.Trained, drive: Path) -> None:
     with graph_file.open_graphs(drive) as graphs:
         steering_rad = model.predict(graphs)
-        timeline = windows.Timeline.read(graphs)
+        timeline = Timeline.read(graphs)
         for row, number in enumerate(NUMBERS):
             before = NUMBERS[max(0, row - WINDOW + 1) : row + 1]
             if len(before) < WINDOW or number - before[0] >= WINDOW:
@@ -121,9 +122,9 @@ def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
     name = next(iter(DRIVES))
     artefacts.write_dataset(tmp_path, {name: "train"}, frames=40, points=12)
     graphs, labels = tmp_path / "graphs/semantic", tmp_path / "labels"
-    (plain,) = windows.read_drives(graphs, labels, [name], WINDOW, horizon=5)
+    (plain,) = read_drives(graphs, labels, [name], WINDOW, horizon=5)
     artefacts.add_motion(graphs / f"{name}.h5", "lidar", np.full(40, 0.05))
-    (drive,) = windows.read_drives(graphs, labels, [name], WINDOW, horizon=5, motion="lidar")
+    (drive,) = read_drives(graphs, labels, [name], WINDOW, horizon=5, motion="lidar")
     drive.valid[:10] = False
     target = predict.Target.from_drives([drive])
     assert target.mean_rad == pytest.approx(plain.steering_rad[10:35].mean())

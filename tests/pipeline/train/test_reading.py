@@ -14,15 +14,16 @@ import yaml
 from pipeline.sections.models import Entry
 from pipeline.sections.train import Train
 from pipeline.train import augment, fit, predict, reading, windows
+from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.reading import Reader, TrainStep
 from tests import artefacts, small_model
 
 
 @pytest.fixture
-def drives(tmp_path: Path) -> list[windows.LabelledDrive]:
+def drives(tmp_path: Path) -> list[LabelledDrive]:
     splits = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
     artefacts.write_dataset(tmp_path, splits, frames=30, points=40)
-    return windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(splits), 4)
+    return read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(splits), 4)
 
 
 def planned(seed: int) -> list[TrainStep]:
@@ -35,7 +36,7 @@ def planned(seed: int) -> list[TrainStep]:
     return steps
 
 
-def expected_batch(drives: Sequence[windows.LabelledDrive], step: TrainStep) -> dict[str, np.ndarray]:
+def expected_batch(drives: Sequence[LabelledDrive], step: TrainStep) -> dict[str, np.ndarray]:
     (batch,) = windows.batches(drives, [step.runs], 4)
     return augment.rescale(batch, np.repeat(step.factor, 9))
 
@@ -48,7 +49,7 @@ def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
 
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_batches_equal_the_reference(drives: list[windows.LabelledDrive], workers: int) -> None:
+def test_batches_equal_the_reference(drives: list[LabelledDrive], workers: int) -> None:
     with Reader(drives, 4, torch.device("cpu"), workers=workers) as reader:
         for epoch in range(2):  # with the same processes
             steps = planned(epoch)
@@ -60,7 +61,7 @@ def test_batches_equal_the_reference(drives: list[windows.LabelledDrive], worker
     ("free_batches", "processes", "note"), [(100, 2, ""), (8, 2, "2 processes read"), (1, 0, "one thread reads")]
 )
 def test_shared_memory_limits_the_processes(
-    drives: list[windows.LabelledDrive],
+    drives: list[LabelledDrive],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     free_batches: int,
@@ -86,7 +87,7 @@ def test_shared_memory_limits_the_processes(
 
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_predictions_are_the_same_with_each_reader(drives: list[windows.LabelledDrive], workers: int) -> None:
+def test_predictions_are_the_same_with_each_reader(drives: list[LabelledDrive], workers: int) -> None:
     torch.manual_seed(0)
     entry = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 4})
     net, target = entry.build("graph"), predict.Target.from_drives(drives)
@@ -98,12 +99,12 @@ def test_predictions_are_the_same_with_each_reader(drives: list[windows.Labelled
     assert np.isfinite(predicted.steering_rad).any()
 
 
-def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[windows.LabelledDrive], tmp_path: Path) -> None:
+def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[LabelledDrive], tmp_path: Path) -> None:
     names = [drive.name for drive in drives]
     for name in names:
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", np.full(30, 0.2))
     folders = tmp_path / "graphs/semantic", tmp_path / "labels"
-    moving = windows.read_drives(*folders, names, 4, horizon=5, motion="visual")
+    moving = read_drives(*folders, names, 4, horizon=5, motion="visual")
     runs = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
     with Reader(moving, 4, torch.device("cpu"), workers=0) as reader:
         shown, half = reader[TrainStep(runs)], reader[TrainStep(runs, hide_motion=np.array([False, True]))]
@@ -118,10 +119,10 @@ def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[windows.Labe
 
 @pytest.mark.parametrize(("ahead", "motion", "hides"), [(5, True, True), (0, True, False), (5, False, False)])
 def test_motion_is_hidden_from_half_of_the_runs_if_the_target_lies_ahead(
-    drives: list[windows.LabelledDrive], tmp_path: Path, ahead: int, motion: bool, hides: bool
+    drives: list[LabelledDrive], tmp_path: Path, ahead: int, motion: bool, hides: bool
 ) -> None:
     names = [drive.name for drive in drives]
-    drives = windows.read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", names, 4, horizon=ahead)
+    drives = read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", names, 4, horizon=ahead)
     line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
     entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"run_windows": 1})

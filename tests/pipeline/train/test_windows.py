@@ -13,6 +13,7 @@ from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
 from pipeline.sections.models import Entry
 from pipeline.train import windows
+from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drives
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES
 
@@ -34,8 +35,8 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _read(folder: Path, window: int = 8) -> list[windows.LabelledDrive]:
-    return windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), window)
+def _read(folder: Path, window: int = 8) -> list[LabelledDrive]:
+    return read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), window)
 
 
 def test_the_dataset_of_the_documentation(original: Path) -> None:
@@ -55,9 +56,9 @@ def test_the_dataset_of_the_documentation(original: Path) -> None:
 
 
 def test_consecutive_frames_end_at_a_gap() -> None:
-    assert windows.consecutive(np.array([3, 4, 5, 9, 10, 12])) == ((0, 3), (3, 5), (5, 6))
-    assert windows.consecutive(np.array([7])) == ((0, 1),)
-    assert windows.consecutive(np.array([], int)) == ()
+    assert consecutive(np.array([3, 4, 5, 9, 10, 12])) == ((0, 3), (3, 5), (5, 6))
+    assert consecutive(np.array([7])) == ((0, 1),)
+    assert consecutive(np.array([], int)) == ()
 
 
 def test_spans_cover_each_window_once(original: Path) -> None:
@@ -120,7 +121,7 @@ def test_target_is_the_label_horizon_frames_ahead(folder: Path) -> None:
     artefacts.write_labels(folder / f"labels/{name}.h5", name, steering, frame, valid)
     rng = np.random.default_rng(0)
     artefacts.write_graphs(folder / f"graphs/semantic/{name}.h5", name, np.zeros(22), frame[:22], 12, rng)
-    (drive,) = windows.read_drives(folder / "graphs/semantic", folder / "labels", [name], 4, horizon=5)
+    (drive,) = read_drives(folder / "graphs/semantic", folder / "labels", [name], 4, horizon=5)
     assert drive.frame.tolist() == frame[:22].tolist()
     ahead = {int(number): row for row, number in enumerate(frame)}
     for row, number in enumerate(drive.frame + 5):
@@ -139,7 +140,7 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
             moved = np.arange(23) != 5
             artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", truth["steering_rad"], moved)
     without = _read(folder)
-    drives = windows.read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion="visual")
+    drives = read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion="visual")
     held = np.where(moved, drives[0].steering_rad, drives[0].steering_rad[4])
     assert drives[0].base_rad == pytest.approx(held, abs=1e-6)
     assert drives[0].measured_rad["visual"] is not None
@@ -154,7 +155,7 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     assert batch["motion"][11 + 6, 2:].tolist() == [8, 1]
     assert "motion" not in plain
     assert not plain["base_rad"].any()
-    without_base = windows.read_drives(
+    without_base = read_drives(
         folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion="visual", base="none"
     )
     (batch_without_base,) = windows.batches(without_base, [group], 8)
@@ -173,7 +174,7 @@ def test_a_stream_has_the_windows_of_the_file(folder: Path, base: str) -> None:
     artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.2, 22), valid)
     with open_graphs(folder / f"graphs/semantic/{name}.h5") as graphs:
         car, motion = label.Car(artefacts.WHEELBASE_M, 1.0), graphs.motion("visual")
-        timeline = windows.Timeline.read(graphs, "visual", car, base)
+        timeline = Timeline.read(graphs, "visual", car, base)
         stream, ends = windows.Stream(3, car, base), []
         for row, number in enumerate(graphs.frame.tolist()):
             measured = (float(motion.yaw_rate_radps[row]), float(motion.speed_mps[row])) if valid[row] else None
@@ -191,7 +192,7 @@ def test_a_stream_has_the_windows_of_the_file(folder: Path, base: str) -> None:
 def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(original: Path, name: str) -> None:
     """With 23 frames the scenes are 11 frames later, and continue at the start of the drive."""
     folders = original / "graphs/semantic", original / "labels"
-    (drive,), (control,) = (windows.read_drives(*folders, [name], 8, scene=scene) for scene in ("same", "another"))
+    (drive,), (control,) = (read_drives(*folders, [name], 8, scene=scene) for scene in ("same", "another"))
     spans, shifted = windows.spans([drive], 8, 5), windows.spans([control], 8, 5)
     assert [(span.start, span.stop) for span in spans] == [(span.start, span.stop) for span in shifted]
     with open_graphs(drive.graphs) as graphs:
@@ -209,7 +210,7 @@ def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(or
 
 def test_training_of_the_control_draws_far_scenes_and_leaves_other_random_numbers_alone(original: Path) -> None:
     folders = original / "graphs/semantic", original / "labels"
-    drives, control = (windows.read_drives(*folders, list(DRIVES), 4, scene=scene) for scene in ("same", "another"))
+    drives, control = (read_drives(*folders, list(DRIVES), 4, scene=scene) for scene in ("same", "another"))
     drawn = [windows.random_spans(control, 4, 3, np.random.default_rng(seed)) for seed in (0, 0, 1)]
     assert drawn[0] == drawn[1] != drawn[2]
     shifts = {span.shift for spans in drawn for span in spans}

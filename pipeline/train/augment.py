@@ -1,4 +1,4 @@
-"""Augment spans: change the size of the scene together with the steering. Mirroring is in SteeringNet.forward."""
+"""Augment spans: change the size of the scene together with its targets. Mirroring is in SteeringNet.forward."""
 
 from collections.abc import Sequence
 

@@ -18,10 +18,16 @@ from pipeline.town.drive import Drive
 from pipeline.town.rig import make_rig, write_calibration
 
 
-def main(out: Path = Path("data/town"), params: Path = Path("params.yaml"), workers: int | None = None) -> Path:
+def main(
+    out: Path = Path("data/town"),
+    params: Path = Path("params.yaml"),
+    raw: Path = Path("data/raw"),
+    workers: int | None = None,
+) -> Path:
     """Render the drives of section ingest that belong to the sample; none with ingest.source: kitti.
 
-    Returns the stage's folder. Raises InputError instead of replacing a drive that is not rendered.
+    Returns the stage's folder. Raises InputError instead of replacing a drive that is not rendered, and if `raw` lacks
+    a drive of section ingest, which stage `ingest` would report only after minutes of rendering.
     """
     settings, ingest = load(Town, params), load(Ingest, params)
     sources, splits = ingest.sources(), ingest.drives.splits()
@@ -30,6 +36,8 @@ def main(out: Path = Path("data/town"), params: Path = Path("params.yaml"), work
         out.mkdir(parents=True, exist_ok=True)
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
         return out
+    if real := [drive for drive in splits if sources[drive] == "kitti"]:
+        find_drives(raw, real)
     folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in limits}
     for folder in folders.values():
         if folder.is_dir() and not (folder / "truth").is_dir():
@@ -38,10 +46,14 @@ def main(out: Path = Path("data/town"), params: Path = Path("params.yaml"), work
     frames = {drive: min(limits[drive], len(recorded[drive].oxts) if recorded else limits[drive]) for drive in limits}
     jobs = []
     for drive in sorted(limits, key=frames.__getitem__, reverse=True):  # the longest first
-        raw = recorded.get(drive)
-        inputs = [splits[drive], raw.fingerprint([])] if raw else [splits[drive]]
+        replayed = recorded.get(drive)
+        inputs = [splits[drive], replayed.fingerprint([])] if replayed else [splits[drive]]
         work = partial(
-            _render, drive=drive, frames=limits[drive], recorded=raw.folder if raw else None, settings=settings
+            _render,
+            drive=drive,
+            frames=limits[drive],
+            recorded=replayed.folder if replayed else None,
+            settings=settings,
         )
         jobs.append(Job(drive, folders[drive], inputs, work))
     text = "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²"

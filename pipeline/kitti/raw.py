@@ -121,7 +121,8 @@ def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:
     folders = [path for path in root.glob("????_??_??/*_drive_????_sync") if path.is_dir()]
     known = sorted(path.name.removesuffix("_sync") for path in folders)
     if not known:
-        raise InputError("folder has no drives (expected <date>/<date>_drive_NNNN_sync, as in KITTI raw)", root)
+        problem = "folder has no drives (expected <date>/<date>_drive_NNNN_sync, as in KITTI raw)"
+        raise InputError(problem, root, f"Link KITTI raw: ln -s /path/to/kitti {root}")
     for drive in drives:
         if drive not in known:
             problem = f"drive {drive} of ingest.drives is missing ({closest(drive, known)})"

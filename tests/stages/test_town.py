@@ -22,6 +22,7 @@ from stages import town
 from tests.recorded_drive import drive_along, write_recorded
 
 DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_11_drive_0001"]  # two dates, two cameras
+KITTI = "2011_09_26_drive_0005"
 
 
 def write_params(path: Path, source: str = "town", val: tuple[str, ...] = (), **settings: Any) -> Path:
@@ -55,8 +56,10 @@ def test_ego_touches_nothing(drive: str) -> None:
 
 def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """KITTI's drives are left out; a second run with other settings replaces the first."""
-    params = write_params(tmp_path / "params.yaml", source="both", val=("2011_09_26_drive_0005",))
-    out = town.main(out=tmp_path / "town", params=params, workers=1)
+    params = write_params(tmp_path / "params.yaml", source="both", val=(KITTI,))
+    kitti = tmp_path / "raw" / KITTI[:10] / f"{KITTI}_sync"
+    kitti.mkdir(parents=True)
+    out = town.main(out=tmp_path / "town", params=params, raw=tmp_path / "raw", workers=1)
     raw = find_drives(out, DRIVES)
     assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]
     focal = [raw[drive].camera(2).K[0, 0] for drive in DRIVES]
@@ -65,6 +68,17 @@ def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "drive_0001: 2 frames" in capsys.readouterr().out
     town.main(out=out, params=write_params(params, frames={"train": 1, "val": 1, "test": 1}), workers=1)
     assert [len(drive.images(2)) for drive in find_drives(out, DRIVES).values()] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("problem", ["no drives", f"drive {KITTI} of ingest.drives is missing"])
+def test_a_missing_real_drive_is_an_error_before_rendering(tmp_path: Path, problem: str) -> None:
+    params, raw = write_params(tmp_path / "params.yaml", source="both", val=(KITTI,)), tmp_path / "raw"
+    if "is missing" in problem:
+        (raw / "2011_09_26/2011_09_26_drive_0001_sync").mkdir(parents=True)
+    with pytest.raises(InputError, match=problem) as raised:
+        town.main(out=tmp_path / "town", params=params, raw=raw)
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "town").exists()
 
 
 def test_nothing_to_render_with_kitti(tmp_path: Path) -> None:

@@ -116,13 +116,14 @@ class RawDrive:
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:
     """Return the named drives (for instance 2011_09_26_drive_0052) below `root`.
 
-    Raises InputError if there are no drives at all or one is missing.
+    Raises InputError if the folder or one of the drives is missing, or if there are no drives at all.
     """
+    if not root.is_dir():
+        raise InputError("folder is missing", root, f"Link it: ln -s /path/to/kitti {root}")
     folders = [path for path in root.glob("????_??_??/*_drive_????_sync") if path.is_dir()]
     known = sorted(path.name.removesuffix("_sync") for path in folders)
     if not known:
-        problem = "folder has no drives (expected <date>/<date>_drive_NNNN_sync, as in KITTI raw)"
-        raise InputError(problem, root, f"Link KITTI raw: ln -s /path/to/kitti {root}")
+        raise InputError("folder has no drives (expected <date>/<date>_drive_NNNN_sync, as in KITTI raw)", root)
     for drive in drives:
         if drive not in known:
             problem = f"drive {drive} of ingest.drives is missing ({closest(drive, known)})"

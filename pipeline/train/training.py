@@ -26,7 +26,7 @@ from pipeline.train.path_target import PathTarget
 from pipeline.train.runs import Run
 
 SMALL = 8_000  # points per frame
-# Estimates of what a training step needs on a GPU, upper bounds of docs/scale.md.
+# Estimated GPU memory of a training step, from the upper bounds in docs/scale.md.
 GPU_BYTES_PER_NETWORK = 10**9  # context, libraries, weights
 GPU_BYTES_PER_POINT = 3_200
 POINTS_OF_AN_IMAGE = 45_000
@@ -58,7 +58,7 @@ class Job:
 def networks_at_once(job: Job, drive: str, device: torch.device) -> int | None:
     """Return how many networks a GPU trains at once, by its free memory and STEER_WORKERS; None for a CPU.
 
-    Frames are estimated to have as many points as those of `drive`.
+    Assumes that the frames of all drives have as many points as those of `drive`.
     """
     if device.type == "cpu":
         return None

@@ -70,10 +70,10 @@ def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert [len(drive.images(2)) for drive in find_drives(out, DRIVES).values()] == [1, 1, 1]
 
 
-@pytest.mark.parametrize("problem", ["no drives", f"drive {KITTI} of ingest.drives is missing"])
+@pytest.mark.parametrize("problem", ["raw: folder is missing", f"drive {KITTI} of ingest.drives is missing"])
 def test_a_missing_real_drive_is_an_error_before_rendering(tmp_path: Path, problem: str) -> None:
     params, raw = write_params(tmp_path / "params.yaml", source="both", val=(KITTI,)), tmp_path / "raw"
-    if "is missing" in problem:
+    if KITTI in problem:
         (raw / "2011_09_26/2011_09_26_drive_0001_sync").mkdir(parents=True)
     with pytest.raises(InputError, match=problem) as raised:
         town.main(out=tmp_path / "town", params=params, raw=raw)

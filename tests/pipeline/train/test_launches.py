@@ -29,7 +29,7 @@ class Counts(NamedTuple):
 
 
 class CountingReader:
-    """The batches of a reader; `counts` has those of each batch."""
+    """Yield a reader's batches, and count launches, copies and synchronisations for each of them."""
 
     def __init__(self, reader: reading.Reader, gpu: simulated_gpu.Gpu) -> None:
         self._reader, self._gpu = reader, gpu

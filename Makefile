@@ -33,7 +33,7 @@ $(CHAINS): setup
 
 $(RUNS): run-of-%:
 	@mkdir -p "runs/$*/data" data/report weights
-	@python -m pipeline.sections.preset "$*" --out "runs/$*/params.yaml"
+	@python -m pipeline.settings.preset "$*" --out "runs/$*/params.yaml"
 	@rm -rf "runs/$*/pipeline" "runs/$*/models" "runs/$*/stages"
 	@cp -R pipeline models stages dvc.yaml .dvcignore "runs/$*/" && cp data/.gitignore "runs/$*/data/"
 	@ln -sfn ../../../data/raw "runs/$*/data/raw" && ln -sfn ../../weights "runs/$*/weights"
@@ -43,12 +43,12 @@ $(RUNS): run-of-%:
 	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md" && echo "Open data/report/$*.html in a browser."
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
-	@mkdir -p runs/encoder && python -m pipeline.sections.preset encoder --out runs/encoder/params.yaml
-	@cd runs/encoder && export PYTHONPATH=../.. && for stage in town ingest encoder; do python -m stages.$$stage || exit; done
+	@mkdir -p runs/encoder && python -m pipeline.settings.preset encoder --out runs/encoder/params.yaml
+	@cd runs/encoder && export PYTHONPATH=../.. && for stage in sample ingest encoder; do python -m stages.$$stage || exit; done
 	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample
 
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
-	@mkdir -p runs/street && python -m pipeline.sections.preset street --out runs/street/params.yaml
+	@mkdir -p runs/street && python -m pipeline.settings.preset street --out runs/street/params.yaml
 	@python -m stages.encoder --params runs/street/params.yaml --out weights/street
 
 UDACITY ?= data/raw/udacity
@@ -59,7 +59,7 @@ udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACI
 PRESET ?=
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file
 	@[ -n "$(PRESET)" ] || { echo "error: PRESET is missing. Choose one of: $(PRESETS), or a path" >&2; exit 1; }
-	@python -m pipeline.sections.preset "$(PRESET)" --out params.yaml
+	@python -m pipeline.settings.preset "$(PRESET)" --out params.yaml
 
 PYTEST = OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder
 test: setup            ## run all tests but the soak tests, with coverage

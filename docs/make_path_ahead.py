@@ -19,8 +19,8 @@ from pipeline.drawing import figure_file
 from pipeline.drawing.path import COLOURS, STEP_M, follow, path_steps, wheel_tracks
 from pipeline.graphs import graph_file
 from pipeline.report.figures import draw_path
-from pipeline.sections.town import Town
-from pipeline.town.drive import Drive
+from pipeline.sample.drive import Drive
+from pipeline.settings.sample import Sample
 from pipeline.train import predict
 from pipeline.train.labelled_drive import read_drive
 
@@ -58,7 +58,7 @@ def draw_from_above(panel: Axes, steps_1pm: np.ndarray, kind: str) -> None:
 
 def render(drive: str, frame: int) -> np.ndarray:
     """Render a drive of the sample in SIZE; return the frame's image, uint8 [H,W,3]."""
-    settings = load(Town, Path("params.yaml"))
+    settings = load(Sample, Path("params.yaml"))
     rendered = Drive(drive, frames=settings.frames.val, size=SIZE, scan_rays=(1, 1), seed=settings.seed)
     with TemporaryDirectory() as folder:
         rendered.write(Path(folder) / drive)

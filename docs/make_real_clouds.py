@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from pipeline.camera import classes
 from pipeline.drawing import figure_file, street_view
-from pipeline.inspect import frame_view
+from pipeline.show import frame_view
 
 ROWS = (  # kind, drive, caption, frames
     ("pseudo", "2011_09_26_drive_0005", "from the image", (20, 65, 110)),

@@ -7,10 +7,10 @@ from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import MotionKind, read
 from pipeline.motion import motion_file
-from pipeline.sections.encoder import PRECOMPUTED, Encoder, Teacher
-from pipeline.sections.models import Entry
-from pipeline.sections.motion import Motion
-from pipeline.sections.preset import Params, validate
+from pipeline.settings.encoder import PRECOMPUTED, Encoder, Teacher
+from pipeline.settings.models import Entry
+from pipeline.settings.motion import Motion
+from pipeline.settings.preset import Params, validate
 from pipeline.train import runs
 
 

@@ -10,7 +10,7 @@ from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.graphs import cloud
 from pipeline.perception.drive_frames import open_frames
-from pipeline.sections.clouds import Clouds
+from pipeline.settings.clouds import Clouds
 
 KINDS = ("pseudo", "lidar")
 

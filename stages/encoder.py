@@ -12,7 +12,7 @@ from pipeline.base.atomic import replacing, stage_folder
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
-from pipeline.sections.encoder import PARTS, Encoder
+from pipeline.settings.encoder import PARTS, Encoder
 
 
 def main(

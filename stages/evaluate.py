@@ -15,7 +15,7 @@ from pipeline.evaluate.errors import interval_text
 from pipeline.evaluate.schema import Metrics, PathMetrics
 from pipeline.evaluate.split import Case, inputs, metrics, odometry
 from pipeline.graphs import graph_file
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 from pipeline.train import predict, runs
 from pipeline.train.labelled_drive import read_drive
 

@@ -14,7 +14,7 @@ from pipeline.base.params import load_entry
 from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.graphs import accumulate, cloud, frame_graph, graph_file
 from pipeline.motion import motion_file
-from pipeline.sections.graphs import Variant
+from pipeline.settings.graphs import Variant
 
 
 def main(

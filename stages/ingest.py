@@ -9,16 +9,16 @@ from pipeline.base.params import load
 from pipeline.base.runner import Job, run_over_drives
 from pipeline.kitti.ingest_file import describe, ingest
 from pipeline.kitti.raw import RawDrive, find_drives
-from pipeline.sections.ingest import Ingest
+from pipeline.settings.ingest import Ingest
 
 _FIXES = {
-    "town": "Make it: dvc repro town",
+    "sample": "Make it: dvc repro sample",
     "kitti": "Link it: ln -s /path/to/kitti {root}. Only training? dvc pull labels graphs",
 }
 
 
 def main(
-    town: Path = Path("data/town"),
+    sample: Path = Path("data/sample"),
     raw: Path = Path("data/raw"),
     out: Path = Path("data/ingest"),
     params: Path = Path("params.yaml"),
@@ -31,13 +31,13 @@ def main(
     settings = load(Ingest, params)
     splits, sources = settings.drives.splits(), settings.sources()
     drives: dict[str, RawDrive] = {}
-    for source, root in {"town": town, "kitti": raw}.items():
+    for source, root in {"sample": sample, "kitti": raw}.items():
         names = [drive for drive in splits if sources[drive] == source]
         if names and not root.is_dir():
             raise InputError("folder is missing", root, _FIXES[source].format(root=root))
         drives |= find_drives(root, names) if names else {}
     if settings.source == "both":
-        _check_names([drive for drive in splits if sources[drive] == "town"], raw)
+        _check_names([drive for drive in splits if sources[drive] == "sample"], raw)
     jobs = []
     for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
         fingerprint = files.fingerprint(settings.cameras)

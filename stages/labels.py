@@ -12,7 +12,7 @@ from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.kitti.oxts import VL
 from pipeline.labels import ahead, label, sources
 from pipeline.motion import motion_file
-from pipeline.sections.labels import Labels
+from pipeline.settings.labels import Labels
 
 
 def main(

@@ -12,7 +12,7 @@ from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.motion import motion_file
 from pipeline.motion.estimator import MotionEstimator
 from pipeline.perception.drive_frames import open_frames
-from pipeline.sections.motion import Motion
+from pipeline.settings.motion import Motion
 
 
 def main(

@@ -14,7 +14,7 @@ from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_units
 from pipeline.perception.depth_scale import DepthPostprocessor, needs_scan, stored_unit
-from pipeline.sections.perception import Perception
+from pipeline.settings.perception import Perception
 
 if TYPE_CHECKING:
     from pipeline.perception.perceive import Predict

@@ -7,7 +7,7 @@ from pathlib import Path
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, run_over_drives
-from pipeline.sections.pictures import Pictures
+from pipeline.settings.pictures import Pictures
 
 
 def main(

@@ -8,7 +8,7 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.atomic import replacing, stage_folder, sweep
 from pipeline.base.params import entries, load
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 
 
 def main(

@@ -19,7 +19,7 @@ from pipeline.motion import motion_file
 from pipeline.perception.drive_frames import open_perception
 from pipeline.perception.scores import Scores, summary_line
 from pipeline.perception.truth import read_truth
-from pipeline.sections.labels import Labels
+from pipeline.settings.labels import Labels
 
 
 def main(

@@ -17,8 +17,8 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import run_jobs
-from pipeline.sections.models import Entry
-from pipeline.sections.train import Train
+from pipeline.settings.models import Entry
+from pipeline.settings.train import Train
 from pipeline.train import distributed, runs
 
 

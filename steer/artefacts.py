@@ -28,7 +28,7 @@ def show(
     steer show data/graphs/semantic/2026_01_10_drive_0004.h5 --frame 20
     steer show data/train/sa-gnn-ncp --json
     """
-    from pipeline.inspect import artefact, project
+    from pipeline.show import artefact, project
 
     output = options.Output(quiet, as_json)
     if frame is not None or out:
@@ -43,7 +43,7 @@ def show(
 
 def _show_frame(path: Path, frame: int | None, out: Path | None, output: options.Output) -> dict[str, Any]:
     """Print a frame's numbers, draw it, and return what was written."""
-    from pipeline.inspect import frame_view
+    from pipeline.show import frame_view
 
     options.check_names(path, out)
     if out and out.suffix.lower() != ".png":
@@ -80,7 +80,7 @@ def diff(
     """
     from rich.progress import track
 
-    from pipeline.inspect.diff import compare, pairs
+    from pipeline.show.diff import compare, pairs
 
     output = options.Output(quiet, as_json)
     files = pairs(a, b)

@@ -9,8 +9,8 @@ import typer
 from steer import options
 
 if TYPE_CHECKING:
-    from pipeline.inspect.project import Project
-    from pipeline.inspect.raw_check import DriveCheck
+    from pipeline.show.project import Project
+    from pipeline.show.raw_check import DriveCheck
 
 _ALL_CAMERAS = (2, 0, 3, 1)
 
@@ -35,8 +35,8 @@ def doctor(
     steer doctor data/raw --json
     """
     from pipeline.base.errors import InputError
-    from pipeline.inspect import project as projects
-    from pipeline.inspect import raw_check
+    from pipeline.show import project as projects
+    from pipeline.show import raw_check
 
     output = options.Output(quiet, as_json)
     folder = projects.project_root(Path.cwd())
@@ -102,7 +102,7 @@ def _print(
             for check in drives
         ])  # fmt: skip
     if project:
-        from pipeline.inspect.project import NOT_RUN
+        from pipeline.show.project import NOT_RUN
 
         output.line(f"project {project.folder}: {project.free_bytes / 1e9:.1f} GB free")
         if changed := {stage: reason for stage, reason in project.due.items() if reason != NOT_RUN}:

@@ -69,7 +69,7 @@ def import_recording(
     from pipeline.recording import drive_preset, layout
     from pipeline.recording.motion_log import check_ratio, read_motion, read_wheel
     from pipeline.recording.recording import Recording
-    from pipeline.sections.preset import PRESETS
+    from pipeline.settings.preset import PRESETS
 
     output = options.Output(quiet, as_json)
     options.check_names(source, motion, wheel, out, calib, times)

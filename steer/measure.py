@@ -10,7 +10,7 @@ numbers. quality.json says how certain scale and focal length are.
 
 \b
 steer measure street.mp4 --fov 65 --out out/
-steer measure data/town/2026_01_10/2026_01_10_drive_0004_sync --encoder data/encoder
+steer measure data/sample/2026_01_10/2026_01_10_drive_0004_sync --encoder data/encoder
 """
 
 from pathlib import Path

@@ -81,7 +81,7 @@ Device = Annotated[str | None, typer.Option(callback=use_device, help=_DEVICE)]
 
 def in_project(path: Path) -> Path:
     """Return `path`, or if it does not exist, the same path in the folder of the project around the working folder."""
-    from pipeline.inspect.project import project_root
+    from pipeline.show.project import project_root
 
     root = None if path.exists() else project_root(Path.cwd())
     return path if root in (None, Path.cwd()) else root / path

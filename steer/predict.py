@@ -7,7 +7,7 @@ means over later frames: see steer measure.
 Results replace those of an earlier run when the run succeeds. Until then they are in OUT/.unfinished.
 
 \b
-steer predict data/town/2026_01_10/2026_01_10_drive_0004_sync --out out/
+steer predict data/sample/2026_01_10/2026_01_10_drive_0004_sync --out out/
 steer predict street.mp4 --fov 65 --model data/train/motion
 """
 

@@ -12,7 +12,7 @@ from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.labels import ahead, label
-from pipeline.sections.graphs import Variant
+from pipeline.settings.graphs import Variant
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.kitti.oxts import make_rows
 from pipeline.kitti.raw import RawDrive
-from pipeline.town.oxts import make_recording
+from pipeline.sample.oxts import make_recording
 
 DRIVE = "2011_09_26_drive_0007"
 DT_S = 0.1
@@ -47,7 +47,7 @@ def curvature_at(s_m: np.ndarray, bends: list[tuple[float, float, float]]) -> np
     return total
 
 
-def town_trip() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sample_trip() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Left and right turn, and a halt between them, from which the car first rolls back 4 m: rows, track, driven."""
     speeds = [6.0, 6, 0, 0, -2, -2, 0, 0, 7, 7]
     speed = np.interp(np.arange(220), [0, 60, 75, 95, 105, 115, 125, 130, 150, 219], speeds)

@@ -14,7 +14,7 @@ from dvc.utils.serialize import modify_yaml
 from pipeline.base import resume
 
 STAGES = (
-    "town", "ingest", "encoder", "perception", "motion", "labels", "scores", "clouds", "pictures", "graphs", "train",
+    "sample", "ingest", "encoder", "perception", "motion", "labels", "scores", "clouds", "pictures", "graphs", "train",
     "evaluate", "report",
 )  # fmt: skip
 MODEL = "sa-gnn-ncp"
@@ -90,7 +90,7 @@ def small_chain(folder: Path) -> Path:
     drives = {"train": ["2026_01_01_drive_0001..0002"], "val": ["2026_01_02_drive_0001"]}
     edit_params(
         folder,
-        town=params["town"] | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
+        sample=params["sample"] | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
         ingest=params["ingest"] | {"image_size": [64, 208], "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
         encoder=params["encoder"] | {"weights": None, "epochs": 2, "frames": 24},
         clouds=params["clouds"] | {"max_points": 3000},

@@ -63,13 +63,13 @@ def read_graphs(path: Path) -> dict[str, np.ndarray]:
         return {name: np.asarray(value) for name, value in graphs.read(0, len(graphs.frame)).items()}
 
 
-RAW = f"town/2026_01_01/{DRIVE}_sync"
+RAW = f"sample/2026_01_01/{DRIVE}_sync"
 SOUND: dict[str, Read] = {
     f"{RAW}/oxts/data/0000000003.txt": oxts.read_row,
     f"{RAW}/oxts/timestamps.txt": read_times,
     f"{RAW}/velodyne_points/data/0000000003.bin": read_scan,
     f"{RAW}/image_02/data/0000000003.png": read_pixels,
-    "town/2026_01_01/calib_cam_to_cam.txt": read_projection,
+    "sample/2026_01_01/calib_cam_to_cam.txt": read_projection,
     f"ingest/{DRIVE}.h5": read_drive,
     f"labels/{DRIVE}.h5": read_drive,
     f"graphs/semantic/{DRIVE}.h5": read_graphs,

@@ -44,7 +44,7 @@ def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) 
     check_refused(scratch.run(folder, "dvc", "repro", check=False), f"models.{MODEL}: input", "semantc")
     (folder / "params.yaml").write_text(params)
 
-    scan = sorted((folder / "data/town/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
+    scan = sorted((folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
     content = scan.read_bytes()
     scan.write_bytes(content[:-7])
     output = scratch.run(folder, "dvc", "repro", "ingest", "--single-item", check=False)
@@ -88,4 +88,4 @@ def check_same_bytes(chain: Path, folder: Path, workers: dict[str, int]) -> None
 
 def test_bytes_do_not_depend_on_workers(chain: Path, tmp_path: Path) -> None:
     """The chain ran with one."""
-    check_same_bytes(chain, tmp_path / "copy", {"town": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs": 2})
+    check_same_bytes(chain, tmp_path / "copy", {"sample": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs": 2})

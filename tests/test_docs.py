@@ -7,8 +7,8 @@ import pytest
 
 from pipeline.base.params import load
 from pipeline.base.resume import ROOT
-from pipeline.sections.ingest import Ingest
-from pipeline.sections.town import Town
+from pipeline.settings.ingest import Ingest
+from pipeline.settings.sample import Sample
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "data/README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
@@ -50,5 +50,5 @@ def test_examples_name_drives_and_frames_of_the_sample(name: str) -> None:
     frames = re.findall(r"--frame (\d+)|predict\(graphs, \[([\d, ]+)\]", text)
     assert drives
     assert set(drives) <= load(Ingest, ROOT / "params.yaml").drives.splits().keys()
-    last = load(Town, ROOT / "params.yaml").frames.test - 1
+    last = load(Sample, ROOT / "params.yaml").frames.test - 1
     assert all(int(number) <= last for groups in frames for part in groups if part for number in part.split(","))

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from pipeline.base import resume
-from pipeline.sections.graphs import Variant
+from pipeline.settings.graphs import Variant
 
 CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
@@ -20,7 +20,7 @@ IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True
 WHOLE_PACKAGES = {"pipeline/base", "pipeline/camera"}  # small, and they rarely change
 BEYOND: dict[str, set[str]] = {
     "check": {"pipeline", "models"},  # takes seconds, and finds faults anywhere
-    "town": {"pipeline/kitti/ingest_file.py"},  # an edit renders the sample again
+    "sample": {"pipeline/kitti/ingest_file.py"},  # an edit renders the sample again
     "scores": {"models/encoder"},  # needed for flat ground; an edit of another network reruns perception anyway
     "train": {"pipeline/train/pyg.py"},  # short, and used by no stage
     # An edit of these reruns training anyway.
@@ -116,7 +116,7 @@ def test_deps_on_data_are_exactly_outs(name: str) -> None:
 def test_sections_that_a_stage_reads_are_its_params(name: str) -> None:
     tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    read = {module.removeprefix("pipeline.sections.") for module in modules if module.startswith("pipeline.sections.")}
+    read = {module.removeprefix("pipeline.settings.") for module in modules if module.startswith("pipeline.settings.")}
     listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
     # check depends on the whole file; of models, report reads only names.
     assert listed == {"check": set(), "report": {"models", "evaluate"}}.get(name, read)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from pipeline.base.resume import ROOT
-from pipeline.sections import preset
+from pipeline.settings import preset
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -110,7 +110,7 @@ def test_the_samples_encoder_is_made_by_one_command(checkout: Path) -> None:
     """With its preset, but small."""
     path = checkout / "presets/encoder.yaml"
     content = yaml.safe_load(path.read_text())
-    content["town"] |= {"image_size": [32, 96], "frames": dict.fromkeys(("train", "val", "test"), 1)}
+    content["sample"] |= {"image_size": [32, 96], "frames": dict.fromkeys(("train", "val", "test"), 1)}
     content["ingest"] |= {"image_size": [32, 96]}
     content["ingest"]["drives"]["train"] = content["ingest"]["drives"]["train"][0].split("..")[:1]
     content["encoder"] |= {"epochs": 1}

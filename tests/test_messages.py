@@ -26,9 +26,9 @@ from pipeline.camera.images import read_image
 from pipeline.fitting import checkpoint
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import find_drives, read_calibration, read_scan
-from pipeline.sections import preset
-from pipeline.sections.graphs import Variant
-from pipeline.sections.labels import Labels
+from pipeline.settings import preset
+from pipeline.settings.graphs import Variant
+from pipeline.settings.labels import Labels
 from tests import artefacts
 
 SNAPSHOT = Path(__file__).with_name("messages.txt")

@@ -9,7 +9,7 @@ import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.perception import perceive
-from pipeline.sections import preset
+from pipeline.settings import preset
 from tests import scratch
 
 FRAMES = 40
@@ -20,13 +20,13 @@ DRIVES = {split: [f"2026_01_0{day}_drive_0001"] for day, split in enumerate(("tr
 def test_make_kitti_on_rendered_drives(tmp_path: Path) -> None:
     folder = scratch.copy(tmp_path / "rehearsal")
     params = preset.merged("kitti")
-    town = params["town"] | {
+    sample = params["sample"] | {
         "image_size": [375, 1242],
         "scan_rays": [64, 2000],
         "frames": dict.fromkeys(DRIVES, FRAMES),
     }
-    scratch.edit_params(folder, town=town, ingest=params["ingest"] | {"source": "town", "drives": DRIVES})
-    scratch.run(folder, "env", "STEER_WORKERS=2", "python", "-m", "stages.town", "--out", "raw")
+    scratch.edit_params(folder, sample=sample, ingest=params["ingest"] | {"source": "sample", "drives": DRIVES})
+    scratch.run(folder, "env", "STEER_WORKERS=2", "python", "-m", "stages.sample", "--out", "raw")
     (folder / "data/raw").symlink_to(folder / "raw")
 
     # The published weights are absent. Random depth measures no visual motion, so ours take motion from scans.

@@ -1,4 +1,4 @@
-"""Read ``params.yaml``: each section is a typed class in ``pipeline/sections/``, and a stage loads only its own.
+"""Read ``params.yaml``: each section is a typed class in ``pipeline/settings/``, and a stage loads only its own.
 
 A value out of range, an unknown key or a wrong type is an :class:`~pipeline.base.errors.InputError` with file, key,
 value and what is expected. Units are in names or descriptions.

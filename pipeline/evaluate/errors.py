@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 
 _DRAWS_AT_ONCE = 1 << 22  # bounds the memory of the bootstrap at about 100 MB
 

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.evaluate import decisions, errors
 from pipeline.evaluate.by_frame import text, write_columns
 from pipeline.evaluate.split import Case, measured_kinds
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 from pipeline.train.path_target import PathPrediction
 
 

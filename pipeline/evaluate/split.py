@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.evaluate import decisions, errors, paths
 from pipeline.graphs.graph_file import open_graphs
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 from pipeline.train.labelled_drive import LabelledDrive
 
 

@@ -16,7 +16,7 @@ from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera, Frame
 
 if TYPE_CHECKING:
-    from pipeline.sections.clouds import Clouds
+    from pipeline.settings.clouds import Clouds
 
 Cloud = tuple[np.ndarray, np.ndarray]
 """xyz float32 [P,3] in metres, cls uint8 [P]."""

@@ -5,7 +5,7 @@ import numpy as np
 from pipeline.graphs import graph, neighbourhoods
 from pipeline.graphs.cloud import Cloud, frame_rng, ordered, sample_points
 from pipeline.graphs.graph_file import Arrays
-from pipeline.sections.graphs import Variant
+from pipeline.settings.graphs import Variant
 
 
 def build(cloud: Cloud, variant: Variant, drive: str, number: int) -> Arrays:

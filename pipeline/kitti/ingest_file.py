@@ -19,7 +19,7 @@ from pipeline.camera.classes import VOID
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, read_classes, read_depth, read_image
 from pipeline.kitti import oxts, steering_file
 from pipeline.kitti.raw import RawDrive, read_scan
-from pipeline.sections.ingest import Ingest
+from pipeline.settings.ingest import Ingest
 
 Rows = Iterable[tuple[int, np.ndarray]]
 """Row index and array, for the frames that have one."""

@@ -39,7 +39,7 @@ class RawDrive:
         self.calibration = folder.parent
         self.oxts = _frames(folder / "oxts" / "data", ".txt")
         self.scans = _frames(folder / "velodyne_points" / "data", ".bin")
-        # Beside KITTI's own folders, written by stage town: dense depth and classes of camera 2.
+        # Beside KITTI's own folders, written by stage sample: dense depth and classes of camera 2.
         self.truth_depth = _frames(folder / "truth" / "depth", ".png")
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
 

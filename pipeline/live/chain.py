@@ -19,7 +19,7 @@ from pipeline.motion.estimator import Estimate, MotionEstimator
 from pipeline.motion.visual import Odometry
 from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.perception.perceive import EncoderInput, open_encoder
-from pipeline.sections.perception import Perception
+from pipeline.settings.perception import Perception
 
 
 class Course(NamedTuple):

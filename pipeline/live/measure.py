@@ -21,7 +21,7 @@ from pipeline.live.source import ROTATE, Source
 from pipeline.live.track import PoseFormat, draw_track, pose_lines
 from pipeline.motion.motion_file import MIN_ROAD
 from pipeline.motion.visual import Odometry
-from pipeline.sections.perception import Perception
+from pipeline.settings.perception import Perception
 
 SIZE = (192, 640)  # of images, as the depth network was trained
 FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas

@@ -28,7 +28,7 @@ from pipeline.live.source import Source
 from pipeline.live.track import draw_track
 from pipeline.perception.depth_scale import needs_scan
 from pipeline.perception.perceive import FILE
-from pipeline.sections.ingest import SAMPLE
+from pipeline.settings.ingest import SAMPLE
 from pipeline.train import windows
 from pipeline.train.path_target import PathTarget
 from pipeline.train.predict import Trained

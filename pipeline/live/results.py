@@ -23,7 +23,7 @@ from pipeline.labels.label import Car
 from pipeline.live.chain import Course, FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.source import Source
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 
 STEERING, MOTION, VIDEO = "steering.csv", "motion.csv", "overlay.mp4"
 TRACK, QUALITY, POSES = "track.png", "quality.json", "poses.txt"

@@ -10,11 +10,11 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load, load_entry
 from pipeline.camera.camera import read_camera
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.sections.clouds import Clouds
-from pipeline.sections.graphs import Variant
-from pipeline.sections.ingest import Ingest
-from pipeline.sections.motion import Motion
-from pipeline.sections.perception import Perception
+from pipeline.settings.clouds import Clouds
+from pipeline.settings.graphs import Variant
+from pipeline.settings.ingest import Ingest
+from pipeline.settings.motion import Motion
+from pipeline.settings.perception import Perception
 
 
 @dataclass(frozen=True)

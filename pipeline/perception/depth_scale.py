@@ -14,7 +14,7 @@ from pipeline.camera.geometry import back_project, rays, scan_depth
 from pipeline.camera.images import DEPTH_UNITS_PER_M
 
 if TYPE_CHECKING:
-    from pipeline.sections.perception import DepthScale, Perception
+    from pipeline.settings.perception import DepthScale, Perception
 
 MIN_ROAD_PIXELS = 50
 MIN_TRUTH_PIXELS = 10

@@ -11,7 +11,7 @@ from pipeline.perception.depth_scale import ground_plane_depth, scoring_factor
 from pipeline.perception.truth import Truth
 
 if TYPE_CHECKING:
-    from pipeline.sections.perception import DepthScale
+    from pipeline.settings.perception import DepthScale
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")

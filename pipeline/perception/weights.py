@@ -22,7 +22,7 @@ from pipeline.camera.camera import Camera
 from pipeline.fitting import checkpoint
 from pipeline.perception import perceive
 from pipeline.perception.examples import Classify
-from pipeline.sections.encoder import Teacher, WeightFile, Weights
+from pipeline.settings.encoder import Teacher, WeightFile, Weights
 
 ALL = "all"
 STREET = Path("weights/street")

@@ -15,7 +15,7 @@ from pipeline.evaluate.schema import PathMetrics, Range, RangeErrors
 from pipeline.report.results import fix
 from pipeline.report.studies import Difference, difference
 from pipeline.report.tables import NONE, Table
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 
 _NOTE = (
     "nmse of the mean curvature of the driven path, by distance ahead; zero is the straight path. held repeats the "

@@ -16,7 +16,7 @@ from pipeline.drawing import figure_file
 from pipeline.evaluate.errors import interval, interval_text
 from pipeline.report.results import Results
 from pipeline.report.tables import Table, cells, with_text
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 
 DEFAULT = "sa-gnn-ncp"
 _CURVES = {

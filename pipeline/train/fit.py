@@ -21,7 +21,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.fitting import checkpoint
 from pipeline.fitting.precision import autocast
 from pipeline.fitting.schedule import warm_up_cosine
-from pipeline.sections.train import Train
+from pipeline.settings.train import Train
 from pipeline.train import predict, reading, windows
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World

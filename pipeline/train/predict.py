@@ -22,7 +22,7 @@ from pipeline.fitting import checkpoint
 from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.labels import label
-from pipeline.sections.models import Entry
+from pipeline.settings.models import Entry
 from pipeline.train import runs, windows
 from pipeline.train.distributed import World
 from pipeline.train.labelled_drive import LabelledDrive, Timeline

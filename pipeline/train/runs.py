@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
-from pipeline.sections.models import Entry
+from pipeline.settings.models import Entry
 from pipeline.train.labelled_drive import read_drive, target_fault
 
 _SEED, _FOLD = "seed-", "fold-"

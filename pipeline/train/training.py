@@ -16,8 +16,8 @@ from pipeline.base.executors import default_workers
 from pipeline.base.resume import file_hash, revision, stage_key
 from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
-from pipeline.sections.models import Entry
-from pipeline.sections.train import Train
+from pipeline.settings.models import Entry
+from pipeline.settings.train import Train
 from pipeline.train import fit, predict
 from pipeline.train.curve import selected_epoch, write_curve
 from pipeline.train.distributed import World

@@ -7,7 +7,7 @@ import yaml
 from pipeline.base.errors import InputError
 from pipeline.motion import motion_file
 from pipeline.perception import weights
-from pipeline.sections import preset
+from pipeline.settings import preset
 from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]

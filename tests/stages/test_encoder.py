@@ -12,7 +12,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
 from pipeline.base.resume import ROOT
 from pipeline.perception import perceive
-from pipeline.sections import preset
+from pipeline.settings import preset
 from stages.encoder import main
 from tests import street
 

@@ -154,15 +154,15 @@ def test_damaged_frame_is_an_error_or_left_out(tmp_path: Path, damage: str, caps
 def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
     sample = "2026_01_01_drive_0001"
     write_drive(tmp_path / "raw", DRIVE)
-    write_drive(tmp_path / "town", sample, frames=range(2), truth=True)
+    write_drive(tmp_path / "sample", sample, frames=range(2), truth=True)
     params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[sample], source="both")
-    folders = {"town": tmp_path / "town", "raw": tmp_path / "raw", "out": tmp_path / "out"}
+    folders = {"sample": tmp_path / "sample", "raw": tmp_path / "raw", "out": tmp_path / "out"}
     ingest.main(**folders, params=params, workers=1)
     assert read_index(tmp_path / "out", stage="ingest") == {DRIVE: "train", sample: "test"}
-    for drive, source, frames in ((DRIVE, "kitti", 4), (sample, "town", 2)):
+    for drive, source, frames in ((DRIVE, "kitti", 4), (sample, "sample", 2)):
         with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
             assert (file.attrs["source"], len(file.frame)) == (source, frames)
-            assert ("cls" in file) == (source == "town")
+            assert ("cls" in file) == (source == "sample")
     write_drive(tmp_path / "raw", sample)
     with pytest.raises(InputError, match="name of the sample"):
         ingest.main(**folders, params=params, workers=1)

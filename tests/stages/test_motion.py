@@ -12,7 +12,7 @@ from pipeline.camera.images import to_units
 from pipeline.kitti.ingest_file import put_motion, put_pixels, put_scans
 from pipeline.kitti.oxts import make_rows
 from pipeline.motion import motion_file
-from pipeline.sections.perception import Perception
+from pipeline.settings.perception import Perception
 from stages import motion
 from tests import rendered_street as street
 from tests.pipeline.motion.test_lidar import T_CAM_VELO, scan, world

@@ -9,7 +9,7 @@ import yaml
 from typer.testing import CliRunner
 
 from pipeline.base import resume
-from pipeline.inspect import project as checks
+from pipeline.show import project as checks
 from steer.app import app
 from tests import kitti_drive
 

@@ -16,7 +16,7 @@ from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import RawDrive
 from pipeline.labels.label import steering_labels
 from pipeline.recording import layout
-from pipeline.sections import preset
+from pipeline.settings import preset
 from stages import check, ingest, labels
 from steer.import_recording import import_recording
 from tests import gnss

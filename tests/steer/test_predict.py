@@ -33,7 +33,7 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def drive(sample: Path) -> Path:
-    return sample / f"data/town/{trained.TEST[:10]}/{trained.TEST}_sync"
+    return sample / f"data/sample/{trained.TEST[:10]}/{trained.TEST}_sync"
 
 
 def read(path: Path) -> list[dict[str, str]]:

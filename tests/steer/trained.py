@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 from pipeline.base.resume import ROOT
-from stages import clouds, encoder, evaluate, graphs, ingest, labels, motion, perception, town, train
+from stages import clouds, encoder, evaluate, graphs, ingest, labels, motion, perception, sample, train
 
 TEST = "2026_01_03_drive_0001"
 MODELS = {
@@ -36,7 +36,7 @@ VARIANTS = {
 def make(folder: Path) -> None:
     """Write params.yaml and data/ to a folder: three drives of a few frames, and MODELS trained on them."""
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
-    params["town"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
+    params["sample"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
     params["ingest"] |= {
         "image_size": [96, 320],
         "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]},
@@ -50,7 +50,7 @@ def make(folder: Path) -> None:
     params["train"] |= {"epochs": 1}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
     with chdir(folder):
-        for stage in (town, ingest, labels, encoder, perception, motion, clouds):
+        for stage in (sample, ingest, labels, encoder, perception, motion, clouds):
             stage.main()
         for variant in VARIANTS:
             graphs.main(variant)

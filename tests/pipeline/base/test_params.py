@@ -9,11 +9,11 @@ import yaml
 from pipeline.base import params
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
-from pipeline.sections.clouds import Clouds
-from pipeline.sections.graphs import Variant
-from pipeline.sections.ingest import Ingest
-from pipeline.sections.labels import Labels
-from pipeline.sections.train import Train
+from pipeline.settings.clouds import Clouds
+from pipeline.settings.graphs import Variant
+from pipeline.settings.ingest import Ingest
+from pipeline.settings.labels import Labels
+from pipeline.settings.train import Train
 
 
 def edited(tmp_path: Path, key: str, value: Any) -> Path:

@@ -45,7 +45,7 @@ def key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]
         ("pipeline/labels/label.py", {"labels", "train"}),
         ("pipeline/base/store.py", {"labels", "clouds", "train"}),
         ("models/steering/spatial/gnn.py", {"train"}),  # a file that dvc.yaml names by ${item.spatial}
-        ("pipeline/town/world.py", set()),
+        ("pipeline/sample/world.py", set()),
         ("pipeline/base/.store.py.swp", set()),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 from pipeline.evaluate import errors
 from pipeline.kitti import oxts
 from pipeline.labels import label
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 
 
 def test_scores_by_hand() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.params import load
 from pipeline.evaluate import split
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.predict import Prediction, Target
 from tests import artefacts

@@ -11,7 +11,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.graph_file import Arrays, open_graphs
-from pipeline.sections.graphs import Variant
+from pipeline.settings.graphs import Variant
 from tests import artefacts
 
 KNN = Variant(source="clouds/pseudo", points=30, k=4, keep_inter_class=0.5)

@@ -14,7 +14,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.live.chain import Chain, FrameState
 from pipeline.perception.perceive import save
-from pipeline.sections.perception import Perception
+from pipeline.settings.perception import Perception
 from stages.perception import main
 from tests import street
 

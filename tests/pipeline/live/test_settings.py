@@ -11,10 +11,10 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import ROOT
 from pipeline.live.settings import focal_by_width, load_settings
-from pipeline.sections.clouds import Clouds
-from pipeline.sections.graphs import Variant
-from pipeline.sections.ingest import Ingest
-from pipeline.sections.perception import Perception
+from pipeline.settings.clouds import Clouds
+from pipeline.settings.graphs import Variant
+from pipeline.settings.ingest import Ingest
+from pipeline.settings.perception import Perception
 
 DRIVE, PARAMS = "2026_01_01_drive_0001", ROOT / "params.yaml"
 

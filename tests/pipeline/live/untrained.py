@@ -8,7 +8,7 @@ import torch
 
 from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
-from pipeline.sections.models import Entry
+from pipeline.settings.models import Entry
 from pipeline.train import predict
 from pipeline.train.path_target import PathTarget
 from pipeline.train.predict import Target, Trained

@@ -14,7 +14,7 @@ from pipeline.perception.depth_scale import (
     ground_plane_depth,
     limit_traffic_depth,
 )
-from pipeline.sections.perception import Perception
+from pipeline.settings.perception import Perception
 from tests import street
 
 SIZE = (48, 96)

@@ -21,7 +21,7 @@ from pipeline.perception.weights import (
     read_published,
     supervision,
 )
-from pipeline.sections.encoder import WeightFile, Weights
+from pipeline.settings.encoder import WeightFile, Weights
 
 CONTENT = b"some weights"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()

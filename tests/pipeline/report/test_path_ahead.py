@@ -13,7 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera.camera import read_camera
 from pipeline.drawing.path import wheel_tracks
 from pipeline.report import figures, path_ahead
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings.evaluate import Evaluate
 from stages import report
 from tests import street
 from tests.pipeline.report import examples

@@ -12,8 +12,8 @@ from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.report import studies
 from pipeline.report.results import Results, load_results
-from pipeline.sections import preset
-from pipeline.sections.evaluate import Evaluate
+from pipeline.settings import preset
+from pipeline.settings.evaluate import Evaluate
 from tests.pipeline.report import examples
 
 MODELS = {"sa-gnn-ncp": 0.2, "points-125": 0.6, "points-8000": 0.15, "keep-100": 0.2, "lambda-0": 0.8}

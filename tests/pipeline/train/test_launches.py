@@ -11,8 +11,8 @@ import torch
 import yaml
 
 from pipeline.graphs import graph_file
-from pipeline.sections.models import Entry
-from pipeline.sections.train import Train
+from pipeline.settings.models import Entry
+from pipeline.settings.train import Train
 from pipeline.train import fit, predict, reading, windows
 from pipeline.train.labelled_drive import read_drives
 from tests import artefacts, simulated_gpu, small_model

@@ -11,8 +11,8 @@ import pytest
 import torch
 import yaml
 
-from pipeline.sections.models import Entry
-from pipeline.sections.train import Train
+from pipeline.settings.models import Entry
+from pipeline.settings.train import Train
 from pipeline.train import augment, fit, predict, reading, windows
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.reading import Reader, TrainStep

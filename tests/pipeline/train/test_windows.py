@@ -11,7 +11,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
-from pipeline.sections.models import Entry
+from pipeline.settings.models import Entry
 from pipeline.train import windows
 from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drives
 from tests import artefacts

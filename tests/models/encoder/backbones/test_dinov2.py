@@ -13,7 +13,7 @@ from models.encoder.backbones import Parts
 from models.encoder.backbones.dinov2 import SIZES, padding
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.perception.weights import load_weights
-from pipeline.sections.encoder import Weights
+from pipeline.settings.encoder import Weights
 
 WIDTH, LAYERS, HEADS = SIZES["vits14"]
 State = dict[str, Tensor]

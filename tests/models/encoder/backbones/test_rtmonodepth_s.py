@@ -15,7 +15,7 @@ from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.perception.perceive import perceive
 from pipeline.perception.scores import depth_errors, eigen_crop
 from pipeline.perception.weights import load_weights
-from pipeline.sections.encoder import Weights
+from pipeline.settings.encoder import Weights
 
 KITTI_K = torch.tensor([[[371.8, 0, 320], [0, 369.4, 92], [0, 0, 1]]], dtype=torch.float64)
 

@@ -10,7 +10,7 @@ from models.steering.core.batch import GraphBatch, ImageBatch
 from models.steering.core.options import load, names
 from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, odd_and_even
 from models.steering.temporal.ncp import CELLS
-from pipeline.sections.models import Entry
+from pipeline.settings.models import Entry
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])

@@ -1,0 +1,112 @@
+"""Stage sample on drives of a few frames."""
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from pipeline.base import resume
+from pipeline.base.errors import InputError
+from pipeline.kitti.raw import find_drives
+from pipeline.sample.drive import random_of, theme
+from pipeline.sample.light import draw_ground_colours
+from pipeline.sample.motion import draw_journey
+from pipeline.sample.plan import draw_character, draw_plan
+from pipeline.sample.route import IMU_LEFT_M, unit
+from pipeline.sample.street import build_street
+from pipeline.sample.world import World
+from stages import sample
+from tests.recorded_drive import drive_along, write_recorded
+
+DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_11_drive_0001"]  # two dates, two cameras
+KITTI = "2011_09_26_drive_0005"
+
+
+def write_params(path: Path, source: str = "sample", val: tuple[str, ...] = (), **settings: Any) -> Path:
+    params = yaml.safe_load((resume.ROOT / "params.yaml").read_text(encoding="utf-8"))
+    params["sample"] |= {"image_size": [48, 160], "scan_rays": [16, 40], "frames": {"train": 2, "val": 1, "test": 3}}
+    params["sample"] |= settings
+    params["ingest"] |= {"source": source, "drives": {"train": DRIVES[:2], "val": list(val), "test": DRIVES[2:]}}
+    path.write_text(yaml.safe_dump(params), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("drive", ["2026_01_01_drive_0001", "2026_01_06_drive_0003"])
+def test_ego_touches_nothing(drive: str) -> None:
+    """In a tight right turn and a narrow street: the outline is on road, and rays from frame to frame hit nothing."""
+    rng, (quarter, first) = random_of(drive, seed=0), theme(drive)
+    character = draw_character(rng, quarter)
+    journey = draw_journey(rng, 60, character, first)
+    plan = draw_plan(journey.route, rng, character)
+    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
+    ahead, left = unit(journey.heading_rad), unit(journey.heading_rad + np.pi / 2)
+    for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):  # from the centre of the rear axle
+        places = journey.xy + forward * ahead + (aside - IMU_LEFT_M) * left
+        assert (plan.to_road_m[plan.cells(*places.T)] == 0).all()
+        steps = np.diff(places, axis=0)
+        length = np.linalg.norm(steps, axis=1)
+        for height in (0.4, 1.5):
+            starts = np.column_stack([places[:-1], np.full(len(steps), height)])
+            rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(np.float32)
+            assert (world.cast(rays.T).distance_m > length).all()
+
+
+def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """KITTI's drives are left out; a second run with other settings replaces the first."""
+    params = write_params(tmp_path / "params.yaml", source="both", val=(KITTI,))
+    kitti = tmp_path / "raw" / KITTI[:10] / f"{KITTI}_sync"
+    kitti.mkdir(parents=True)
+    out = sample.main(out=tmp_path / "sample", params=params, raw=tmp_path / "raw", workers=1)
+    raw = find_drives(out, DRIVES)
+    assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]
+    focal = [raw[drive].camera(2).K[0, 0] for drive in DRIVES]
+    assert focal[0] == focal[1] < focal[2]
+    assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
+    assert "drive_0001: 2 frames" in capsys.readouterr().out
+    sample.main(out=out, params=write_params(params, frames={"train": 1, "val": 1, "test": 1}), workers=1)
+    assert [len(drive.images(2)) for drive in find_drives(out, DRIVES).values()] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("problem", ["raw: folder is missing", f"drive {KITTI} of ingest.drives is missing"])
+def test_a_missing_real_drive_is_an_error_before_rendering(tmp_path: Path, problem: str) -> None:
+    params, raw = write_params(tmp_path / "params.yaml", source="both", val=(KITTI,)), tmp_path / "raw"
+    if KITTI in problem:
+        (raw / "2011_09_26/2011_09_26_drive_0001_sync").mkdir(parents=True)
+    with pytest.raises(InputError, match=problem) as raised:
+        sample.main(out=tmp_path / "sample", params=params, raw=raw)
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "sample").exists()
+
+
+def test_nothing_to_render_with_kitti(tmp_path: Path) -> None:
+    sample.main(out=tmp_path / "sample", params=write_params(tmp_path / "params.yaml", source="kitti"))
+    assert list((tmp_path / "sample").iterdir()) == []
+
+
+def test_other_drives_are_never_replaced(tmp_path: Path) -> None:
+    theirs = tmp_path / "raw" / DRIVES[0][:10] / f"{DRIVES[0]}_sync" / "oxts" / "data" / "0000000000.txt"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("49.0 8.4")
+    with pytest.raises(InputError, match="not rendered") as raised:
+        sample.main(out=tmp_path / "raw", params=write_params(tmp_path / "params.yaml"))
+    assert raised.value.where.endswith(f"{DRIVES[0]}_sync")
+    assert theirs.read_text() == "49.0 8.4"
+
+
+def test_replay_copies_recorded_packets_up_to_the_split_s_limit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows, _ = drive_along(np.full(5, 6.0), np.full(5, 0.05))
+    recorded = {drive: write_recorded(tmp_path / "raw", rows, range(3, 8), drive) for drive in DRIVES}
+    settings = {"replay": str(tmp_path / "raw"), "frames": {"train": 9, "val": 1, "test": 2}}
+    out = sample.main(out=tmp_path / "sample", params=write_params(tmp_path / "params.yaml", **settings), workers=1)
+    rendered = find_drives(out, DRIVES)
+    for drive, last in zip(DRIVES, (7, 7, 4), strict=True):
+        assert list(rendered[drive].images(2)) == list(rendered[drive].oxts) == list(range(3, last + 1))
+        for frame, path in rendered[drive].oxts.items():
+            assert path.read_bytes() == recorded[drive].oxts[frame].read_bytes()
+        assert rendered[drive].camera_number([2]) == 2
+    assert "drive_0001: 5 frames, 2.4 m" in capsys.readouterr().out

@@ -12,10 +12,10 @@ unexport PYTHONDONTWRITEBYTECODE
 PRESETS := $(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml))
 CHAINS := $(filter-out encoder street,$(PRESETS))
 RUNS := $(CHAINS:%=run-of-%)
-# Benchmarks and soak tests also use recorded scans, if there are any.
+# Benchmarks also use recorded scans, if there are any.
 KITTI := $(or $(STEER_KITTI),$(wildcard ../shared/kitti))
 
-.PHONY: demo help encoder street udacity $(CHAINS) $(RUNS) params test soak bench lint format setup system
+.PHONY: demo help encoder street udacity $(CHAINS) $(RUNS) params test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro
@@ -62,11 +62,8 @@ params: setup          ## write the settings of a preset into params.yaml: make 
 	@python -m pipeline.settings.preset "$(PRESET)" --out params.yaml
 
 PYTEST = OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder
-test: setup            ## run all tests but the soak tests, with coverage
+test: setup            ## run all tests, with coverage
 	$(PYTEST) --cov --cov-report=term:skip-covered --cov-fail-under=95
-
-soak: setup            ## run the long tests: kills in each stage, full disks, several machines
-	$(if $(KITTI),STEER_KITTI="$(KITTI)") $(PYTEST) -m soak
 
 ROWS ?=
 bench: setup           ## measure this project beside its alternatives; ROWS="ltc demo" measures these rows only

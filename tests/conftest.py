@@ -59,7 +59,7 @@ def _shared(name: str) -> Path:
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark soak tests as slow, too, and order the files so that processes of pytest-xdist rarely wait.
+    """Order the files so that processes of pytest-xdist rarely wait.
 
     One file that needs the chain comes first and builds it, beside it run the tests of stages, and then the other files
     that need it.
@@ -67,6 +67,3 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     with_chain = list(dict.fromkeys(item.path for item in items if "chain" in getattr(item, "fixturenames", ())))
     order = dict.fromkeys(with_chain, 2) | dict.fromkeys(with_chain[:1], 0)
     items.sort(key=lambda item: order.get(item.path, 1 if item.path.parent.name == "stages" else 3))
-    for item in items:
-        if item.get_closest_marker("soak"):
-            item.add_marker("slow")

@@ -5,7 +5,6 @@ from models.steering.core import aggregate as module
 from models.steering.core.aggregate import aggregate, neighbourhoods
 from models.steering.spatial.edgeconv import EdgeConvLayer, centre_plus_max
 from models.steering.spatial.gatv2 import GATv2Layer, attend
-from tests import simulated_gpu
 
 
 @pytest.mark.parametrize("loops", [False, True])
@@ -45,24 +44,3 @@ def test_same_bits_each_time(make_batch, layer):
 
     first = run()
     assert all(torch.equal(a, b) for _ in range(3) for a, b in zip(first, run(), strict=True))
-
-
-@pytest.mark.parametrize("layer", [EdgeConvLayer, GATv2Layer])
-def test_degrees_that_share_a_chunk_on_a_gpu_change_nothing(make_batch, layer):
-    batch = make_batch([30, 0, 1, 20])
-    net = layer(6, 8).double()
-    x = torch.randn(51, 2, 6, dtype=torch.float64)
-
-    def run(net, batch, x):
-        operator = layer.operator(batch, x.dtype)
-        out = net(x, operator)
-        return len(operator), [out, *torch.autograd.grad(out.square().sum(), list(net.parameters()))]
-
-    count, expected = run(net, batch, x)
-    with simulated_gpu.Gpu() as gpu:
-        gpu.move(net)
-        moved = batch.to(simulated_gpu.GPU)
-        fewer, result = run(net, moved, x.to(simulated_gpu.GPU))
-    assert fewer < count
-    assert not gpu.synchronisations
-    torch.testing.assert_close([tensor.values for tensor in result], expected, rtol=0, atol=1e-12)

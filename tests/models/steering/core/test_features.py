@@ -13,7 +13,6 @@ from models.steering.core.features import (
     sector_max_pool,
 )
 from pipeline.camera import classes
-from tests import simulated_gpu
 
 
 def test_classes_enter_in_proportion_to_semantics(make_batch):
@@ -50,16 +49,6 @@ def test_pooling_gradient(counts):
     assert torch.autograd.gradcheck(lambda x: mean_max_pool(x, ptr), x)
 
 
-def test_equal_frames_are_pooled_at_once_on_a_gpu_and_to_the_same_bits():
-    x, ptr = torch.randn(40, 5), torch.arange(0, 41, 10)
-    with simulated_gpu.Gpu() as gpu:
-        on_gpu = x.to(simulated_gpu.GPU)
-        mean_max, maximum = mean_max_pool(on_gpu, ptr).cpu(), max_pool(on_gpu, ptr).cpu()
-    assert torch.equal(mean_max, mean_max_pool(x, ptr))
-    assert torch.equal(maximum, max_pool(x, ptr))
-    assert gpu.operators == {"mean": 1, "amax": 2, "cat": 1}
-
-
 UNEQUAL = [30, 0, 1, 17]
 
 
@@ -84,17 +73,3 @@ def test_pooling_by_sector_has_a_gradient(make_batch):
     batch = make_batch(UNEQUAL)
     x = torch.rand(48, 2, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda x: sector_max_pool(x, batch.xyz, batch.ptr, 3), x)
-
-
-def test_pooling_by_sector_has_no_loop_over_frames_on_a_gpu(make_batch):
-    launches = []
-    for counts in ([20, 28], UNEQUAL):
-        batch, x = make_batch(counts), torch.rand(48, 3)
-        with simulated_gpu.Gpu() as gpu:
-            there, features = batch.to(simulated_gpu.GPU), x.to(simulated_gpu.GPU)
-            gpu.reset()
-            pooled = sector_max_pool(features, there.xyz, there.ptr, 5)
-            launches.append(gpu.launches)
-            assert not gpu.synchronisations
-            assert torch.equal(pooled.cpu(), sector_max_pool(x, batch.xyz, batch.ptr, 5))
-    assert launches[0] == launches[1]

@@ -7,7 +7,6 @@ from models.steering.core.batch import GraphBatch
 from models.steering.core.options import Sizes
 from models.steering.spatial.polar import BEARINGS, FAR_M, NEAR_M, RANGES, Options, polar_map
 from pipeline.camera import classes
-from tests import simulated_gpu
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 UNEQUAL = [300, 0, 1, 170]
@@ -90,17 +89,3 @@ def test_all_weights_learn(make_batch, network):
 
 def test_size_is_as_documented():
     assert 25_000 < sum(parameter.numel() for parameter in Options().build(Sizes(32)).parameters()) < 35_000
-
-
-def test_the_map_needs_no_loop_over_frames_on_a_gpu(make_batch):
-    few, many = make_batch([30, 10]), make_batch([9, 0, 1, 12, 20])
-    launches = []
-    for batch in (few, many):
-        with simulated_gpu.Gpu() as gpu:
-            there = batch.to(simulated_gpu.GPU)
-            gpu.reset()
-            frames = polar_map(there).cpu()
-            launches.append(gpu.launches)
-            assert len(gpu.synchronisations) == 1, gpu.synchronisations  # the result's copy
-        assert torch.equal(frames, polar_map(batch))
-    assert launches[0] == launches[1]

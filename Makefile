@@ -38,7 +38,6 @@ $(RUNS): run-of-%:
 	@cp -R pipeline models stages dvc.yaml .dvcignore "runs/$*/" && cp data/.gitignore "runs/$*/data/"
 	@ln -sfn ../../../data/raw "runs/$*/data/raw" && ln -sfn ../../weights "runs/$*/weights"
 	@cd "runs/$*" && { [ -d .dvc ] || dvc init --quiet --no-scm; } && dvc config cache.type hardlink,copy && dvc cache dir ../../.dvc/cache && dvc repro
-	@rm -rf "data/report/$*"; [ ! -e "runs/$*/data/report/settings/studies.md" ] || cp -RL "runs/$*/data/report/settings" "data/report/$*"
 	@for kind in md csv; do cp "runs/$*/data/report/table.$$kind" "data/report/$*.$$kind"; done
 	@cp "runs/$*/data/report/index.html" "data/report/$*.html" && cat "data/report/$*.md" && echo "Open data/report/$*.html in a browser."
 

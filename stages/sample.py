@@ -1,7 +1,4 @@
-"""Render the embedded sample, a procedural world in KITTI raw's layout, so that everything runs without KITTI.
-
-With sample.replay the roads follow the tracks of real drives, of which only oxts is needed.
-"""
+"""Render the embedded sample, a procedural world in KITTI raw's layout, so that everything runs without KITTI."""
 
 from functools import partial
 from pathlib import Path
@@ -11,7 +8,7 @@ from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, run_over_drives
-from pipeline.kitti.raw import RawDrive, find_drives
+from pipeline.kitti.raw import find_drives
 from pipeline.sample.drive import Drive
 from pipeline.sample.rig import make_rig, write_calibration
 from pipeline.settings.ingest import Ingest
@@ -31,31 +28,26 @@ def main(
     """
     settings, ingest = load(Sample, params), load(Ingest, params)
     sources, splits = ingest.sources(), ingest.drives.splits()
-    limits = {drive: getattr(settings.frames, splits[drive]) for drive in splits if sources[drive] == "sample"}
-    if not limits:
+    frames = {drive: getattr(settings.frames, splits[drive]) for drive in splits if sources[drive] == "sample"}
+    if not frames:
         out.mkdir(parents=True, exist_ok=True)
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
         return out
     if real := [drive for drive in splits if sources[drive] == "kitti"]:
         find_drives(raw, real)
-    folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in limits}
+    folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in frames}
     for folder in folders.values():
         if folder.is_dir() and not (folder / "truth").is_dir():
             raise InputError("folder holds a drive that is not rendered", folder, "Pass another --out, or move it")
-    recorded = _find_recorded(settings, list(limits))
-    frames = {drive: min(limits[drive], len(recorded[drive].oxts) if recorded else limits[drive]) for drive in limits}
-    jobs = []
-    for drive in sorted(limits, key=frames.__getitem__, reverse=True):  # the longest first
-        replayed = recorded.get(drive)
-        inputs = [splits[drive], replayed.fingerprint([])] if replayed else [splits[drive]]
-        work = partial(
-            _render,
-            drive=drive,
-            frames=limits[drive],
-            recorded=replayed.folder if replayed else None,
-            settings=settings,
+    jobs = [
+        Job(
+            drive,
+            folders[drive],
+            [splits[drive]],
+            partial(_render, drive=drive, frames=frames[drive], settings=settings),
         )
-        jobs.append(Job(drive, folders[drive], inputs, work))
+        for drive in sorted(frames, key=frames.__getitem__, reverse=True)  # the longest first
+    ]
     text = "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²"
     with run_over_drives("sample", settings, jobs, out, text.format_map, workers=workers):
         for date in {folder.parent for folder in folders.values()}:
@@ -63,25 +55,8 @@ def main(
     return out
 
 
-def _find_recorded(settings: Sample, drives: list[str]) -> dict[str, RawDrive]:
-    """Return the real drives to replay; none without sample.replay."""
-    if settings.replay is None:
-        return {}
-    root = Path(settings.replay)
-    if not root.is_dir():
-        raise InputError("folder is missing", f"sample.replay = {root}", f"Link it: ln -s /path/to/kitti {root}")
-    return find_drives(root, drives)
-
-
-def _render(path: Path, *, drive: str, frames: int, recorded: Path | None, settings: Sample) -> Summary:
-    rendered = Drive(
-        drive,
-        frames=frames,
-        size=settings.image_size,
-        scan_rays=settings.scan_rays,
-        seed=settings.seed,
-        recorded=RawDrive(recorded) if recorded else None,
-    )
+def _render(path: Path, *, drive: str, frames: int, settings: Sample) -> Summary:
+    rendered = Drive(drive, frames=frames, size=settings.image_size, scan_rays=settings.scan_rays, seed=settings.seed)
     with replacing(path) as folder:
         rendered.write(folder)
     return rendered.summary()

@@ -9,13 +9,11 @@ import numpy as np
 
 from pipeline.base.errors import named_frames
 from pipeline.camera.images import to_units, write_png
-from pipeline.kitti.raw import RawDrive
 from pipeline.sample.light import draw_ground_colours, draw_light
 from pipeline.sample.manoeuvres import DECK
 from pipeline.sample.motion import draw_journey
-from pipeline.sample.oxts import read_recording, record
+from pipeline.sample.oxts import record
 from pipeline.sample.plan import QUARTERS, draw_character, draw_plan
-from pipeline.sample.replay import replay
 from pipeline.sample.rig import make_rig
 from pipeline.sample.sensors import ImageSensor, Scanner
 from pipeline.sample.street import build_street
@@ -32,14 +30,7 @@ class Drive:
     """One drive of the sample: road, street, light, traffic and motion."""
 
     def __init__(
-        self,
-        drive: str,
-        *,
-        frames: int,
-        size: tuple[int, int],
-        scan_rays: tuple[int, int],
-        seed: int,
-        recorded: RawDrive | None = None,
+        self, drive: str, *, frames: int, size: tuple[int, int], scan_rays: tuple[int, int], seed: int
     ) -> None:
         """Lay out the drive named `drive` (2026_01_01_drive_0001) with `frames` frames.
 
@@ -47,31 +38,25 @@ class Drive:
             size: [H, W] of the pictures.
             scan_rays: rings and rays per ring of the scanner.
             seed: of the sample; with the name it determines road, street, light and motion.
-            recorded: a real drive to replay: its first `frames` frames along a road laid under its track; its oxts
-                files are copied.
         """
         self._name, self._seed = drive, seed
         rng = random_of(drive, seed)
-        recording = read_recording(recorded, frames) if recorded else None
         quarter, first = theme(drive)
         character = draw_character(rng, quarter)
-        if recording:
-            self._journey = replay(drive, recording, rng, character.lane_m)
-        else:
-            self._journey = draw_journey(rng, frames, character, first)
+        self._journey = draw_journey(rng, frames, character, first)
         route = self._journey.route
         plan = draw_plan(route, rng, character)
         self._world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
         self._light = draw_light(rng)
         self._traffic = draw_traffic(self._journey, rng)
-        self._recording = recording or record(self._journey, drive[:10], rng)
+        self._packets, self._timestamps = record(self._journey, drive[:10], rng)
         rig = make_rig(size, drive[:10])
         self._camera, self._scanner = ImageSensor(rig), Scanner(rig, scan_rays)
 
     def write(self, path: Path) -> None:
         """Render all frames into the folder `path`, with their oxts files and timestamps.txt of all sensors.
 
-        A drawn drive also has the oxts files of the frames after the last image, for labels of the path ahead.
+        Oxts files continue for some frames after the last image, for labels of the path ahead.
         Ground truth lies beside them: truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds).
         """
         images, scans, packets = (path / sensor / "data" for sensor in SENSORS)
@@ -79,13 +64,12 @@ class Drive:
         for folder in (images, scans, packets, depths, classes):
             folder.mkdir(parents=True)
         for sensor in SENSORS:
-            (path / sensor / "timestamps.txt").write_bytes(self._recording.timestamps)
-        for number, packet in self._recording.packets.items():
+            (path / sensor / "timestamps.txt").write_bytes(self._timestamps)
+        for number, packet in enumerate(self._packets):
             (packets / f"{number:010d}.txt").write_bytes(packet)
-        rendered = [*self._recording.packets][: len(self._journey.motion.time_s)]
-        for i, number in enumerate(named_frames(rendered)):
-            self._world.set_traffic([vehicle.at(i) for vehicle in self._traffic if vehicle.visible[i]])
-            pose, png = self._journey.pose(i), f"{number:010d}.png"
+        for number in named_frames(range(len(self._journey.motion.time_s))):
+            self._world.set_traffic([vehicle.at(number) for vehicle in self._traffic if vehicle.visible[number]])
+            pose, png = self._journey.pose(number), f"{number:010d}.png"
             rgb, depth_m, cls = self._camera.take(self._world, self._light, pose)
             write_png(images / png, rgb, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
             write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)

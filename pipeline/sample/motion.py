@@ -1,6 +1,7 @@
 """Move the ego along its route over time, and its body on its springs: its pose in every frame."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,26 +45,28 @@ class Body:
 
 @dataclass(frozen=True)
 class Journey:
-    """Positions xy [F,2] and headings heading_rad [F] of the IMU; `motion` is its place along the route.
-
-    `after`: how it continues for FRAMES_AFTER frames; None: the drive ends.
-    """
+    """The IMU's `motion` along the route for F frames, and how it continues `after` them for FRAMES_AFTER frames."""
 
     route: Route
     motion: Travel
+    after: Travel
     body: Body
-    xy: np.ndarray
-    heading_rad: np.ndarray
-    after: Travel | None = None
+
+    @cached_property
+    def xy(self) -> np.ndarray:
+        """Positions [F,2]."""
+        return self.route.at(self.motion.s_m)[0]
+
+    @cached_property
+    def heading_rad(self) -> np.ndarray:
+        """Headings [F]."""
+        return self.route.at(self.motion.s_m)[1]
 
     def continued(self) -> "Journey":
         """Return the journey with the frames `after`, on which the body leans as in the last frame."""
-        if self.after is None:
-            return self
         values = zip(vars(self.motion).values(), vars(self.after).values(), strict=True)
-        motion = Travel(*map(np.concatenate, values))
         body = Body(*(np.pad(lean, (0, len(self.after.s_m)), mode="edge") for lean in vars(self.body).values()))
-        return Journey(self.route, motion, body, *self.route.at(motion.s_m))
+        return Journey(self.route, Travel(*map(np.concatenate, values)), self.after, body)
 
     def pose(self, frame: int) -> np.ndarray:
         """Return T_world_imu [4,4]."""
@@ -82,7 +85,7 @@ def draw_journey(rng: np.random.Generator, frames: int, character: Character, fi
     wait_s = rng.uniform(*_WAIT_S)
     motion = drive(route, speed, times, wait_s)
     after = drive(route, speed, times[-1] + PERIOD_S * np.arange(1, FRAMES_AFTER + 1), wait_s)
-    return Journey(route, motion, draw_body(route, motion, rng), *route.at(motion.s_m), after)
+    return Journey(route, motion, after, draw_body(route, motion, rng))
 
 
 def frame_times(rng: np.random.Generator, frames: int) -> np.ndarray:

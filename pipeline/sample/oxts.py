@@ -1,20 +1,8 @@
-"""Oxts files of a drive: as recorded, or as an inertial system in the simulated car would record them."""
-
-from dataclasses import dataclass
+"""Oxts files as an inertial system in the simulated car would record them."""
 
 import numpy as np
 
-from pipeline.base.errors import InputError
-from pipeline.kitti.oxts import (
-    GRAVITY_MPS2,
-    format_packet,
-    format_times,
-    level_columns,
-    make_rows,
-    read_row,
-    read_times,
-)
-from pipeline.kitti.raw import RawDrive
+from pipeline.kitti.oxts import GRAVITY_MPS2, format_packet, format_times, level_columns, make_rows
 from pipeline.sample.motion import Journey
 from pipeline.sample.rig import rotation
 from pipeline.sample.route import IMU_HEIGHT_M
@@ -26,49 +14,13 @@ ALTITUDE_M = 110.0  # of the road
 RATES_LATE_S = 0.06
 
 
-@dataclass(frozen=True)
-class Recording:
-    """Packets rows [F,30] as :data:`pipeline.kitti.oxts.COLUMNS`, time_s [F] since the first, and file contents."""
-
-    rows: np.ndarray
-    time_s: np.ndarray
-    packets: dict[int, bytes]  # frame number -> its oxts file
-    timestamps: bytes
-
-
-def read_recording(raw: RawDrive, most: int) -> Recording:
-    """Return the oxts of the first `most` frames of a real drive, unchanged.
-
-    Raises InputError if there are none, DamagedFile if a packet cannot be read.
-    """
-    frames = list(raw.oxts)[:most]
-    if not frames:
-        raise InputError("drive has no packets, which sample.replay needs", raw.folder / "oxts" / "data", "Extract it")
-    rows = np.array([read_row(raw.oxts[frame]) for frame in frames])
-    time_s = read_times(raw.oxts_times, list(raw.oxts))[: len(frames)]
-    timestamps = raw.oxts_times.read_bytes()
-    if len(frames) < len(raw.oxts) and len(timestamps.rstrip().split(b"\n")) <= max(raw.oxts):
-        raise InputError(
-            f"file has one line per packet, so the lines of the first {most} packets alone are ambiguous",
-            raw.oxts_times,
-            f"Raise sample.frames to {len(raw.oxts)}",
-        )
-    packets = {frame: raw.oxts[frame].read_bytes() for frame in frames}
-    return Recording(rows, time_s, packets, timestamps)
-
-
-def make_recording(rows: np.ndarray, time_s: np.ndarray, date: str, start_s: float) -> Recording:
-    """Return the files for packets `rows` [F,30] at `time_s` [F]; the first is `start_s` after midnight of `date`."""
-    packets = {frame: format_packet(row) for frame, row in enumerate(rows)}
-    return Recording(rows, time_s, packets, format_times(time_s, date, start_s))
-
-
-def record(journey: Journey, date: str, rng: np.random.Generator) -> Recording:
-    """Return the oxts files of a drawn drive and of the frames after it, at a random place and time of day."""
+def record(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[bytes], bytes]:
+    """Return the oxts files of a drive and of the frames after it, and timestamps.txt, at a random place and time."""
     place_deg, complete = rng.uniform((48.9, 8.3), (49.1, 8.5)), journey.continued()
     rows = oxts_rows(journey, *place_deg)
     rows = np.concatenate([rows, oxts_rows(complete, *place_deg)[len(rows) :]])
-    return make_recording(rows, complete.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)
+    times = format_times(complete.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)
+    return [format_packet(row) for row in rows], times
 
 
 def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np.ndarray:

@@ -11,7 +11,7 @@ Rays = Annotated[int, Field(ge=1, le=10_000)]
 
 
 class Frames(Section):
-    """Frames per drive of each split. A replayed drive is cut to its first frames."""
+    """Frames per drive of each split."""
 
     train: FewFrames
     val: FewFrames
@@ -22,6 +22,5 @@ class Sample(Section):
     key = "sample"
     seed: Seed
     image_size: ImageSize
-    replay: Annotated[str, Field(min_length=1)] | None = None
     frames: Frames
     scan_rays: Annotated[tuple[Rays, Rays], Field(strict=False, description="[rings, rays per ring] of the LiDAR")]

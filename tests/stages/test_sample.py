@@ -19,7 +19,6 @@ from pipeline.sample.route import IMU_LEFT_M, unit
 from pipeline.sample.street import build_street
 from pipeline.sample.world import World
 from stages import sample
-from tests.recorded_drive import drive_along, write_recorded
 
 DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_11_drive_0001"]  # two dates, two cameras
 KITTI = "2011_09_26_drive_0005"
@@ -94,19 +93,3 @@ def test_other_drives_are_never_replaced(tmp_path: Path) -> None:
         sample.main(out=tmp_path / "raw", params=write_params(tmp_path / "params.yaml"))
     assert raised.value.where.endswith(f"{DRIVES[0]}_sync")
     assert theirs.read_text() == "49.0 8.4"
-
-
-def test_replay_copies_recorded_packets_up_to_the_split_s_limit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rows, _ = drive_along(np.full(5, 6.0), np.full(5, 0.05))
-    recorded = {drive: write_recorded(tmp_path / "raw", rows, range(3, 8), drive) for drive in DRIVES}
-    settings = {"replay": str(tmp_path / "raw"), "frames": {"train": 9, "val": 1, "test": 2}}
-    out = sample.main(out=tmp_path / "sample", params=write_params(tmp_path / "params.yaml", **settings), workers=1)
-    rendered = find_drives(out, DRIVES)
-    for drive, last in zip(DRIVES, (7, 7, 4), strict=True):
-        assert list(rendered[drive].images(2)) == list(rendered[drive].oxts) == list(range(3, last + 1))
-        for frame, path in rendered[drive].oxts.items():
-            assert path.read_bytes() == recorded[drive].oxts[frame].read_bytes()
-        assert rendered[drive].camera_number([2]) == 2
-    assert "drive_0001: 5 frames, 2.4 m" in capsys.readouterr().out

@@ -1,6 +1,5 @@
 """Studies of one setting: table, figure, and claims."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.report import studies
 from pipeline.report.results import Results, load_results
-from pipeline.settings import preset
 from pipeline.settings.evaluate import Evaluate
 from tests.pipeline.report import examples
 
@@ -38,16 +36,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     for name, nmse in MODELS.items():
         write_model(data, name, nmse, **({"val": None} if name == "points-125" else {}))
     return load_results(data / "evaluate", [*MODELS])
-
-
-def test_the_preset_has_models_of_every_study() -> None:
-    names = preset.merged("studies")["models"]
-    assert studies.DEFAULT in names
-    for name in studies.STUDIES:
-        assert [model for model in names if re.fullmatch(rf"{name}-\d+", model)]
-    presets = [names, *(preset.merged(other)["models"] for other in ("table2", "real", "roads"))]
-    for claim in studies.CLAIMS:
-        assert any({claim.model, claim.baseline} <= models.keys() for models in presets)
 
 
 def test_files_of_studies_and_claims(results: Results, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def driven(request: pytest.FixtureRequest) -> Drive:
     stops = (40.0,) if request.param == 3 else ()
     motion = drive(route, speed_profile(route, 9.0, LATERAL, stops), times, 2.0)
     body = draw_body(route, motion, rng)
-    rows = oxts_rows(Journey(route, motion, body, *route.at(motion.s_m)), LAT, LON)
+    rows = oxts_rows(Journey(route, motion, motion, body), LAT, LON)
     assert rows.shape == (200, 30)
     return route, motion, body, dict(zip(COLUMNS, rows.T, strict=True))
 

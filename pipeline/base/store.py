@@ -1,9 +1,13 @@
 """Read and write the HDF5 files and indexes that stages exchange.
 
-One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON of the sections that
-determine the file), and what the stage adds; every dataset has an attribute ``unit``. ``frame`` int32 [F] holds KITTI
-frame numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row. Ragged data: ``ptr`` int64 [F+1] and
-concatenated rows; frame i owns ``rows[ptr[i]:ptr[i+1]]``. The attribute ``pointer`` of the rows names the pointers.
+One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON), and what the stage adds;
+every dataset has an attribute ``unit``. ``frame`` int32 [F] holds KITTI frame numbers, ``time_s`` float64 [F] seconds
+since the drive's first oxts row. Ragged data: ``ptr`` int64 [F+1] and concatenated rows; frame i owns
+``rows[ptr[i]:ptr[i+1]]``. The attribute ``pointer`` of the rows names the pointers. If the rows are numbers of other
+rows, counted from 0 in each frame, the attribute ``refers_to`` names those.
+
+``params`` holds the settings of the chain that made the file: a stage adds its own section to its input's,
+``params=source.params | {"clouds": settings.model_dump(mode="json")}``.
 
 Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They have a temporary name
 until they are complete. HDF5 does not check contents, so readers do.
@@ -75,10 +79,11 @@ class DriveWriter:
         ends = np.cumsum(np.fromiter(counts, np.int64))
         self.put(name, np.concatenate([[0], ends]).astype(np.int64), unit)
 
-    def append(self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "") -> None:
+    def append(self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "", refers_to: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape.
 
         `pointer`: the dataset with each frame's first row, see :meth:`put_pointers`; without it, a row per frame.
+        `refers_to`: the dataset whose rows these numbers refer to.
         """
         rows = np.asarray(rows)
         if name not in self._datasets:
@@ -88,8 +93,9 @@ class DriveWriter:
                 name, unit, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
                 chunks=(length, *rows.shape[1:]), **encoding,
             )  # fmt: skip
-            if pointer:
-                self._datasets[name].attrs["pointer"] = np.bytes_(pointer.encode())  # fixed length, see _open
+            for key, value in {"pointer": pointer, "refers_to": refers_to}.items():
+                if value:
+                    self._datasets[name].attrs[key] = np.bytes_(value.encode())  # fixed length, see _open
         dataset = self._datasets[name]
         start = len(dataset)
         dataset.resize(start + len(rows), axis=0)
@@ -232,9 +238,17 @@ class DriveReader:
     @cached_property
     def pointers(self) -> dict[str, str]:
         """Ragged dataset → dataset with the first row of each frame, as the file declares it."""
+        return self._declared("pointer")
+
+    @cached_property
+    def refers_to(self) -> dict[str, str]:
+        """Dataset of numbers of rows → dataset with those rows, as the file declares it."""
+        return self._declared("refers_to")
+
+    def _declared(self, attribute: str) -> dict[str, str]:
         with self._read_errors():
-            declared = {name: self._file[name].attrs.get("pointer") for name in self.names}
-            return {name: pointer.decode() for name, pointer in declared.items() if pointer is not None}
+            declared = {name: self._file[name].attrs.get(attribute) for name in self.names}
+            return {name: value.decode() for name, value in declared.items() if value is not None}
 
     def _read(self, name: str, rows: int | slice | tuple[()]) -> Any:
         dataset = self.dataset(name)

@@ -29,6 +29,7 @@ def write(path: Path, seed: int = 0, stage: str = "clouds") -> Path:
         file.fill("cls", 1, np.full((8, 9), 7, np.uint8))
         for count in counts:
             file.append("xyz", rng.normal(size=(count, 3)).astype(np.float32), "m", "ptr")
+            file.append("nearest", np.arange(count, dtype=np.int32), "row", "ptr", refers_to="xyz")
         file.put_pointers("ptr", counts)
     return path
 
@@ -45,7 +46,8 @@ def test_round_trip(tmp_path: Path) -> None:
         np.testing.assert_array_equal(file["image"], image)
         np.testing.assert_array_equal(file.row("image", 2), image[2])
         np.testing.assert_array_equal(file["ptr"], [0, 5000, 5000, 14000])
-        assert file.pointers == {"xyz": "ptr"}
+        assert file.pointers == {"xyz": "ptr", "nearest": "ptr"}
+        assert file.refers_to == {"nearest": "xyz"}
         for row, points in enumerate(xyz):
             np.testing.assert_array_equal(file.rows_of("xyz", row), points)
         assert [np.unique(file.row("cls", i)).tolist() for i in range(3)] == [[255], [7], [255]]

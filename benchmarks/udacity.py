@@ -59,7 +59,7 @@ def draw(path: Path, time_s: np.ndarray, wheel_rad: np.ndarray, predicted: Mappi
     """Write a PNG of the true angle and of predictions over time, all [F]."""
     from matplotlib.figure import Figure
 
-    from pipeline.drawing import figure_file
+    from pipeline.report import figure_file
 
     figure = Figure((10, 4), layout="constrained")
     axes = figure.add_subplot()

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from pipeline.base.params import load
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import read_camera
-from pipeline.drawing import figure_file
-from pipeline.drawing.path import COLOURS, STEP_M, follow, path_steps, wheel_tracks
 from pipeline.graphs import graph_file
+from pipeline.report import figure_file
 from pipeline.report.figures import draw_path
+from pipeline.report.path import COLOURS, STEP_M, follow, path_steps, wheel_tracks
 from pipeline.sample.drive import Drive
 from pipeline.settings.sample import Sample
 from pipeline.train import predict

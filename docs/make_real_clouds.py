@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pipeline.camera import classes
-from pipeline.drawing import figure_file, street_view
+from pipeline.report import figure_file, street_view
 from pipeline.show import frame_view
 
 ROWS = (  # kind, drive, caption, frames

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pipeline.drawing import figure_file
+from pipeline.report import figure_file
 
 DOCS = Path(__file__).parent
 STEPS = 1200  # epochs × roads of the study; networks with more steps are single points

@@ -20,7 +20,7 @@ def main(
 
     Models of the params file that are not evaluated on this machine are named with the command that gets them.
     """
-    from pipeline.report import dvc_files, path_ahead, perception, studies, tables
+    from pipeline.report import dvc_files, path_ahead, perception, tables
     from pipeline.report.figures import draw
     from pipeline.report.page import write_page
     from pipeline.report.results import load_results
@@ -43,7 +43,7 @@ def main(
             unfinished.write_text(f"{text}\n", encoding="utf-8")
         dvc_files.write_csv(out / "table.csv", tables.csv_rows(results.metrics), na="")
         store.write_json(out / "metrics.json", dvc_files.metrics(results, scores) | path_ahead.dvc_metrics(paths))
-        for folder in ("learning", "steering", "settings", "figures"):  # DVC expects each output, even an empty one
+        for folder in ("learning", "steering", "figures"):  # DVC expects each output, even an empty one
             (out / folder).mkdir(exist_ok=True)
             sweep(out / folder)
         for model in evaluated:
@@ -52,8 +52,7 @@ def main(
         captions = draw(out / "figures", results, paths, data)
         story = sentences(results)
         write_page(out / "index.html", story, results, steering, path_tables, perception_tables, captions, data)
-        comparison = studies.write(results, out / "settings", settings)
-    print("\n\n".join(filter(None, [text, comparison])))
+    print(text)
     return out
 
 

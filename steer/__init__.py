@@ -1,4 +1,4 @@
-"""The command line: steer predict, measure, import, show, diff, doctor and export."""
+"""The command line: steer predict, measure, import, show, diff and export."""
 
 from pipeline.base import startup
 

@@ -1,12 +1,12 @@
 """The command `steer`. Large imports are inside functions, so that help is quick."""
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from pipeline.base.console import App, guarded
-from steer import artefacts, doctor, import_recording, measure, predict
+from steer import artefacts, import_recording, measure, predict
 
 app = App(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
@@ -33,8 +33,8 @@ def _options(
 ) -> None: ...
 
 
-def _add(name: str, command: Callable[..., object], after_stop: str, **options: Any) -> None:
-    app.command(name, **{"no_args_is_help": True, **options})(guarded(command, after_stop))
+def _add(name: str, command: Callable[..., object], after_stop: str, help: str | None = None) -> None:
+    app.command(name, no_args_is_help=True, help=help)(guarded(command, after_stop))
 
 
 _UNFINISHED = "The frames so far are in .unfinished of the output folder"
@@ -44,7 +44,6 @@ _add("measure", measure.measure, _UNFINISHED, help=measure.__doc__)
 _add("import", import_recording.import_recording, _NO_DRIVE, help=import_recording.__doc__)
 _add("show", artefacts.show, "Files that were written are complete")
 _add("diff", artefacts.diff, "Nothing was written")
-_add("doctor", doctor.doctor, "Nothing was written", no_args_is_help=False)
 _add("export", artefacts.export, "Nothing was written")
 
 if __name__ == "__main__":

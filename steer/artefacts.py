@@ -28,17 +28,15 @@ def show(
     steer show data/graphs/semantic/2026_01_10_drive_0004.h5 --frame 20
     steer show data/train/sa-gnn-ncp --json
     """
-    from pipeline.show import artefact, project
+    from pipeline.show import artefact
 
     output = options.Output(quiet, as_json)
     if frame is not None or out:
         output.result(_show_frame(path, frame, out, output))
         return
     content = artefact.describe(path)
-    origin = project.trace(path)
     output.facts(content)
-    output.facts(origin)
-    output.result(content | {"origin": origin})
+    output.result(content)
 
 
 def _show_frame(path: Path, frame: int | None, out: Path | None, output: options.Output) -> dict[str, Any]:

@@ -81,10 +81,9 @@ Device = Annotated[str | None, typer.Option(callback=use_device, help=_DEVICE)]
 
 def in_project(path: Path) -> Path:
     """Return `path`, or if it does not exist, the same path in the folder of the project around the working folder."""
-    from pipeline.show.project import project_root
-
-    root = None if path.exists() else project_root(Path.cwd())
-    return path if root in (None, Path.cwd()) else root / path
+    here = Path.cwd()
+    root = next((folder for folder in (here, *here.parents) if (folder / "dvc.yaml").is_file()), here)
+    return path if path.exists() or root == here else root / path
 
 
 class Output:

@@ -14,7 +14,7 @@ from dvc.utils.serialize import modify_yaml
 from pipeline.base import resume
 
 STAGES = (
-    "sample", "ingest", "encoder", "perception", "motion", "labels", "scores", "clouds", "pictures", "graphs", "train",
+    "sample", "ingest", "encoder", "perception", "motion", "labels", "scores", "clouds", "graphs", "train",
     "evaluate", "report",
 )  # fmt: skip
 MODEL = "sa-gnn-ncp"

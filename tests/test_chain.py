@@ -29,12 +29,6 @@ def test_the_table_has_the_numbers_of_evaluate_and_scores(chain: Path) -> None:
     assert f"{accuracy:.3f}" in table
 
 
-def test_by_default_only_test_drives_are_drawn(chain: Path) -> None:
-    splits = store.read_index(chain / "data/clouds/pseudo", stage="clouds")
-    drawn = {path.stem for path in (chain / "data/pictures").iterdir()}
-    assert drawn == {drive for drive, split in splits.items() if split == "test"}
-
-
 def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) -> None:
     folder = scratch.duplicate(chain, tmp_path / "copy")
     output = scratch.run(folder, "dvc", "repro")

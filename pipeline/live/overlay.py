@@ -9,9 +9,9 @@ from typing import Self
 import av
 import numpy as np
 
-from pipeline.drawing.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.live.chain import FrameState
 from pipeline.live.source import Source
+from pipeline.report.path import COLOURS, STEP_M, path_steps, wheel_tracks
 
 # A path ends at this multiple of the distance of the nearest visible road, within limits: a narrow lens sees no nearer
 # road than 11 m.

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.drawing.path import STEP_M, follow, path_steps
 from pipeline.live.results import Results
+from pipeline.report.path import STEP_M, follow, path_steps
 
 PoseFormat = Literal["kitti", "tum"]
 COLOURS = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}

@@ -1,1 +1,1 @@
-"""Write tables, figures, the page, and the files of DVC's metrics and plots. Only stage report imports this package."""
+"""Write tables, figures and the page, the files of DVC's metrics and plots, and pictures of single frames."""

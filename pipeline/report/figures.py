@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.drawing import figure_file, street_view
-from pipeline.drawing.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.evaluate.paths import Track, segments
 from pipeline.graphs import graph, graph_file
+from pipeline.report import figure_file, street_view
+from pipeline.report.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.report.path_ahead import PathResults
 from pipeline.report.results import Results, load_structures, steering_lines
 

@@ -72,7 +72,6 @@ def write_page(
         "Learning curves": _learning([*results.models["model"]], data / "train"),
         "Models in detail": tables[1:],
         "Depth, classes and motion": perception,
-        "Input of the test drives": _inputs(shown, data / "pictures"),
     }
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -133,17 +132,11 @@ def _learning(models: Sequence[str], train: Path) -> Content:
     return [Plot(caption, plots.learning(first))] if first else []
 
 
-def _inputs(drives: Sequence[str], pictures: Path) -> Content:
-    sheets = {drive: pictures / f"{drive}.png" for drive in drives}
-    caption = "{}: images, and the cloud from above"
-    return [_picture(caption.format(drive), path) for drive, path in sheets.items() if path.is_file()]
-
-
 def _picture(caption: str, path: Path) -> Picture:
     """Read a PNG file, at most MAX_WIDTH wide. Raises InputError if it is damaged."""
     image = cv2.imread(str(path))
     if image is None:
-        raise InputError("not a picture", path, "Recreate it: dvc repro --force --single-item pictures")
+        raise InputError("not a picture", path, "Recreate it: dvc repro --force --single-item report")
     height, width = image.shape[:2]
     if width > MAX_WIDTH:
         size = (MAX_WIDTH, round(height * MAX_WIDTH / width))

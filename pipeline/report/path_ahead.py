@@ -10,10 +10,9 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.base.errors import error_context
-from pipeline.evaluate.errors import interval_text
+from pipeline.evaluate.errors import interval, interval_text
 from pipeline.evaluate.schema import PathMetrics, Range, RangeErrors
 from pipeline.report.results import fix
-from pipeline.report.studies import Difference, difference
 from pipeline.report.tables import NONE, Table
 from pipeline.settings.evaluate import Evaluate
 
@@ -28,6 +27,14 @@ _DIFFERENCES = (
     "nmse of the first model minus that of the second on the same frames, mean over the seeds, with its 95 % interval: "
     "below 0, the first is better."
 )
+
+
+class Difference(NamedTuple):
+    """Difference in nmse of two models, NaN without common frames or bends, and its 95 % interval, or NaN."""
+
+    nmse: float
+    low: float
+    high: float
 
 
 class PathResults(NamedTuple):
@@ -117,6 +124,37 @@ def differences(first: PathResults, second: PathResults, settings: Evaluate) -> 
     both = pd.concat([first.predictions, second.predictions], ignore_index=True)
     pair = first.metrics.model, second.metrics.model
     return {name: difference(both, *pair, settings, f"driven_{name}_1pm", f"predicted_{name}_1pm") for name in common}
+
+
+def difference(
+    predictions: pd.DataFrame,
+    first: str,
+    second: str,
+    settings: Evaluate,
+    true: str = "steering_rad",
+    predicted: str = "predicted_rad",
+) -> Difference:
+    """Return the paired difference in nmse of two models, in the frames where all their networks predict.
+
+    Args:
+        predictions: columns model, run, drive, frame, `true` and `predicted`; rows without one of the values are left
+            out.
+    """
+    index = ["drive", "frame"]
+    counted = predictions.dropna(subset=[true, predicted])
+    counted = counted.assign(error=(counted[predicted] - counted[true]) ** 2)
+    by_frame = [
+        counted[counted["model"] == model].pivot(index=index, columns="run", values="error").dropna().mean(axis=1)
+        for model in (first, second)
+    ]
+    frames = counted[counted["model"] == first].drop_duplicates(index).set_index(index)
+    frames = frames.assign(error=by_frame[0] - by_frame[1]).dropna(subset="error").sort_index()
+    drive = frames.index.get_level_values("drive").factorize()[0]
+    error, truth = frames["error"].to_numpy(), frames[true].to_numpy()
+    if not truth.any():
+        return Difference(np.nan, np.nan, np.nan)
+    bounds = interval(error, truth, drive, settings) or (np.nan, np.nan)
+    return Difference(float(error.sum() / (truth**2).sum()), *bounds)
 
 
 def dvc_metrics(results: Sequence[PathResults]) -> dict[str, float]:

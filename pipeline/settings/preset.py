@@ -26,7 +26,6 @@ from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
 from pipeline.settings.motion import Motion
 from pipeline.settings.perception import Perception
-from pipeline.settings.pictures import Pictures
 from pipeline.settings.sample import Sample
 from pipeline.settings.train import Train
 
@@ -45,7 +44,6 @@ class Params(Section):
     perception: Perception
     motion: Motion
     clouds: Clouds
-    pictures: Pictures
     graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
     models: Annotated[dict[Name, Entry], Field(min_length=1)]
     train: Train

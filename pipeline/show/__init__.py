@@ -1,1 +1,1 @@
-"""Describe, draw and compare artefacts, check raw drives and the project: for `steer show`, `diff` and `doctor`."""
+"""Describe, draw and compare artefacts: `steer show` and `steer diff`."""

@@ -32,7 +32,7 @@ def describe(path: Path) -> Content:
     content = _folder(folder) if folder.is_dir() else None
     if content is None:
         problem = "not an artefact of a stage" if path.exists() else "no such file or folder"
-        raise InputError(problem, path, "Pass data/, or a folder or an .h5 file in it; for raw drives: steer doctor")
+        raise InputError(problem, path, "Pass data/, or a folder or an .h5 file in it")
     return {"kind": content.pop("kind"), "path": str(folder), "bytes": size_of(folder), **content}
 
 
@@ -82,8 +82,6 @@ def _folder(folder: Path) -> Content | None:
     if (folder / "metrics.json").is_file():
         numbers = flatten(read_json(folder / "metrics.json", stage=folder.name))
         return {"kind": "metrics", **{key: value for key, value in numbers.items() if "[" not in key}}
-    if pictures := sorted(folder.glob("????_??_??_drive_????.png")):
-        return {"kind": "pictures", "drives": [{"drive": path.stem, "bytes": size_of(path)} for path in pictures]}
     return _parts(folder)
 
 

@@ -11,10 +11,10 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.drawing import figure_file, street_view
-from pipeline.drawing.street_view import View
 from pipeline.graphs.cloud import lidar_cloud
 from pipeline.graphs.graph_file import Graphs
+from pipeline.report import figure_file, street_view
+from pipeline.report.street_view import View
 from pipeline.show.artefact import open_drive
 
 # LiDAR (x forward, y left, z up) to camera (x right, y down, z forward), for drives without calibration.

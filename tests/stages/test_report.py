@@ -20,20 +20,20 @@ def run(folder: Path, *models: str) -> str:
 
 
 def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
-    for model in ("sa-gnn-ncp", "points-125"):
+    for model in ("sa-gnn-ncp", "other"):
         examples.write_model(tmp_path, examples.metrics(model))
     scores = {split: Scores() for split in ("train", "val", "test")}
     scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
     store.write_json(tmp_path / "scores/metrics.json", {split: score.report() for split, score in scores.items()})
     made = []
     for _ in range(2):
-        text = run(tmp_path, "sa-gnn-ncp", "points-125", "absent")
+        text = run(tmp_path, "sa-gnn-ncp", "other", "absent")
         files = [path for path in (tmp_path / "report").rglob("*") if path.is_file()]
         made.append({str(path.relative_to(tmp_path / "report")): path.read_bytes() for path in files})
     assert made[0] == made[1]
     assert {*made[0]} >= {
         "index.html", "table.md", "table.csv", "metrics.json", "figures/paths.png", "figures/paths.svg",
-        "steering/sa-gnn-ncp.csv", "settings/studies.md", "settings/points.png",
+        "steering/sa-gnn-ncp.csv",
     }  # fmt: skip
     assert text.startswith("## Results\n\n| model ")
     assert text.index("train@absent") < text.index("## Depth")
@@ -46,7 +46,7 @@ def test_without_results_all_outputs_exist_and_temporary_figures_of_a_killed_run
     for _ in range(2):
         assert "dvc repro --pull --downstream train@lonely" in run(tmp_path, "lonely")
         folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}
-        assert folders == {"learning", "steering", "settings", "figures"}
+        assert folders == {"learning", "steering", "figures"}
         assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}
         left = tmp_path / "report/figures/.paths.svg.abcd1234.tmp"
         assert not left.exists()

@@ -13,7 +13,7 @@ from steer import options
 from steer.app import app
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
-VERBS = {"measure", "predict", "import", "show", "diff", "doctor", "export"}
+VERBS = {"measure", "predict", "import", "show", "diff", "export"}
 
 
 def test_help_imports_nothing_large() -> None:
@@ -94,7 +94,7 @@ def test_error_is_one_line_and_debug_shows_the_traceback(tmp_path: Path) -> None
     assert "Traceback" in done.stderr
 
 
-@pytest.mark.parametrize("verb", ["show", "diff", "doctor"])
+@pytest.mark.parametrize("verb", ["show", "diff"])
 @pytest.mark.parametrize("name", ["x" * 300, "bad\udcff", "loop", "/", "pipe/below"])
 def test_names_that_cannot_be_read_give_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str, name: str

@@ -27,19 +27,17 @@ def show(*arguments: object, status: int = 0) -> str:
     return result.output
 
 
-def test_file_with_its_datasets_params_and_origin(data: Path) -> None:
+def test_file_with_its_datasets_and_params(data: Path) -> None:
     text = show(data / f"graphs/semantic/{DRIVE}.h5")
     rows = [line.split() for line in text.splitlines()]
     assert ["stage", "graphs"] in rows
     assert ["xyz", "150", "×", "3", "float32", "m"] in [row[:6] for row in rows]
     assert "keep_inter_class: 0.2" in text
-    assert "unknown: there is no dvc.lock" in text
 
 
 def test_frame_is_drawn_and_printed_alone(data: Path) -> None:
     text = show(data / f"graphs/semantic/{DRIVE}.h5", "--frame", 3)
     assert text.splitlines()[1].split() == ["frame", "3"]
-    assert "written by" not in text
     picture = cv2.imread(f"{DRIVE}-frame-3.png")
     assert picture is not None
     assert picture.std() > 5
@@ -50,7 +48,6 @@ def test_frame_is_drawn_and_printed_alone(data: Path) -> None:
 def test_json_and_quiet(data: Path) -> None:
     content = json.loads(show(data / f"graphs/semantic/{DRIVE}.h5", "--json"))
     assert (content["frames"], content["stage"]) == (5, "graphs")
-    assert content["origin"]["written by"].startswith("unknown")
     content = json.loads(show(data / f"graphs/semantic/{DRIVE}.h5", "--json", "--frame", 2, "--out", "a.png"))
     assert (content["picture"], content["edges_knn"]) == ("a.png", 180)
     assert show(data, "--quiet") == ""

@@ -105,7 +105,7 @@ def test_a_full_output_is_one_line(command: str) -> None:
     assert (done.returncode, done.stderr) == (1, b"error: No space left on device. Nothing was written\n")
 
 
-@pytest.mark.parametrize("command", [["-m", "stages.clouds"], ["-m", "steer.app", "doctor"]])
+@pytest.mark.parametrize("command", [["-m", "stages.clouds"], ["-m", "steer.app", "show"]])
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_while_libraries_are_imported(
     tmp_path: Path, command: list[str], number: signal.Signals, status: int

@@ -11,8 +11,8 @@ import pytest
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import read_camera
-from pipeline.drawing.path import wheel_tracks
 from pipeline.report import figures, path_ahead
+from pipeline.report.path import wheel_tracks
 from pipeline.settings.evaluate import Evaluate
 from stages import report
 from tests import street

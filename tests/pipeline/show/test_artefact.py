@@ -41,11 +41,10 @@ def test_data_lists_all_artefacts_also_beside_a_damaged_one(tmp_path: Path) -> N
     write_dataset(tmp_path, SPLITS, frames=5, points=20)
     write_model(tmp_path)
     write(tmp_path / "train/other/config.json", "{")
-    write(tmp_path / "pictures/2011_09_26_drive_0001.png", "")
     write(tmp_path / "models/code.py", "")
     rows = {row["folder"]: row for row in artefact.describe(tmp_path)["parts"]}
     assert {name: row.get("kind") for name, row in rows.items()} == {
-        "graphs/semantic": "folder of drives", "labels": "folder of drives", "pictures": "pictures",
+        "graphs/semantic": "folder of drives", "labels": "folder of drives",
         "train/gnn": "model", "train/other": "damaged",
     }  # fmt: skip
     assert "config.json" in rows["train/other"]["problem"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.camera.camera import Camera
-from pipeline.drawing.path import HALF_TRACK_M, STEP_M, follow, path_steps, wheel_tracks
+from pipeline.report.path import HALF_TRACK_M, STEP_M, follow, path_steps, wheel_tracks
 
 CAMERA = Camera(np.array([[100.0, 0, 160], [0, 100, 40], [0, 0, 1]]), (96, 320), 1.5)
 

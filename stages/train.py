@@ -54,9 +54,9 @@ def main(
         distributed.process_group() as (world, device),
         stage_folder(out / name, entry=True) if world.is_main else nullcontext(),
     ):
-        if world.size > settings.batch_runs:
+        if world.size > settings.batch_spans:
             raise InputError(
-                f"train.batch_runs = {settings.batch_runs}, expected at least the {world.size} processes",
+                f"train.batch_spans = {settings.batch_spans}, expected at least the {world.size} processes",
                 params,
                 "Raise it or start fewer processes",
             )

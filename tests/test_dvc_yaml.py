@@ -25,8 +25,10 @@ BEYOND: dict[str, set[str]] = {
     "train": {"pipeline/train/pyg.py"},  # short, and used by no stage
     # An edit of these reruns training anyway.
     "evaluate": {
-        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment", "pyg")),
-        "pipeline/fitting",
+        *(
+            f"pipeline/train/{name}.py"
+            for name in ("training", "fit", "curve", "reading", "augment", "pyg", "optimisation")
+        ),
     },
 }
 

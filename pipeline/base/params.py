@@ -58,7 +58,7 @@ ImageSize = Annotated[tuple[Side, Side], Field(strict=False, description="[H, W]
 MotionKind = Literal["visual", "lidar"]
 FrameKind = Literal["graph", "pointnet2", "image"]
 """Inputs of the networks, as in models/steering/core/batch.py."""
-Precision = Literal["auto", "bfloat16", "float32"]
+Precision = Literal["auto", "float32"]
 SPLITS = ("train", "val", "test")
 _COPY = "Copy it from the project's own params.yaml"
 

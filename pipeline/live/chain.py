@@ -14,12 +14,12 @@ import torch
 
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import resized, rounded_as_stored
-from pipeline.fitting.prefetch import prefetch
 from pipeline.motion.estimator import Estimate, MotionEstimator
 from pipeline.motion.visual import Odometry
 from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.perception.perceive import EncoderInput, open_encoder
 from pipeline.settings.perception import Perception
+from pipeline.train.prefetch import prefetch
 
 
 class Course(NamedTuple):

@@ -12,7 +12,6 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.fitting.prefetch import prefetch
 from pipeline.labels.label import Car
 from pipeline.live.chain import Chain, FrameState
 from pipeline.live.course import add_courses
@@ -22,6 +21,7 @@ from pipeline.live.track import PoseFormat, draw_track, pose_lines
 from pipeline.motion.motion_file import MIN_ROAD
 from pipeline.motion.visual import Odometry
 from pipeline.settings.perception import Perception
+from pipeline.train.prefetch import prefetch
 
 SIZE = (192, 640)  # of images, as the depth network was trained
 FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas

@@ -15,7 +15,6 @@ import torch
 
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
-from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs import frame_graph
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
@@ -32,6 +31,7 @@ from pipeline.settings.ingest import SAMPLE
 from pipeline.train import windows
 from pipeline.train.path_target import PathTarget
 from pipeline.train.predict import Trained
+from pipeline.train.prefetch import prefetch
 
 TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
 

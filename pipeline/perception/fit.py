@@ -14,10 +14,10 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera import classes
-from pipeline.fitting import checkpoint
-from pipeline.fitting.prefetch import prefetch
-from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.perception.examples import Examples, augment
+from pipeline.train import checkpoint
+from pipeline.train.optimisation import warm_up_cosine
+from pipeline.train.prefetch import prefetch
 
 KIND = "unified encoder in fitting"
 WARM_UP = 0.15  # share of the steps with a rising learning rate

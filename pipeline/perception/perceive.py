@@ -16,10 +16,10 @@ from pipeline.base.executors import default_workers
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
-from pipeline.fitting import checkpoint
-from pipeline.fitting.precision import autocast
-from pipeline.fitting.prefetch import side_by_side
 from pipeline.perception import precomputed
+from pipeline.train import checkpoint
+from pipeline.train.optimisation import autocast
+from pipeline.train.prefetch import side_by_side
 
 FILE = "encoder.pt"
 KIND = "unified encoder"

@@ -19,10 +19,10 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
-from pipeline.fitting import checkpoint
 from pipeline.perception import perceive
 from pipeline.perception.examples import Classify
 from pipeline.settings.encoder import Teacher, WeightFile, Weights
+from pipeline.train import checkpoint
 
 ALL = "all"
 STREET = Path("weights/street")

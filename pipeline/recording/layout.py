@@ -11,7 +11,6 @@ from pipeline.base.params import Drive
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import format_size, write_png
 from pipeline.camera.intrinsics import write_entries
-from pipeline.fitting.prefetch import side_by_side
 from pipeline.kitti.oxts import (
     GRAVITY_MPS2,
     LONGEST_STEP_S,
@@ -23,6 +22,7 @@ from pipeline.kitti.oxts import (
 )
 from pipeline.kitti.raw import read_calibration
 from pipeline.recording.track import Rates
+from pipeline.train.prefetch import side_by_side
 
 CAMERA = 2  # left colour camera, the default of stage ingest
 IMAGES = f"image_{CAMERA:02d}"

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.base.params import Count, Positive, Precision, Rate, Section, Seed
+from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
 
 class Train(Section):
@@ -15,12 +15,12 @@ class Train(Section):
     learning_rate: Rate
     weight_decay: Annotated[float, Field(ge=0, le=100)]
     clip_norm: Positive
-    run_windows: Count
-    batch_runs: Count
-    mirror: Annotated[bool, Field(description="train each run of frames together with its mirror image in one step")]
+    span_windows: Count
+    batch_spans: Count
+    mirror: bool
     rescale: Annotated[float, Field(ge=1, le=2)]
     average: Annotated[float, Field(ge=0, lt=1)]
-    precision: Literal[Precision, "float64"]
+    precision: Literal["auto", "float64"] = "auto"
 
     @field_validator("seeds")
     @classmethod

@@ -139,7 +139,7 @@ def _columns(path: Path) -> Iterator[Mapping[str, Column]]:
         with open_drive(path) as file:
             yield _drive_columns(file)
     else:
-        from pipeline.fitting import checkpoint
+        from pipeline.train import checkpoint
 
         with damage_as_input_error(path):
             content = json.loads(path.read_text(encoding="utf-8")) if path.suffix == ".json" else checkpoint.load(path)

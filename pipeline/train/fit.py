@@ -18,14 +18,12 @@ from torch.nn.parallel import DistributedDataParallel
 from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
-from pipeline.fitting import checkpoint
-from pipeline.fitting.precision import autocast
-from pipeline.fitting.schedule import warm_up_cosine
 from pipeline.settings.train import Train
-from pipeline.train import predict, reading, windows
+from pipeline.train import checkpoint, predict, reading, windows
 from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.distributed import World
 from pipeline.train.labelled_drive import LabelledDrive
+from pipeline.train.optimisation import autocast, warm_up_cosine
 from pipeline.train.path_target import PathTarget
 
 if TYPE_CHECKING:
@@ -124,8 +122,8 @@ class Fit:
         """
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
         ahead = bool(drives[0].horizon or drives[0].ahead_m)
-        spans = windows.random_spans(drives, self.window, settings.run_windows, rng)
-        groups = [spans[first : first + settings.batch_runs] for first in range(0, len(spans), settings.batch_runs)]
+        spans = windows.random_spans(drives, self.window, settings.span_windows, rng)
+        groups = [spans[first : first + settings.batch_spans] for first in range(0, len(spans), settings.batch_spans)]
         shares = [self.world.share(len(group)) for group in groups]
         steps = []
         for group, share in zip(groups, shares, strict=True):

@@ -18,15 +18,14 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from pipeline.base.errors import InputError, error_context
-from pipeline.fitting import checkpoint
-from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
-from pipeline.train import runs, windows
+from pipeline.train import checkpoint, runs, windows
 from pipeline.train.distributed import World
 from pipeline.train.labelled_drive import LabelledDrive, Timeline
 from pipeline.train.path_target import PathPrediction, PathTarget
+from pipeline.train.prefetch import prefetch
 
 if TYPE_CHECKING:
     import torch

@@ -19,11 +19,11 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from pipeline.base.executors import default_workers
-from pipeline.fitting.prefetch import prefetch
 from pipeline.graphs import graph_file
 from pipeline.train import windows
 from pipeline.train.augment import rescale
 from pipeline.train.labelled_drive import LabelledDrive
+from pipeline.train.prefetch import prefetch
 
 AHEAD = 4  # batches per process
 Targets = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]

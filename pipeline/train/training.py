@@ -14,11 +14,10 @@ from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
 from pipeline.base.resume import file_hash, revision, stage_key
-from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import fit, predict
+from pipeline.train import checkpoint, fit, predict
 from pipeline.train.curve import selected_epoch, write_curve
 from pipeline.train.distributed import World
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
@@ -64,7 +63,7 @@ def networks_at_once(job: Job, drive: str, device: torch.device) -> int | None:
         return None
     with graph_file.open_graphs(job.variant / f"{drive}.h5") as graphs:
         points = graphs.points_per_frame or POINTS_OF_AN_IMAGE
-    frames = job.settings.batch_runs * (job.settings.run_windows + job.entry.window - 1)
+    frames = job.settings.batch_spans * (job.settings.span_windows + job.entry.window - 1)
     free_bytes, _ = torch.cuda.mem_get_info(device)
     fitting = int(free_bytes // (GPU_BYTES_PER_NETWORK + frames * points * GPU_BYTES_PER_POINT))
     return max(1, min(default_workers(), fitting))

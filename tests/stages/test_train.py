@@ -17,8 +17,7 @@ import pytest
 import torch
 
 from pipeline.base import store
-from pipeline.fitting import checkpoint
-from pipeline.train import distributed, windows
+from pipeline.train import checkpoint, distributed, windows
 from pipeline.train.labelled_drive import read_drives
 from pipeline.train.runs import Run
 from pipeline.train.training import networks_at_once
@@ -223,7 +222,7 @@ def test_networks_in_processes_of_one_gpu_equal_those_trained_one_after_the_othe
 def test_two_machines_train_as_one_process(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Equal in float64 up to rounding. The first machine alone has the state of an interrupted run, and writes."""
     epochs = 3
-    write_params(folder, precision="float64", epochs=epochs, run_windows=24, batch_runs=2)
+    write_params(folder, precision="float64", epochs=epochs, span_windows=24, batch_spans=2)
     clones = [clone(folder, tmp_path / name) for name in ("first", "second")]
     with killed_after(monkeypatch, 1):
         run_train(folder)

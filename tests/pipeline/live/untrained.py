@@ -6,10 +6,9 @@ from typing import Any
 
 import torch
 
-from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
-from pipeline.train import predict
+from pipeline.train import checkpoint, predict
 from pipeline.train.path_target import PathTarget
 from pipeline.train.predict import Target, Trained
 from tests import artefacts

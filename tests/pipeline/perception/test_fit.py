@@ -8,9 +8,9 @@ import torch
 from torch import nn
 
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.fitting import checkpoint
 from pipeline.perception.examples import Examples
 from pipeline.perception.fit import EpochLoss, depth_and_class_loss, fit
+from pipeline.train import checkpoint
 from tests import street
 
 DRIVE = "2026_01_01_drive_0001"

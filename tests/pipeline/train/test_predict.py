@@ -9,10 +9,9 @@ import torch
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.fitting import checkpoint
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
-from pipeline.train import predict, windows
+from pipeline.train import checkpoint, predict, windows
 from pipeline.train.labelled_drive import Timeline, read_drives
 from tests import artefacts
 from tests.pipeline.train.shared import DRIVES

@@ -125,7 +125,7 @@ def test_motion_is_hidden_from_half_of_the_runs_if_the_target_lies_ahead(
     drives = read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", names, 4, horizon=ahead)
     line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
     entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
-    settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"run_windows": 1})
+    settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
     fitting = fit.Fit(entry.build("graph"), 4, 0.0, settings, seed=0)
     _, steps = fitting._plan(drives, epoch=1)
     hidden = [step.hide_motion for step in steps if step.hide_motion is not None]

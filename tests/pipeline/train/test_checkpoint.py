@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pipeline.base.errors import InputError
-from pipeline.fitting import checkpoint
+from pipeline.train import checkpoint
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterator
 
 import pytest
 
-from pipeline.fitting.prefetch import prefetch, side_by_side
+from pipeline.train.prefetch import prefetch, side_by_side
 
 
 class Source:

@@ -12,8 +12,8 @@ from pipeline.base.executors import default_workers
 from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.camera.camera import read_camera
-from pipeline.camera.images import to_units
-from pipeline.perception.depth_scale import DepthPostprocessor, needs_scan, stored_unit
+from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
+from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.settings.perception import Perception
 
 if TYPE_CHECKING:
@@ -68,17 +68,15 @@ def _perceive(path: Path, *, drive: str, ingest: Path, encoder: Path, settings: 
         file.attrs["camera_height_m"] = camera.height_m
         file.put("frame", source.frame[with_image])
         file.put("time_s", source.time_s[with_image], "s")
-        unit = f"{stored_unit(settings.depth_scale)}, 0 = none"
-        file.append("depth_m", np.zeros((0, *camera.size), np.uint16), unit)
+        file.append("depth_m", np.zeros((0, *camera.size), np.uint16), f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
         file.append("cls", np.zeros((0, *camera.size), np.uint8), "Cityscapes trainId")
         postprocess = DepthPostprocessor(settings, camera)
         size = max(settings.batch, GPU_BATCH) if torch.cuda.is_available() else settings.batch
-        batches = read_batches(source, camera, with_image, size, scans=needs_scan(settings.depth_scale))
+        batches = read_batches(source, camera, with_image, size)
         # One thread reads, others run the network, this one scales and writes.
-        with closing(passes(lambda batch: (batch, *predict(batch)), batches)) as results:
-            for batch, depth, cls in results:
-                frames = zip(depth, cls, batch.scans, strict=True)
-                file.append("depth_m", to_units(np.stack([postprocess(*frame) for frame in frames])))
+        with closing(passes(predict, batches)) as results:
+            for depth, cls in results:
+                file.append("depth_m", to_units(np.stack([*map(postprocess, depth, cls)])))
                 file.append("cls", cls)
     return {"frames": len(with_image)}
 

@@ -16,7 +16,6 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
 from pipeline.motion import motion_file
-from pipeline.perception.drive_frames import open_perception
 from pipeline.perception.scores import Scores, summary_line
 from pipeline.perception.truth import read_truth
 from pipeline.settings.labels import Labels
@@ -75,13 +74,13 @@ def _score_drive(
     scores = Scores()
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
-        open_perception(perception, drive, source) as perceived,
+        store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
-        count, mode = len(perceived.frame), perceived.params["perception"]["depth_scale"]
+        count = len(perceived.frame)
         camera = read_camera(source, float(perceived.attrs["camera_height_m"]))
         for row, number in enumerate(named_frames(perceived.frame)):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
-            scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)), mode)
+            scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path / "metrics.json", {**report, "motion": motion})
     lines = [f"{_pair(kind)}: {comparison.summary_line(scores)}" for kind, scores in motion.items()]

@@ -93,9 +93,9 @@ class Chain:
             assert frame.image is not None
             frame.image = resized(frame.image, self._camera.size)
             if self._encode:  # depth and classes equal those that stage perception stores
-                batch = EncoderInput(self._drive, [frame.number], frame.image[None], self._camera, [frame.scan])
+                batch = EncoderInput(self._drive, [frame.number], frame.image[None], self._camera)
                 (depth_m,), (frame.cls,) = self._encode(batch)
-                frame.depth_m = rounded_as_stored(self._postprocess(depth_m, frame.cls, frame.scan))
+                frame.depth_m = rounded_as_stored(self._postprocess(depth_m, frame.cls))
             yield frame
 
     def _measure(self, frames: Iterable[FrameState]) -> Generator[FrameState]:

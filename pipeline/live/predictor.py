@@ -25,7 +25,6 @@ from pipeline.live.results import PREDICTED_FILES, STEERING, TRACK, Results, res
 from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
 from pipeline.live.track import draw_track
-from pipeline.perception.depth_scale import needs_scan
 from pipeline.perception.perceive import FILE
 from pipeline.settings.ingest import SAMPLE
 from pipeline.train import windows
@@ -38,8 +37,7 @@ TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
 
 def needs_scans(model: Trained, settings: Settings) -> bool:
     """Return whether the model's input is made from LiDAR scans."""
-    lidar = "lidar" in motion_kinds(model, settings) or settings.variant.source == "clouds/lidar"
-    return lidar or needs_scan(settings.perception.depth_scale)
+    return "lidar" in motion_kinds(model, settings) or settings.variant.source == "clouds/lidar"
 
 
 def motion_kinds(model: Trained, settings: Settings) -> set[str]:

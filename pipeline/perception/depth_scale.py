@@ -1,7 +1,6 @@
-"""Scale the network's depth to metres, by setting ``perception.depth_scale``.
+"""Scale the network's depth to metres (perception.depth_scale), and cap the depth of traffic (perception.reach).
 
 ``metric``: the network predicts metres. ``camera_height``: the camera's height over the road determines the scale.
-``lidar_median``: the frame's LiDAR scan determines it. ``none``: the unit of depth stays unknown.
 """
 
 from typing import TYPE_CHECKING
@@ -10,29 +9,12 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
-from pipeline.camera.geometry import back_project, rays, scan_depth
-from pipeline.camera.images import DEPTH_UNITS_PER_M
+from pipeline.camera.geometry import back_project, rays
 
 if TYPE_CHECKING:
-    from pipeline.settings.perception import DepthScale, Perception
+    from pipeline.settings.perception import Perception
 
 MIN_ROAD_PIXELS = 50
-MIN_TRUTH_PIXELS = 10
-
-
-def needs_scan(mode: "DepthScale") -> bool:
-    """Return whether the scale comes from LiDAR scans."""
-    return mode == "lidar_median"
-
-
-def stored_unit(mode: "DepthScale") -> str:
-    """Return the unit of stored depth."""
-    return f"1/{DEPTH_UNITS_PER_M} {'of an unknown unit' if mode == 'none' else 'm'}"
-
-
-def scoring_factor(mode: "DepthScale", depth_m: np.ndarray, truth_m: np.ndarray) -> float:
-    """Return the factor that makes predicted depth [H,W] comparable with ground truth [H,W]: 1 if its unit is known."""
-    return (median_ratio(depth_m, truth_m) or 1.0) if mode == "none" else 1.0
 
 
 class DepthPostprocessor:
@@ -40,31 +22,21 @@ class DepthPostprocessor:
 
     def __init__(self, settings: "Perception", camera: Camera) -> None:
         self._settings, self._camera = settings, camera
-        self._factor = 0.0  # no depth before the first frame with a known scale
+        self._factor = 1.0 if settings.depth_scale == "metric" else 0.0  # 0: no depth before the first visible road
 
-    def __call__(self, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray | None) -> np.ndarray:
+    def __call__(self, depth: np.ndarray, cls: np.ndarray) -> np.ndarray:
         """Return the depth of a frame in metres, float32 [H,W], 0 in the sky.
 
         Args:
             depth: float32 [H,W] in the network's unit; overwritten.
             cls: trainIds [H,W].
-            scan: the frame's LiDAR scan [P,≥3]; None without one.
         """
-        self._factor = self._estimate(depth, cls, scan) or self._factor
+        if self._settings.depth_scale == "camera_height":
+            self._factor = from_camera_height(depth, cls, self._camera) or self._factor
         np.multiply(depth, self._factor, out=depth)
         if self._settings.reach:
             limit_traffic_depth(depth, cls, self._camera, self._settings.reach)
         return np.where(cls == classes.SKY, np.float32(0), depth)
-
-    def _estimate(self, depth: np.ndarray, cls: np.ndarray, scan: np.ndarray | None) -> float | None:
-        """Return the factor to metres; None if it cannot be estimated from this frame."""
-        if self._settings.depth_scale == "camera_height":
-            return from_camera_height(depth, cls, self._camera)
-        if not needs_scan(self._settings.depth_scale):
-            return 1.0
-        if scan is None or self._camera.T_cam_velo is None:
-            return None
-        return median_ratio(depth, scan_depth(scan, self._camera))
 
 
 def from_camera_height(depth: np.ndarray, cls: np.ndarray, camera: Camera) -> float | None:
@@ -83,17 +55,6 @@ def from_camera_height(depth: np.ndarray, cls: np.ndarray, camera: Camera) -> fl
     normal = np.linalg.eigh(scatter).eigenvectors[:, 0]  # of the smallest eigenvalue
     height = float(np.median(np.abs(np.einsum("pi,i->p", points, normal))))
     return camera.height_m / height if height > 0 else None
-
-
-def median_ratio(depth: np.ndarray, truth_m: np.ndarray) -> float | None:
-    """Return the ratio of the medians of truth and depth where both are known; None with too few such pixels.
-
-    `depth` [H,W] in any unit, `truth_m` [H,W] in metres; 0 = none.
-    """
-    known = (truth_m > 0) & (depth > 0)
-    if known.sum() < MIN_TRUTH_PIXELS:
-        return None
-    return float(np.median(truth_m[known]) / np.median(depth[known]))
 
 
 def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:

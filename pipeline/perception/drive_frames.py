@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import InputError, named_frames
-from pipeline.base.store import DriveReader, fix_hint
+from pipeline.base.errors import named_frames
+from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame, read_camera
 from pipeline.camera.images import to_metres
 
@@ -42,32 +42,10 @@ class DriveFrames:
 
 
 @contextmanager
-def open_perception(folder: Path, drive: str, raw: DriveReader) -> Iterator[DriveReader]:
-    """Open the depth and classes of a drive with the ingest file `raw`. Raises InputError if the two do not match."""
-    with DriveReader(folder / f"{drive}.h5", stage="perception") as file:
-        if fault := _fault(file, raw):
-            raise InputError(fault, file.path, fix_hint(file.path, "perception"))
-        yield file
-
-
-def _fault(file: DriveReader, raw: DriveReader) -> str:
-    """Return why a file of stage perception cannot be used; empty if it can."""
-    size = raw.shape("image")[1:3]
-    for name, dtype in (("depth_m", np.uint16), ("cls", np.uint8)):
-        if file.shape(name)[1:] != size or file.dataset(name).dtype != dtype:
-            return f"{name} is not {np.dtype(dtype)} of the images' size"
-    height_m, scale = file.attrs.get("camera_height_m"), file.params.get("perception", {}).get("depth_scale")
-    if not isinstance(height_m, np.floating) or not 0 < height_m < np.inf or not isinstance(scale, str):
-        return "attributes camera_height_m or params are damaged"
-    unknown = np.setdiff1d(file.frame, raw.frame)
-    return f"has frame {unknown[0]}, which the drive lacks" if len(unknown) else ""
-
-
-@contextmanager
 def open_frames(ingest: Path, perception: Path, drive: str, kind: str) -> Iterator[DriveFrames]:
     """Open the frames of a drive from the folders of stages ingest and perception."""
     with (
         DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
-        open_perception(perception, drive, raw) as perceived,
+        DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
     ):
         yield DriveFrames(raw, perceived, kind)

@@ -35,7 +35,6 @@ class EncoderInput(NamedTuple):
     frame: Sequence[int] | np.ndarray  # KITTI frame numbers [B]
     images: np.ndarray  # RGB uint8 [B,H,W,3]
     camera: Camera
-    scans: Sequence[np.ndarray | None]  # [P,4] each, where the depth scale needs them and the frame has one
 
 
 Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
@@ -63,16 +62,13 @@ def weights_file(folder: Path) -> Path:
     return folder / (precomputed.FILE if precomputed.named_in(folder) else FILE)
 
 
-def read_batches(
-    source: DriveReader, camera: Camera, rows: np.ndarray, size: int, *, scans: bool
-) -> Generator[EncoderInput]:
-    """Yield the frames in `rows` of a file of stage ingest in batches of `size`, with their `scans` if requested."""
+def read_batches(source: DriveReader, camera: Camera, rows: np.ndarray, size: int) -> Generator[EncoderInput]:
+    """Yield the frames in `rows` of a file of stage ingest in batches of `size`."""
     for start in range(0, len(rows), size):
         batch = rows[start : start + size]
         # Row by row, since frames without an image in between must not be read.
         images = np.stack([source.row("image", row) for row in batch])
-        points = [source.rows_of("lidar", row) if scans and source.row("has_lidar", row) else None for row in batch]
-        yield EncoderInput(source.drive, source.frame[batch], images, camera, points)
+        yield EncoderInput(source.drive, source.frame[batch], images, camera)
 
 
 class Saved(NamedTuple):

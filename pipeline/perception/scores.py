@@ -1,17 +1,14 @@
 """Errors of predicted depth and classes against ground truth."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
-from pipeline.perception.depth_scale import ground_plane_depth, scoring_factor
+from pipeline.perception.depth_scale import ground_plane_depth
 from pipeline.perception.truth import Truth
-
-if TYPE_CHECKING:
-    from pipeline.settings.perception import DepthScale
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
@@ -85,19 +82,17 @@ class Scores:
         self.class_frames = 0
         self.confusion = np.zeros((classes.COUNT, classes.COUNT + 1), np.int64)
 
-    def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth, mode: "DepthScale") -> None:
+    def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:
         """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.
 
         Args:
             depth_m: predicted [H,W], 0 = none.
             cls: trainIds [H,W].
             truth: ground truth of the same frame.
-            mode: perception.depth_scale of the depth.
         """
         if truth.depth_source:
             flat_m = np.where(depth_m > 0, ground_plane_depth(cls, camera), 0)
-            factor = scoring_factor(mode, depth_m, truth.depth_m)
-            self.add_depth(f"depth_{truth.depth_source}", factor * depth_m, truth.depth_m)
+            self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
             self.add_depth(f"ground_plane_{truth.depth_source}", flat_m, truth.depth_m)
         if truth.has_cls:
             self.add_classes(cls, truth.cls)

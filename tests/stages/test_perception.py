@@ -112,12 +112,9 @@ def test_an_error_of_a_file_ends_all_threads(tmp_path: Path) -> None:
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("prefetch")]
 
 
-@pytest.mark.parametrize(("mode", "expected"), [("camera_height", 1.0), ("lidar_median", 1.0), ("none", 0.4)])
-def test_depth_of_another_unit_is_scaled(tmp_path: Path, mode: str, expected: float) -> None:
+def test_depth_of_another_unit_is_scaled(tmp_path: Path) -> None:
     write_precomputed(tmp_path, 0.4)
-    run(tmp_path, "perception", depth_scale=mode, camera_height_m=1.65)
+    run(tmp_path, "perception", depth_scale="camera_height", camera_height_m=1.65)
     depth = read(tmp_path)["depth_m"].astype(float)
     truth = np.stack([street.scene(frame)[1] for frame in range(FRAMES)]) * 256
-    assert np.median(depth[truth > 0] / truth[truth > 0]) == pytest.approx(expected, rel=0.01)
-    with store.DriveReader(tmp_path / "perception" / f"{DENSE}.h5", stage="perception") as file:
-        assert ("unknown unit" in file.dataset("depth_m").attrs["unit"]) == (mode == "none")
+    assert np.median(depth[truth > 0] / truth[truth > 0]) == pytest.approx(1.0, rel=0.01)

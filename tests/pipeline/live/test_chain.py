@@ -4,7 +4,6 @@ from collections.abc import Generator
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 import yaml
 
@@ -27,13 +26,12 @@ def frames(raw: store.DriveReader) -> Generator[FrameState]:
         yield FrameState(number, number / 10, scan=scan, image=raw.row("image", row))
 
 
-@pytest.mark.parametrize("mode", ["metric", "lidar_median"])
-def test_depth_and_classes_equal_those_of_the_stage(tmp_path: Path, mode: str) -> None:
+def test_depth_and_classes_equal_those_of_the_stage(tmp_path: Path) -> None:
     street.write_drive(tmp_path / "ingest", DRIVE, FRAMES, lidar=True)
     store.write_index(tmp_path / "ingest", {DRIVE: "test"})
     torch.manual_seed(0)
     save(tmp_path / "encoder", "small", UnifiedEncoder("small").state_dict())
-    settings = {"batch": 2, "depth_scale": mode, "reach": 1.2, "camera_height_m": 1.65}
+    settings = {"batch": 2, "depth_scale": "metric", "reach": 1.2, "camera_height_m": 1.65}
     (tmp_path / "params.yaml").write_text(yaml.safe_dump({"perception": settings}))
     main(tmp_path / "ingest", tmp_path / "encoder", tmp_path / "perception", tmp_path / "params.yaml", workers=1)
     with (

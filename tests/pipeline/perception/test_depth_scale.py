@@ -1,5 +1,3 @@
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,6 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import back_project, rays
 from pipeline.camera.images import to_units
-from pipeline.perception import depth_scale
 from pipeline.perception.depth_scale import (
     DepthPostprocessor,
     from_camera_height,
@@ -43,27 +40,15 @@ def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky() -> None:
     depth = np.array([[1.0, 10.002, 1000.0, 0.0001, 30.0, 0.0]], np.float32)
     cls = np.array([[0, 0, 0, 0, classes.SKY, 0]])
     process = DepthPostprocessor(Perception(batch=1, depth_scale="metric"), CAMERA)
-    assert to_units(process(depth, cls, None)).tolist() == [[256, 2561, 65535, 1, 0, 0]]
+    assert to_units(process(depth, cls)).tolist() == [[256, 2561, 65535, 1, 0, 0]]
 
 
-@pytest.mark.parametrize(("mode", "factor"), [("metric", 1), ("camera_height", 5), ("lidar_median", 5), ("none", 1)])
-def test_each_mode_scales_depth(mode: Any, factor: float) -> None:
+def test_a_frame_without_road_takes_the_previous_factor() -> None:
+    process = DepthPostprocessor(Perception(batch=1, depth_scale="camera_height"), CAMERA)
+    assert not process(np.ones(SIZE, np.float32), CAR).any()  # no depth rather than a wrong one
     depth_m, cls = road()
-    process = DepthPostprocessor(Perception(batch=1, depth_scale=mode), CAMERA)
-    scaled_m = process((depth_m / 5).astype(np.float32), cls, back_project(depth_m, CAMERA.K)[depth_m > 0])
-    np.testing.assert_allclose(scaled_m, depth_m / 5 * factor, rtol=1e-3, atol=1 / 256)
-    expected = 3 if mode == "none" else 1
-    assert depth_scale.scoring_factor(mode, depth_m / 3, depth_m) == pytest.approx(expected)
-    assert ("unknown" in depth_scale.stored_unit(mode)) == (mode == "none")
-
-
-@pytest.mark.parametrize("mode", ["camera_height", "lidar_median"])
-def test_a_frame_without_scale_takes_the_previous_factor(mode: Any) -> None:
-    process = DepthPostprocessor(Perception(batch=1, depth_scale=mode), CAMERA)
-    assert not (process(np.ones(SIZE, np.float32), CAR, None) > 1).any()  # no depth rather than a wrong one
-    depth_m, cls = road()
-    process((depth_m / 5).astype(np.float32), cls, back_project(depth_m, CAMERA.K)[depth_m > 0])
-    np.testing.assert_allclose(process(np.ones(SIZE, np.float32), CAR, None), 5, rtol=1e-3)
+    np.testing.assert_allclose(process((depth_m / 5).astype(np.float32), cls), depth_m, rtol=1e-3, atol=1 / 256)
+    np.testing.assert_allclose(process(np.ones(SIZE, np.float32), CAR), 5, rtol=1e-3)
 
 
 def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot() -> None:

@@ -33,7 +33,7 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder() -> None:
     _, depth_m, cls = street.scene(0)
     stored = np.where(np.random.default_rng(0).random(street.SIZE) < 0.3, 0, depth_m)
     scores = Scores()
-    scores.add_frame(stored, cls, street.CAMERA, Truth(depth_m, "dense", cls, has_cls=True), "metric")
+    scores.add_frame(stored, cls, street.CAMERA, Truth(depth_m, "dense", cls, has_cls=True))
     report = scores.report()
     flat = np.where(stored > 0, ground_plane_depth(cls, street.CAMERA), 0)
     assert report["depth_dense"]["abs_rel"] == 0

@@ -1,4 +1,4 @@
-"""The command line: steer predict, measure, import, show, diff and export."""
+"""The command line: steer predict, measure, import, show and diff."""
 
 from pipeline.base import startup
 

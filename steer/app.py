@@ -44,7 +44,6 @@ _add("measure", measure.measure, _UNFINISHED, help=measure.__doc__)
 _add("import", import_recording.import_recording, _NO_DRIVE, help=import_recording.__doc__)
 _add("show", artefacts.show, "Files that were written are complete")
 _add("diff", artefacts.diff, "Nothing was written")
-_add("export", artefacts.export, "Nothing was written")
 
 if __name__ == "__main__":
     app(prog_name="steer")

@@ -1,4 +1,4 @@
-"""steer show, diff and export: describe an artefact, compare two of them, export a trained model."""
+"""steer show and diff: describe an artefact, compare two of them."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -98,40 +98,3 @@ def diff(
     output.result(counts | {"differences": differences})
     if different:
         raise typer.Exit(DIFFERENT)
-
-
-def export(
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help="folder of a trained model")],
-    out: Annotated[Path, typer.Option(help="folder for the files: new, empty, or of an earlier export")],
-    graphs: Annotated[Path, typer.Option(help="folder of the graph variants, to verify with")] = Path("data/graphs"),
-    tolerance: Annotated[float, options.number(0, None, "largest accepted difference from the network")] = 1e-4,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
-    debug: options.Debug = False,
-) -> None:
-    """Write a model as torch.export programs.
-
-    The spatial and the recurrent part become .pt2 files, verified on real frames. export.json describes their inputs
-    and how to compute the angle. Each call takes one frame with any number of points and neighbours. To convert a file
-    to ONNX, use the package onnxscript:
-
-    \b
-    torch.onnx.export(torch.export.load("spatial.pt2"), dynamo=True).save("spatial.onnx")
-
-    \b
-    steer export data/train/sa-gnn-ncp --out net/
-    """
-    from pipeline.live.export import export as write
-    from pipeline.train.predict import load
-
-    output = options.Output(quiet, as_json)
-    options.check_names(out)
-    trained = load(model, "cpu")
-    manifest = write(trained, graphs / trained.entry.input, out, tolerance)
-    for part, difference in manifest["largest_difference"].items():
-        output.line(
-            f"{out / part}.pt2: largest difference from the network {difference:.2g} (tolerance {tolerance:.2g})"
-        )
-    verified = manifest["verified"]
-    output.line(f"verified on {verified['windows']} windows of {', '.join(verified['drives'])}")
-    output.result({"out": str(out), **manifest})

@@ -1,1 +1,1 @@
-"""Measure motion and predict steering on a stream of frames, and export trained models."""
+"""Measure motion and predict steering on a stream of frames."""

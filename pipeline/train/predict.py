@@ -147,13 +147,6 @@ class Trained:
     net: "SteeringNet"
     card: Card | None = None
 
-    @property
-    def angle_target(self) -> Target:
-        """The target of a model that predicts an angle. Raises InputError for another one."""
-        if isinstance(self.target, PathTarget):
-            raise InputError("predicts the path ahead, expected an angle", f"model {self.name}", "Choose another model")
-        return self.target
-
     def check_same_scene(self) -> None:
         """Raise InputError for a control that needs the scene of another frame of a complete drive."""
         if self.entry.scene != "same":

@@ -13,7 +13,7 @@ from steer import options
 from steer.app import app
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
-VERBS = {"measure", "predict", "import", "show", "diff", "export"}
+VERBS = {"measure", "predict", "import", "show", "diff"}
 
 
 def test_help_imports_nothing_large() -> None:
@@ -43,7 +43,6 @@ def test_help_of_each_verb_has_an_example() -> None:
         "import here --drive 2027_03_31_drive_0001 --max-gap -1",
         "import here --drive 2027_03_31_drive_0001 --steering-ratio 0.5",
         "diff here there --tolerance nan",
-        "export here --out there --tolerance inf",
     ],
 )
 def test_numbers_out_of_range_are_refused(command: str) -> None:

@@ -6,8 +6,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import Padded
-
 
 def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:
     """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix.
@@ -31,12 +29,8 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
     return _csr(starts.int(), column.int(), values, nodes)
 
 
-def propagate(adjacency: Tensor | Padded, x: Tensor) -> Tensor:
-    """Return adjacency @ x for x [N,C] and a symmetric sparse matrix [N,N], in its precision, or padded neighbours."""
-    if isinstance(adjacency, Padded):
-        scale = (adjacency.valid.sum(1).to(x.dtype) + 1).rsqrt()[:, None]  # [N,1]
-        x = scale * x
-        return scale * (x + (x[adjacency.numbers] * adjacency.valid[..., None]).sum(1))
+def propagate(adjacency: Tensor, x: Tensor) -> Tensor:
+    """Return adjacency @ x for x [N,C] and a symmetric sparse matrix [N,N], in its precision."""
     product: Tensor = _SymmetricProduct.apply(adjacency, x.to(adjacency.dtype))  # type: ignore[no-untyped-call]
     return product
 

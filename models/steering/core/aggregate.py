@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from models.steering.core.batch import AnyGraph, Padded, PaddedGraph
+from models.steering.core.batch import GraphBatch
 
 # Edges per chunk. On a CPU 4 MB in float32 at 64 channels, about a core's cache; on a GPU 256 MB, for few launches.
 EDGES = {"cpu": 1 << 14, "cuda": 1 << 20}
@@ -16,18 +16,12 @@ Chunks = list[tuple[Tensor, Tensor, Tensor | None]]
 """Node numbers [n], their neighbours' numbers [n,d], and which of them count, bool [n,d]; None: all."""
 
 
-def neighbourhoods(batch: AnyGraph, *, loops: bool) -> Chunks | Padded:
-    """Split a batch's graph into chunks of about EDGES edges; a padded graph stays complete.
+def neighbourhoods(batch: GraphBatch, *, loops: bool) -> Chunks:
+    """Split a batch's graph into chunks of about EDGES edges.
 
     On a CPU the nodes of a chunk have equal degrees. On a GPU degrees between two powers of two share a chunk.
     `loops`: add each node as its own first neighbour. Otherwise nodes without neighbours are in no chunk.
     """
-    if isinstance(batch, PaddedGraph):
-        numbers, valid = batch.padded()
-        if loops:
-            numbers = torch.cat([torch.arange(numbers.shape[0])[:, None], numbers], dim=1)
-            valid = nn.functional.pad(valid, (1, 0), value=True)
-        return Padded(numbers, valid)
     degree, indices, on_cpu = batch.degree, batch.indices, batch.degree.device.type == "cpu"
     # The program would wait for a GPU to read the sizes of chunks from it.
     counts = (degree if batch.cpu_degree is None else batch.cpu_degree).bincount().tolist()
@@ -56,10 +50,8 @@ def neighbourhoods(batch: AnyGraph, *, loops: bool) -> Chunks | Padded:
     return chunks
 
 
-def aggregate(
-    function: Callable[..., Tensor], graph: Chunks | Padded, x: Tensor, centre: Tensor, *shared: Tensor
-) -> Tensor:
-    """Apply `function` to each node's neighbours; memory grows with nodes, not with edges, unless they are padded.
+def aggregate(function: Callable[..., Tensor], graph: Chunks, x: Tensor, centre: Tensor, *shared: Tensor) -> Tensor:
+    """Apply `function` to each node's neighbours; memory grows with nodes, not with edges.
 
     Args:
         function: (x of the neighbours [n,d,C], `centre` of the nodes [n,C], *shared) → [n,C]; runs again in backward.
@@ -70,9 +62,6 @@ def aggregate(
     Returns:
         [N,C]; zeros for nodes without neighbours.
     """
-    if isinstance(graph, Padded):
-        padded = function(x[graph.numbers], centre, *shared, valid=graph.valid)
-        return torch.where(graph.valid.any(1, keepdim=True), padded, 0.0)
     result: Tensor = _Aggregate.apply(function, graph, x, centre, *shared)  # type: ignore[no-untyped-call]
     return result
 

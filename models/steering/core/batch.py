@@ -7,25 +7,15 @@ import dataclasses
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 Array = np.ndarray | Tensor
-INPUTS = {
-    "image": "uint8 [1, H, W, 3], RGB",
-    "xyz": "float32 [points, 3], metres, camera frame: x right, y down, z forward",
-    "cls": "uint8 [points], Cityscapes trainId, 255 = void",
-    "degree": "uint8 [points], number of neighbours",
-    "neighbours": "int64 [points, slots], neighbours of each point, in the first `degree` slots; further slots are 0",
-    "centres_": "int64 [centres], indices of points, or of centres of the previous level",
-    "neighbours_": "int64 [centres, n], the same for the points in the ball around each centre",
-}
-"""Inputs of an exported spatial network, without the number of the level."""
 FrameKind = Literal["graph", "pointnet2", "image"]
-"""Kinds of frames: GraphBatch or PaddedGraph, SetBatch, ImageBatch."""
+"""Kinds of frames: GraphBatch, SetBatch, ImageBatch."""
 
 
 CPU_FIELDS = ("ptr", "cpu_degree")
@@ -100,31 +90,6 @@ class GraphBatch(_Points):
             first = last
 
 
-class Padded(NamedTuple):
-    """Neighbours of N points in rows of equal length: numbers int64 [N,D], and which of them count, bool [N,D]."""
-
-    numbers: Tensor
-    valid: Tensor
-
-
-@dataclass(frozen=True)
-class PaddedGraph(_Points):
-    """Points of one frame with padded neighbours, which exported programs take instead of sparse matrices.
-
-    neighbours int64 [N,D]: the first `degree` of each row are used, further entries are 0.
-    """
-
-    degree: Tensor
-    neighbours: Tensor
-
-    def padded(self) -> Padded:
-        """Return the neighbours with a mask."""
-        return Padded(self.neighbours, torch.arange(self.neighbours.shape[1]) < self.degree[:, None])
-
-
-AnyGraph = GraphBatch | PaddedGraph
-
-
 @dataclass(frozen=True)
 class Level(_Movable):
     """One sampling and grouping of B frames' points: M centres with n neighbours each.
@@ -156,42 +121,18 @@ class ImageBatch(_Movable):
         return dataclasses.replace(self, image=self.image.flip(2))
 
 
-Batch = GraphBatch | PaddedGraph | SetBatch | ImageBatch
+Batch = GraphBatch | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array]) -> Batch:
-    """Return a batch of arrays or tensors by name, as in a graph file or from :func:`pad`; other names are ignored.
-
-    Without pointers, the arrays are one frame.
-    """
+    """Return a batch of arrays or tensors by name, as from a graph file; other names are ignored."""
     tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
     if "image" in tensors:
         return ImageBatch(tensors["image"])
-
-    def pointer(name: str, rows: Tensor) -> Tensor:
-        return tensors[name] if name in tensors else torch.cat([torch.zeros(1).long(), torch.full((1,), rows.shape[0])])
-
-    xyz, cls = tensors["xyz"], tensors["cls"]
-    points = xyz, cls, pointer("ptr", xyz)
-    if "neighbours" in tensors:
-        return PaddedGraph(*points, tensors["degree"], tensors["neighbours"])
+    points = tensors["xyz"], tensors["cls"], tensors["ptr"]
     if "degree" in tensors:
         return GraphBatch(*points, tensors["degree"], tensors["indices"])
     levels: list[Level] = []
     while (name := f"centres_{len(levels) + 1}") in tensors:
-        neighbours = tensors[f"neighbours_{len(levels) + 1}"]
-        levels.append(Level(tensors[name], neighbours, pointer(f"{name}_ptr", tensors[name])))
+        levels.append(Level(tensors[name], tensors[f"neighbours_{len(levels) + 1}"], tensors[f"{name}_ptr"]))
     return SetBatch(*points, tuple(levels))
-
-
-def pad(frame: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays of a batch of one frame as exported programs take them, described by INPUTS.
-
-    Pointers are left out, and a graph's neighbours are rows of equal length.
-    """
-    if "degree" in frame:
-        degree = frame["degree"].astype(np.int64)
-        neighbours = np.zeros((len(degree), max(2, degree.max(initial=0))), np.int64)
-        neighbours[np.arange(neighbours.shape[1]) < degree[:, None]] = frame["indices"]
-        return {**{name: frame[name] for name in ("xyz", "cls", "degree")}, "neighbours": neighbours}
-    return {name: array for name, array in frame.items() if not name.endswith("ptr")}

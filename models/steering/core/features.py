@@ -100,5 +100,5 @@ def _uniform_on_gpu(x: Tensor, ptr: Tensor) -> bool:
 
 
 def _by_frame(x: Tensor, ptr: Tensor) -> Sequence[Tensor]:
-    """Return the rows of each frame. With one frame `ptr` is not read: an exporter does not know its values."""
-    return torch.split(x, ptr.diff().tolist()) if len(ptr) > 2 else [x]
+    """Return the rows of each frame."""
+    return torch.split(x, ptr.diff().tolist())

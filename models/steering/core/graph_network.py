@@ -6,7 +6,7 @@ import torch
 from pydantic import AfterValidator, Field
 from torch import Tensor, nn
 
-from models.steering.core.batch import AnyGraph, FrameKind
+from models.steering.core.batch import FrameKind, GraphBatch
 from models.steering.core.features import (
     FEATURE_MIRROR_SIGNS,
     NODE_FEATURES,
@@ -56,16 +56,16 @@ class GraphNetwork(nn.Module):
         signs = torch.tensor([[1.0] * NODE_FEATURES, FEATURE_MIRROR_SIGNS])
         self.register_buffer("signs", signs, persistent=False)  # [2,25], of the frame and of its mirror image
 
-    def forward(self, batch: AnyGraph) -> Tensor:
+    def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         return self.project(self.pooled(batch, 1))[:, 0]
 
-    def both(self, batch: AnyGraph) -> tuple[Tensor, Tensor]:
+    def both(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
         original, mirrored = self.project(self.pooled(batch, 2)).unbind(1)
         return original, mirrored
 
-    def pooled(self, batch: AnyGraph, versions: int) -> Tensor:
+    def pooled(self, batch: GraphBatch, versions: int) -> Tensor:
         """Return mean ‖ max over each frame's points after the last layer, ‖ max over each sector's: [B, S, pooled].
 
         S `versions`, the frames and with 2 also their mirror images, share the graph: a node has S sets of channels.

@@ -15,9 +15,6 @@ A network is a file. `spatial: mean` in params.yaml is models/steering/spatial/m
 A temporal file is the same with a RecurrentCell (core/recurrent.py). A cell of `temporal: ncp` is a file of core/cell/
 and a line of temporal/ncp.py. DVC retrains a model when core or one of its two files changes, so a network's file may
 import only core and pipeline.camera.classes; tests/test_dvc_yaml.py checks it.
-
-`steer export` traces the network on one frame, a graph as PaddedGraph. Layers made of `aggregate` or `propagate`, and
-the pooling of core/features.py, need no other form for it.
 """
 
 from collections.abc import Mapping

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.aggregate import Chunks, aggregate, neighbourhoods
-from models.steering.core.batch import AnyGraph, Padded
+from models.steering.core.batch import GraphBatch
 from models.steering.core.graph_network import GraphNetwork, GraphOptions
 from models.steering.core.options import Sizes
 
@@ -23,11 +23,11 @@ class EdgeConvLayer(nn.Module):
         self.linear = nn.Linear(2 * inputs, outputs)
 
     @staticmethod
-    def operator(batch: AnyGraph, dtype: torch.dtype) -> Chunks | Padded:
+    def operator(batch: GraphBatch, dtype: torch.dtype) -> Chunks:
         """Return the neighbourhoods of a batch's graph, for all layers."""
         return neighbourhoods(batch, loops=False)
 
-    def forward(self, x: Tensor, graph: Chunks | Padded) -> Tensor:
+    def forward(self, x: Tensor, graph: Chunks) -> Tensor:
         centre_weight, difference_weight = self.linear.weight.chunk(2, dim=1)
         centre = nn.functional.linear(x, centre_weight - difference_weight, self.linear.bias)
         difference = nn.functional.linear(x, difference_weight)

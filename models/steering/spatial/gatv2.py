@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.aggregate import Chunks, aggregate, neighbourhoods
-from models.steering.core.batch import AnyGraph, Padded
+from models.steering.core.batch import GraphBatch
 from models.steering.core.graph_network import GraphNetwork, GraphOptions
 from models.steering.core.options import Sizes
 
@@ -33,11 +33,11 @@ class GATv2Layer(nn.Module):
             nn.init.zeros_(linear.bias)
 
     @staticmethod
-    def operator(batch: AnyGraph, dtype: torch.dtype) -> Chunks | Padded:
+    def operator(batch: GraphBatch, dtype: torch.dtype) -> Chunks:
         """Return the neighbourhoods of a batch's graph, for all layers."""
         return neighbourhoods(batch, loops=True)
 
-    def forward(self, x: Tensor, graph: Chunks | Padded) -> Tensor:
+    def forward(self, x: Tensor, graph: Chunks) -> Tensor:
         dtype = self.attention.dtype  # scores and softmax in full precision under autocast
         left, right = (linear(x).to(dtype) for linear in (self.left, self.right))
         attention = self.attention.repeat(x.shape[1:-1].numel(), 1)  # the same for each set of channels

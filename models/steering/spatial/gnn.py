@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.adjacency import normalised_adjacency, propagate
-from models.steering.core.batch import AnyGraph, Padded, PaddedGraph
+from models.steering.core.batch import GraphBatch
 from models.steering.core.convolutions import convolve
 from models.steering.core.graph_network import GraphNetwork, GraphOptions
 from models.steering.core.options import Sizes
@@ -20,13 +20,11 @@ class GCNLayer(nn.Module):
         nn.init.xavier_uniform_(self.weight)
 
     @staticmethod
-    def operator(batch: AnyGraph, dtype: torch.dtype) -> Tensor | Padded:
-        """Return the normalised adjacency matrix, sparse [N,N], for all layers; of a padded graph the neighbours."""
-        if isinstance(batch, PaddedGraph):
-            return batch.padded()
+    def operator(batch: GraphBatch, dtype: torch.dtype) -> Tensor:
+        """Return the normalised adjacency matrix, sparse [N,N], for all layers."""
         return normalised_adjacency(batch.degree, batch.indices, dtype)
 
-    def forward(self, x: Tensor, adjacency: Tensor | Padded) -> Tensor:
+    def forward(self, x: Tensor, adjacency: Tensor) -> Tensor:
         inputs, outputs = self.weight.shape
         if inputs <= outputs:  # the sparse product runs on the narrower side
             return nn.functional.linear(propagate(adjacency, x.flatten(1)).view_as(x), self.weight.T, self.bias)
@@ -37,15 +35,15 @@ class GCNLayer(nn.Module):
 class GCN(GraphNetwork):
     """Graph convolution network, tile by tile on a CPU (core/convolutions.py).
 
-    With sectors, on a GPU, in mixed precision and for export it runs layer by layer, as the other networks on graphs.
+    With sectors, on a GPU and in mixed precision it runs layer by layer, as the other networks on graphs.
     """
 
     def __init__(self, features: int, options: GraphOptions = GraphOptions()) -> None:
         super().__init__(GCNLayer, features, options)
 
-    def pooled(self, batch: AnyGraph, versions: int) -> Tensor:
+    def pooled(self, batch: GraphBatch, versions: int) -> Tensor:
         kind = batch.xyz.device.type
-        if isinstance(batch, PaddedGraph) or self.sectors or kind != "cpu" or torch.is_autocast_enabled(kind):
+        if self.sectors or kind != "cpu" or torch.is_autocast_enabled(kind):
             return super().pooled(batch, versions)
         weight, bias, *later = self.layers.parameters()
         # Mirroring changes the sign of node features; in Â H W that equals changing the sign of rows of W.

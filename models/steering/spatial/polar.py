@@ -11,7 +11,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import AnyGraph, FrameKind
+from models.steering.core.batch import FrameKind, GraphBatch
 from models.steering.core.features import bearing_cell, frame_of_points
 from models.steering.core.options import NetworkOptions, Sizes, Widths
 from pipeline.camera import classes
@@ -23,7 +23,7 @@ ROAD, GROUND, OBSTACLE, VOID = range(4)
 CHANNELS = 4  # share of road, other ground and obstacles among the points of a cell; 1 for a cell without points
 
 
-def polar_map(batch: AnyGraph) -> Tensor:
+def polar_map(batch: GraphBatch) -> Tensor:
     """Return the map of each frame, float32 [B, CHANNELS, RANGES, BEARINGS], from left to right and from near to far.
 
     Void points count as none of the three kinds; points outside of the map have no effect.
@@ -68,11 +68,11 @@ class Polar(nn.Module):
         self.convolutions = nn.Sequential(*layers)
         self.read_out = nn.Linear(widths[-1] * height * width, features)
 
-    def forward(self, batch: AnyGraph) -> Tensor:
+    def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         return self._read(polar_map(batch))
 
-    def both(self, batch: AnyGraph) -> tuple[Tensor, Tensor]:
+    def both(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
         frames = polar_map(batch)
         original, mirrored = self._read(torch.cat([frames, frames.flip(3)])).chunk(2)

@@ -7,7 +7,7 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.runner import Job, run_over_drives
-from pipeline.kitti.ingest_file import describe, ingest
+from pipeline.kitti.frames import describe, ingest_kitti
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.settings.ingest import Ingest
 
@@ -38,15 +38,12 @@ def main(
         drives |= find_drives(root, names) if names else {}
     if settings.source == "both":
         _check_names([drive for drive in splits if sources[drive] == "sample"], raw)
-    jobs = []
+    jobs, reading = [], settings.reading()
     for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
-        fingerprint = files.fingerprint(settings.cameras)
-        attributes = {"split": splits[drive], "source": sources[drive], "fingerprint": fingerprint}
-        inputs = [*attributes.values(), files.changes(settings.cameras)]
-        work = partial(ingest, drive=drive, folder=files.folder, attributes=attributes, settings=settings)
-        jobs.append(Job(drive, out / f"{drive}.h5", inputs, work))
-    shared = settings.model_dump(mode="json", exclude={"drives"})
-    with run_over_drives("ingest", shared, jobs, out, describe, workers) as summaries:
+        fingerprint = files.fingerprint(settings.cameras, by_content=sources[drive] == "sample")
+        work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)
+        jobs.append(Job(drive, out / f"{drive}.h5", [fingerprint], work))
+    with run_over_drives("ingest", reading, jobs, out, describe, workers) as summaries:
         store.write_index(out, splits)
     for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
         missing = [drive for drive in splits if not summaries[drive][name]]

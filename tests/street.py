@@ -6,12 +6,13 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera, write_camera
+from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import back_project, rays
 from pipeline.camera.images import to_units
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.kitti.ingest_file import put_motion, put_pixels, put_scans
+from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.oxts import make_rows
+from pipeline.settings.ingest import Reading
 
 SIZE = (32, 64)
 K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
@@ -40,18 +41,21 @@ def write_drive(
     folder: Path, drive: str, frames: int, *, dense: bool = True, lidar: bool = False, images: bool = True
 ) -> None:
     """Write ``folder/<drive>.h5`` with `frames` frames that have what the flags say."""
-    scenes = [scene(frame) for frame in range(frames)]
-    pixels = {
-        "image": [image for image, _, _ in scenes] if images else None,
-        "depth": [to_units(depth) for _, depth, _ in scenes] if dense else None,
-        "cls": [cls for *_, cls in scenes] if dense else None,
-    }
-    with store.DriveWriter(folder / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-        put_motion(file, np.arange(frames), np.arange(frames) / 10, make_rows(frames, vf=8.0))
-        write_camera(file, Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None))
-        for name, arrays in pixels.items():
-            put_pixels(file, name, frames, SIZE, None if arrays is None else enumerate(arrays))
-        put_scans(file, frames, ((row, scan(depth)) for row, (_, depth, _) in enumerate(scenes) if lidar))
+    recorded = [Frame(number, number / 10) for number in range(frames)]
+    for frame in recorded:
+        image, depth_m, cls = scene(frame.number)
+        frame.image = image if images else None
+        frame.depth_m, frame.cls = (depth_m, cls) if dense else (None, None)
+        frame.scan = scan(depth_m) if lidar else None
+    ingest_drive(
+        recorded,
+        folder / f"{drive}.h5",
+        drive=drive,
+        camera=Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None),
+        settings=Reading(image_size=SIZE, cameras=[2], lidar=lidar, on_damaged="fail"),
+        truth=("depth", "cls") if dense else (),
+        oxts=dict(enumerate(make_rows(frames, vf=8.0))),
+    )
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:

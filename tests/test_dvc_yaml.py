@@ -20,7 +20,7 @@ IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True
 WHOLE_PACKAGES = {"pipeline/base", "pipeline/camera"}  # small, and they rarely change
 BEYOND: dict[str, set[str]] = {
     "check": {"pipeline", "models"},  # takes seconds, and finds faults anywhere
-    "sample": {"pipeline/kitti/ingest_file.py"},  # an edit renders the sample again
+    "sample": {"pipeline/kitti/frames.py", "pipeline/kitti/ingest_file.py"},  # an edit renders the sample again
     "scores": {"models/encoder"},  # needed for flat ground; an edit of another network reruns perception anyway
     "train": {"pipeline/train/pyg.py"},  # short, and used by no stage
     # An edit of these reruns training anyway.

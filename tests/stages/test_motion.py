@@ -7,11 +7,12 @@ import pytest
 import yaml
 
 from pipeline.base import store
-from pipeline.camera.camera import Camera, write_camera
+from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import to_units
-from pipeline.kitti.ingest_file import put_motion, put_pixels, put_scans
+from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.motion import motion_file
+from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from stages import motion
 from tests import rendered_street as street
@@ -25,14 +26,21 @@ RATES = 0.3, 6.0
 
 def write_drive(root: Path, drive: str, poses: list[np.ndarray], *, images: bool = True, scans: bool = True) -> None:
     views = [street.view(pose) for pose in poses] if images else []
-    frames = len(poses)
-    with store.DriveWriter(root / "ingest" / f"{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-        put_motion(file, NUMBERS, NUMBERS / 10, make_rows(frames, vf=99.0, wu=9.0))  # wrong: must not be read
-        if images or scans:
-            write_camera(file, Camera(street.K, street.SIZE, T_cam_velo=T_CAM_VELO if scans else None))
-        put_pixels(file, "image", frames, street.SIZE, enumerate(image for image, *_ in views))
-        clouds = [scan(row, pose, world()).scan for row, pose in enumerate(poses) if scans]
-        put_scans(file, frames, ((row, np.pad(points, [(0, 0), (0, 1)])) for row, points in enumerate(clouds)))
+    frames = [Frame(number, number / 10) for number in NUMBERS.tolist()]
+    for row, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
+        frame.image = views[row][0] if images else None
+        points = scan(row, pose, world()).scan if scans else None
+        frame.scan = None if points is None else np.pad(points, [(0, 0), (0, 1)])
+    ingest_drive(
+        frames,
+        root / "ingest" / f"{drive}.h5",
+        drive=drive,
+        camera=Camera(street.K, street.SIZE, T_cam_velo=T_CAM_VELO if scans else None) if images or scans else None,
+        settings=Reading(image_size=street.SIZE, cameras=[2], lidar=True, on_damaged="fail"),
+        oxts=dict(
+            zip(NUMBERS.tolist(), make_rows(len(poses), vf=99.0, wu=9.0), strict=True)
+        ),  # wrong: must not be read
+    )
     params = {"perception": Perception(batch=1).model_dump()}
     with store.DriveWriter(root / "perception" / f"{drive}.h5", stage="perception", drive=drive, params=params) as file:
         file.attrs["camera_height_m"] = 1.65

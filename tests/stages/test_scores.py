@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.store import DriveWriter
-from pipeline.kitti.ingest_file import put_motion, put_steering
+from pipeline.camera.camera import Frame
+from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.oxts import make_rows
+from pipeline.settings.ingest import Reading
 from stages import scores
 from tests.motion_files import write_motion
 
@@ -19,11 +20,15 @@ TRUE_RAD = float(np.arctan(2.7 * YAW_RATE_RADPS / SPEED_MPS))
 
 def score(folder: Path, oxts: bool, wheel: bool) -> dict[str, dict[str, float] | None]:
     """Return the scores of a drive whose measured speed is 10 % too high, and whose recorded angle is 0.01 rad off."""
-    numbers = np.arange(FRAMES)
-    with DriveWriter(folder / f"ingest/{DRIVE}.h5", stage="ingest", drive=DRIVE, params={}) as file:
-        put_motion(file, numbers, numbers / 10, make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if oxts else None)
-        if wheel:
-            put_steering(file, numbers, dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01))
+    ingest_drive(
+        [Frame(number, number / 10) for number in range(FRAMES)],
+        folder / f"ingest/{DRIVE}.h5",
+        drive=DRIVE,
+        camera=None,
+        settings=Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail"),
+        oxts=dict(enumerate(make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS))) if oxts else None,
+        steering_rad=dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if wheel else None,
+    )
     write_motion(folder / "motion", "visual", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
     motions = {"visual": folder / "motion/visual"}
     return scores._score_motion([DRIVE], ingest=folder / "ingest", motions=motions, rule=RULE)

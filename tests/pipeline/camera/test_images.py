@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.base.errors import DamagedFile
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import read_classes, read_depth, read_image, read_pixels, write_png
+from pipeline.camera.images import nearest, read_classes, read_depth, read_image, read_pixels, resized, write_png
 
 SIZE, SMALL = (60, 120), (20, 30)
 
@@ -28,14 +28,14 @@ def original_coordinates() -> np.ndarray:
 
 def test_image_moves_with_the_intrinsics(tmp_path: Path) -> None:
     write_png(tmp_path / "a.png", ramps())
-    resized = read_image(tmp_path / "a.png", SIZE, SMALL)
-    assert np.abs(resized[..., :2] - original_coordinates()).max() <= 0.5  # rounding to uint8
+    small = resized(read_image(tmp_path / "a.png", SIZE), SMALL)
+    assert np.abs(small[..., :2] - original_coordinates()).max() <= 0.5  # rounding to uint8
 
 
 def test_depth_picks_the_central_pixel(tmp_path: Path) -> None:
     u, v = (ramps()[..., axis].astype(np.uint16) for axis in (0, 1))
     write_png(tmp_path / "a.png", 1000 * v + u)
-    picked = read_depth(tmp_path / "a.png", SIZE, SMALL)
+    picked = nearest(read_depth(tmp_path / "a.png"), SMALL)
     where = np.stack([picked % 1000, picked // 1000], axis=-1)
     assert np.abs(where - original_coordinates()).max() <= 0.5  # an even factor has no central pixel
     assert picked.dtype == np.uint16
@@ -45,15 +45,15 @@ def test_depth_and_classes_are_not_averaged(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     write_png(tmp_path / "d.png", rng.choice(np.array([0, 20000], np.uint16), SIZE))
     write_png(tmp_path / "c.png", rng.choice(np.array([0, 18, 255], np.uint8), SIZE))
-    assert set(np.unique(read_depth(tmp_path / "d.png", SIZE, SMALL))) == {0, 20000}
-    assert set(np.unique(read_classes(tmp_path / "c.png", SIZE, SMALL))) == {0, 18, 255}
+    assert set(np.unique(nearest(read_depth(tmp_path / "d.png"), SMALL))) == {0, 20000}
+    assert set(np.unique(nearest(read_classes(tmp_path / "c.png"), SMALL))) == {0, 18, 255}
 
 
 @pytest.mark.parametrize("channels", [(3,), ()])
 def test_same_size_is_lossless_and_grey_is_repeated(tmp_path: Path, channels: tuple[int, ...]) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (*SIZE, *channels), np.uint8)
     write_png(tmp_path / "a.png", pixels)
-    image = read_image(tmp_path / "a.png", SIZE, SIZE)
+    image = read_image(tmp_path / "a.png", SIZE)
     np.testing.assert_array_equal(image, pixels if channels else np.repeat(pixels[..., None], 3, axis=-1))
 
 

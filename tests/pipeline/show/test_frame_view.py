@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.camera.camera import Camera, write_camera
-from pipeline.camera.images import to_units
+from pipeline.base.store import DriveReader
+from pipeline.camera.camera import Camera, Frame
 from pipeline.kitti import ingest_file
-from pipeline.kitti.oxts import make_rows
+from pipeline.settings.ingest import Reading
 from pipeline.show import frame_view
 from tests.artefacts import write_graphs
 
@@ -40,17 +39,21 @@ def test_graph_has_each_edge_once(graphs: Path) -> None:
 
 def test_ingest_has_images_ground_truth_and_scans(tmp_path: Path) -> None:
     rng, path = np.random.default_rng(0), tmp_path / "ingest/a.h5"
-    image, cls = rng.integers(0, 256, (20, 30, 3), np.uint8), rng.integers(0, 19, (20, 30), np.uint8)
-    with DriveWriter(path, stage="ingest", drive=DRIVE, params={}) as file:
-        ingest_file.put_motion(file, FRAMES, FRAMES * 0.1, make_rows(3))
-        write_camera(file, Camera(np.array([[20, 0, 15], [0, 20, 10], [0, 0, 1]], float), (20, 30)))
-        ingest_file.put_pixels(file, "image", 3, (20, 30), [(1, image)])
-        ingest_file.put_pixels(file, "depth", 3, (20, 30), [(1, to_units(np.full((20, 30), 7.0)))])
-        ingest_file.put_pixels(file, "cls", 3, (20, 30), [(1, cls)])
-        ingest_file.put_scans(file, 3, [(1, np.array([[10, 2, -1.7, 0.5]], np.float32))])
+    image, cls = rng.integers(0, 256, (32, 48, 3), np.uint8), rng.integers(0, 19, (32, 48), np.uint8)
+    frames = [Frame(number, number / 10) for number in FRAMES.tolist()]
+    scan = np.array([[10, 2, -1.7, 0.5]], np.float32)
+    frames[1] = Frame(4, 0.4, image, np.full((32, 48), 7.0), cls, scan)
+    ingest_file.ingest_drive(
+        frames,
+        path,
+        drive=DRIVE,
+        camera=Camera(np.array([[20, 0, 15], [0, 20, 10], [0, 0, 1]], float), (32, 48)),
+        settings=Reading(image_size=(32, 48), cameras=[2], lidar=True, on_damaged="fail"),
+        truth=("depth", "cls"),
+    )
     view, _ = frame_view.read(path, 4)
     np.testing.assert_array_equal(view.rgb, image)
-    np.testing.assert_array_equal(view.depth_m, np.full((20, 30), 7.0))
+    np.testing.assert_array_equal(view.depth_m, np.full((32, 48), 7.0))
     np.testing.assert_array_equal(view.cls, cls)
     np.testing.assert_allclose(view.xyz, [[-2, 1.7, 10]], atol=1e-6)
     assert not frame_view.is_drawable(frame_view.read(path, 3)[0])

@@ -66,6 +66,7 @@ test: setup            ## run all tests, with coverage
 
 ROWS ?=
 bench: setup           ## measure this project beside its alternatives; ROWS="ltc demo" measures these rows only
+	@rm -f benchmarks/results.json
 	$(if $(KITTI),STEER_KITTI="$(KITTI)") python -m benchmarks.bench $(ROWS) --out benchmarks/results.json
 
 lint: setup            ## check style, types and import contracts

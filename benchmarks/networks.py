@@ -1,4 +1,4 @@
-"""Measure the networks beside PyTorch Geometric and ncps: graph convolutions, the LTC cell, and a training step."""
+"""Measure networks and graph files beside PyTorch Geometric and ncps: convolutions, LTC, a training step, loading."""
 
 import tempfile
 import warnings
@@ -8,14 +8,17 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
+from torch_geometric.data import Batch, Data
+from torch_geometric.nn import GCNConv, global_max_pool, global_mean_pool
+from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
-from benchmarks.graphs import edge_index, save
-from benchmarks.street import DEVICE, FRAMES, Row, Street, compare, milliseconds
+from benchmarks.street import DEVICE, FRAMES, Row, Street, compare, milliseconds, row
 from models.steering.core.batch import GraphBatch
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
 from models.steering.spatial.gnn import GCN, GCNLayer
+from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 
 GCN_FRAMES = 4  # per batch
@@ -26,56 +29,53 @@ MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WIN
 MODEL |= {"semantics": 1.0}
 
 
-def beside_edge_index(street: Street) -> Row:
-    """Compare with GCNConv on edge_index; the normalisation is computed once per batch, for all layers."""
-    batch = street.batch(GCN_FRAMES)
-    return _compare_gcn(street, batch, "edge_index", lambda: normalised(batch))
+def gcn(street: Street, csr: bool) -> Row:
+    """Compare graph convolutions with GCNConv on edge_index, normalised once per batch for all layers, or on CSR.
 
-
-def beside_csr(street: Street) -> Row:
-    """Compare with GCNConv on torch's sparse CSR matrix, which is made once and is not timed."""
-    batch = street.batch(GCN_FRAMES)
-    index, weight = normalised(batch)
-    shape = (len(batch.xyz), len(batch.xyz))
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse (CSR tensor support is in beta|invariant checks)")
-        matrix = torch.sparse_coo_tensor(index.flip(0), weight, shape).coalesce().to_sparse_csr()
-    return _compare_gcn(street, batch, "CSR", lambda: (matrix,))
-
-
-def _compare_gcn(street: Street, batch: GraphBatch, form: str, graph: Callable[[], tuple[Tensor, ...]]) -> Row:
-    net = GCN(1).to(DEVICE)
-    layers = pyg_layers(net)
+    The CSR matrix is made once and is not timed.
+    """
+    batch, net = street.batch(GCN_FRAMES), GCN(1).to(DEVICE)
+    layers, matrix = pyg_layers(net), sparse(batch) if csr else None
     return compare(
         milliseconds(lambda: _backward(net.pooled(batch, 1)), GCN_FRAMES),
-        milliseconds(lambda: _backward(pooled(layers, graph(), batch)), GCN_FRAMES),
+        milliseconds(lambda: _backward(pooled(layers, (matrix,) if csr else normalised(batch), batch)), GCN_FRAMES),
         "ms/frame",
-        f"{street.title}: three graph convolutions / PyG GCNConv on {form}, forward + backward",
+        f"{street.title}: three graph convolutions / PyG GCNConv on {'CSR' if csr else 'edge_index'}, both ways",
     )
+
+
+def edge_index(batch: GraphBatch) -> Tensor:
+    """Return a batch's graph in PyTorch Geometric's form, int64 [2,E]."""
+    node = torch.arange(len(batch.xyz), device=batch.xyz.device)
+    return torch.stack([node.repeat_interleave(batch.degree.long()), batch.indices.long()])
 
 
 def normalised(batch: GraphBatch) -> tuple[Tensor, Tensor]:
     """Return edges [2,E+N] with self-loops and their weights [E+N] by Kipf's normalisation."""
-    from torch_geometric.nn.conv.gcn_conv import gcn_norm
-
     index, weight = gcn_norm(edge_index(batch), None, len(batch.xyz))
     return index, weight
 
 
+def sparse(batch: GraphBatch) -> Tensor:
+    """Return the normalised adjacency [N,N] as torch's sparse CSR matrix."""
+    index, weight = normalised(batch)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse (CSR tensor support is in beta|invariant checks)")
+        shape = (len(batch.xyz), len(batch.xyz))
+        return torch.sparse_coo_tensor(index.flip(0), weight, shape).coalesce().to_sparse_csr()
+
+
 def pyg_layers(net: GCN, normalize: bool = False) -> nn.ModuleList:
     """Return PyTorch Geometric's layers with the weights of ours."""
-    from torch_geometric.nn import GCNConv
-
     layers = nn.ModuleList()
     for ours in cast(list[GCNLayer], net.layers):
         layer = GCNConv(*ours.weight.shape, normalize=normalize)
-        layer.lin.weight.data = ours.weight.data.T.clone()
-        layer.bias.data = ours.bias.data.clone()
+        layer.lin.weight.data, layer.bias.data = ours.weight.data.T.clone(), ours.bias.data.clone()
         layers.append(layer)
     return layers.to(net.read_out.weight.device)
 
 
-def pooled(layers: nn.ModuleList, graph: tuple[Tensor, ...], batch: GraphBatch) -> Tensor:
+def pooled(layers: nn.ModuleList, graph: tuple[Tensor | None, ...], batch: GraphBatch) -> Tensor:
     """Return the pooled node features [B, 2 width] after the layers."""
     x = node_features(batch.xyz, batch.cls, 0.0)
     for layer in layers:
@@ -85,23 +85,21 @@ def pooled(layers: nn.ModuleList, graph: tuple[Tensor, ...], batch: GraphBatch) 
 
 def ltc() -> Row:
     """Compare LTC cells on windows that share frames, forward and backward."""
-    torch.manual_seed(0)
     x, (windows, dt_s) = torch.randn(FRAMES, FEATURES, device=DEVICE), _windows()
     ours, alternative = LTC(ncp(FEATURES)).to(DEVICE), ncps_ltc().to(DEVICE)
 
-    def repeat(net: nn.Module, forward: Callable[[], Tensor]) -> Callable[[], float]:
+    def repeat(forward: Callable[[], Tensor]) -> Callable[[], float]:
         def work() -> None:
             for _ in range(REPEATS):
-                net.zero_grad()
                 _backward(forward()[:, -1, 0])
 
         return milliseconds(work, REPEATS)
 
     return compare(
-        repeat(ours, lambda: ours(ours.project_inputs(x)[windows], dt_s)[0]),
-        repeat(alternative, lambda: alternative(x[windows])[0]),
+        repeat(lambda: ours(ours.project_inputs(x)[windows], dt_s)[0]),
+        repeat(lambda: alternative(x[windows])[0]),
         "ms",
-        f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, forward + backward",
+        f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, both ways",
     )
 
 
@@ -121,37 +119,19 @@ def ncps_ltc() -> nn.Module:
 def training(street: Street) -> Row:
     """Compare training on windows that share frames with PyG and ncps on one window after the other.
 
-    A step reads a run of frames, and does forward, backward and update.
+    A step reads frames, and does forward, backward and update.
     """
+    shared, naive = Entry.model_validate(MODEL).build("graph").to(DEVICE), NaiveNet().to(DEVICE)
     with tempfile.TemporaryDirectory() as folder:
-        ours = milliseconds(_shared_step(street), WINDOWS)
-        alternative = milliseconds(_naive_step(save(street, Path(folder), WINDOW)))
+        paths = save(street, Path(folder), WINDOW)
+        ours = milliseconds(_step(shared, lambda: shared(street.batch(FRAMES), *_windows())), WINDOWS)
+        alternative = milliseconds(_step(naive, lambda: naive(Batch.from_data_list(_load(paths)).to(DEVICE))))
         return compare(
             lambda: 1e3 / ours(),
             lambda: 1e3 / alternative(),
             "windows/s",
             f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded for itself",
         )
-
-
-def _shared_step(street: Street) -> Callable[[], None]:
-    """Return a training step on all windows of a run of FRAMES frames, each encoded once."""
-    torch.manual_seed(0)
-    net = Entry.model_validate(MODEL).build("graph").to(DEVICE)
-    return _step(net, lambda: net(street.batch(FRAMES), *_windows()))
-
-
-def _naive_step(paths: list[Path]) -> Callable[[], None]:
-    """Return a training step on the one window of PyTorch Geometric's Data at `paths`."""
-    from torch_geometric.data import Batch
-
-    net = NaiveNet().to(DEVICE)
-
-    def forward() -> Tensor:
-        output: Tensor = net(Batch.from_data_list([torch.load(path, weights_only=False) for path in paths]).to(DEVICE))
-        return output
-
-    return _step(net, forward)
 
 
 def _step(net: nn.Module, forward: Callable[[], Tensor]) -> Callable[[], None]:
@@ -176,8 +156,6 @@ class NaiveNet(nn.Module):
 
     def forward(self, batch: Any) -> Tensor:
         """Return the output at the end of the batch's frames, which are one window: [1]."""
-        from torch_geometric.nn import global_max_pool, global_mean_pool
-
         x = node_features(batch.pos, batch.cls.to(torch.uint8), 1.0)
         for layer in self.layers:
             x = layer(x, batch.edge_index).relu()
@@ -194,3 +172,39 @@ def _windows() -> tuple[Tensor, Tensor]:
 
 def _backward(output: Tensor) -> None:
     output.square().sum().backward()  # type: ignore[no-untyped-call]
+
+
+def size(street: Street) -> Row:
+    """Compare bytes on disk."""
+    with tempfile.TemporaryDirectory() as folder:
+        alternative = sum(path.stat().st_size for path in save(street, Path(folder), FRAMES)) / FRAMES
+    with graph_file.open_graphs(street.file) as file:
+        ours = street.file.stat().st_size / len(file.frame)
+    return row(ours / 1e6, alternative / 1e6, "MB/frame", f"{street.title}: graph file / PyG Data by torch.save")
+
+
+def load(street: Street) -> Row:
+    """Compare reading consecutive frames, from files in the system's cache to a batch on the device."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = save(street, Path(folder), FRAMES)
+        return compare(
+            milliseconds(lambda: street.batch(FRAMES), FRAMES),
+            milliseconds(lambda: [data.to(DEVICE) for data in _load(paths)], FRAMES),
+            "ms/frame",
+            f"{street.title}: {FRAMES} frames of a graph file / torch.load of PyG Data",
+        )
+
+
+def save(street: Street, folder: Path, count: int) -> list[Path]:
+    """Write the first `count` frames, a file each: float32 points and int64 edges, as PyG's operators need them."""
+    batch, paths = street.batch(count, "cpu"), [folder / f"{number}.pt" for number in range(count)]
+    index = edge_index(batch)
+    for path, start, end in zip(paths, batch.ptr[:-1], batch.ptr[1:], strict=True):
+        edges = index[:, (index[0] >= start) & (index[0] < end)] - start
+        # Clones: a view would save the storage of all frames.
+        torch.save(Data(pos=batch.xyz[start:end].clone(), cls=batch.cls[start:end].long(), edge_index=edges), path)
+    return paths
+
+
+def _load(paths: list[Path]) -> list[Data]:
+    return [torch.load(path, weights_only=False) for path in paths]

@@ -1,50 +1,42 @@
-"""Measure a row of the table, and provide graphs: of recorded scans with the paper's number of points, or the sample's.
-
-This project and an alternative run on the same arrays, in turn; medians count.
-"""
+"""Measure a row of the table, and provide graphs: of recorded scans, or of the sample."""
 
 import statistics
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-import yaml
 
 from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.graphs import cloud, graph_file
-from pipeline.motion import motion_file
-from stages import graphs
+from pipeline.graphs import cloud, frame_graph, graph_file
+from pipeline.settings.graphs import Variant
 
 ROUNDS = 5
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 Measurement = Callable[[], float]
 """Do the work once and return the result in the unit of the row."""
-FRAMES = 31  # a run of 24 windows of 8 frames
+FRAMES = 31  # a span of 24 windows of 8 frames
 POINTS, K, KEEP_INTER_CLASS = 43_000, 6, 0.2  # paper, Table 1
-VARIANT = "semantic"
-SOURCE = "clouds/lidar"
 ROAD, STANDING = 0, (2, 8, 13, 5)  # trainIds: road; building, vegetation, car, pole
 
 
 @dataclass(frozen=True)
 class Row:
-    """Medians in `unit`; `ratio` above 1: this project is better by that factor. Without alternative both are None."""
+    """Medians in `unit`; `ratio` above 1: this project is better by that factor."""
 
     ours: float
-    alternative: float | None
+    alternative: float
     unit: str
-    ratio: float | None
+    ratio: float
     what: str
 
 
 def compare(ours: Measurement, alternative: Measurement, unit: str, what: str) -> Row:
-    """Run both once to warm up, then in turn, so that other load on the machine affects both."""
+    """Run both once to warm up, then in turn, so that other load on the machine affects both; medians count."""
     ours(), alternative()
     results = [(ours(), alternative()) for _ in range(ROUNDS)]
     first, second = (statistics.median(column) for column in zip(*results, strict=True))
@@ -53,8 +45,7 @@ def compare(ours: Measurement, alternative: Measurement, unit: str, what: str) -
 
 def row(ours: float, alternative: float, unit: str, what: str) -> Row:
     """Return the row of two results."""
-    ratio = ours / alternative if unit.endswith("/s") else alternative / ours
-    return Row(ours, alternative, unit, ratio, what)
+    return Row(ours, alternative, unit, ours / alternative if unit.endswith("/s") else alternative / ours, what)
 
 
 def milliseconds(work: Callable[[], object], items: int = 1) -> Measurement:
@@ -82,58 +73,37 @@ class Street:
         with graph_file.open_graphs(self.file) as file:
             return f"{round(file.points_per_frame):,} points"
 
-    def arrays(self, count: int) -> graph_file.Arrays:
-        """Return the arrays of the first `count` frames, as networks take them."""
-        with graph_file.open_graphs(self.file) as file:
-            return file.read(0, count)
-
     def batch(self, count: int, device: str = DEVICE) -> GraphBatch:
         """Return the first `count` frames as a batch of the graph network."""
-        batch = from_arrays(self.arrays(count))
+        with graph_file.open_graphs(self.file) as file:
+            batch = from_arrays(file.read(0, count))
         assert isinstance(batch, GraphBatch)
         return batch.to(device)
-
-    def clouds(self, count: int) -> list[cloud.Cloud]:
-        """Return points [P,3] and trainIds [P] of the first `count` frames."""
-        arrays = self.arrays(count)
-        ends = arrays["ptr"][1:-1]
-        return list(zip(np.split(arrays["xyz"], ends), np.split(arrays["cls"], ends), strict=True))
 
 
 def sample(data: Path) -> Street:
     """Return the first training drive of the sample. Raises InputError if ``make demo`` has not written it."""
-    folder = data / "graphs" / VARIANT
+    folder = data / "graphs/semantic"
     if not (folder / "index.json").is_file():
         raise InputError("no graphs of the sample", folder, "Run make demo, or name the folder with --data")
     return Street(folder / f"{next(iter(store.read_index(folder, stage='graphs')))}.h5")
 
 
-def recorded(kitti: Path, folder: Path, points: int = POINTS) -> Street:
-    """Make graphs of recorded scans with the project's own stage `graphs`, in `folder`.
+def recorded(kitti: Path, path: Path, points: int = POINTS) -> Street:
+    """Write graphs of `points` points to `path`, of the first FRAMES scans of a drive of KITTI raw.
 
-    Args:
-        kitti: contains 2011_09_26/2011_09_26_drive_0052_sync/velodyne_points/…; the shortest drive with FRAMES scans
-            is used.
-        points: per frame.
-    Raises: InputError without such a drive.
+    Raises InputError without a drive of as many scans.
     """
-    scans = defaultdict(list)
-    for path in sorted(kitti.glob("*/*_sync/velodyne_points/data/*.bin")):
-        scans[path.parents[2].name.removesuffix("_sync")].append(path)
-    drives = sorted((len(paths), drive) for drive, paths in scans.items() if len(paths) >= FRAMES)
-    if not drives:
+    drives = (sorted(folder.glob("data/*.bin")) for folder in sorted(kitti.glob("*/*_sync/velodyne_points")))
+    scans = next((scans[:FRAMES] for scans in drives if len(scans) >= FRAMES), None)
+    if scans is None:
         raise InputError(f"expected a drive with {FRAMES} scans or more", kitti, "Name KITTI raw with --kitti")
-    drive = drives[0][1]
-    frame = np.arange(FRAMES)
-    with store.DriveWriter(folder / SOURCE / f"{drive}.h5", stage="clouds", drive=drive, params={}) as file:
-        cloud.write(file, frame, frame * 0.1, (_read(path, points) for path in scans[drive][:FRAMES]))
-    store.write_index(folder / SOURCE, {drive: "train"})
-    motion_file.write_index(folder / "motion", [])
-    variant = {"source": SOURCE, "points": points, "k": K, "keep_inter_class": KEEP_INTER_CLASS}
-    params = folder / "params.yaml"
-    params.write_text(yaml.safe_dump({"graphs": {VARIANT: variant}}), encoding="utf-8")
-    graphs.main(VARIANT, folder, folder / "graphs", params, workers=1)
-    return Street(folder / "graphs" / VARIANT / f"{drive}.h5")
+    drive, frame = scans[0].parents[2].name.removesuffix("_sync"), np.arange(FRAMES)
+    variant = Variant(source="clouds/lidar", points=points, k=K, keep_inter_class=KEEP_INTER_CLASS)
+    graphs = (frame_graph.build(_read(scan, points), variant, drive, number) for number, scan in enumerate(scans))
+    with store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": variant.model_dump()}) as file:
+        graph_file.write(file, frame, frame * 0.1, graphs, frame_graph.empty(variant))
+    return Street(path)
 
 
 def _read(path: Path, points: int) -> cloud.Cloud:

@@ -16,6 +16,7 @@ import numpy as np
 import typer
 
 from pipeline.base.console import guarded
+from pipeline.base.outputs import claim
 
 FITTED_S = 30.0
 # Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
@@ -55,31 +56,16 @@ def table(predicted: Mapping[str, np.ndarray], wheel_rad: np.ndarray) -> str:
     return "\n".join(["| wheel's angle | RMSE rad |", "|---|--:|", *rows])
 
 
-def draw(path: Path, time_s: np.ndarray, wheel_rad: np.ndarray, predicted: Mapping[str, np.ndarray]) -> None:
-    """Write a PNG of the true angle and of predictions over time, all [F]."""
-    from matplotlib.figure import Figure
-
-    from pipeline.report import figure_file
-
-    figure = Figure((10, 4), layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot(time_s, np.rad2deg(wheel_rad), color="0.2", linewidth=3, alpha=0.5, label="true")
-    for name, angle in predicted.items():
-        axes.plot(time_s, np.rad2deg(angle), linewidth=1, label=name)
-    axes.set(xlabel="time, s", ylabel="steering wheel, deg, left +")
-    axes.legend()
-    figure_file.save(figure, path)
-
-
 def compare(
     video: Annotated[Path, typer.Argument(help="the drive's frames")],
     wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
-    out: Annotated[Path, typer.Option(help="folder for motion.csv, table.md and angles.png")] = Path("out/udacity"),
+    out: Annotated[Path | None, typer.Option(help="folder for motion.csv and table.md; default: out/udacity")] = None,
 ) -> None:
     """Measure the drive, fit three constants on its first FITTED_S, and compare with the teams on the rest."""
     from steer.measure import measure
 
+    out = claim(out, "udacity")
     measure(video, out=out, k=K, distortion=DISTORTION, camera_height=CAMERA_HEIGHT_M, video=False)
     truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
@@ -94,9 +80,6 @@ def compare(
         predicted[row] = fits[row].angle(time_s, measured)
     text = table({name: angle[rest] for name, angle in predicted.items()}, wheel_rad[rest])
     (out / "table.md").write_text(f"{text}\n", encoding="utf-8")
-    minute = (time_s >= 60) & (time_s < 120)
-    shown = {name: predicted[name][minute] for name in ("komanda", "steer measure")}
-    draw(out / "angles.png", time_s[minute], wheel_rad[minute], shown)
     print(text, f"frames measured: {(motion['valid'] > 0).mean():.1%}; {fits['steer measure']}", sep="\n\n")
 
 

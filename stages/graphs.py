@@ -107,8 +107,8 @@ def _write_images(
         with_image = np.flatnonzero(raw["has_image"])
         frame = raw.frame[with_image]
         rows = zip(with_image.tolist(), named_frames(frame), strict=True)
-        images = ({"image": raw.rows("image", row, row + 1)} for row, _ in rows)
-        empty = {"image": np.empty((0, *raw.shape("image")[1:]), np.uint8)}
+        images = ({"image": graph_file.Column(raw.rows("image", row, row + 1), "RGB", "ptr")} for row, _ in rows)
+        empty = {"image": graph_file.Column(np.empty((0, *raw.shape("image")[1:]), np.uint8), "RGB", "ptr")}
         return frame, graph_file.write(file, frame, raw.time_s[with_image], images, empty)
 
 

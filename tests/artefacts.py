@@ -86,7 +86,7 @@ def write_sets(
     _write(path, drive, frame, (frame_graph.connect(cloud, sets, rng) for cloud in clouds), sets)
 
 
-def _write(path: Path, drive: str, frame: np.ndarray, frames: Iterable[graph_file.Arrays], variant: Variant) -> None:
+def _write(path: Path, drive: str, frame: np.ndarray, frames: Iterable[graph_file.Columns], variant: Variant) -> None:
     with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
         graph_file.write(file, frame, frame * 0.1, frames, frame_graph.empty(variant))
 
@@ -100,8 +100,9 @@ def write_images(
     stripe = np.where(np.abs(columns - middle) < 3, 200, 60)[..., None]
     images = (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8)
     with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
-        rows = ({"image": image[None]} for image in images)
-        graph_file.write(file, frame, frame * 0.1, rows, {"image": np.empty((0, 32, 48, 3), np.uint8)})
+        frames = ({"image": graph_file.Column(image[None], "RGB", "ptr")} for image in images)
+        empty = {"image": graph_file.Column(np.empty((0, 32, 48, 3), np.uint8), "RGB", "ptr")}
+        graph_file.write(file, frame, frame * 0.1, frames, empty)
 
 
 def add_motion(path: Path, kind: str, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:

@@ -18,7 +18,7 @@ from pipeline.camera.camera import Camera
 from pipeline.graphs import frame_graph
 from pipeline.graphs.accumulate import Accumulator, scaled_step
 from pipeline.graphs.cloud import stored_cloud
-from pipeline.graphs.graph_file import single
+from pipeline.graphs.graph_file import Column, Columns
 from pipeline.live.chain import Chain, FrameState
 from pipeline.live.course import add_courses
 from pipeline.live.results import PREDICTED_FILES, STEERING, TRACK, Results, result_folder, write_frames
@@ -131,7 +131,7 @@ class Predictor:
             for frame in frames:
                 if self._settings.variant.kind == "image":
                     assert frame.image is not None
-                    frame.arrays = single({"image": frame.image[None]})
+                    frame.arrays = _single({"image": Column(frame.image[None], "RGB", "ptr")})
                 elif self._settings.variant.source == "clouds/lidar" and frame.scan is None:
                     continue
                 else:
@@ -149,7 +149,7 @@ class Predictor:
                 stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
                 T_before = scaled_step(*stored, variant.source)
             cloud = self._accumulator.add(number, cloud, T_before)
-        return single(frame_graph.build(cloud, variant, self._drive, number))
+        return _single(frame_graph.build(cloud, variant, self._drive, number))
 
     def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         """Add the angle or the path predicted after each frame that completes a window."""
@@ -172,3 +172,11 @@ class Predictor:
                         frame.predicted_rad, frame.sigma_rad = [*values, None][:2]
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame
+
+
+def _single(columns: Columns) -> dict[str, np.ndarray]:
+    """Return one frame as a batch."""
+    pointers = {column.pointer: np.array([0, len(column.rows)]) for column in columns.values()}
+    return {
+        name: column.rows.astype(np.int32) if column.refers_to else column.rows for name, column in columns.items()
+    } | pointers

@@ -12,7 +12,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.graphs.cloud import lidar_cloud
-from pipeline.graphs.graph_file import Graphs
+from pipeline.graphs.graph_file import edge_pairs
 from pipeline.report import figure_file, street_view
 from pipeline.report.street_view import View
 from pipeline.show.artefact import open_drive
@@ -61,9 +61,10 @@ def _points(file: DriveReader, row: int, numbers: Mapping[str, Any], cls: np.nda
         return {"xyz": xyz, "points_cls": points_cls}
     if "xyz" not in file:
         return {}
-    if file.attrs["stage"] == "graphs" and (graphs := Graphs(file)).contents.kind == "graph":
-        return dict(zip(("xyz", "points_cls", "edges"), graphs.graph(row), strict=True))
-    return {"xyz": file.rows_of("xyz", row), "points_cls": file.rows_of("cls", row)}
+    points = {"xyz": file.rows_of("xyz", row), "points_cls": file.rows_of("cls", row)}
+    if "degree" in file:
+        points["edges"] = edge_pairs(file.rows_of("degree", row), file.rows_of("indices", row))
+    return points
 
 
 def draw(path: Path, title: str, view: View) -> None:

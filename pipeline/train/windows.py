@@ -101,16 +101,16 @@ def batches(
         for group in groups:
             for number in {span.drive for span in group} - files.keys():
                 files[number] = stack.enter_context(graph_file.open_graphs(timelines[number].graphs))
-            scenes = [frames for span in group for frames in _scenes(files[span.drive], span)]
-            yield graph_file.concatenate(scenes) | _windows(timelines, group, window)
+            scenes = [part for span in group for part in _scenes(files[span.drive], span)]
+            yield graph_file.collate(scenes) | _windows(timelines, group, window)
 
 
-def _scenes(file: graph_file.Graphs, span: Span) -> list[Arrays]:
-    """Read the scenes of a span's frames, in two parts if they continue at the drive's start."""
+def _scenes(file: graph_file.Graphs, span: Span) -> list[tuple[graph_file.Graphs, int, int]]:
+    """Return the rows of the scenes of a span's frames, in two parts if they continue at the drive's start."""
     frames = len(file.frame)
     first = (span.start + span.shift) % frames
     last = first + span.stop - span.start
-    return [file.read(a, b) for a, b in ((first, min(last, frames)), (0, last - frames)) if a < b]
+    return [(file, a, b) for a, b in ((first, min(last, frames)), (0, last - frames)) if a < b]
 
 
 class Stream:

@@ -13,6 +13,22 @@ from pipeline.graphs import graph_file, neighbourhoods
 MakeBatch = Callable[..., GraphBatch]
 MakeSets = Callable[..., SetBatch]
 MakeLine = Callable[..., dict[str, object]]
+REFERS_TO = {"indices": "xyz", "centres_1": "xyz", "neighbours_1": "xyz"}
+REFERS_TO |= {"centres_2": "centres_1", "neighbours_2": "centres_1"}
+POINTERS = {"xyz": "ptr", "centres_1": "centres_1_ptr", "centres_2": "centres_2_ptr"}
+
+
+def join(frames: list[graph_file.Arrays]) -> graph_file.Arrays:
+    """Return frames, with numbers that count from 0 in each, as the arrays of a batch."""
+    batch = {}
+    for name in frames[0]:
+        lengths = [len(frame[REFERS_TO[name]]) if name in REFERS_TO else 0 for frame in frames]
+        before = np.cumsum([0, *lengths[:-1]])
+        parts = [frame[name] + first if first else frame[name] for frame, first in zip(frames, before, strict=True)]
+        batch[name] = np.concatenate(parts)
+        if name in POINTERS:
+            batch[POINTERS[name]] = np.cumsum([0, *(len(frame[name]) for frame in frames)])
+    return batch
 
 
 @pytest.fixture
@@ -44,15 +60,14 @@ def make_sets() -> MakeSets:
         rng = np.random.default_rng(seed)
         xyz = rng.uniform([-10, -1, 0], [10, 2, 30], (count, 3))
         cls = np.where(np.arange(count) % 7, rng.integers(0, 19, count), 255).astype(np.uint8)
-        arrays = {"xyz": xyz, "cls": cls, "ptr": np.array([0, count])}
+        arrays = {"xyz": xyz, "cls": cls}
         for number, level in enumerate(neighbourhoods.levels(xyz, [(12, 8.0, 5), (4, 16.0, 6)], rng), start=1):
             arrays |= {f"centres_{number}": level.centres, f"neighbours_{number}": level.neighbours}
-            arrays[f"centres_{number}_ptr"] = np.array([0, len(level.centres)])
         return arrays
 
     def make(counts: list[int], only: int | None = None) -> SetBatch:
         parts = [frame(count, seed) for seed, count in enumerate(counts)]
-        batch = from_arrays(graph_file.concatenate(parts if only is None else parts[only : only + 1]))
+        batch = from_arrays(join(parts if only is None else parts[only : only + 1]))
         assert isinstance(batch, SetBatch)
         return batch
 

@@ -116,7 +116,7 @@ def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:
     graph = json.loads(first["structure.json"])["2026_01_03_drive_0001"]
     assert graph["frame"] == sharpest
     with graph_file.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
-        arrays = graphs.read(sharpest, sharpest + 1)
+        arrays = graph_file.collate([(graphs, sharpest, sharpest + 1)])
     np.testing.assert_allclose(graph["xyz_m"], arrays["xyz"], atol=6e-4)
     assert graph["cls"] == arrays["cls"].tolist()
     assert 2 * len(graph["edges"]) == len(arrays["indices"])

@@ -60,8 +60,8 @@ class _Points(_Movable):
 class GraphBatch(_Points):
     """Points with a symmetric graph per frame: E directed edges, two for each undirected one.
 
-    degree [N], neighbours of each point, itself excluded; indices int32 or int64 [E], row numbers of the neighbours of
-    point 0, of point 1, … (CSR); cpu_degree, the degree on the CPU if `degree` is not there.
+    degree [N], neighbours of each point, itself excluded; indices int32 [E], row numbers of the neighbours of point 0,
+    of point 1, … (CSR); cpu_degree, the degree on the CPU if `degree` is not there.
     """
 
     degree: Tensor
@@ -71,6 +71,12 @@ class GraphBatch(_Points):
     def to(self, device: torch.device | str) -> Self:
         moved = super().to(device)
         return dataclasses.replace(moved, cpu_degree=self.degree if self.cpu_degree is None else self.cpu_degree)
+
+    @property
+    def edge_index(self) -> Tensor:
+        """The edges int64 [2,E] as PyTorch Geometric has them: from row numbers, to row numbers."""
+        to = torch.arange(len(self.degree), device=self.degree.device).repeat_interleave(self.degree.long())
+        return torch.stack([self.indices.long(), to])
 
     def blocks(self, points: int) -> Iterator[Self]:
         """Split the batch into blocks of complete frames with at most `points` points, or of one larger frame."""
@@ -94,7 +100,7 @@ class GraphBatch(_Points):
 class Level(_Movable):
     """One sampling and grouping of B frames' points: M centres with n neighbours each.
 
-    centres int64 [M], neighbours int64 [M,n]: row numbers in the batch's points, or in the previous level's centres;
+    centres int32 [M], neighbours int32 [M,n]: row numbers in the batch's points, or in the previous level's centres;
     ptr int64 [B+1], frame b has the rows ptr[b]:ptr[b+1].
     """
 

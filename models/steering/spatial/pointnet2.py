@@ -34,8 +34,8 @@ class SetAbstraction(nn.Module):
         Args:
             xyz: [P,3] metres.
             f: [P,inputs], features of the points.
-            centres: int64 [M], rows of the points.
-            neighbours: int64 [M,n], rows of the points.
+            centres: int32 [M], rows of the points.
+            neighbours: int32 [M,n], rows of the points.
         Returns:
             [M, widths[-1]]
         """

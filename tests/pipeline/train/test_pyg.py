@@ -8,7 +8,7 @@ from models.steering.core.batch import GraphBatch, from_arrays
 from models.steering.core.features import node_features
 from models.steering.spatial import gnn
 from pipeline.base.errors import InputError
-from pipeline.graphs.graph_file import open_graphs
+from pipeline.graphs.graph_file import collate, open_graphs
 from pipeline.train.pyg import to_pyg
 from tests import artefacts
 
@@ -19,7 +19,7 @@ def test_the_graph_is_the_one_that_gcn_sees(tmp_path: Path) -> None:
     for name, write in {"graph.h5": artefacts.write_graphs, "image.h5": artefacts.write_images}.items():
         write(tmp_path / name, "drive", np.zeros(5), np.arange(5), 50, np.random.default_rng(0))
     with open_graphs(tmp_path / "graph.h5") as graphs:
-        data, batch = to_pyg(graphs, 3, 0.25), from_arrays(graphs.read(3, 4))
+        data, batch = to_pyg(graphs, 3, 0.25), from_arrays(collate([(graphs, 3, 4)]))
         with pytest.raises(InputError, match="no frame 99"):
             to_pyg(graphs, 99)
     assert isinstance(batch, GraphBatch)

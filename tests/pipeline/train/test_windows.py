@@ -9,7 +9,7 @@ from torch.utils.data import DataLoader
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
-from pipeline.graphs.graph_file import open_graphs
+from pipeline.graphs.graph_file import collate, open_graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import windows
@@ -198,7 +198,8 @@ def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(or
     with open_graphs(drive.graphs) as graphs:
         for span, moved in zip(spans, shifted, strict=True):
             (batch,), (other,) = windows.batches([drive], [[span]], 8), windows.batches([control], [[moved]], 8)
-            frames = [graphs.read(row, row + 1) for row in ((np.arange(span.start, span.stop) + 11) % 23).tolist()]
+            rows = ((np.arange(span.start, span.stop) + 11) % 23).tolist()
+            frames = [collate([(graphs, row, row + 1)]) for row in rows]
             assert batch.keys() == other.keys()
             assert (other["xyz"] == np.concatenate([frame["xyz"] for frame in frames])).all()
             assert not np.array_equal(other["xyz"], batch["xyz"])

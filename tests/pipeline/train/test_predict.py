@@ -137,7 +137,6 @@ def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
 
 FORGED: dict[str, Any] = {
     "contents.kind": "cloud",
-    "contents.size": 3,
     "contents": None,
     "model.spatial": "../../os",
     "model.layers": [0],

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from filelock import FileLock
 
 from pipeline.base.resume import ROOT
 from pipeline.settings import preset
@@ -18,12 +19,13 @@ echo "$@" >> {log}
 case "$1" in
 init) mkdir .dvc ;;
 repro)
-  mkdir -p data/report && touch data/report/index.html
+  mkdir -p data/report && touch data/report/index.html && ls stages > dvc.lock
   echo "| $(basename "$PWD") |" | tee data/report/table.csv > data/report/table.md ;;
 esac
 """
 PYTHON = """#!/bin/sh
 case "$*" in
+*"-m venv"*) echo "venv $@" >> {log} ;;
 *"pip install"*) echo "pip $@" >> {log} ;;
 *"config list"*)
   printf "%s\\n" "global.extra-index-url='\\\\nhttps://a\\\\nhttps://b'" "install.find-links='/w1 /w2'" ;;
@@ -66,40 +68,60 @@ def make(checkout: Path, *words: str, skip: str = "setup") -> subprocess.Complet
 
 
 @pytest.mark.parametrize("status", [0, 1])
-def test_setup_installs_with_uv_and_pips_settings_or_else_with_pip(tmp_path: Path, status: int) -> None:
+def test_setup_installs_with_uv_or_pip_and_again_where_the_checkout_moves(tmp_path: Path, status: int) -> None:
+    folder = tmp_path / "a"
+    folder.mkdir()
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
-        shutil.copyfile(ROOT / name, tmp_path / name)
-    write_programs(tmp_path, status, python=PYTHON, uv=UV)
+        shutil.copyfile(ROOT / name, folder / name)
+    write_programs(folder, status, python=PYTHON, uv=UV)
     for _ in range(2):  # the second finds the marker file
-        done = make(tmp_path, "setup", skip="system")
+        done = make(folder, "setup", "PYTHON=fake/bin/python", skip="system")
         assert done.returncode == 0, done.stderr
-    bootstrap, uv, *pip = (tmp_path / "calls").read_text().splitlines()
+    venv, bootstrap, uv, *pip = (folder / "calls").read_text().splitlines()
+    assert venv == "venv -m venv --clear fake"
     assert bootstrap.endswith("--constraint constraints.txt uv")
     assert uv.split() == ["uv", "/w1,/w2", "https://a", "https://b"]
     assert [line.split()[-3:] for line in pip] == status * [["torch", "--editable", ".[dev]"]]
+    moved = folder.rename(tmp_path / "b")
+    write_programs(moved, status, python=PYTHON, uv=UV)
+    (moved / "calls").unlink()
+    make(moved, "setup", "PYTHON=fake/bin/python", skip="system")
+    assert (moved / "calls").read_text().startswith("venv -m venv --clear fake\npip")
 
 
 @pytest.mark.slow
 def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
     params = (checkout / "params.yaml").read_text()
-    for name in ("kitti", "table2"):
-        done = make(checkout, name)
-        assert done.returncode == 0, done.stderr
-        run = checkout / "runs" / name
-        assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merged(name)
-        for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/labels/label.py"):
-            assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
-        assert (run / "data/raw").resolve() == checkout / "data/raw"
-        assert (run / "weights").resolve() == checkout / "weights"
-        assert (checkout / f"data/report/{name}.md").read_text() == f"| {name} |\n"
-        assert all((checkout / f"data/report/{name}.{kind}").is_file() for kind in ("csv", "html"))
+    done = make(checkout, "kitti")
+    assert done.returncode == 0, done.stderr
+    run = checkout / "runs/kitti"
+    assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merged("kitti")
+    for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/labels/label.py"):
+        assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
+    assert (run / "data/raw").resolve() == checkout / "data/raw"
+    assert (run / "weights").resolve() == checkout / "weights"
+    assert (checkout / "data/report/kitti.md").read_text() == "| kitti |\n"
+    assert all((checkout / f"data/report/kitti.{kind}").is_file() for kind in ("csv", "html"))
     assert (checkout / "params.yaml").read_text() == params
-    assert sorted(path.name for path in (checkout / "data").iterdir()) == [".gitignore", "report"]
-    (checkout / "runs/kitti/pipeline/removed.py").touch()
-    make(checkout, "kitti")
-    assert not (checkout / "runs/kitti/pipeline/removed.py").exists()
     first = ["init --quiet --no-scm", "config cache.type hardlink,copy", "cache dir ../../.dvc/cache", "repro"]
-    assert (checkout / "calls").read_text().splitlines() == [*first, *first, *first[1:]]
+    assert (checkout / "calls").read_text().splitlines() == first
+
+    (run / "pipeline/mine.py").write_text("mine")  # a user's file stays, one that the code no longer has goes
+    lock = (run / "dvc.lock").read_text()
+    make(checkout, "kitti")
+    assert not (run / "dvc.lock.before").exists(), "the code is the same"
+    (checkout / "stages/labels.py").rename(checkout / "stages/renamed.py")
+    make(checkout, "kitti")
+    assert (run / "pipeline/mine.py").read_text() == "mine"
+    assert not (run / "stages/labels.py").exists()
+    assert (run / "dvc.lock.before").read_text() == lock != (run / "dvc.lock").read_text()
+
+    calls = (checkout / "calls").read_text()
+    with FileLock(checkout / "runs/kitti.lock"):
+        done = make(checkout, "kitti")
+    assert done.returncode != 0
+    assert "another make kitti is running" in done.stderr
+    assert (checkout / "calls").read_text() == calls
 
 
 @pytest.mark.slow

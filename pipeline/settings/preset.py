@@ -1,10 +1,13 @@
 """All sections of ``params.yaml`` as one type, and presets: sets of changes, ``presets/NAME.yaml``.
 
-``python -m pipeline.settings.preset NAME`` prints params.yaml with a preset's changes; ``--out params.yaml`` overwrites
-the file and keeps its comments.
+``python -m pipeline.settings.preset NAME`` prints params.yaml with a preset's changes; ``--out params.yaml`` writes
+them into the file and keeps its comments (``make params``).
 """
 
+import hashlib
 import io
+import re
+import subprocess
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,6 +35,7 @@ from pipeline.settings.train import Train
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
 _ALL = "*"
+_HEAD = re.compile(r"# Includes the changes of (.*), written by make params \(([0-9a-f]{16})\)\n")
 
 
 class Params(Section):
@@ -61,14 +65,20 @@ def main(
     out: Annotated[Path | None, typer.Option(help="write to this file instead of the terminal")] = None,
     params: Annotated[Path, typer.Option(help="the file that the preset changes")] = Path("params.yaml"),
 ) -> Path | None:
-    """Apply a preset to params.yaml. Return the path of the written file."""
+    """Apply a preset to params.yaml. Return the path of the written file.
+
+    Raises InputError if `out` is no params file, or if git calls it modified and this function did not write it.
+    """
     result = text(name, params)
     if out is None:
         print(result, end="")
         return None
-    content = read_yaml(out) if out.is_file() else None
-    if out.is_file() and not (isinstance(content, dict) and content.keys() == Params.model_fields.keys()):
-        raise InputError("expected a params file to replace", out, "Pass another path")
+    if out.exists():
+        content = read_yaml(out) if out.is_file() else None
+        if not (isinstance(content, dict) and content.keys() == Params.model_fields.keys()):
+            raise InputError("expected a params file to replace", out, "Pass another path")
+        if _is_modified(out) and not _presets_in(out.read_text(encoding="utf-8")):
+            raise InputError("has edits that are not committed", out, f"Commit them, or undo: git checkout {out}")
     with replacing(out) as path:
         path.write_text(result, encoding="utf-8")
     print(f"wrote {out}: {_short(params)} with the changes of {_short(find(name))}")
@@ -76,7 +86,7 @@ def main(
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
-    """Return the content of `params` with the changes of preset `name`.
+    """Return the content of `params` with the changes of preset `name`, with comments.
 
     Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
     and ``"*": null`` removes all earlier keys, so that a list of models is replaced.
@@ -87,33 +97,32 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
     Raises InputError if there is no such preset, or if a key or value of either file is wrong.
     """
-    content, changes = read(params), read(find(name))
+    preset = find(name)
+    content, changes = read(params, comments=True), read(preset)
     validate(content, _short(params))
     _merge(content, changes)
-    validate(content, _short(find(name)))
+    validate(content, _short(preset))
     return content
 
 
 def text(name: str, params: Path = PARAMS) -> str:
-    """Return :func:`merged` as YAML with the comments of `params`, and a first line that names the preset."""
+    """Return :func:`merged` as YAML; its first line names the presets and has a hash of the other lines."""
     from ruamel.yaml import YAML
 
-    merged(name, params)  # raises
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
-    document = read_yaml(params, comments=True)
-    _merge(document, read(find(name)))
-    writer.dump(document, stream)
-    head = f"# Includes the changes of {_short(find(name))}\n"
-    return stream.getvalue() if head in stream.getvalue() else head + stream.getvalue()
+    writer.dump(merged(name, params), stream)
+    written = _HEAD.sub("", stream.getvalue(), count=1)
+    presets = dict.fromkeys([*_presets_in(params.read_text(encoding="utf-8")), str(_short(find(name)))])
+    return f"# Includes the changes of {', '.join(presets)}, written by make params ({_hash(written)})\n{written}"
 
 
 def find(name: str) -> Path:
     """Return the file of preset `name`, which may be a path. Raises InputError if it does not exist."""
     path = Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
-    with error_context(fix=f"Choose one of {', '.join(sorted(file.stem for file in PRESETS.glob('*.yaml')))}"):
-        if not path.is_file():
-            raise InputError("there is no such preset", name)
+    if not path.is_file():
+        names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
+        raise InputError("there is no such preset", name, f"Choose one of {names}")
     return path
 
 
@@ -128,6 +137,25 @@ def _merge(content: Any, changes: dict[str, Any]) -> None:
             _merge(content[key], value)
         elif key not in content or content[key] != value:
             content[key] = value
+
+
+def _presets_in(written: str) -> list[str]:
+    """Return the presets that the first line of a file of :func:`text` names; none if it was edited since."""
+    head = _HEAD.match(written)
+    return head[1].split(", ") if head and head[2] == _hash(written[head.end() :]) else []
+
+
+def _hash(written: str) -> str:
+    return hashlib.sha256(written.encode()).hexdigest()[:16]
+
+
+def _is_modified(path: Path) -> bool:
+    """Return whether git tracks `path` and its content is not committed; False without git."""
+    command = ["git", "status", "--porcelain", "--untracked-files=no", "--", path.name]
+    try:
+        return bool(subprocess.run(command, cwd=path.absolute().parent, capture_output=True, check=False).stdout)
+    except FileNotFoundError:
+        return False
 
 
 def _short(path: Path) -> Path:

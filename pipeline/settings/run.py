@@ -1,0 +1,65 @@
+"""Run a preset in a copy of the code, runs/NAME, with the cache of this checkout: ``make NAME``."""
+
+import hashlib
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import typer
+from filelock import FileLock, Timeout
+
+from pipeline.base import console
+from pipeline.base.atomic import replacing
+from pipeline.base.errors import InputError
+from pipeline.settings import preset
+
+CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")
+DVC = ("config cache.type hardlink,copy", "cache dir ../../.dvc/cache", "repro")
+
+
+def main(name: str) -> None:
+    """Run preset `name` and copy its report to data/report/NAME.*. Raises InputError if it is running already."""
+    run, report = Path("runs") / name, Path("data/report")
+    for folder in (run / "data", report, Path("weights")):
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(f"{run}.lock", timeout=0):
+            copy_code(run)
+            preset.main(name, run / "params.yaml")
+            for link, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
+                link.unlink(missing_ok=True)
+                link.symlink_to(target)
+            for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
+                if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
+                    raise typer.Exit(status)
+            for source, suffix in (("index.html", "html"), ("table.csv", "csv"), ("table.md", "md")):
+                shutil.copyfile(run / "data/report" / source, report / f"{name}.{suffix}")
+    except Timeout as error:
+        raise InputError(f"another make {name} is running", run, "Wait until it ends") from error
+    print((report / f"{name}.md").read_text(encoding="utf-8"), f"Open {report}/{name}.html in a browser.", sep="")
+
+
+def copy_code(run: Path) -> None:
+    """Copy the code; if it differs from the last copy, keep dvc.lock, which names its results, as dvc.lock.before.
+
+    copied.json lists the files with their hashes: only these are removed where the code no longer has them.
+    """
+    listed, lock = run / "copied.json", run / "dvc.lock"
+    before = json.loads(listed.read_text(encoding="utf-8")) if listed.exists() else {}
+    paths = [file for name in CODE for file in ([Path(name)] if Path(name).is_file() else Path(name).rglob("*.*"))]
+    files = [path for path in paths if path.is_file() and path.suffix != ".pyc"]
+    now = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    if now != before and lock.exists():
+        shutil.copyfile(lock, run / "dvc.lock.before")
+    for name in before.keys() - now.keys():
+        (run / name).unlink(missing_ok=True)
+    for name in now:
+        (run / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(name, run / name)
+    with replacing(listed) as path:
+        path.write_text(json.dumps(now, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    console.run(main)

@@ -1,43 +1,27 @@
 """Stage check: find faults of params.yaml before any other stage runs. It has no outputs."""
 
 from pathlib import Path
-from typing import get_args
 
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
-from pipeline.base.params import MotionKind, read
-from pipeline.motion import motion_file
+from pipeline.base.params import read
 from pipeline.settings.encoder import PRECOMPUTED, Encoder, Teacher
 from pipeline.settings.models import Entry
-from pipeline.settings.motion import Motion
 from pipeline.settings.preset import Params, validate
 from pipeline.train import runs
 
 
-def main(params: Path = Path("params.yaml"), motion: Path = Path("data/motion")) -> Path:
+def main(params: Path = Path("params.yaml")) -> Path:
     """Validate all sections, build each network once, and look for the files of weights. Returns `params`.
 
-    Reads and downloads no weights. If stage `motion` has run before, its scale is compared with what models expect.
+    Reads and downloads no weights.
     """
     settings = validate(read(params), params)
     with error_context(params):
         check_encoder(settings.encoder)
-        if "lidar" in settings.motion.kinds and not settings.ingest.lidar:
-            raise InputError("motion.kinds: lidar needs scans, but ingest.lidar is false")
-        if settings.labels.source in get_args(MotionKind):
-            check_motion("labels.source", settings.labels.source, settings.motion)
-        for name, variant in settings.graphs.items():
-            if variant.accumulate:
-                check_motion(f"graphs.{name}.accumulate.motion", variant.accumulate.motion, settings.motion)
         for name, model in settings.models.items():
             with error_context(f"models.{name}"):
                 check_model(model, settings)
-    if settings.labels.source == "wheel" and (problem := motion_file.uncertain_scale(motion)):
-        for name, model in settings.models.items():
-            if model.motion == "visual" and model.base == "motion":
-                print(
-                    f"note: models.{name} adds its output to an angle by measured speed, but {problem}: set base: none"
-                )
     inputs = {model.input for model in settings.models.values()}
     for name in settings.graphs:
         if name not in inputs:
@@ -75,8 +59,6 @@ def check_model(entry: Entry, settings: Params) -> None:
     if entry.input not in settings.graphs:
         raise InputError(f"unknown variant {entry.input!r}: {closest(entry.input, [*settings.graphs])}", "input")
     variant = settings.graphs[entry.input]
-    if entry.motion != "none":
-        check_motion("motion", entry.motion, settings.motion)
     outputs = 1
     if entry.predict == "path":
         outputs = len(settings.labels.ahead_m) - 1
@@ -91,12 +73,6 @@ def check_model(entry: Entry, settings: Params) -> None:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
     runs.folds(settings.ingest.drives.splits(), entry.fit_to, entry.roads)
     entry.build(variant.kind, len(variant.levels), settings.ingest.image_size, outputs)
-
-
-def check_motion(key: str, kind: str, motion: Motion) -> None:
-    """Raise InputError unless stage motion measures `kind`."""
-    if kind not in motion.kinds:
-        raise InputError(f"motion.kinds has only {', '.join(motion.kinds)} (got {kind!r})", key)
 
 
 if __name__ == "__main__":

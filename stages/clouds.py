@@ -7,9 +7,9 @@ from pathlib import Path
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.params import load
-from pipeline.base.runner import Job, Summary, run_over_drives
+from pipeline.base.runner import Job, run_over_drives
 from pipeline.graphs import cloud
-from pipeline.perception.drive_frames import open_frames
+from pipeline.graphs.lift import clouds_drive
 from pipeline.settings.clouds import Clouds
 
 KINDS = ("pseudo", "lidar")
@@ -33,7 +33,13 @@ def main(
             f"{kind}/{drive}",
             out / kind / f"{drive}.h5",
             [ingest / f"{drive}.h5", perception / f"{drive}.h5"],
-            partial(_write, kind=kind, drive=drive, ingest=ingest, perception=perception, settings=settings),
+            partial(
+                clouds_drive,
+                kind=kind,
+                ingest=ingest / f"{drive}.h5",
+                perception=perception / f"{drive}.h5",
+                settings=settings,
+            ),
         )
         for kind, drive in product(KINDS, splits)
     ]
@@ -49,15 +55,6 @@ def main(
             if without:
                 print(f"{kind}: no {'scans' if kind == 'lidar' else 'images'} in {', '.join(without)}, so no clouds")
     return out
-
-
-def _write(path: Path, *, kind: str, drive: str, ingest: Path, perception: Path, settings: Clouds) -> Summary:
-    with (
-        open_frames(ingest, perception, drive, kind) as frames,
-        store.DriveWriter(path, stage="clouds", drive=drive, params={"clouds": settings.model_dump()}) as file,
-    ):
-        clouds = (cloud.stored_cloud(frame, kind, frames.camera, drive, settings) for frame in frames)
-        return cloud.write(file, frames.frame, frames.time_s, clouds)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Compute steering labels from the source that params.yaml names, and statistics of their plausibility."""
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.kitti.oxts import VL
 from pipeline.labels import ahead, label, sources
-from pipeline.motion import motion_file
 from pipeline.settings.labels import Labels
 
 
@@ -27,17 +25,11 @@ def main(
     """
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
-    motions = {} if settings.source == "oxts" else motion_file.read_index(motion)
-
-    jobs = [
-        Job(
-            drive,
-            out / f"{drive}.h5",
-            [folder / f"{drive}.h5" for folder in (ingest, *motions.values())],
-            partial(_label, drive=drive, ingest=ingest, motions=motions, settings=settings),
-        )
-        for drive in splits
-    ]
+    jobs = []
+    for drive in splits:
+        inputs = [folder / f"{drive}.h5" for folder in ((ingest,) if settings.source == "oxts" else (ingest, motion))]
+        work = partial(_label, ingest=inputs[0], motion=[*inputs, None][1], settings=settings)
+        jobs.append(Job(drive, out / f"{drive}.h5", inputs, work))
     # One worker, as this is less work than starting a process.
     with run_over_drives("labels", settings, jobs, out, _describe, workers=1) as summaries:
         store.write_json(out / "summary.json", summaries)
@@ -48,12 +40,12 @@ def main(
     return out
 
 
-def _label(path: Path, *, drive: str, ingest: Path, motions: Mapping[str, Path], settings: Labels) -> Summary:
+def _label(path: Path, *, ingest: Path, motion: Path | None, settings: Labels) -> Summary:
     """Write one drive's labels and return their plausibility statistics."""
     rule = settings.model_dump(include={"wheelbase_m", "min_speed_mps", "standstill"})
-    with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
-        frame, time_s = raw.frame, raw.time_s
-        labels = sources.read(settings.source, raw, motions, rule)
+    with store.DriveReader(ingest, stage="ingest") as raw:
+        drive, frame, time_s = raw.drive, raw.frame, raw.time_s
+        labels = sources.read(settings.source, raw, motion, rule)
         sideways_mps = raw["oxts"][:, VL] if settings.source == "oxts" else np.zeros(len(frame))
     with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
         label.write(file, frame, time_s, labels, settings.wheelbase_m)

@@ -15,7 +15,6 @@ from pipeline.base.runner import Job, Summary, run_over_drives
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
-from pipeline.motion import motion_file
 from pipeline.perception.scores import Scores, summary_line
 from pipeline.perception.truth import read_truth
 from pipeline.settings.labels import Labels
@@ -31,26 +30,23 @@ def main(
 ) -> Path:
     """Write metrics.json with the scores of each split, and <drive>/metrics.json with those of each drive.
 
-    The key ``motion`` holds the scores of each kind of measured motion, and of recorded steering angles; angles and
-    valid frames are defined as in the labels. Returns the output folder.
+    The key ``motion`` holds the scores of measured motion and of recorded steering angles; angles and valid frames are
+    defined as in the labels. Returns the output folder.
     """
     labels = load(Labels, params)
     rule = {"wheelbase_m": labels.wheelbase_m, "min_speed_mps": labels.min_speed_mps, "standstill": "invalid"}
     splits = store.read_index(perception, stage="perception")
-    motions = motion_file.read_index(motion)
-
-    score_motion = partial(_score_motion, ingest=ingest, motions=motions, rule=rule)
+    score_motion = partial(_score_motion, ingest=ingest, motion=motion, rule=rule)
     jobs = [
         Job(
             drive,
             out / drive,
-            [folder / f"{drive}.h5" for folder in (ingest, perception, *motions.values())],
+            [folder / f"{drive}.h5" for folder in (ingest, perception, motion)],
             partial(_score_drive, drive=drive, ingest=ingest, perception=perception, score_motion=score_motion),
         )
         for drive in splits
     ]
-    settings = {"motion": list(motions), **rule}
-    with run_over_drives("scores", settings, jobs, out, "{frames} frames, {line}".format_map, workers) as summaries:
+    with run_over_drives("scores", rule, jobs, out, "{frames} frames, {line}".format_map, workers) as summaries:
         motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
         kinds_scored = dict.fromkeys(kind for scores in motion_scored.values() for kind in scores)
         content: dict[str, Any] = {
@@ -87,27 +83,26 @@ def _score_drive(
     return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
 
 
-def _score_motion(
-    drives: list[str], *, ingest: Path, motions: Mapping[str, Path], rule: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return kind → scores of labels from measured motion, and from steering angles, against oxts.
+def _score_motion(drives: list[str], *, ingest: Path, motion: Path, rule: Mapping[str, Any]) -> dict[str, Any]:
+    """Return scores of the measured motion that models get (visual), and of steering angles (wheel), against oxts.
 
-    ``<kind>-wheel``: against steering angles. Only what the `drives` recorded is compared: without oxts and steering
+    ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared: without oxts and steering
     angles, nothing.
     """
     errors: dict[str, list[comparison.Errors]] = {}
     for drive in drives:
         with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
             references = sources.recorded(raw)
-            labels = {kind: sources.read(kind, raw, motions, rule) for kind in (*motions, *references)}
-            rows = {}
+            measured = motion / f"{drive}.h5"
+            labels = {
+                kind: sources.read(kind, raw, measured, rule, look_ahead=False) for kind in ("visual", *references)
+            }
+            with store.DriveReader(measured, stage="motion") as file:
+                rows = {"visual": np.searchsorted(raw.frame, file.frame)}
             if "wheel" in references:
                 rows["wheel"], unknown = np.flatnonzero(raw["has_steering"]), np.full(len(raw.frame), np.nan)
                 # A wheel records no speed: these labels have the speed of another source.
                 labels["wheel"] = labels["wheel"]._replace(speed_mps=unknown, yaw_rate_radps=unknown)
-            for kind, folder in motions.items():
-                with motion_file.open_motion(folder, drive, raw.frame) as measured:
-                    rows[kind] = np.searchsorted(raw.frame, measured.frame)
         for reference, kind in product(references, rows):
             if kind != reference:
                 name = kind if reference == "oxts" else f"{kind}-{reference}"

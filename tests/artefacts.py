@@ -105,14 +105,14 @@ def write_images(
         graph_file.write(file, frame, frame * 0.1, frames, empty)
 
 
-def add_motion(path: Path, kind: str, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
+def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
     """Add to a graphs file the motion of a car that steers `steering_rad` [G] at 8 m/s; 0 where it is not `valid`."""
     valid = np.ones(len(steering_rad), np.uint8) if valid is None else valid.astype(np.uint8)
     speed_mps = np.where(valid, 8.0, 0.0)
     with h5py.File(path, "a") as file:
-        file[f"{kind}_yaw_rate_radps"] = (speed_mps * np.tan(steering_rad) / WHEELBASE_M).astype(np.float32)
-        file[f"{kind}_speed_mps"] = speed_mps.astype(np.float32)
-        file[f"{kind}_valid"] = valid
+        file["motion_yaw_rate_radps"] = (speed_mps * np.tan(steering_rad) / WHEELBASE_M).astype(np.float32)
+        file["motion_speed_mps"] = speed_mps.astype(np.float32)
+        file["motion_valid"] = valid
 
 
 def write_dataset(

@@ -55,7 +55,6 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=32, le=4096)]
 # YAML has lists only, which a strict model would not take as tuples.
 ImageSize = Annotated[tuple[Side, Side], Field(strict=False, description="[H, W] in pixels")]
-MotionKind = Literal["visual", "lidar"]
 FrameKind = Literal["graph", "pointnet2", "image"]
 """Inputs of the networks, as in models/steering/core/batch.py."""
 Precision = Literal["auto", "float32"]

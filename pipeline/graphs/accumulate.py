@@ -8,24 +8,17 @@ from pipeline.graphs.cloud import Cloud
 
 
 def read_steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
-    """Return frame number → T_before_now float64 [4,4] of the valid frames of a motion file, see scaled_step."""
-    valid = motion["valid"].astype(bool)
-    scale = motion["scale"] if "scale" in motion else np.ones(len(valid), np.float32)
-    rows = zip(motion.frame[valid], motion["T_before"][valid], scale[valid], strict=True)
-    return {int(number): scaled_step(T_before, factor, source) for number, T_before, factor in rows}
+    """Return frame number → T_before_now float64 [4,4] of the valid frames of a motion file.
 
-
-def scaled_step(T_before: np.ndarray, scale: float, source: str) -> np.ndarray:
-    """Return a measured step float32 [4,4] in the length unit of the clouds of `source`, float64.
-
-    Visual odometry multiplies depth by `scale`; clouds/pseudo are lifted from uncorrected depth. So the step's
-    translation is divided by `scale`, and static objects coincide whatever the scale of depth. clouds/lidar are in
-    metres, as motion is.
+    It has the length unit of the clouds of `source`. Visual odometry multiplies depth by ``scale``; clouds/pseudo are
+    lifted from uncorrected depth. So the step's translation is divided by the scale, and static objects coincide
+    whatever the scale of depth. clouds/lidar are in metres, as motion is.
     """
-    T = T_before.astype(np.float64)
+    valid = motion["valid"].astype(bool)
+    steps = motion["T_before"][valid].astype(np.float64)
     if source == "clouds/pseudo":
-        T[:3, 3] /= scale
-    return T
+        steps[:, :3, 3] /= motion["scale"][valid, None]
+    return dict(zip(motion.frame[valid].tolist(), steps, strict=True))
 
 
 class Accumulator:
@@ -47,7 +40,7 @@ class Accumulator:
         Args:
             number: KITTI frame number, ascending.
             cloud: of the frame alone.
-            T_before: the step to this frame, see :func:`scaled_step`; None if it was not measured.
+            T_before: the step to this frame, see :func:`read_steps`; None if it was not measured.
         """
         if self._last is None or number != self._last + 1 or T_before is None:
             self._clouds = []

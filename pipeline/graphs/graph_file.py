@@ -26,7 +26,11 @@ from pipeline.base.params import FrameKind
 
 Arrays = dict[str, np.ndarray]
 Counts = dict[str, int]
-MOTION = {"yaw_rate_radps": "rad/s, left positive", "speed_mps": "m/s, forward positive", "valid": ""}
+MOTION = {  # dataset → dataset of the motion file, unit
+    "motion_yaw_rate_radps": ("yaw_rate_radps", "rad/s, left positive"),
+    "motion_speed_mps": ("filtered_mps", "m/s, forward positive"),
+    "motion_valid": ("valid", ""),
+}
 
 
 class Column(NamedTuple):
@@ -96,15 +100,15 @@ def write(
     return {"frames": len(frame), **points, **edges}
 
 
-def put_motion(file: store.DriveWriter, kind: str, frame: np.ndarray, motion: store.DriveReader) -> None:
+def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveReader) -> None:
     """Write the measured motion of frame numbers [F]; 0 and not valid for frames that the motion file lacks."""
     row = np.searchsorted(motion.frame, frame)
     measured = np.isin(frame, motion.frame)
-    for name, unit in MOTION.items():
-        values = motion[name]
+    for name, (source, unit) in MOTION.items():
+        values = motion[source]
         column = np.zeros(len(frame), values.dtype)
         column[measured] = values[row[measured]]
-        file.put(f"{kind}_{name}", column, unit)
+        file.put(name, column, unit)
 
 
 class Graphs(store.DriveReader):
@@ -140,17 +144,9 @@ class Graphs(store.DriveReader):
         return not self.counts.get("points", self.frame + 1).any()
 
     @cached_property
-    def motions(self) -> tuple[str, ...]:
-        """Kinds of measured motion in the file: visual, lidar."""
-        return tuple(kind for kind in ("visual", "lidar") if f"{kind}_valid" in self)
-
-    def motion(self, kind: str) -> MeasuredMotion:
-        """Return the motion of this kind for all frames. Raises InputError if the file has none."""
-        if kind not in self.motions:
-            stored = ", ".join(self.motions) or "none"
-            fix = f"Add {kind} to motion.kinds in the params file and run dvc repro"
-            raise InputError(f"no motion of kind {kind} (found: {stored})", self.path, fix)
-        return MeasuredMotion(*(self[f"{kind}_{name}"] for name in MOTION))
+    def motion(self) -> MeasuredMotion | None:
+        """Measured motion of all frames; None if the file has none."""
+        return MeasuredMotion(*(self[name] for name in MOTION)) if "motion_valid" in self else None
 
     @cached_property
     def starts(self) -> Arrays:

@@ -1,4 +1,4 @@
-"""Labels of a drive from each source: oxts, measured motion (visual, lidar), or recorded steering angles (wheel)."""
+"""Labels of a drive from each source: oxts, measured motion (visual), or recorded steering angles (wheel)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.kitti.oxts import VF, WU
 from pipeline.labels.label import Labels, steering_labels
-from pipeline.motion.motion_file import open_motion
+from pipeline.labels.means import means
 
 _CHOOSE_ANOTHER = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
 
@@ -20,7 +20,9 @@ def recorded(raw: DriveReader) -> list[str]:
     return [source for source, name in {"oxts": "oxts", "wheel": "steering_rad"}.items() if name in raw]
 
 
-def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mapping[str, Any]) -> Labels:
+def read(
+    source: str, raw: DriveReader, motion: Path | None, rule: Mapping[str, Any], *, look_ahead: bool = True
+) -> Labels:
     """Return a drive's labels.
 
     Every recorded angle is valid, even at unknown speed. With source wheel, speed and yaw rate are
@@ -29,18 +31,21 @@ def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mappi
     Args:
         source: a value of ``labels.source``.
         raw: the drive's ingest file.
-        motions: kind of measured motion → its folder.
+        motion: the drive's file of measured motion; None: without.
         rule: keyword arguments of :func:`pipeline.labels.label.steering_labels`.
+        look_ahead: measured rates are means over neighbouring frames, later ones included, which a target may know.
+            False: the causal rates that models get.
 
     Raises InputError if the drive lacks the source.
     """
     if source in ("oxts", "wheel") and source not in recorded(raw):
         missing = {"oxts": "no oxts", "wheel": "no recorded steering angles (steering.csv)"}[source]
         raise InputError(f"drive has {missing}, which labels.source: {source} needs", raw.path, _CHOOSE_ANOTHER)
-    rates = source
-    if source == "wheel":
-        rates = next((kind for kind in ("oxts", "visual", "lidar") if kind in (*motions, *recorded(raw))), "")
-    speed_mps, yaw_rate_radps = _rates(rates, raw, motions)
+    speed_mps, yaw_rate_radps = np.full((2, len(raw.frame)), np.nan)
+    if source != "visual" and "oxts" in raw:
+        speed_mps, yaw_rate_radps = raw["oxts"][:, VF], raw["oxts"][:, WU]
+    elif motion:
+        speed_mps, yaw_rate_radps = _measured(raw, motion, look_ahead)
     known = np.isfinite(speed_mps)
     steering_rad, valid = steering_labels(yaw_rate_radps, speed_mps, **rule)
     if source == "wheel":
@@ -50,16 +55,17 @@ def read(source: str, raw: DriveReader, motions: Mapping[str, Path], rule: Mappi
     return Labels(steering_rad, valid, speed_mps, yaw_rate_radps)
 
 
-def _rates(source: str, raw: DriveReader, motions: Mapping[str, Path]) -> tuple[np.ndarray, np.ndarray]:
-    """Return speed and yaw rate, float64 [F]; NaN where they are not measured."""
-    if source == "oxts":
-        return raw["oxts"][:, VF], raw["oxts"][:, WU]
+def _measured(raw: DriveReader, path: Path, look_ahead: bool) -> np.ndarray:
+    """Return speed and yaw rate, float64 [2,F]; NaN where they are not measured."""
     rates = np.full((2, len(raw.frame)), np.nan)
-    if source:
-        if source not in motions:
-            raise InputError(f"motion.kinds has only {', '.join(motions)}", f"labels.source: {source}")
-        with open_motion(motions[source], raw.drive, raw.frame) as motion:
-            rows = np.searchsorted(raw.frame, motion.frame)
-            both = np.stack([motion["speed_mps"], motion["yaw_rate_radps"]]).astype(np.float64)
-            rates[:, rows] = np.where(motion["valid"].astype(bool), both, np.nan)
-    return rates[0], rates[1]
+    with DriveReader(path, stage="motion") as motion:
+        valid = motion["valid"].astype(bool)
+        rows = np.searchsorted(raw.frame, motion.frame[valid])
+        if look_ahead:
+            names = "yaw_rate_radps", "speed_mps", "road_height_m"
+            yaw_rate_radps, speed_mps, road_height_m = (motion[name][valid].astype(np.float64) for name in names)
+            smooth = means(motion.time_s[valid], yaw_rate_radps, speed_mps, road_height_m > 0)
+            rates[:, rows] = smooth.speed_mps, smooth.yaw_rate_radps
+        else:
+            rates[:, rows] = motion["filtered_mps"][valid], motion["yaw_rate_radps"][valid]
+    return rates

@@ -14,12 +14,20 @@ import torch
 
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import resized, rounded_as_stored
-from pipeline.motion.estimator import Estimate, MotionEstimator
+from pipeline.motion.step import Step, StepClock, rates
 from pipeline.motion.visual import Odometry
 from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.perception.perceive import EncoderInput, open_encoder
 from pipeline.settings.perception import Perception
 from pipeline.train.prefetch import prefetch
+
+
+class Estimate(NamedTuple):
+    """Measured motion: mean rates over the step, left and forward positive."""
+
+    step: Step
+    yaw_rate_radps: float
+    speed_mps: float
 
 
 class Course(NamedTuple):
@@ -79,9 +87,8 @@ class Chain:
         self._camera, self._drive = camera, drive
         self._encode = open_encoder(encoder, settings.precision) if encoder else None
         self._postprocess = DepthPostprocessor(settings, camera)
-        self._estimators = {kind: MotionEstimator(kind, camera, road_scale=road_scale) for kind in kinds}
-        odometries = (estimator.odometry for estimator in self._estimators.values())
-        self.odometry = next((visual for visual in odometries if isinstance(visual, Odometry)), None)
+        self.odometry = Odometry(camera, road_scale=road_scale) if kinds else None
+        self._clock = StepClock()
 
     def run(self, frames: Generator[FrameState]) -> Generator[FrameState]:
         """Yield each frame with depth, classes and estimates of motion, in order; closes `frames`."""
@@ -100,7 +107,11 @@ class Chain:
 
     def _measure(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         for frame in frames:
-            frame.estimates = {kind: estimator.estimate(frame) for kind, estimator in self._estimators.items()}
             if self.odometry:
-                frame.problem, frame.road_height_m = self.odometry.problem, self.odometry.road.frame_height_m
+                step, duration_s = self.odometry.step(frame), self._clock.duration(frame.number, frame.time_s)
+                frame.estimates = {"visual": Estimate(step, *rates(step.T_before, duration_s)) if step else None}
+                frame.problem, frame.road_height_m = (
+                    self.odometry.problem,
+                    self.odometry.road.frame_height_m or math.nan,
+                )
             yield frame

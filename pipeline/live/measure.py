@@ -18,13 +18,13 @@ from pipeline.live.course import add_courses
 from pipeline.live.results import MEASURED_FILES, MOTION, POSES, QUALITY, TRACK, Results, result_folder, write_frames
 from pipeline.live.source import ROTATE, Source
 from pipeline.live.track import PoseFormat, draw_track, pose_lines
-from pipeline.motion.motion_file import MIN_ROAD
 from pipeline.motion.visual import Odometry
 from pipeline.settings.perception import Perception
 from pipeline.train.prefetch import prefetch
 
 SIZE = (192, 640)  # of images, as the depth network was trained
 FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
+MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 MAX_SPREAD = 0.15  # of the road's heights
 # On its side, a camera pitches where the car turns. On KITTI's drives, pitch changes by up to 3.4 degrees in 5 s.
 MAX_PITCH_RAD, MAX_STEP_PITCH_RAD, PITCH_S = math.radians(20.0), math.radians(3.0), 5.0

@@ -4,6 +4,7 @@ The network's input is made in a thread of its own. Memory holds the features of
 stage evaluate: random draws depend on drive and frame number alone, and a CPU encodes one image at a time in both.
 """
 
+import math
 import time
 from collections import deque
 from collections.abc import Generator, Iterable
@@ -16,15 +17,16 @@ import torch
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.graphs import frame_graph
-from pipeline.graphs.accumulate import Accumulator, scaled_step
+from pipeline.graphs.accumulate import Accumulator
 from pipeline.graphs.cloud import stored_cloud
 from pipeline.graphs.graph_file import Column, Columns
 from pipeline.live.chain import Chain, FrameState
-from pipeline.live.course import add_courses
+from pipeline.live.course import SpeedFilter, add_courses
 from pipeline.live.results import PREDICTED_FILES, STEERING, TRACK, Results, result_folder, write_frames
 from pipeline.live.settings import Settings, focal_by_width
 from pipeline.live.source import Source
 from pipeline.live.track import draw_track
+from pipeline.motion.speed import LEAST_NOISE
 from pipeline.perception.perceive import FILE
 from pipeline.settings.ingest import SAMPLE
 from pipeline.train import windows
@@ -37,13 +39,13 @@ TOLERANCE = 0.2  # relative, of the frame rate and of the focal length
 
 def needs_scans(model: Trained, settings: Settings) -> bool:
     """Return whether the model's input is made from LiDAR scans."""
-    return "lidar" in motion_kinds(model, settings) or settings.variant.source == "clouds/lidar"
+    return settings.variant.source == "clouds/lidar"
 
 
 def motion_kinds(model: Trained, settings: Settings) -> set[str]:
     """Return the kinds of motion that the model's input is made from."""
     accumulate = settings.variant.accumulate
-    kinds: set[str] = {model.entry.motion} | ({accumulate.motion} if accumulate else set())
+    kinds: set[str] = {model.entry.motion} | ({"visual"} if accumulate else set())
     return kinds - {"none"}
 
 
@@ -87,7 +89,7 @@ def predict(
     kinds |= {"visual"} if perceives else set()
     with closing(source.frames) as frames:
         camera, used = source.cropped.scaled(settings.ingest.image_size), encoder if perceives else None
-        chain = Chain(camera, source.name, used, kinds, settings.perception, settings.motion.road_scale)
+        chain = Chain(camera, source.name, used, kinds, settings.perception, road_scale=True)
         predicted = Predictor(model, settings, source, camera).run(chain.run(frames))
         courses = add_courses(predicted, car, smooth=False, height_known=source.height_known)
         with result_folder(out, *PREDICTED_FILES) as folder:
@@ -145,9 +147,9 @@ class Predictor:
         cloud = stored_cloud(frame, kind, self._camera, self._drive, self._settings.clouds)
         if self._accumulator and variant.accumulate:
             T_before = None
-            if estimate := frame.estimates[variant.accumulate.motion]:
-                stored = estimate.step.T_before.astype(np.float32), float(np.float32(estimate.step.scale))
-                T_before = scaled_step(*stored, variant.source)
+            if estimate := frame.estimates["visual"]:
+                T_before = estimate.step.T_before.astype(np.float32).astype(np.float64)
+                T_before[:3, 3] /= estimate.step.scale if variant.source == "clouds/pseudo" else 1.0
             cloud = self._accumulator.add(number, cloud, T_before)
         return _single(frame_graph.build(cloud, variant, self._drive, number))
 
@@ -156,9 +158,13 @@ class Predictor:
         net, target, entry = self.model.net, self.model.target, self.model.entry
         stream = windows.Stream(entry.window, target.car if entry.motion != "none" else None, entry.base)
         features: deque[torch.Tensor] = deque(maxlen=entry.window)  # each [1,F]
+        speeds = SpeedFilter()
         for frame in frames:
-            estimate = frame.estimates.get(entry.motion)
-            motion = (estimate.yaw_rate_radps, estimate.speed_mps) if estimate else None
+            motion = None
+            if estimate := frame.estimates.get(entry.motion):
+                road = math.isfinite(frame.road_height_m)
+                speed_mps, _ = speeds.add(frame.time_s, float(np.float32(estimate.speed_mps)), road, LEAST_NOISE)
+                motion = estimate.yaw_rate_radps, speed_mps
             window = stream.add(frame.number, frame.time_s, motion)
             with torch.inference_mode():
                 features.append(net.encode(net.frames(frame.arrays)))

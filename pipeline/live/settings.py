@@ -13,7 +13,6 @@ from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Ingest
-from pipeline.settings.motion import Motion
 from pipeline.settings.perception import Perception
 
 
@@ -23,7 +22,6 @@ class Settings:
 
     ingest: Ingest
     perception: Perception
-    motion: Motion
     clouds: Clouds
     variant: Variant
 
@@ -34,7 +32,7 @@ def load_settings(params: Path, variant: str, data: Path) -> Settings:
     Raises InputError if artefacts below `data` were made with other settings: the network was trained on those.
     Artefacts that this machine lacks are not compared.
     """
-    sections = load(Ingest, params), load(Perception, params), load(Motion, params), load(Clouds, params)
+    sections = load(Ingest, params), load(Perception, params), load(Clouds, params)
     settings = Settings(*sections, load_entry(Variant, "graphs", variant, params))
     current = {
         "ingest": settings.ingest.model_dump(mode="json", include={"image_size"}),

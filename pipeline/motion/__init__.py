@@ -1,1 +1,1 @@
-"""Visual and LiDAR odometry: the car's motion since the previous frame, without learning and without labels."""
+"""Visual odometry: the car's motion since the previous frame, without learning and without labels."""

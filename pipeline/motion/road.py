@@ -4,7 +4,6 @@ Depth networks are accurate on the road, which they learn from perspective, and 
 2011_10_03_0042, trees get a third of their true distance while the error on the road is a tenth.
 """
 
-import math
 from collections import deque
 
 import numpy as np
@@ -32,8 +31,8 @@ class Road:
         self._right = ((np.arange(width) - K[0, 2]) / K[0, 0])[None]
         self._camera_height_m = camera.height_m if road_scale else None
         self._heights: deque[float] = deque(maxlen=HEIGHTS)
-        self.frame_height_m = math.nan
-        """The last frame's height of the camera over the road in uncorrected depth; NaN where no road was found."""
+        self.frame_height_m = 0.0
+        """The last frame's height of the camera over the road in uncorrected depth; 0 where no road was found."""
         self._ways: deque[tuple[float, float]] = deque(maxlen=STEPS)  # metres down and ahead, of forward steps
 
     def find(self, depth_m: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, float]:
@@ -44,7 +43,7 @@ class Road:
         below = self._down - self.slope  # of the plane along the direction of travel
         height_m = depth_m * below.astype(np.float32)
         in_front = (below > 1 / PATCH_LENGTH) & (np.abs(self._right) < PATCH_HALF_WIDTH * below)
-        patch, self.frame_height_m = height_m[usable & in_front], math.nan
+        patch, self.frame_height_m = height_m[usable & in_front], 0.0
         if len(patch) > MIN_VISIBLE * in_front.sum():
             median = float(np.median(patch))
             if (np.abs(patch / median - 1) < FLAT).mean() > MIN_FLAT:

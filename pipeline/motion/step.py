@@ -21,7 +21,7 @@ class Step(NamedTuple):
 
     T_before: np.ndarray  # [4,4]
     inliers: int
-    residual: float  # px for visual, m for lidar
+    residual: float  # px
     scale: float = 1.0  # factor that was applied to depth
 
 

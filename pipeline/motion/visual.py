@@ -19,6 +19,15 @@ AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
 STANDSTILL = ("the image does not move", "the camera stands")
+PROBLEMS = (
+    "",
+    "no previous frame",
+    *STANDSTILL,
+    "too few points can be tracked",
+    "no common motion of the scene",
+    "a motion that is not a car's",
+)
+"""Reasons why a step is not measured; the first means that it is."""
 STANDSTILL_PX = 0.1  # the car stands if the median corner moves less
 
 

@@ -13,7 +13,6 @@ from torch import Tensor, nn
 from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.executors import default_workers
-from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
 from pipeline.perception import precomputed
@@ -60,15 +59,6 @@ def _read_precomputed(folder: Path, batch: EncoderInput) -> tuple[np.ndarray, np
 def weights_file(folder: Path) -> Path:
     """Return the file of an encoder's folder that determines its predictions."""
     return folder / (precomputed.FILE if precomputed.named_in(folder) else FILE)
-
-
-def read_batches(source: DriveReader, camera: Camera, rows: np.ndarray, size: int) -> Generator[EncoderInput]:
-    """Yield the frames in `rows` of a file of stage ingest in batches of `size`."""
-    for start in range(0, len(rows), size):
-        batch = rows[start : start + size]
-        # Row by row, since frames without an image in between must not be read.
-        images = np.stack([source.row("image", row) for row in batch])
-        yield EncoderInput(source.drive, source.frame[batch], images, camera)
 
 
 class Saved(NamedTuple):

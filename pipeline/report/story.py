@@ -4,12 +4,11 @@ The 95 % intervals decide the wording: a difference that they contain is called 
 """
 
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from pipeline.base.params import MotionKind
 from pipeline.evaluate.errors import interval_text
 from pipeline.report.results import Results, columns_below
 
@@ -122,7 +121,7 @@ def _baseline(best: pd.Series) -> tuple[str, float | None]:
 def _odometry(best: pd.Series) -> str:
     name, nmse = _baseline(best)
     if nmse is None:
-        if best.get("labels") in get_args(MotionKind) and not best["line.horizon"]:
+        if best.get("labels") == "visual" and not best["line.horizon"]:
             return "The labels are measured motion themselves, so there is no odometry to compare with."
         return "There is no odometry to compare with."
     if nmse >= 1:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Fraction, FrameKind, MotionKind, Positive, Section, Seed
+from pipeline.base.params import Count, Fraction, FrameKind, Positive, Section, Seed
 
 _POINT_KEYS = {"source", "neighbourhood", "points", "sampling", "crop_m", "accumulate", "seed"}
 _KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in messages, required keys, allowed keys
@@ -15,9 +15,8 @@ _KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in m
 
 
 class Accumulate(Section):
-    """Merge the clouds of several consecutive frames into one."""
+    """Merge the clouds of several consecutive frames into one, aligned by their measured motion."""
 
-    motion: Annotated[MotionKind, Field(description="one of motion.kinds; aligns the clouds")]
     frames: Annotated[int, Field(ge=2, le=64, description="maximum number of frames, including the current one")]
 
 
@@ -64,11 +63,6 @@ class Variant(Section):
             raise ValueError(f"{what} needs {key}")
         for key in sorted(self.model_fields_set - allowed):
             raise ValueError(f"{key} does not apply to {what}: remove it (allowed: {', '.join(sorted(allowed))})")
-        if self.accumulate and (self.source, self.accumulate.motion) == ("clouds/pseudo", "lidar"):
-            raise ValueError(
-                "accumulate.motion = 'lidar' is metric, and depth of clouds/pseudo only roughly: use visual, which "
-                "shares the scale of depth, or source: clouds/lidar"
-            )
         if len({len(self.centres), len(self.radius_m), len(self.neighbours)}) > 1:
             raise ValueError("centres, radius_m and neighbours need one number per level each")
         if self.crop_m and not (self.crop_m[0] < self.crop_m[2] and self.crop_m[1] < self.crop_m[3]):

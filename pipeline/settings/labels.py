@@ -4,14 +4,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.base.params import MotionKind, Positive, Section
+from pipeline.base.params import Positive, Section
 
 MAX_AHEAD_M = 200.0  # farther than a camera of this resolution shows a road
 
 
 class Labels(Section):
     key = "labels"
-    source: Literal["oxts", MotionKind, "wheel"] = "oxts"
+    source: Literal["oxts", "visual", "wheel"] = "oxts"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
     standstill: Literal["invalid", "raw", "zero"]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, create_model, model_validator
 
 from pipeline.base.errors import closest
-from pipeline.base.params import Count, MotionKind, Rate, Section
+from pipeline.base.params import Count, Rate, Section
 
 if TYPE_CHECKING:
     from models.steering.core.options import NetworkOptions
@@ -37,10 +37,7 @@ class Entry(Section):
     horizon: Annotated[
         int, Field(ge=0, le=10_000, description="predict the steering this number of frames after the window")
     ] = 0
-    motion: Annotated[
-        Literal["none", MotionKind],
-        Field(description="kind of measured motion that is a second input"),
-    ] = "none"
+    motion: Annotated[Literal["none", "visual"], Field(description="visual: measured motion is an input, too")] = "none"
     base: Annotated[
         Literal["motion", "none"],
         Field(

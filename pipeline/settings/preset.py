@@ -27,7 +27,6 @@ from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Ingest
 from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
-from pipeline.settings.motion import Motion
 from pipeline.settings.perception import Perception
 from pipeline.settings.sample import Sample
 from pipeline.settings.train import Train
@@ -46,7 +45,6 @@ class Params(Section):
     labels: Labels
     encoder: Encoder
     perception: Perception
-    motion: Motion
     clouds: Clouds
     graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
     models: Annotated[dict[Name, Entry], Field(min_length=1)]

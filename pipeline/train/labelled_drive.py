@@ -40,13 +40,13 @@ class Timeline:
         base: str = "motion",
         scene: str = "same",
     ) -> "Timeline":
-        """Read the times of an open graph file, and motion of kind `motion` of a `car`.
+        """Read the times of an open graph file, and the measured motion of a `car`.
 
-        `base` and `scene` as in a model's entry.
-
-        Raises InputError if the file has no motion of this kind.
+        `motion`, `base` and `scene` as in a model's entry. Raises InputError if the file has no motion.
         """
-        measured = None if motion == "none" else graphs.motion(motion)
+        measured = None if motion == "none" else graphs.motion
+        if motion != "none" and measured is None:
+            raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
         return cls.of(graphs.path, graphs.frame, graphs.time_s, measured, car, base, scene)
 
     @classmethod
@@ -108,7 +108,7 @@ class LabelledDrive(Timeline):
     valid: np.ndarray  # bool; False without a label. With predict: path, whether the path is known in any range
     speed_mps: np.ndarray  # float64, at the frame itself
     persistence_rad: np.ndarray  # float64, last valid label before the target and not after the frame itself; or 0
-    label_source: str  # labels.source: oxts | visual | lidar | wheel
+    label_source: str  # labels.source: oxts | visual | wheel
     # Kind of motion in the file → float64, the measured angle; NaN if no frame is measured, as without scans. At
     # horizon 0 without the kind that the labels are from, since it is the same measurement.
     measured_rad: dict[str, np.ndarray]
@@ -192,12 +192,12 @@ def read_drive(
         ahead = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
         steering_rad, valid, section = truth["steering_rad"], truth["valid"].astype(bool), truth.params["labels"]
         car, source = label.Car(section["wheelbase_m"], section["min_speed_mps"]), section.get("source", "oxts")
-        measured = {kind: file.motion(kind).valid.any() for kind in file.motions}
-        if valid[here].any() and not measured.get(motion, True):
+        moved = {} if file.motion is None else {"visual": file.motion}
+        if valid[here].any() and motion in moved and not moved[motion].valid.any():
             raise InputError(
-                f"motion: {motion} is not measured in any frame (lidar needs scans, visual needs images)",
+                "motion is not measured in any frame (it needs images)",
                 graphs,
-                f"Remove {name} from ingest.drives or choose another motion",
+                f"Remove {name} from ingest.drives, or set motion: none",
             )
         edges_m, path_1pm = _read_path(truth) if predict == "path" else ((), np.empty((len(valid), 0)))
         target_valid = np.isfinite(path_1pm[here]).any(axis=1) if edges_m else (ahead >= 0) & valid[ahead]
@@ -217,8 +217,8 @@ def read_drive(
             label_source=source,
             persistence_rad=_hold(steering_rad[here], valid[here], including=horizon > 0),
             measured_rad={
-                kind: label.measured_angle(*file.motion(kind), **vars(car)) if any_valid else np.full(len(here), np.nan)
-                for kind, any_valid in measured.items()
+                kind: label.measured_angle(*rates, **vars(car)) if rates.valid.any() else np.full(len(here), np.nan)
+                for kind, rates in moved.items()
                 if horizon or edges_m or kind != source
             },
         )

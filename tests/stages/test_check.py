@@ -5,7 +5,6 @@ import pytest
 import yaml
 
 from pipeline.base.errors import InputError
-from pipeline.motion import motion_file
 from pipeline.perception import weights
 from pipeline.settings import preset
 from stages import check
@@ -70,42 +69,12 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
     assert table2["models"].keys() >= PAPER
 
 
-@pytest.mark.parametrize(
-    ("source", "share", "base", "suggested"),
-    [
-        ("wheel", 0.12, "motion", True),
-        ("wheel", 0.12, "none", False),
-        ("wheel", 0.9, "motion", False),
-        ("wheel", None, "motion", False),
-        ("oxts", 0.12, "motion", False),
-    ],
-)
-def test_base_none_is_suggested_where_the_scale_is_uncertain(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str, share: float | None, base: str, suggested: bool
-) -> None:
-    content = changed("labels.source", source)
-    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": "visual", "base": base}}
-    (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
-    check.main(tmp_path / "params.yaml", tmp_path / "motion")  # no motion yet
-    motion_file.write_index(tmp_path / "motion", ["visual"], share)
-    capsys.readouterr()
-    check.main(tmp_path / "params.yaml", tmp_path / "motion")
-    printed = [line for line in capsys.readouterr().out.splitlines() if "graphs." not in line]
-    reason = "adds its output to an angle by measured speed, but the road was found in only 12% of the frames"
-    assert printed == ([f"note: models.net {reason}: set base: none"] if suggested else [])
-
-
-@pytest.mark.parametrize("kind", ["visual", "lidar"])
-def test_a_label_is_not_its_models_input(tmp_path: Path, kind: str) -> None:
-    content = changed("labels.source", kind)
-    content["motion"]["kinds"], content["ingest"]["lidar"] = ["visual", "lidar"], True
-    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": kind}}
-    with pytest.raises(
-        InputError, match=f"models.net: motion: {kind} with labels.source: {kind} at horizon: 0"
-    ) as raised:
+def test_a_label_is_not_its_models_input(tmp_path: Path) -> None:
+    content = changed("labels.source", "visual")
+    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": "visual"}}
+    with pytest.raises(InputError, match=r"models\.net: motion: visual with labels\.source: visual at") as raised:
         run(tmp_path, content)
     assert "motion: none" in raised.value.fix
-    assert "\n" not in str(raised.value)
     content["models"]["net"]["horizon"] = 10
     run(tmp_path, content)
 
@@ -135,10 +104,7 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
         (f"{MODEL}.temporal", "gru", "temporal.*gru.*lstm, ncp"),
-        (f"{MODEL}.motion", "lidar", r"motion\.kinds has only visual"),
-        ("labels.source", "lidar", r"labels\.source: motion\.kinds has only visual"),
         ("labels.source", "gps", r"labels\.source"),
-        ("graphs.lidar.accumulate", {"motion": "lidar", "frames": 2}, r"lidar\.accumulate\.motion"),
         (f"{MODEL}.predict", "paths", r"predict.*'angle' or 'path'"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
         (f"{MODEL}.equivarient", True, "equivarient"),

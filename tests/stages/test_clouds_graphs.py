@@ -7,13 +7,12 @@ import pytest
 import yaml
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import DEPTH_UNITS_PER_M
 from pipeline.graphs import cloud
-from pipeline.motion import motion_file
 from stages import clouds, graphs
 from tests import street
+from tests.motion_files import write_motion
 
 PARAMS = Path(__file__).resolve().parents[2] / "params.yaml"
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
@@ -34,7 +33,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store.write_index(folder / "ingest", SPLITS)
     store.write_index(folder / "perception", SPLITS)
     run_clouds(folder, folder / "clouds")
-    motion_file.write_index(folder / "motion", [])
+    for drive in SPLITS:
+        write_motion(folder / "motion", drive, {})
     return folder
 
 
@@ -105,28 +105,13 @@ def test_points_without_edges_sampled_by_range(data: Path, tmp_path: Path) -> No
     assert far[0].mean() > 1.5 * far[1].mean()
 
 
-def write_motion(folder: Path, frame: list[int], valid: list[int]) -> None:
-    """Write the motion of a car that drives straight on, one metre per frame."""
-    T_before = np.tile(np.eye(4, dtype=np.float32), (len(frame), 1, 1))
-    T_before[:, 2, 3] = valid
-    for drive in SPLITS:
-        with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
-            file.put("frame", np.array(frame, np.int32))
-            file.put("valid", np.array(valid, np.uint8))
-            file.put("yaw_rate_radps", np.zeros(len(frame), np.float32))
-            file.put("speed_mps", np.array(valid, np.float32) * 10)
-            file.put("T_before", T_before)
-            file.put("scale", np.ones(len(frame), np.float32))
-    store.write_index(folder, SPLITS)
-    motion_file.write_index(folder.parent, [folder.name])
-
-
 def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> None:
     (tmp_path / "clouds").symlink_to(data / "clouds")
-    write_motion(tmp_path / "motion/visual", [0, 1, 2, 3], [0, 1, 1, 0])
+    for drive in SPLITS:  # straight on, one metre per frame
+        write_motion(tmp_path / "motion", drive, {0: (0, 0), 1: (10, 0), 2: (10, 0), 3: (0, 0)})
     variant = {**PSEUDO, "crop_m": [-20, -3, 20, 30]}
     single = read(run_graphs(tmp_path, tmp_path / "graphs", **variant))
-    content = read(run_graphs(tmp_path, tmp_path / "graphs", **variant, accumulate={"motion": "visual", "frames": 3}))
+    content = read(run_graphs(tmp_path, tmp_path / "graphs", **variant, accumulate={"frames": 3}))
     assert (np.diff(content["ptr"]) == 300).all()
     clouds = np.split(content["xyz"], content["ptr"][1:-1])
     for points in clouds:
@@ -136,6 +121,3 @@ def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> Non
     nearest = [points[:, 2].min() for points in clouds]
     assert nearest[2] < nearest[0] - 1.5  # two metres since the first frame
     assert nearest[3] > nearest[2] + 1  # motion is not valid
-    lidar = {"source": "clouds/lidar", "accumulate": {"motion": "lidar", "frames": 3}}
-    with pytest.raises(InputError, match=r"accumulate\.motion = 'lidar'"):
-        run_graphs(tmp_path, tmp_path / "graphs", **{**variant, **lidar})

@@ -6,7 +6,6 @@ import tarfile
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
@@ -15,7 +14,6 @@ from pipeline.base.store import DriveReader, read_index, write_index
 from pipeline.camera.camera import Frame
 from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.oxts import make_rows
-from pipeline.motion import motion_file
 from pipeline.settings.ingest import Reading
 from stages import ingest, labels
 from tests.kitti_drive import contents, write_params
@@ -107,21 +105,19 @@ def recorded(tmp_path: Path) -> Path:
     for drive in DRIVES:
         rows = None if drive == FIRST else make_rows(4, vf=np.array([10.0, 10, 0.5, 10]), wu=0.1)
         write_drive(tmp_path / f"ingest/{drive}.h5", rows, {5: 0.1, 7: 0.2, 8: 0.3})
-        write_motion(tmp_path / "motion", "visual", drive, {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5)})
+        write_motion(tmp_path / "motion", drive, {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5)})
     write_index(tmp_path / "ingest", DRIVES)
-    write_index(tmp_path / "motion/visual", DRIVES)
-    motion_file.write_index(tmp_path / "motion", ["visual"])
     return tmp_path
 
 
 def test_visual_labels_are_valid_where_motion_is_measured_and_the_car_moves(recorded: Path) -> None:
     for file in run(recorded, source="visual"):
-        np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7]), atol=1e-6)
+        np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7]), rtol=0.02)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0])
-        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5])
+        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5], rtol=0.02)  # filtered
         assert file.params["labels"]["source"] == "visual"
     for file in run(recorded, source="visual", standstill="zero"):
-        np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 0]), atol=1e-6)
+        np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 0]), rtol=0.02)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 1])  # what is not measured need not be a standstill
 
 
@@ -129,37 +125,14 @@ def test_recorded_angles_are_valid_unless_the_car_is_known_to_be_slow(recorded: 
     without, with_oxts = run(recorded, source="wheel")
     np.testing.assert_array_equal(without["steering_rad"], [0.1, 0, 0.2, 0.3])
     np.testing.assert_array_equal(without["valid"], [1, 0, 1, 0])  # frame 8 is measured, and slow
-    np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5])
+    np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5], rtol=0.02)
     np.testing.assert_array_equal(with_oxts["valid"], [1, 0, 0, 1])
     np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10])
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "problem"),
-    [
-        ("speed_mps", [0, 1e6, 5], r"speed_mps reaches 1e\+06"),
-        ("yaw_rate_radps", [0, np.nan, 0], "finite"),
-        ("speed_mps", np.ones((3, 2)), r"shape \(3, 2\)"),
-        ("valid", None, "no dataset 'valid'"),
-        ("frame", [5, 6, 99], "frame 99, which the drive lacks"),
-        ("T_before", np.zeros((3, 4, 4)), "T_before is not a rigid transform"),
-    ],
-)
-def test_a_forged_motion_file_is_refused(recorded: Path, name: str, values: Any, problem: str) -> None:
-    with h5py.File(recorded / f"motion/visual/{FIRST}.h5", "r+") as file:
-        if name in file:
-            del file[name]
-        if values is not None:
-            file[name] = values
-    with pytest.raises(InputError, match=problem):
-        run(recorded, source="visual")
-
-
 def test_a_source_that_a_drive_lacks(recorded: Path) -> None:
-    for source, problem in (("oxts", "no oxts"), ("lidar", "visual")):
-        with pytest.raises(InputError, match=problem) as raised:
-            run(recorded, source=source)
-        assert f"labels.source: {source}" in str(raised.value)
+    with pytest.raises(InputError, match=r"no oxts.*labels\.source: oxts"):
+        run(recorded, source="oxts")
     write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])
     with pytest.raises(InputError, match=r"steering\.csv"):
         run(recorded, source="wheel")

@@ -33,7 +33,7 @@ def data(tmp_path: Path) -> Path:
     artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=80, ahead_m=EDGES_M)
     for drive in SPLITS:
         with DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") as truth:
-            artefacts.add_motion(tmp_path / f"graphs/semantic/{drive}.h5", "visual", truth["steering_rad"])
+            artefacts.add_motion(tmp_path / f"graphs/semantic/{drive}.h5", truth["steering_rad"])
     return tmp_path
 
 

@@ -29,9 +29,8 @@ def score(folder: Path, oxts: bool, wheel: bool) -> dict[str, dict[str, float] |
         oxts=dict(enumerate(make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS))) if oxts else None,
         steering_rad=dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if wheel else None,
     )
-    write_motion(folder / "motion", "visual", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
-    motions = {"visual": folder / "motion/visual"}
-    return scores._score_motion([DRIVE], ingest=folder / "ingest", motions=motions, rule=RULE)
+    write_motion(folder / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
+    return scores._score_motion([DRIVE], ingest=folder / "ingest", motion=folder / "motion", rule=RULE)
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_resumed_training_writes_the_same_bytes(folder: Path, trained: Path, mon
 def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
     for drive in SPLITS:
         with store.DriveReader(folder / f"labels/{drive}.h5", stage="labels") as truth:
-            artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", "visual", truth["steering_rad"])
+            artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", truth["steering_rad"])
     write_params(folder, {"temporal": "lstm", "motion": "visual", "horizon": 5}, epochs=EPOCHS, average=0.0)
     output, metrics = run_train(folder), run_evaluate(folder)
     test = json.loads((metrics / "metrics.json").read_text())["test"]

@@ -15,7 +15,7 @@ MODELS = {
         "uncertainty": True,
     },
     "scans": {
-        "input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "lidar", "base": "none",
+        "input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "visual", "base": "none",
         "horizon": 2,
     },
     "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},
@@ -27,7 +27,7 @@ VARIANTS = {
     "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},
     "lidar": {
         "source": "clouds/lidar", "points": 200, "k": 4, "crop_m": [-15, -10, 15, 30],
-        "accumulate": {"motion": "lidar", "frames": 3},
+        "accumulate": {"frames": 3},
     },
     "image": {"source": "ingest"},
 }  # fmt: skip
@@ -43,7 +43,6 @@ def make(folder: Path) -> None:
     }
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
     params["perception"] |= {"reach": 1.1, "depth_scale": "camera_height"}
-    params["motion"] |= {"kinds": ["visual", "lidar"]}
     params["clouds"] |= {"max_points": 2000}
     params["graphs"], params["models"] = VARIANTS, MODELS
     params["labels"] |= {"ahead_m": [0, 2, 4]}

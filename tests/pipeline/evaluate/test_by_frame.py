@@ -20,7 +20,7 @@ def read(path: Path) -> list[list[str]]:
 
 def test_a_row_per_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     artefacts.write_dataset(tmp_path, dict.fromkeys(NAMES, "test"), frames=9, points=20)
-    artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[0]}.h5", "visual", np.full(9, 0.25))
+    artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[0]}.h5", np.full(9, 0.25))
     drives = read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4)
     drives[1].valid[2] = False
     turns = {NAMES[0]: np.array([4], np.int32), NAMES[1]: np.empty(0, np.int32)}

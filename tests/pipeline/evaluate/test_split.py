@@ -67,9 +67,9 @@ def test_each_drive_has_its_own_errors_and_training_mean(tmp_path: Path) -> None
 def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
     """The first drive has images and scans; the second has images, and either no scan or no data set of scans."""
     for name, drive in zip(NAMES, drives(tmp_path), strict=True):
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", drive.steering_rad)
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", drive.steering_rad)
         if name == NAMES[0]:
-            artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "lidar", drive.steering_rad)
+            artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", drive.steering_rad)
 
     def baselines(horizon: int = 5) -> dict:
         again = read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", NAMES, 4, horizon=horizon)
@@ -86,7 +86,7 @@ def test_odometry_needs_motion_in_all_drives(tmp_path: Path) -> None:
     half = np.concatenate([drive.steering_rad[5:] - 0.5 * drive.steering_rad[:25] for drive in (first, second)])
     assert found["regression"]["mse_rad2"] == pytest.approx(np.mean(half**2), rel=1e-4)
     assert found["persistence"]["mse_rad2"] == pytest.approx(np.mean(ahead**2))
-    artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[1]}.h5", "lidar", second.steering_rad, np.zeros(30, bool))
+    artefacts.add_motion(tmp_path / f"graphs/semantic/{NAMES[1]}.h5", second.steering_rad, np.zeros(30, bool))
     found = baselines()
     assert [found["by_drive"][name]["baselines"]["odometry_lidar"]["nmse"] is None for name in NAMES] == [False, True]
     assert found["baselines"]["odometry_lidar"]["nmse"] is None

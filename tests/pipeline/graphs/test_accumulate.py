@@ -62,17 +62,13 @@ def test_a_gap_or_unmeasured_motion_starts_anew(
     assert [list(dict.fromkeys(cls.tolist())) for _, cls in combined(numbers, measured, 3)] == expected
 
 
-@pytest.mark.parametrize(
-    ("kind", "source", "forward_m"),
-    [("visual", "clouds/pseudo", 1.6), ("visual", "clouds/lidar", 2.0), ("lidar", "clouds/lidar", 2.0)],
-)
-def test_steps_have_the_length_unit_of_the_clouds(tmp_path: Path, kind: str, source: str, forward_m: float) -> None:
+@pytest.mark.parametrize(("source", "forward_m"), [("clouds/pseudo", 1.6), ("clouds/lidar", 2.0)])
+def test_steps_have_the_length_unit_of_the_clouds(tmp_path: Path, source: str, forward_m: float) -> None:
     with store.DriveWriter(tmp_path / "a.h5", stage="motion", drive="drive", params={}) as file:
         file.put("frame", np.array([4, 5, 6], np.int32))
         file.put("valid", np.array([0, 1, 0], np.uint8))
         file.put("T_before", np.stack([np.eye(4), step(0.1, 2.0), step(0.1, 3.0)]).astype(np.float32))
-        if kind == "visual":
-            file.put("scale", np.array([0, 1.25, 0], np.float32))
+        file.put("scale", np.array([0, 1.25, 0], np.float32))
     with store.DriveReader(tmp_path / "a.h5", stage="motion") as motion:
         ((number, T_before),) = read_steps(motion, source).items()
     assert number == 5

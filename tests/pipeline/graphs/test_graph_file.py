@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.graph_file import Columns, collate, open_graphs
@@ -61,21 +60,19 @@ def test_motion_is_matched_by_frame_number(tmp_path: Path) -> None:
     with DriveWriter(tmp_path / "motion.h5", stage="motion", drive="drive", params={}) as writer:
         writer.put("frame", np.array([3, 5, 9, 11], np.int32))
         writer.put("yaw_rate_radps", np.array([0.3, 0.5, 0.9, 1.1], np.float32))
-        writer.put("speed_mps", np.array([3, 5, 9, 11], np.float32))
+        writer.put("filtered_mps", np.array([3, 5, 9, 11], np.float32))
         writer.put("valid", np.array([1, 1, 0, 1], np.uint8))
     with (
         DriveReader(tmp_path / "motion.h5", stage="motion") as motion,
         DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as writer,
     ):
         graph_file.write(writer, FRAME, TIME_S, frames(KNN), frame_graph.empty(KNN))
-        graph_file.put_motion(writer, "lidar", FRAME, motion)
+        graph_file.put_motion(writer, FRAME, motion)
     with open_graphs(tmp_path / "a.h5") as graphs:
-        assert graphs.motions == ("lidar",)
-        yaw_rate, speed, valid = graphs.motion("lidar")
+        assert graphs.motion
+        yaw_rate, speed, valid = graphs.motion
         assert (speed.tolist(), valid.tolist(), valid.dtype) == ([0, 5, 9], [0, 1, 0], np.uint8)
         assert yaw_rate == pytest.approx([0, 0.5, 0.9])
-        with pytest.raises(InputError, match="no motion of kind visual"):
-            graphs.motion("visual")
 
 
 def write_file(path: Path, write: Callable[..., None]) -> Path:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.labels.label import Car
-from pipeline.live.chain import FrameState
+from pipeline.live.chain import Estimate, FrameState
 from pipeline.live.course import TYPICAL_MPS, SpeedFilter, add_courses
-from pipeline.motion.estimator import Estimate
 from pipeline.motion.step import Step
 
 YAW_RATE_RADPS, COUNT = 0.2, 900

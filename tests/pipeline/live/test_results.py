@@ -13,7 +13,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import Crop
-from pipeline.live.chain import Course, FrameState
+from pipeline.live.chain import Course, Estimate, FrameState
 from pipeline.live.overlay import Overlay
 from pipeline.live.results import (
     COLUMNS,
@@ -28,7 +28,6 @@ from pipeline.live.results import (
     result_folder,
 )
 from pipeline.live.source import Source
-from pipeline.motion.estimator import Estimate
 from pipeline.motion.step import Step
 
 SIZE, FPS = (96, 320), 10.0

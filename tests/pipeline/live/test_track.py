@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.live.chain import Course, FrameState
+from pipeline.live.chain import Course, Estimate, FrameState
 from pipeline.live.results import COLUMNS, MOTION, Results
 from pipeline.live.track import draw_track, pose_lines
-from pipeline.motion.estimator import Estimate
 from pipeline.motion.step import Step
 
 RADIUS_M, TURN_RAD = 10.0, np.pi / 2

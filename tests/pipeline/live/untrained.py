@@ -26,7 +26,7 @@ def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings
     write: Callable[..., None] = WRITERS.get(spatial, artefacts.write_graphs)
     artefacts.write_dataset(folder, DRIVES, frames=12, points=40, write=write, ahead_m=EDGES_M)
     for drive in DRIVES:
-        artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", "visual", WAVE)
+        artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", WAVE)
     line = {"input": "semantic", "spatial": spatial, "temporal": temporal, "window": WINDOW, "features": 8}
     line |= {"equivariant": False, "motion": "none", "horizon": 0, "learning_rate": None, "alpha": 0.0}
     line |= {"fit_to": "train", "roads": None}

@@ -16,7 +16,7 @@ DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
 def read_batch(folder: Path, spans: Sequence[windows.Span]) -> Arrays:
     """Add visual motion to the drives in `folder`, and return one batch of windows of 8 frames."""
     for name in DRIVES:
-        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.4, 12))
+        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 12))
     drives = read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion="visual")
     (batch,) = windows.batches(drives, [spans], 8)
     return batch

@@ -18,7 +18,7 @@ from tests.pipeline.train.shared import DRIVES
 def drives(tmp_path: Path) -> list[LabelledDrive]:
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, scale in zip(DRIVES, (0.2, -0.3), strict=True):
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", scale * np.sin(np.arange(40) / 5))
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", scale * np.sin(np.arange(40) / 5))
     folders = tmp_path / "graphs/semantic", tmp_path / "labels"
     return read_drives(*folders, list(DRIVES), 4, motion="visual", predict="path")
 

@@ -76,9 +76,9 @@ def test_output_zero_is_the_base_angle(tmp_path: Path, base: str) -> None:
     artefacts.write_graphs(drive, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
     model = predict.load(write_model(tmp_path / "net", motion="visual", base=base, horizon=3), "cpu")
     assert model.entry.horizon == 3
-    with graph_file.open_graphs(drive) as graphs, pytest.raises(InputError, match=r"no motion of kind visual"):
+    with graph_file.open_graphs(drive) as graphs, pytest.raises(InputError, match="no measured motion"):
         model.predict(graphs)
-    artefacts.add_motion(drive, "visual", STEERING)
+    artefacts.add_motion(drive, STEERING)
     with torch.no_grad():
         for weights in model.net.parameters():
             weights.zero_()
@@ -122,15 +122,15 @@ def test_target_is_the_scale_of_the_residual(tmp_path: Path) -> None:
     artefacts.write_dataset(tmp_path, {name: "train"}, frames=40, points=12)
     graphs, labels = tmp_path / "graphs/semantic", tmp_path / "labels"
     (plain,) = read_drives(graphs, labels, [name], WINDOW, horizon=5)
-    artefacts.add_motion(graphs / f"{name}.h5", "lidar", np.full(40, 0.05))
-    (drive,) = read_drives(graphs, labels, [name], WINDOW, horizon=5, motion="lidar")
+    artefacts.add_motion(graphs / f"{name}.h5", np.full(40, 0.05))
+    (drive,) = read_drives(graphs, labels, [name], WINDOW, horizon=5, motion="visual")
     drive.valid[:10] = False
     target = predict.Target.from_drives([drive])
     assert target.mean_rad == pytest.approx(plain.steering_rad[10:35].mean())
     assert target.std_rad == pytest.approx(plain.steering_rad[10:35].std())  # a constant base does not change it
     assert (target.wheelbase_m, target.min_speed_mps) == (2.7, 1.0)
-    held, steering = drive.measured_rad["lidar"][10:35], plain.steering_rad[10:35]
-    assert target.coefficients == {"lidar": pytest.approx(held @ steering / (held @ held))}
+    held, steering = drive.measured_rad["visual"][10:35], plain.steering_rad[10:35]
+    assert target.coefficients == {"visual": pytest.approx(held @ steering / (held @ held))}
     drive.base_rad[:] = np.nan_to_num(drive.steering_rad) - 0.02
     assert predict.Target.from_drives([drive]).std_rad == pytest.approx(1e-6)
 

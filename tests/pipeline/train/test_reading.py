@@ -102,7 +102,7 @@ def test_predictions_are_the_same_with_each_reader(drives: list[LabelledDrive], 
 def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[LabelledDrive], tmp_path: Path) -> None:
     names = [drive.name for drive in drives]
     for name in names:
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", "visual", np.full(30, 0.2))
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", np.full(30, 0.2))
     folders = tmp_path / "graphs/semantic", tmp_path / "labels"
     moving = read_drives(*folders, names, 4, horizon=5, motion="visual")
     runs = windows.Span(0, 2, 11), windows.Span(1, 4, 13)

@@ -138,7 +138,7 @@ def test_motion_and_base_angle_of_a_batch(folder: Path) -> None:
     for name in DRIVES:
         with store.DriveReader(folder / f"labels/{name}.h5", stage="labels") as truth:
             moved = np.arange(23) != 5
-            artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", truth["steering_rad"], moved)
+            artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", truth["steering_rad"], moved)
     without = _read(folder)
     drives = read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), 8, motion="visual")
     held = np.where(moved, drives[0].steering_rad, drives[0].steering_rad[4])
@@ -171,9 +171,10 @@ def test_a_stream_has_the_windows_of_the_file(folder: Path, base: str) -> None:
     valid = (np.arange(22) > 2) & (np.arange(22) < 7)
     rng = np.random.default_rng(0)
     artefacts.write_graphs(folder / f"graphs/semantic/{name}.h5", name, np.zeros(22), frame, 12, rng)
-    artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", "visual", np.linspace(-0.3, 0.2, 22), valid)
+    artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.2, 22), valid)
     with open_graphs(folder / f"graphs/semantic/{name}.h5") as graphs:
-        car, motion = label.Car(artefacts.WHEELBASE_M, 1.0), graphs.motion("visual")
+        car, motion = label.Car(artefacts.WHEELBASE_M, 1.0), graphs.motion
+        assert motion
         timeline = Timeline.read(graphs, "visual", car, base)
         stream, ends = windows.Stream(3, car, base), []
         for row, number in enumerate(graphs.frame.tolist()):

@@ -11,16 +11,15 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame, read_camera
 from pipeline.camera.images import to_metres
 
-LIDAR = "lidar"  # the kind of motion and of clouds that is made from scans; other kinds are made from images
-
 
 class DriveFrames:
-    """The frames of a drive that have an image, or those that have a scan."""
+    """The frames of a drive that have an image, or with `scans` those that have a scan."""
 
-    def __init__(self, ingest: DriveReader, perception: DriveReader, kind: str) -> None:
+    def __init__(self, ingest: DriveReader, perception: DriveReader, *, scans: bool) -> None:
         self._ingest, self._perception = ingest, perception
-        self._scan_rows = np.flatnonzero(ingest["has_lidar"]) if kind == LIDAR else None
+        self._scan_rows = np.flatnonzero(ingest["has_lidar"]) if scans else None
         source, rows = (perception, slice(None)) if self._scan_rows is None else (ingest, self._scan_rows)
+        self.drive, self.params = ingest.drive, perception.params
         self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
         self.time_s = source.time_s[rows]  # float64 [F]
         self.camera = read_camera(ingest, float(perception.attrs["camera_height_m"]))
@@ -42,10 +41,7 @@ class DriveFrames:
 
 
 @contextmanager
-def open_frames(ingest: Path, perception: Path, drive: str, kind: str) -> Iterator[DriveFrames]:
-    """Open the frames of a drive from the folders of stages ingest and perception."""
-    with (
-        DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
-        DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
-    ):
-        yield DriveFrames(raw, perceived, kind)
+def open_frames(ingest: Path, perception: Path, *, scans: bool = False) -> Iterator[DriveFrames]:
+    """Open the frames of a drive from its files of stages ingest and perception."""
+    with DriveReader(ingest, stage="ingest") as raw, DriveReader(perception, stage="perception") as perceived:
+        yield DriveFrames(raw, perceived, scans=scans)

@@ -1,0 +1,69 @@
+"""Measure the motion of a drive: data/motion/<drive>.h5."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.runner import Summary
+from pipeline.base.store import DriveWriter
+from pipeline.camera.drive_frames import open_frames
+from pipeline.motion.speed import LEAST_NOISE, filter_speed
+from pipeline.motion.step import StepClock, rates
+from pipeline.motion.visual import PROBLEMS, Odometry
+
+UNITS = {
+    "yaw_rate_radps": "rad/s, left positive",
+    "speed_mps": "m/s, forward positive",
+    "inliers": "",
+    "residual": "px",
+    "scale": "depth was multiplied by it",
+    "T_before": "m",
+    "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
+    "problem": f"0 = measured; {', '.join(f'{code} = {text}' for code, text in enumerate(PROBLEMS) if code)}",
+}
+
+
+def measure_drive(path: Path, ingest: Path, perception: Path, *, road_scale: bool = True) -> Summary:
+    """Write the motion of each frame with an image since the previous frame, by visual odometry.
+
+    All values are causal: they depend on a frame and earlier ones only. Where motion is not measured, ``valid`` and the
+    rates are 0, and ``problem`` is the reason.
+
+    Args:
+        path: of the new file.
+        ingest, perception: the drive's files of these stages.
+        road_scale: scale depth so that the camera has its known height over the road.
+    """
+    with (
+        open_frames(ingest, perception) as frames,
+        DriveWriter(path, stage="motion", drive=frames.drive, params=frames.params) as file,
+    ):
+        count, odometry, clock = len(frames.frame), Odometry(frames.camera, road_scale=road_scale), StepClock()
+        columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
+        columns |= {
+            "scale": np.ones(count, np.float32),
+            "T_before": np.tile(np.eye(4, dtype=np.float32), (count, 1, 1)),
+        }
+        columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
+        for row, frame in enumerate(frames):
+            step, duration_s = odometry.step(frame), clock.duration(frame.number, frame.time_s)
+            values = {"problem": PROBLEMS.index(odometry.problem), "road_height_m": odometry.road.frame_height_m}
+            if step:
+                values |= dict(zip(("yaw_rate_radps", "speed_mps"), rates(step.T_before, duration_s), strict=True))
+                values |= step._asdict()
+            for name, value in values.items():
+                columns[name][row] = value
+        valid, road = columns["problem"] == 0, columns["road_height_m"] > 0
+        filtered_mps, sigma = np.zeros((2, count), np.float32)
+        measured = frames.time_s[valid], columns["speed_mps"][valid], road[valid]
+        filtered_mps[valid], sigma[valid] = filter_speed(*measured, np.full(valid.sum(), LEAST_NOISE))
+
+        file.attrs |= {"slope": odometry.road.slope, "focal": odometry.focal}
+        file.put("frame", frames.frame)
+        file.put("time_s", frames.time_s, "s")
+        file.put("valid", valid.astype(np.uint8))
+        for name, unit in UNITS.items():
+            file.put(name, columns[name], unit)
+        file.put("filtered_mps", filtered_mps, "m/s, speed_mps after a causal filter of the error of depth's scale")
+        file.put("speed_sigma", sigma, "relative standard deviation of filtered_mps")
+    return {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum())}

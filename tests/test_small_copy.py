@@ -51,14 +51,14 @@ def test_a_network_is_added_by_a_file_and_its_edit_trains_its_models_alone(chain
     file.write_text(network)
     assert scratch.changed(folder) == {"check"}, "only check depends on all of models/"
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
-    mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "scale_m": 5.0}
+    mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "scale_m": 5.0, "semantics": 1.0}
     scratch.edit_params(folder, models=models | {"mine": mine})
     assert scratch.stages_run(scratch.run(folder, "dvc", "repro", "train@mine", "evaluate@mine")) == [
         "train@mine", "evaluate@mine",
     ]  # fmt: skip
     own = {"check", "train@mine", "evaluate@mine"}
     assert not own & scratch.changed(folder) - {"check"}
-    file.write_text(network.replace("10.0", "9.0"))
+    file.write_text(network.replace("0.5", "0.4"))
     assert own <= scratch.changed(folder)
     assert f"train@{MODEL}" not in scratch.changed(folder)
 

@@ -37,7 +37,7 @@ _MOST_JSON_BYTES = 256 * MiB
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, MemoryError)
 _CHUNK_ROWS = 32768  # of ragged data
 _CHECKED_ROWS = 1024  # of uncompressed data, under one checksum
-# A checksum, as Blosc2 does not detect a changed bit. Sizes and speeds of the alternatives: docs/files.md.
+# A checksum, as Blosc2 does not detect a changed bit. Sizes and speeds of the alternatives: docs/log.md.
 _POINTS = {**hdf5plugin.Blosc2(cname="lz4", filters=hdf5plugin.Blosc2.BITSHUFFLE), "fletcher32": True}
 _PIXELS = {**hdf5plugin.Blosc2(cname="zstd", clevel=1, filters=hdf5plugin.Blosc2.SHUFFLE), "fletcher32": True}
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file

@@ -127,7 +127,7 @@ class Encoder(Section):
     @model_validator(mode="after")
     def _has_weights(self) -> Self:
         if self.backbone == PRECOMPUTED and not (self.weights and self.weights.checkpoint):
-            raise ValueError(f"backbone: {PRECOMPUTED} needs a folder of PNG files in weights, see docs/backbones.md")
+            raise ValueError(f"backbone: {PRECOMPUTED} needs a folder of PNG files in weights, see docs/models.md")
         if self.weights is None and self.epochs == 0:
             raise ValueError("epochs: 0 needs fitted weights: name a checkpoint in weights, or set epochs")
         if self.frozen and not (self.weights and self.weights.has("backbone")):

@@ -25,7 +25,7 @@ from pipeline.train.path_target import PathTarget
 from pipeline.train.runs import Run
 
 SMALL = 8_000  # points per frame
-# Estimated GPU memory of a training step, from the upper bounds in docs/scale.md.
+# Estimated GPU memory of a training step, from the upper bounds in docs/running.md.
 GPU_BYTES_PER_NETWORK = 10**9  # context, libraries, weights
 GPU_BYTES_PER_POINT = 3_200
 POINTS_OF_AN_IMAGE = 45_000

@@ -17,7 +17,7 @@ from models.steering.core.batch import GraphBatch
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
-from models.steering.spatial.gnn import GCN, GCNLayer
+from models.steering.spatial.gnn import GCN, GCNLayer, Options
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 
@@ -34,7 +34,7 @@ def gcn(street: Street, csr: bool) -> Row:
 
     The CSR matrix is made once and is not timed.
     """
-    batch, net = street.batch(GCN_FRAMES), GCN(1).to(DEVICE)
+    batch, net = street.batch(GCN_FRAMES), GCN(1, Options(semantics=0.0)).to(DEVICE)
     layers, matrix = pyg_layers(net), sparse(batch) if csr else None
     return compare(
         milliseconds(lambda: _backward(net.pooled(batch, 1)), GCN_FRAMES),
@@ -150,7 +150,7 @@ class NaiveNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        ours = GCN(FEATURES)
+        ours = GCN(FEATURES, Options(semantics=1.0))
         self.layers, self.read_out = pyg_layers(ours, normalize=True), ours.read_out
         self.temporal = ncps_ltc()
 

@@ -1,12 +1,11 @@
 """Section ``models``: the networks, one entry each."""
 
-from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, ModelWrapValidatorHandler, create_model, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from pipeline.base.errors import closest
-from pipeline.base.params import Count, Rate, Section
+from pipeline.base.errors import InputError, closest
+from pipeline.base.params import Count, Rate, Section, parse
 
 if TYPE_CHECKING:
     from models.steering.core.options import NetworkOptions
@@ -18,14 +17,16 @@ FRAMES = {"graph": "kNN graphs", "pointnet2": "points with neighbourhood: pointn
 class Entry(Section):
     """One entry of ``models``: a spatial and a temporal network on a graph variant.
 
-    Validation returns an instance of a subclass that also has the options of both networks, which are the fields of
-    class Options in models/steering/spatial/<spatial>.py and models/steering/temporal/<temporal>.py.
+    Further keys are options of the two networks: the fields of class Options in models/steering/spatial/<spatial>.py
+    and models/steering/temporal/<temporal>.py. A validated entry has them all.
     """
 
+    model_config = ConfigDict(extra="allow")
+    # No defaults: dvc.yaml takes these three from params.yaml.
     input: str
     spatial: str
     temporal: str
-    window: Annotated[int, Field(ge=1, le=256, description="frames per prediction")]
+    window: Annotated[int, Field(ge=1, le=256, description="frames per prediction")] = 8
     equivariant: Annotated[bool, Field(description="make the output odd under left-right mirroring")] = False
     learning_rate: Annotated[Rate | None, Field(description="overrides train.learning_rate")] = None
     alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
@@ -76,23 +77,30 @@ class Entry(Section):
                     raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
         return self
 
-    @model_validator(mode="wrap")
+    @model_validator(mode="before")
     @classmethod
-    def _add_options(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> "Entry":
-        if cls is not Entry or not isinstance(value, dict):
-            return handler(value)
-        spatial, temporal = value.get("spatial"), value.get("temporal")
-        if isinstance(spatial, str) and isinstance(temporal, str):
-            entry_class = _entry_class(spatial, temporal)
-            for key in value:
-                if key not in entry_class.model_fields:
-                    hint = closest(str(key), [*entry_class.model_fields])
-                    raise ValueError(f"unknown key {key!r} for spatial = {spatial}, temporal = {temporal}: {hint}")
-            return entry_class.model_validate(value)
-        return handler({key: value[key] for key in cls.model_fields if key in value})  # raises: one is missing
-
-    def __reduce__(self) -> Any:
-        return Entry.model_validate, (self.model_dump(),)  # a class made at run time cannot be pickled
+    def _add_options(cls, value: Any) -> Any:
+        """Add the defaults of the networks' options. Raises ValueError for a wrong key or value."""
+        if not isinstance(value, dict) or not {"spatial", "temporal"} <= value.keys():
+            return value
+        networks = _networks(value["spatial"], value["temporal"])
+        known = [*cls.model_fields, *(name for network in networks for name in network.model_fields)]
+        for key in value:
+            if key not in known:
+                where = f"spatial = {value['spatial']}, temporal = {value['temporal']}"
+                raise ValueError(f"unknown key {key!r} for {where}: {closest(str(key), known)}")
+        complete = dict(value)
+        for network in networks:
+            for name, field in network.model_fields.items():
+                if field.is_required() and name not in value:
+                    raise ValueError(f"{name} is missing: {field.description}")
+            given = {name: value[name] for name in network.model_fields if name in value}
+            try:
+                options = parse(network, given, "")  # type: ignore[type-var]
+            except InputError as error:
+                raise ValueError(f"{error.where}: {error.problem}") from error
+            complete |= options.model_dump()
+        return complete
 
     @property
     def reading(self) -> dict[str, Any]:
@@ -114,7 +122,7 @@ class Entry(Section):
 
         spatial, temporal = (
             network.model_validate({name: getattr(self, name) for name in network.model_fields})
-            for network in _options(self.spatial, self.temporal)
+            for network in _networks(self.spatial, self.temporal)
         )
         expected = spatial.kind
         if expected != kind:
@@ -131,24 +139,7 @@ class Entry(Section):
         )
 
 
-def _options(spatial: str, temporal: str) -> "tuple[type[NetworkOptions], type[NetworkOptions]]":
+def _networks(spatial: str, temporal: str) -> "tuple[type[NetworkOptions], type[NetworkOptions]]":
     from models.steering.core import options  # imports torch
 
     return options.load("spatial", spatial), options.load("temporal", temporal)
-
-
-@cache
-def _entry_class(spatial: str, temporal: str) -> type[Entry]:
-    """Return the class of entries with the options of two networks.
-
-    Raises ValueError if a network does not exist, or an option is defined twice.
-    """
-    networks = _options(spatial, temporal)
-    names = [*Entry.model_fields, *(name for network in networks for name in network.model_fields)]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise ValueError(
-            f"{twice[0]} is defined twice for spatial = {spatial}, temporal = {temporal}: rename it in a network's file"
-        )
-    bases: Any = (Entry, *networks)
-    entry_class: type[Entry] = create_model("Entry", __base__=bases)
-    return entry_class

@@ -17,7 +17,7 @@ FIT = {"epochs": 1, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 
 def changed(where: str, value: Any, name: str = "table2") -> dict[str, Any]:
     """Return the content of params.yaml with a preset, and one value changed or added."""
-    content = preset.merged(name)
+    content = yaml.safe_load(preset.text(name))
     *path, key = where.split(".")
     section = content
     for part in path:
@@ -40,7 +40,7 @@ def test_the_projects_own_files_are_valid(
     monkeypatch.setattr(weights, "fetch", None)
     (tmp_path / "weights").mkdir()
     (tmp_path / "models").symlink_to(ROOT / "models")
-    content = preset.merged(name) if name else yaml.safe_load((ROOT / "params.yaml").read_text())
+    content = yaml.safe_load(preset.text(name)) if name else yaml.safe_load((ROOT / "params.yaml").read_text())
     published = content["encoder"].get("weights")
     for file in published.values() if isinstance(published, dict) else ():
         if isinstance(file, str):  # without a hash, it is not downloaded
@@ -52,7 +52,7 @@ def test_the_projects_own_files_are_valid(
 def test_weights_that_cannot_be_downloaded_are_reported_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"encoder\.weights: depth_head: weights/.*head\.pth") as raised:
-        run(tmp_path, preset.merged("kitti"))
+        run(tmp_path, yaml.safe_load(preset.text("kitti")))
     assert "curl" in raised.value.fix
 
 
@@ -62,7 +62,7 @@ def test_a_variant_that_no_model_uses_is_noted(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None:
-    own, table2 = yaml.safe_load((ROOT / "params.yaml").read_text()), preset.merged("table2")
+    own, table2 = yaml.safe_load((ROOT / "params.yaml").read_text()), yaml.safe_load(preset.text("table2"))
     assert {key for key in own if own[key] != table2[key]} == {"graphs", "models", "train"}
     assert own["graphs"].items() <= table2["graphs"].items()
     assert own["models"].items() <= table2["models"].items()
@@ -111,6 +111,11 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.gnn-ncp.spatial", "cnn", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
+        (
+            MODEL,
+            {"input": "semantic", "spatial": "gnn", "temporal": "lstm"},
+            "semantics is missing: weight of the classes",
+        ),
         ("encoder.backbone", "smal", r"'smal'.*did you mean small"),
         ("encoder", {"backbone": "precomputed", "weights": {"backbone": "pngs"}, **FIT}, "folder of PNG files"),
         ("encoder.weights", "n" * 300 + ".pt", "too long"),

@@ -12,11 +12,11 @@ TEST = "2026_01_03_drive_0001"
 MODELS = {
     "points": {
         "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual",
-        "uncertainty": True,
+        "uncertainty": True, "semantics": 0.0,
     },
     "scans": {
         "input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "visual", "base": "none",
-        "horizon": 2,
+        "horizon": 2, "semantics": 0.0,
     },
     "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},
     "path": {

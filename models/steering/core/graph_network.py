@@ -14,7 +14,7 @@ from models.steering.core.features import (
     node_features,
     sector_max_pool,
 )
-from models.steering.core.options import Fraction, NetworkOptions, Widths
+from models.steering.core.options import NetworkOptions, Semantics, Widths
 
 
 def _zero_or_odd(sectors: int) -> int:
@@ -28,7 +28,7 @@ class GraphOptions(NetworkOptions):
 
     kind: ClassVar[FrameKind] = "graph"
     layers: Widths = (32, 32, 64)
-    semantics: Fraction = 0.0  # λ of paper eq. 7, weight of the classes; 0: geometry alone
+    semantics: Semantics
     sectors: Annotated[int, Field(ge=0, le=63), AfterValidator(_zero_or_odd)] = (
         0  # sectors of bearing with a maximum of their own
     )
@@ -45,7 +45,7 @@ class GraphNetwork(nn.Module):
 
     signs: Tensor
 
-    def __init__(self, layer: type[nn.Module], features: int, options: GraphOptions = GraphOptions()) -> None:
+    def __init__(self, layer: type[nn.Module], features: int, options: GraphOptions) -> None:
         super().__init__()
         self.semantics, self.sectors, widths = options.semantics, options.sectors, options.layers
         self.layers = nn.ModuleList(

@@ -14,6 +14,7 @@ Part = Literal["spatial", "temporal"]
 Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Semantics = Annotated[Fraction, Field(description="weight of the classes, paper eq. 7; 0: geometry alone")]
 Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
 """Channels after each layer."""
 

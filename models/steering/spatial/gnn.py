@@ -38,7 +38,7 @@ class GCN(GraphNetwork):
     With sectors, on a GPU and in mixed precision it runs layer by layer, as the other networks on graphs.
     """
 
-    def __init__(self, features: int, options: GraphOptions = GraphOptions()) -> None:
+    def __init__(self, features: int, options: GraphOptions) -> None:
         super().__init__(GCNLayer, features, options)
 
     def pooled(self, batch: GraphBatch, versions: int) -> Tensor:

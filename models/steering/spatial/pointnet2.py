@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from models.steering.core.batch import FrameKind, SetBatch
 from models.steering.core.features import NODE_FEATURES, max_pool, node_features
-from models.steering.core.options import Fraction, NetworkOptions, Sizes
+from models.steering.core.options import NetworkOptions, Semantics, Sizes
 
 OFFSET_M = 10.0  # scale of a neighbour's offset: balls on a street are 8 to 16 m wide
 
@@ -49,7 +49,7 @@ class Options(NetworkOptions):
 
     kind: ClassVar[FrameKind] = "pointnet2"
     width: Annotated[float, Field(gt=0, le=4)] = 1.0  # factor on the reference's channels
-    semantics: Fraction = 0.0  # λ of paper eq. 7, weight of the classes; 0: geometry alone
+    semantics: Semantics
 
     def build(self, sizes: Sizes) -> nn.Module:
         return PointNet2(sizes.features, sizes.levels, self)
@@ -66,7 +66,7 @@ class PointNet2(nn.Module):
         levels: set abstractions before the one over the complete frame; equal to the variant's levels.
     """
 
-    def __init__(self, features: int, levels: int, options: Options = Options()) -> None:
+    def __init__(self, features: int, levels: int, options: Options) -> None:
         super().__init__()
         self.semantics = options.semantics
         base = [max(1, round(options.width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …

@@ -62,7 +62,7 @@ def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
 
 def test_a_star_removes_all_earlier_entries(tmp_path: Path) -> None:
     """An entry of the same name does not inherit their settings."""
-    model = "{input: semantic, spatial: gnn, temporal: lstm, window: 4}"
+    model = "{input: semantic, spatial: gnn, temporal: lstm, semantics: 0.5}"
     first = written(tmp_path, f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
     assert preset.merged(first)["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
 

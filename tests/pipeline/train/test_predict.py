@@ -25,7 +25,8 @@ def write_model(folder: Path, contents: dict[str, Any] | None = None, **line: ob
     """Write a best.pt with random weights."""
     torch.manual_seed(0)
     general = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": 8}
-    entry, contents = Entry.model_validate(general | line), contents or {"kind": "graph"}
+    options = {} if "spatial" in line else {"semantics": 0.0}
+    entry, contents = Entry.model_validate(general | options | line), contents or {"kind": "graph"}
     target = {"mean_rad": 0.01, "std_rad": 0.12, "wheelbase_m": 2.7, "min_speed_mps": 1.0}
     net = entry.build(**contents).state_dict()
     best = {"name": "net", "seed": 0, "fold": None, "contents": contents, "target": target}

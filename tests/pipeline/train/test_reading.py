@@ -89,7 +89,9 @@ def test_shared_memory_limits_the_processes(
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_predictions_are_the_same_with_each_reader(drives: list[LabelledDrive], workers: int) -> None:
     torch.manual_seed(0)
-    entry = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 4})
+    entry = Entry.model_validate(
+        {"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 4, "semantics": 0.0}
+    )
     net, target = entry.build("graph"), predict.Target.from_drives(drives)
     (expected,) = predict.predict_drives(net, drives[1:], 4, target)
     with Reader(drives, 4, torch.device("cpu"), workers=workers) as reader:

@@ -47,7 +47,9 @@ def test_the_dataset_of_the_documentation(original: Path) -> None:
     dataset = names["Windows"](original / "graphs/semantic", original / "labels", list(DRIVES))
     batches = list(DataLoader(dataset, batch_size=None))
     assert len(batches) == len(dataset) == 2 * (23 - 7)
-    net = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 8}).build("graph")
+    net = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 0.0}).build(
+        "graph"
+    )
     for batch in batches:
         assert batch["ptr"].shape == (9,)
         assert batch["dt_s"].shape == (1, 8)

@@ -109,7 +109,7 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
         (f"{MODEL}.equivarient", True, "equivarient"),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
-        ("models.gnn-ncp.spatial", "cnn", "spatial.*cnn.*expects images"),
+        ("models.motion-10-blind.spatial", "cnn", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
         (
             MODEL,

@@ -40,7 +40,7 @@ def frames(make_batch, make_sets):
 
 
 def test_a_wrong_number_of_features_is_named_with_the_network(make_batch, dt_s):
-    net = build_any({"input": "x", "spatial": "gnn", "temporal": "lstm", "window": 4})
+    net = build_any({"input": "x", "spatial": "gnn", "temporal": "lstm", "semantics": 0.0})
     net.spatial = torch.nn.Sequential(net.spatial, torch.nn.Linear(32, 20))
     expected = (
         r"models/steering/spatial/gnn\.py: the spatial network returns \[6, 20\] for 6 frames, expected \[6, 32\]"

@@ -16,7 +16,7 @@ with warnings.catch_warnings():
 from benchmarks import bench, networks
 from benchmarks import street as measuring
 from benchmarks.street import FRAMES, Street, recorded
-from models.steering.spatial.gnn import GCN
+from models.steering.spatial.gnn import GCN, Options
 from pipeline.base.errors import InputError
 
 POINTS = 150
@@ -75,7 +75,7 @@ def test_frames_saved_for_pyg_hold_the_same_graph(street: Street, tmp_path: Path
 @pytest.mark.parametrize("csr", [False, True])
 def test_pyg_layers_compute_the_same(street: Street, csr: bool) -> None:
     torch.manual_seed(0)
-    net, batch = GCN(1), street.batch(3)
+    net, batch = GCN(1, Options(semantics=0.0)), street.batch(3)
     graph = (networks.sparse(batch),) if csr else networks.normalised(batch)
     expected = networks.pooled(networks.pyg_layers(net), graph, batch)
     torch.testing.assert_close(net.pooled(batch, 1)[:, 0], expected, rtol=1e-4, atol=1e-5)

@@ -1,6 +1,5 @@
 """Scratch copies of the project, a small chain in one, and DVC run there as a user runs it."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -78,11 +77,6 @@ def code_block(part: str) -> str:
     raise LookupError(f"no code block of README.md or docs/ contains {part!r}")
 
 
-def lidar_variant(points: int) -> dict[str, Any]:
-    """Return a graph variant on scans, which params.yaml has only as a comment."""
-    return {"source": "clouds/lidar", "points": points, "k": 6, "crop_m": [-15, -10, 15, 30]}
-
-
 def small_chain(folder: Path) -> Path:
     """Run the complete chain in a scratch copy with four short drives; its output goes to ``chain.log``."""
     copy(folder)
@@ -94,7 +88,10 @@ def small_chain(folder: Path) -> Path:
         ingest=params["ingest"] | {"image_size": [64, 208], "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
         encoder=params["encoder"] | {"weights": None, "epochs": 2, "frames": 24},
         clouds=params["clouds"] | {"max_points": 3000},
-        graphs={"semantic": params["graphs"]["semantic"] | {"points": 200}, "lidar": lidar_variant(200)},
+        graphs={
+            "semantic": params["graphs"]["semantic"] | {"points": 200},
+            "lidar": {"source": "clouds/lidar", "points": 200, "k": 6},
+        },
         train=params["train"] | {"epochs": 3, "seeds": [0]},
         evaluate=params["evaluate"] | {"bootstrap_samples": 200},
     )
@@ -112,8 +109,3 @@ def edit_params(folder: Path, **sections: Any) -> None:
     """Replace sections of a scratch copy's params.yaml, in the format of DVC's own edits."""
     with modify_yaml(str(folder / "params.yaml")) as params:
         params.update(sections)
-
-
-def changed(folder: Path) -> set[str]:
-    """Return the stages with deps or params that differ from dvc.lock, by `dvc status`."""
-    return set(json.loads(run(folder, "dvc", "status", "--json")))

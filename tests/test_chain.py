@@ -1,24 +1,32 @@
 """The complete chain as a user runs it, by `dvc repro` in a scratch copy."""
 
+import csv
 import json
+import re
 from pathlib import Path
 
-import h5py
 import pytest
 import yaml
+from dvc.repo import Repo
 
-from pipeline.base import store
 from tests import scratch
 from tests.scratch import MODEL, STAGES
 
 pytestmark = pytest.mark.slow
+NETWORK = [f"train@{MODEL}", f"evaluate@{MODEL}"]
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small chain that has run to its end; tests read it, or work in a copy."""
+    return scratch.small_chain(tmp_path_factory.mktemp("chain") / "chain")
 
 
 def test_every_stage_runs_once_in_order(chain: Path) -> None:
     ran = [name.split("@")[0] for name in scratch.stages_run((chain / "chain.log").read_text())]
     assert ran.count("graphs") == 2
     assert tuple(name for name in dict.fromkeys(ran) if name in STAGES) == STAGES
-    assert set(STAGES) == {path.name for path in (chain / "data").iterdir() if path.is_dir()} - {".resume"}
+    assert set(STAGES) == {path.name for path in (chain / "data").iterdir() if path.is_dir()} - {".drives", ".resume"}
 
 
 def test_the_table_has_the_numbers_of_evaluate_and_scores(chain: Path) -> None:
@@ -29,13 +37,64 @@ def test_the_table_has_the_numbers_of_evaluate_and_scores(chain: Path) -> None:
     assert f"{accuracy:.3f}" in table
 
 
+def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(
+    chain: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(chain)
+    drive, frames, names = "2026_01_03_drive_0001", [7, 8, 12], dict[str, list[float]]()
+    snippet = scratch.code_block("predict.load(").removeprefix("python\n")
+    assert len([line for line in snippet.splitlines() if line]) <= 6
+    exec(re.sub(r"\d{4}_\d\d_\d\d_drive_\d{4}", drive, re.sub(r"\[\d+(, \d+)*\]", str(frames), snippet)), names)
+    with Path(f"data/evaluate/{MODEL}/predictions.csv").open() as file:
+        rows = {(row["drive"], int(row["frame"])): row["predicted_rad"] for row in csv.DictReader(file)}
+    expected = [float(rows[drive, frame]) for frame in frames]
+    assert list(names["steering_rad"]) == pytest.approx(expected, abs=1e-6)
+
+
+EDITS: list[tuple[str, set[str]]] = [  # a file or a setting, and the stages that run again
+    ("pipeline/train/__pycache__/fit.cpython-311.pyc", set()),  # what an editor or Python leaves
+    ("pipeline/train/.fit.py.swp", set()),
+    ("stages/labels.py~", set()),
+    ("pipeline/train/fit.py", {"check", *NETWORK}),
+    ("pipeline/settings/train.py", {"check", NETWORK[0]}),
+    ("train.epochs", {"check", NETWORK[0]}),
+    ("models/steering/spatial/gnn.py", {"check", *NETWORK}),
+    ("models/steering/spatial/polar.py", {"check"}),
+    ("pipeline/motion/pose.py", {"check", "motion"}),
+    ("labels.max_stand_s", {"check", "labels"}),
+    ("stages/report.py", {"report"}),
+]
+
+
+def test_an_edit_reruns_what_dvc_yaml_promises(chain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stages with changed deps or params; DVC runs those after them only if their inputs differ."""
+    folder = scratch.duplicate(chain, tmp_path / "copy")
+    monkeypatch.chdir(folder)  # DVC names stages relative to it
+    for name, expected in EDITS:
+        path = folder / (name if "/" in name else "params.yaml")
+        before = path.read_text() if path.exists() else None
+        path.parent.mkdir(exist_ok=True)
+        if "/" in name:
+            path.write_text((before or "") + "\n# an edit\n")
+        else:
+            section, key = name.split(".")
+            params = yaml.safe_load(before or "")
+            scratch.edit_params(folder, **{section: params[section] | {key: params[section][key] + 1}})
+        with Repo() as repo:
+            assert set(repo.status()) == expected, name
+        path.write_text(before) if before else path.unlink()
+
+
 def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) -> None:
     folder = scratch.duplicate(chain, tmp_path / "copy")
-    output = scratch.run(folder, "dvc", "repro")
-    assert scratch.stages_run(output) == []
     params = (folder / "params.yaml").read_text()
     (folder / "params.yaml").write_text(params.replace("input: semantic", "input: semantc"))
     check_refused(scratch.run(folder, "dvc", "repro", check=False), f"models.{MODEL}: input", "semantc")
+    name = "x';touch pwned;'$(touch pwned)\"`touch pwned`"
+    (folder / "params.yaml").write_text(params)
+    scratch.edit_params(folder, graphs={name: {"source": "clouds/pseudo", "points": 100, "k": 6}})
+    check_refused(scratch.run(folder, "dvc", "repro", "--single-item", "graphs", check=False), "graphs: name")
+    assert not (folder / "pwned").exists()
     (folder / "params.yaml").write_text(params)
 
     scan = sorted((folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
@@ -47,39 +106,49 @@ def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) 
     assert scratch.outputs(folder, *STAGES) == scratch.outputs(chain, *STAGES)
 
 
-def test_one_word_changes_the_source_of_labels_which_then_need_no_oxts(chain: Path, tmp_path: Path) -> None:
-    folder = scratch.duplicate(chain, tmp_path / "copy")
-    params = yaml.safe_load((folder / "params.yaml").read_text())
-    scratch.edit_params(folder, labels=params["labels"] | {"source": "visual"})
-    assert scratch.changed(folder) == {"check", "labels"}
-    drives = store.read_index(folder / "data/ingest", stage="ingest")
-    for drive in drives:
-        with h5py.File(folder / f"data/ingest/{drive}.h5", "a") as file:
-            del file["oxts"]
-    for stage in ("labels", "scores"):
-        scratch.run(folder, "python", "-m", f"stages.{stage}")
-    for drive in drives:
-        with store.DriveReader(folder / f"data/labels/{drive}.h5", stage="labels") as labels:
-            assert labels.params["labels"]["source"] == "visual"
-    assert json.loads((folder / "data/scores/metrics.json").read_text())["motion"] == {}
-
-
 def check_refused(output: str, *parts: str) -> None:
     (line,) = (line for line in output.splitlines() if line.startswith("error: "))
     assert all(part in line for part in parts), line
     assert "Traceback" not in output
 
 
-def check_same_bytes(chain: Path, folder: Path, workers: dict[str, int]) -> None:
-    """Run stages again, by hand, with numbers of workers; their outputs must be those of one worker."""
-    scratch.duplicate(chain, folder)
-    for stage, number in workers.items():
+def test_bytes_do_not_depend_on_workers(chain: Path, tmp_path: Path) -> None:
+    """The chain ran with one."""
+    folder = scratch.duplicate(chain, tmp_path / "copy")
+    stages = {"sample": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs": 2}
+    for stage, number in stages.items():
         for entry in yaml.safe_load((folder / "params.yaml").read_text())["graphs"] if stage == "graphs" else [""]:
             command = [f"STEER_WORKERS={number}", "python", "-m", f"stages.{stage}", *([entry] if entry else [])]
             scratch.run(folder, "env", *command)
-    assert scratch.outputs(folder, *workers) == scratch.outputs(chain, *workers)
+    assert scratch.outputs(folder, *stages) == scratch.outputs(chain, *stages)
 
 
-def test_bytes_do_not_depend_on_workers(chain: Path, tmp_path: Path) -> None:
-    """The chain ran with one."""
-    check_same_bytes(chain, tmp_path / "copy", {"sample": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs": 2})
+def test_a_network_is_added_by_a_file_and_trained_alone(chain: Path, tmp_path: Path) -> None:
+    folder = scratch.duplicate(chain, tmp_path / "copy")
+    network = scratch.code_block("class Height(nn.Module)").removeprefix("python\n")
+    (folder / "models/steering/spatial/height.py").write_text(network)
+    models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
+    mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "scale_m": 5.0}
+    scratch.edit_params(folder, models=models | {"mine": mine})
+    ran = scratch.stages_run(scratch.run(folder, "dvc", "repro", "train@mine", "evaluate@mine"))
+    assert ran == ["train@mine", "evaluate@mine"]
+
+
+def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(chain: Path, tmp_path: Path) -> None:
+    first, second = scratch.duplicate(chain, tmp_path / "first"), tmp_path / "second"
+    content = yaml.safe_load((first / "dvc.lock").read_text())
+    for name in (*NETWORK, "report"):  # all but the model is shared
+        del content["stages"][name]
+    (first / "dvc.lock").write_text(yaml.safe_dump(content))
+    scratch.run(first, "sh", "-c", f"dvc remote add -d lab {tmp_path}/folder && dvc push")
+    scratch.commit(first, "shared")
+    scratch.run(tmp_path, "git", "clone", "-q", str(first), str(second))
+    command = f"dvc repro --pull --downstream train@{MODEL}"
+    assert scratch.code_block(command)
+    assert scratch.stages_run(scratch.run(second, *command.split())) == [*NETWORK, "report"]
+    fetched = {str(path.relative_to(second / "data")) for path in (second / "data").glob("[a-z]*/*")}
+    assert not [
+        path for path in fetched if path.startswith(("sample", "ingest", "perception", "clouds", "graphs/lidar"))
+    ]
+    best = f"data/train/{MODEL}/best.pt"
+    assert (second / best).read_bytes() == (first / best).read_bytes()

@@ -1,7 +1,7 @@
 """steer show and diff: describe an artefact, compare two of them."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -13,48 +13,35 @@ _MAX_LINES = 20  # per file
 
 
 def show(
-    path: Annotated[Path, typer.Argument(metavar="FILE_OR_FOLDER", help="artefact of a stage")],
-    frame: Annotated[int | None, typer.Option(min=0, help="print and draw only this frame")] = None,
-    out: Annotated[Path | None, typer.Option(help="name of the PNG file; default: NAME-frame-N.png")] = None,
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="a drive's .h5 file of any stage, or a checkpoint")],
+    frame: Annotated[int | None, typer.Option(min=0, help="print the numbers of this frame")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="PNG", help="draw the frame's images and points, too")] = None,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
-    """Describe an artefact, or draw one of its frames.
+    """Print a file's attributes, datasets and settings, or one of its frames.
 
     \b
-    steer show data
     steer show data/graphs/semantic/2026_01_10_drive_0004.h5
-    steer show data/graphs/semantic/2026_01_10_drive_0004.h5 --frame 20
-    steer show data/train/sa-gnn-ncp --json
+    steer show data/graphs/semantic/2026_01_10_drive_0004.h5 --frame 20 --out frame.png
+    steer show data/train/sa-gnn-ncp/best.pt --json
     """
+    import yaml
+
+    from pipeline.base.outputs import check_free
     from pipeline.show import artefact
 
     output = options.Output(quiet, as_json)
-    if frame is not None or out:
-        output.result(_show_frame(path, frame, out, output))
-        return
-    content = artefact.describe(path)
-    output.facts(content)
-    output.result(content)
-
-
-def _show_frame(path: Path, frame: int | None, out: Path | None, output: options.Output) -> dict[str, Any]:
-    """Print a frame's numbers, draw it, and return what was written."""
-    from pipeline.show import frame_view
-
-    options.check_names(path, out)
-    if out and out.suffix.lower() != ".png":
-        raise InputError(f"expected the name of a PNG file, got {out}", "--out")
-    view, numbers = frame_view.read(path, frame)
-    title = f"{Path(*path.absolute().parts[-3:])}, frame {view.frame}"
-    content: dict[str, Any] = {"path": str(path), "frame": view.frame, **numbers}
-    if out or frame_view.is_drawable(view):
-        picture = out or Path(f"{path.absolute().stem}-frame-{view.frame}.png")
-        frame_view.draw(picture, title, view)
-        content["picture"] = str(picture)
-    output.facts(content)
-    return content
+    if out and (frame is None or out.suffix != ".png"):
+        raise InputError("expected --frame and the name of a PNG file", "--out")
+    if out:
+        check_free(out)
+    content = artefact.describe(path) if frame is None else artefact.frame(path, frame, out)
+    output.line(
+        yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110).rstrip()
+    )
+    output.result({"path": str(path), **content})
 
 
 def diff(

@@ -5,7 +5,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -102,54 +102,9 @@ class Output:
         """Print a line of text."""
         self.console.print(text, soft_wrap=True)
 
-    def facts(self, content: Mapping[str, Any]) -> None:
-        """Print names and values; of a list of mappings, a table."""
-        from rich.table import Table
-
-        grid = Table.grid(padding=(0, 2))
-        for name, value in content.items():
-            if not _is_table(value):
-                grid.add_row(f"  {name}", _text(name, value))
-        self.console.print(grid)
-        for value in content.values():
-            if _is_table(value):
-                self.table(value)
-
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Print mappings as the rows of a table, a column for each key."""
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
-
-        names = list(dict.fromkeys(name for row in rows for name in row))
-        table = Table(box=SIMPLE_HEAD, pad_edge=False)
-        for name in names:
-            table.add_column(name, overflow="fold")
-        for row in rows:
-            table.add_row(*(_text(name, row.get(name)) for name in names))
-        self.console.print(table)
-
     def result(self, content: Mapping[str, Any]) -> None:
         """Print the result as JSON, if ``--json`` is given; numbers that are not finite become null."""
         from pydantic_core import to_jsonable_python
 
         if self._json:
             print(json.dumps(to_jsonable_python(content, inf_nan_mode="null"), indent=1), flush=True)
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
-
-
-def _text(name: str, value: Any) -> str:
-    """Return a value as people read it; `name` decides the unit."""
-    if value is None or value in ([], {}, ""):
-        return "-"
-    if name == "bytes":
-        from rich.filesize import decimal
-
-        return decimal(int(value))
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key}: {_text('', inner)}" for key, inner in value.items())
-    if isinstance(value, list):
-        return (" × " if name == "shape" else ", ").join(_text("", inner) for inner in value)
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

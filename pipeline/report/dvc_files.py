@@ -4,6 +4,7 @@ The first seed of a model has file ``<model>.csv``, further seeds ``<model>.seed
 ``<model>.fold-<drive>.csv`` and ``<model>.seed-<n>.fold-<drive>.csv``.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,45 +13,45 @@ import pandas as pd
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import error_context
 from pipeline.report import perception
-from pipeline.report.results import Results
+from pipeline.report.results import Group
 
 _LEARNING = ["epoch", "train_loss", "val_nmse"]
 
 
-def metrics(results: Results, scores: dict[str, Any] | None) -> dict[str, float]:
+def metrics(groups: Sequence[Group], scores: dict[str, Any] | None) -> dict[str, float]:
     """Return all metrics under flat names; values that do not exist are left out, and DVC shows a gap.
 
-    - ``<model>.nmse``, its 95 % interval ``nmse_low`` to ``nmse_high``, ``mae_deg``
-    - ``odometry-<horizon>.nmse`` on the test drives; ``odometry_lidar-…`` from scans, if there are images too
-    - ``encoder.miou`` of classes; ``encoder.abs_rel_dense`` and ``encoder.abs_rel_lidar`` of depth
-    - ``motion.<kind>.nmse`` of the steering angle from measured motion, ``yaw_rmse_degps``, ``speed_ratio``, ``valid``
+    - ``<model>.nmse`` and its 95 % interval ``nmse_low`` to ``nmse_high``; of a range of the path ahead
+      ``<model>.nmse_5-10m`` and so on
+    - ``odometry-angle-<horizon>`` and ``odometry-path-<horizon>``: the same of odometry
+    - those of :func:`perception.metrics`, of the metrics.json of stage `scores`
 
-    Names of the other splits start with ``train_`` or ``val_``. `scores` is the result of `perception.load_scores`.
+    Names of the other splits start with ``train_`` or ``val_``.
     """
     values: dict[str, Any] = {}
-    columns = {
-        "nmse": "test.nmse", "nmse_low": "test.nmse_low", "nmse_high": "test.nmse_high", "mae_deg": "test.mae_deg",
-        "train_nmse": "train.nmse", "val_nmse": "val.nmse",
-    }  # fmt: skip
-    for _, row in results.metrics.iterrows():
-        if not row["baseline"]:
-            values |= {f"{row['model']}.{name}": row.get(column) for name, column in columns.items()}
-        elif row["model"].startswith("odometry"):
-            values[f"{row['model']}-{row['line.horizon']}.nmse"] = row["test.nmse"]
+    for group in groups:
+        named = {row["model"]: row for row in group.models}
+        named |= {f"odometry-{group.key}": row for row in group.rows if row["model"] == "odometry"}
+        for name, row in named.items():
+            for column, label in group.labels.items():
+                nmse, test = f"nmse_{label}".strip("_").replace(" ", ""), row["test"][column]
+                low, high = test.get("nmse_ci95") or (None, None)
+                values |= {f"{name}.{nmse}": test["nmse"], f"{name}.{nmse}_low": low, f"{name}.{nmse}_high": high}
+                for split in ("train", "val"):
+                    values[f"{name}.{split}_{nmse}"] = row[split] and row[split][column]["nmse"]
     values |= perception.metrics(scores) if scores else {}
-    return {name: value for name, value in values.items() if pd.notna(value)}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def load_curves(model: Path) -> dict[str, pd.DataFrame]:
     """Load the learning curves in a model's folder of stage train: name of the network → epoch, train_loss, val_nmse.
 
-    Numbers stay text, as written. Raises InputError if a curve.csv is damaged.
+    Numbers stay text, as written.
     """
     curves = {}
     for path in sorted(model.rglob("curve.csv")):
         with error_context(path, fix=f"Recreate it: dvc repro --force --single-item train@{model.name}"):
             table = pd.read_csv(path, usecols=_LEARNING, dtype=str)
-            table.astype(float)  # raises ValueError
         curves[".".join([model.name, *path.relative_to(model).parts[:-1]])] = table[_LEARNING]
     return curves
 
@@ -67,9 +68,9 @@ def write_steering(predictions: pd.DataFrame, out: Path) -> None:
     Column ``row`` counts on from drive to drive.
     """
     for (model, run), table in predictions.groupby(["model", "run"]):
-        angles = {name: table[name].map("{:.4f}".format) for name in ("driven_deg", "predicted_deg")}
-        time_s = table["time_s"].map("{:.6f}".format)
-        written = table[["drive", "frame"]].assign(time_s=time_s, **angles)
+        columns = {"driven_deg": "true_deg", "predicted_deg": "predicted_deg"}
+        angles = {name: table[column].map("{:.4f}".format) for name, column in columns.items()}
+        written = table[["drive", "frame"]].assign(time_s=table["time_s"].map("{:.6f}".format), **angles)
         written.insert(0, "row", range(len(table)))
         write_csv(out / f"{'.'.join(filter(None, [model, run]))}.csv", written)
 

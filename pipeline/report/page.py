@@ -6,22 +6,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
-import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError
-from pipeline.camera.classes import VOID
 from pipeline.report import plots
 from pipeline.report.dvc_files import load_curves
-from pipeline.report.figures import ERRORS
-from pipeline.report.results import Results, load_structures
+from pipeline.report.results import Group, load_structures
 from pipeline.report.tables import Table
 
 JPEG_QUALITY = 82
-MAX_WIDTH = 1600  # pixels of a picture
 
 
 class Plot(NamedTuple):
@@ -40,9 +35,8 @@ Content = Sequence[str | Table | Plot | Picture]
 def write_page(
     path: Path,
     story: Sequence[str],
-    results: Results,
+    groups: Sequence[Group],
     tables: Sequence[Table],
-    paths: Sequence[Table],
     perception: Sequence[Table],
     figures: Mapping[str, str],
     data: Path,
@@ -52,25 +46,21 @@ def write_page(
     Args:
         path: the HTML file; the files of `figures` are in folder figures beside it.
         story: sentences about the results.
-        results: of all models.
-        tables: of models and baselines, the most important first.
-        paths: tables of the path ahead.
+        groups: all results.
+        tables: of models and baselines, the first ones with a row per model and baseline of each group.
         perception: tables of depth, classes and motion.
-        figures: name of a PNG file without suffix → caption; Figure 1 is shown first.
+        figures: name of a PNG file without suffix → caption; the chain is shown first.
         data: holds a folder per stage; folders may be missing.
     """
     pictures = {name: _picture(caption, path.parent / f"figures/{name}.png") for name, caption in figures.items()}
-    chain = pictures.pop("chain", None)
-    shown = [] if results.models.empty else [*results.worst_drives(results.models)["drive"].unique()]
+    chain, look = pictures.pop("chain", None), plots.styles(groups)
     sections: dict[str, Content] = {
-        "Results": tables[:1],
-        "Path ahead": paths,
-        **_steering(results),
-        "Largest errors": [pictures.pop(name) for name in [*pictures] if name.startswith(ERRORS)],
-        "Figures of the paper": [*pictures.values()],
-        "Graphs in 3D": _graphs(results, shown, data / "evaluate"),
-        "Learning curves": _learning([*results.models["model"]], data / "train"),
-        "Models in detail": tables[1:],
+        "Results": tables[: len(groups)],
+        **{f"Test drives: {group.title}": _test_drives(group, look) for group in groups},
+        "Pictures": [*pictures.values()],
+        "Graphs in 3D": _graphs(groups, data / "evaluate"),
+        "Learning curves": _learning(groups, look, data / "train"),
+        "Models in detail": tables[len(groups) :],
         "Depth, classes and motion": perception,
     }
     environment = Environment(
@@ -87,59 +77,54 @@ def write_page(
         unfinished.write_text(html, encoding="utf-8")
 
 
-def _steering(results: Results) -> dict[str, Content]:
-    """Return a section of plots per horizon: only models of one horizon predict the same angle."""
-    sections: dict[str, Content] = {}
-    for horizon, rows in results.metrics.groupby("line.horizon") if len(results.metrics) else ():
-        ahead = f", {horizon} frames ahead" if horizon else ""
-        predictions = results.first_seed([*rows["model"]])
-        shown = results.worst_drives(rows[~rows["baseline"].astype(bool)])
-        drives, count = shown.groupby("drive", sort=False), predictions["drive"].nunique()
-        chosen = (
-            f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
+def _test_drives(group: Group, look: plots.Styles) -> Content:
+    predictions = group.predictions[group.predictions["run"] == ""]
+    drives, count = group.worst_drives(), predictions["drive"].nunique()
+    chosen = f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
+    shown = [(drive, predictions[predictions["drive"] == drive]) for drive in drives]
+    content: list[str | Plot] = [
+        f"Predictions of the first seed{chosen}. Drag to zoom, double-click to reset, click the legend to hide a line.",
+        *(Plot(f"{drive}: {group.title} over time", plots.over_time(table, look)) for drive, table in shown),
+    ]
+    for column, label in group.labels.items():
+        caption = f"Error by curvature of the road{label and f', {label} ahead'}, mean over seeds"
+        content.append(Plot(caption, plots.by_curvature(group.models, column, look)))
+    drift = {row["model"]: row["test"][next(iter(group.labels))].get("drift_m_per_100m") for row in group.models}
+    if any(drift.values()):
+        texts = ", ".join(f"{model} {metres:.1f} m" for model, metres in drift.items() if metres is not None)
+        content.append(
+            "Paths from measured speed and predicted steering (Figure 5 of the paper); a path restarts from the driven "
+            f"one at each dot, at its start and at the onset of a turn. Drift per 100 m: {texts}."
         )
-        sections[f"Steering on the test drives{ahead}"] = [
-            f"Predictions of the first seed{chosen}. Drag to zoom, double-click to reset, click the legend to hide a "
-            "line.",
-            *(Plot(f"{drive}: steering over time{ahead}", plots.over_time(table)) for drive, table in drives),
-            Plot(f"All test frames: predicted over driven steering{ahead}", plots.scatter(predictions)),
-            Plot("Error by curvature of the road, mean over seeds", plots.by_curvature(rows)),
-        ]
-    return sections
+        content += [Plot(f"{drive}: paths", plots.paths(table, group.models[0], look)) for drive, table in shown]
+    return content
 
 
-def _graphs(results: Results, drives: Sequence[str], evaluate: Path) -> Content:
-    for _, row in results.models.iterrows():
-        structures = load_structures(evaluate / row["model"])
-        graphs = {drive: structures[drive] for drive in drives if drive in structures}
-        if graphs and pd.notna(row["variant.k"]):
-            with_classes = any(set(graph.cls) != {VOID} for graph in graphs.values())
-            legend = "classes, and edges before and after semantic pruning" if with_classes else "points and edges"
-            text = (
-                f"Input of {row['model']} where each of these drives bends most. Turn with the mouse; the legend shows "
-                f"and hides {legend}."
-            )
-            captions = [f"{drive}, frame {graph.frame}: {graph.points:,} points" for drive, graph in graphs.items()]
-            figures = [plots.graph_3d(graph, row["variant.k"]) for graph in graphs.values()]
-            return [text, *map(Plot, captions, figures)]
-    return []
+def _graphs(groups: Sequence[Group], evaluate: Path) -> Content:
+    """Return the graphs of the best model that has some, on the drives that are drawn one by one."""
+    models = [(group, row) for group in groups for row in group.by_error if row["variant"].get("k")]
+    if not models:
+        return []
+    group, row = models[0]
+    structures = load_structures(evaluate / row["model"])
+    graphs = {drive: structures[drive] for drive in group.worst_drives() if drive in structures}
+    text = (
+        f"Input of {row['model']} where each of these drives bends most. The legend shows and hides classes and edges."
+    )
+    captions = [f"{drive}, frame {graph['frame']}: {graph['points']:,} points" for drive, graph in graphs.items()]
+    return [text, *map(Plot, captions, (plots.graph_3d(graph, row["variant"]["k"]) for graph in graphs.values()))]
 
 
-def _learning(models: Sequence[str], train: Path) -> Content:
+def _learning(groups: Sequence[Group], look: plots.Styles, train: Path) -> Content:
+    models = [row["model"] for group in groups for row in group.models]
     curves = {model: load_curves(train / model) for model in models}
     first = {model: next(iter(runs.values())) for model, runs in curves.items() if runs}
     caption = "Training loss (dotted) and validation nmse of each model's first network"
-    return [Plot(caption, plots.learning(first))] if first else []
+    return [Plot(caption, plots.learning(first, look))] if first else []
 
 
 def _picture(caption: str, path: Path) -> Picture:
-    """Read a PNG file, at most MAX_WIDTH wide. Raises InputError if it is damaged."""
     image = cv2.imread(str(path))
-    if image is None:
-        raise InputError("not a picture", path, "Recreate it: dvc repro --force --single-item report")
-    height, width = image.shape[:2]
-    if width > MAX_WIDTH:
-        size = (MAX_WIDTH, round(height * MAX_WIDTH / width))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    assert image is not None
     jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
     return Picture(caption, base64.b64encode(jpeg.tobytes()).decode("ascii"))

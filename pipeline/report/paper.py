@@ -18,14 +18,14 @@ class Published(NamedTuple):
 
 
 # Settings that the paper does not give, for instance widths and learning rates, are not compared. It prints its NCP as
-# eq. 4 and cites the paper of the LTC cell, so both count. None: the model has no such setting.
+# eq. 4 and cites the paper of the LTC cell, so both count. A setting that a model lacks counts as the first value.
 _ALL: Settings = {
-    "equivariant": (False, None), "cell": ("ltc", "eq4", None), "motion": ("none", None), "horizon": (0, None),
-    "fit_to": ("train", None), "roads": (None,), "accumulate": (None,), "scene": ("same", None),
+    "equivariant": (False,), "cell": ("ltc", "eq4"), "motion": ("none",), "horizon": (0,), "predict": ("angle",),
+    "fit_to": ("train",), "roads": (None,), "accumulate": (None,), "scene": ("same",),
 }  # fmt: skip
-_POINTS: Settings = {**_ALL, "semantics": (0.0, None), "alpha": (0.0, None)}  # equal frame weights, unlike the CNN
+_POINTS: Settings = {**_ALL, "semantics": (0.0,), "alpha": (0.0,)}  # equal frame weights, unlike the CNN
 _SETS: Settings = {
-    **_POINTS, "input": ("lidar-pointnet2",), "spatial": ("pointnet2",), "window": (6,), "width": (1.0, None),
+    **_POINTS, "input": ("lidar-pointnet2",), "spatial": ("pointnet2",), "window": (6,), "width": (1.0,),
 }  # fmt: skip
 _GRAPHS: Settings = {**_POINTS, "spatial": ("gnn",), "window": (8,)}
 _IMAGES: Settings = {**_ALL, "input": ("image",), "spatial": ("cnn",), "window": (16,)}
@@ -48,6 +48,6 @@ def name(settings: Mapping[str, Any]) -> str | None:
     `settings` are those of a model, and `accumulate` of its graph variant. The model's own name does not matter.
     """
     for network, published in PAPER.items():
-        if all(settings.get(key) in values for key, values in published.settings.items()):
+        if all(settings.get(key, values[0]) in values for key, values in published.settings.items()):
             return network
     return None

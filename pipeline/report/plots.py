@@ -1,6 +1,6 @@
 """Build the interactive plots of the page, as data and layout of Plotly. Angles in degrees, left +."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -8,83 +8,123 @@ import numpy as np
 import pandas as pd
 
 from pipeline.camera import classes
-from pipeline.evaluate.schema import Structure
+from pipeline.evaluate.paths import Track, segments
 from pipeline.graphs import graph, graph_file
-from pipeline.report.results import columns_below, steering_lines
+from pipeline.report.results import Group, Row
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
 FIXED = {"driven": "#1b2027", "odometry": "#e08e0b", "zero": "#9aa3ad"}
-MODELS_SHOWN = 3  # at first; a click in the legend adds others
+MODELS_SHOWN = 3  # the best at first; a click in the legend adds others
 SLIDER_S = 20.0  # drives longer than this get a range slider
-_STEERING = "steering in deg, left +"
 Plot = dict[str, Any]
+Styles = Mapping[str, dict[str, Any]]
 
 
-def over_time(predictions: pd.DataFrame) -> Plot:
-    """Plot driven steering, odometry and the predictions of each model over the time of one drive."""
-    lines = steering_lines(predictions)
-    special: dict[str, dict[str, Any]] = {"driven": {"line": {"width": 3}}, "odometry": {"line": {"dash": "dash"}}}
+def styles(groups: Sequence[Group]) -> Styles:
+    """Return model or baseline → name, colour and visibility of its traces in all plots."""
+    models = [model["model"] for group in groups for model in group.models]
+    shown = {row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN]} | {*FIXED}
+    colours = dict(zip(models, cycle(COLOURS), strict=False)) | FIXED
+    return {
+        name: {"name": name, "marker": {"color": colour}, "visible": True if name in shown else "legendonly"}
+        for name, colour in colours.items()
+    }
+
+
+def over_time(predictions: pd.DataFrame, look: Styles) -> Plot:
+    """Plot driven angle, odometry and the predictions of each model over the time of one drive."""
     traces = []
-    for name, style in _styles(lines).items():
-        rows = lines[name]
+    truth = predictions.drop_duplicates("frame").sort_values("frame")
+    lines = {"driven": (truth, "true_deg"), "odometry": (truth, "odometry_deg")}
+    lines |= {name: (rows, "predicted_deg") for name, rows in predictions.groupby("model", sort=False)}
+    special: dict[str, dict[str, Any]] = {"driven": {"line": {"width": 3}}, "odometry": {"line": {"dash": "dash"}}}
+    for name, (rows, column) in lines.items():
+        if rows[column].isna().all():
+            continue
         hover = {"text": rows["frame"].tolist(), "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}"}
-        traces.append(style | _points(rows, "elapsed_s", "deg") | hover | {"mode": "lines"} | special.get(name, {}))
+        line = look[name] | _points(rows, "elapsed_s", column) | hover | {"mode": "lines"}
+        traces.append(line | special.get(name, {}))
         band = rows.dropna(subset="sigma_deg")
         if name not in special and len(band):
-            edges = [band.assign(edge=band["deg"] + side * band["sigma_deg"]) for side in (1, -1)]
+            edges = [band.assign(edge=band[column] + side * band["sigma_deg"]) for side in (1, -1)]
             outline = _points(pd.concat([edges[0], edges[1][::-1]]), "elapsed_s", "edge")
-            fill = {"fill": "toself", "mode": "none", "fillcolor": f"{style['marker']['color']}26", "hoverinfo": "skip"}
-            traces.append(style | outline | fill | {"name": f"{name} ± σ"})
+            fill = {"fill": "toself", "mode": "none", "fillcolor": f"{look[name]['marker']['color']}26"}
+            traces.append(look[name] | outline | fill | {"name": f"{name} ± σ", "hoverinfo": "skip"})
     slider = {"visible": bool(predictions["elapsed_s"].max() > SLIDER_S)}
-    return _plot(traces, 400, xaxis={**_title("time in s"), "rangeslider": slider}, yaxis=_title(_STEERING))
+    return _plot(traces, 400, xaxis={**_title("time in s"), "rangeslider": slider}, yaxis=_title("deg, left +"))
 
 
-def scatter(predictions: pd.DataFrame) -> Plot:
-    """Plot predicted over driven steering of all test frames, on equal axes that contain all points."""
-    rows = predictions.dropna(subset=["driven_deg", "predicted_deg"])
-    limit = 1.05 * float(np.abs(rows[["driven_deg", "predicted_deg"]].to_numpy()).max(initial=1.0))
-    models = dict([*rows.groupby("model", sort=False)])
-    traces = []
-    for name, style in _styles(models).items():
-        text = (models[name]["drive"] + ", frame " + models[name]["frame"].astype(str)).tolist()
-        more = {"mode": "markers", "opacity": 0.6, "text": text, "hovertemplate": "%{y:.2f}° for %{x:.2f}°, %{text}"}
-        traces.append(style | _points(models[name], "driven_deg", "predicted_deg") | more)
-    diagonal = {"type": "line", "x0": -limit, "y0": -limit, "x1": limit, "y1": limit, "line": {"dash": "dot"}}
-    equal = {"range": [-limit, limit], "constrain": "domain"}
-    x, y = equal | _title(f"driven {_STEERING}"), equal | _title("predicted steering in deg") | {"scaleanchor": "x"}
-    return _plot(traces, 560, xaxis=x, yaxis=y, shapes=[diagonal])
+def by_curvature(models: Sequence[Row], column: str, look: Styles) -> Plot:
+    """Plot the RMSE of models and baseline zero in the ranges of |curvature| that have frames.
 
-
-def by_curvature(metrics: pd.DataFrame) -> Plot:
-    """Plot the RMSE of models and baseline zero in the ranges of |curvature| that have frames."""
-    columns = columns_below(metrics, "test.by_curvature", "rmse_deg")
-    frames = {name: metrics.iloc[0][f"test.by_curvature.{name}.frames"] for name in columns}
-    rows = metrics.set_index("model")[[*columns.values()]].astype(float)
-    rows = rows.set_axis([f"{name}<br>{frames[name]} frames" for name in columns], axis=1)
-    rows = rows.dropna(how="all").dropna(how="all", axis=1).round(4)
+    In degrees for an angle, in 1/km for a curvature.
+    """
+    factor, unit = (180 / np.pi, "deg") if models[0]["columns"][column]["unit"] == "rad" else (1000, "1/km")
+    bins = {row["model"]: [part for part in row["test"][column]["by_curvature"] if part["frames"]] for row in models}
+    x = [_range(part) for part in bins[models[0]["model"]]]
+    heights = {name: [part["rmse"] for part in parts] for name, parts in bins.items()}
+    heights["zero"] = [part["zero"]["rmse"] for part in bins[models[0]["model"]]]
     bars = [
-        style | {"type": "bar", "x": [*rows], "y": _numbers(rows.loc[name])} for name, style in _styles(rows.T).items()
+        look[name] | {"type": "bar", "x": x, "y": [round(factor * rmse, 4) for rmse in values]}
+        for name, values in heights.items()
     ]
-    return _plot(bars, 380, xaxis=_title("|curvature| of the road in 1/m"), yaxis=_title("RMSE in deg"))
+    return _plot(bars, 380, xaxis=_title("|curvature| of the road in 1/m"), yaxis=_title(f"RMSE in {unit}"))
 
 
-def learning(curves: Mapping[str, pd.DataFrame]) -> Plot:
+def _range(part: Mapping[str, Any]) -> str:
+    end = f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
+    return f"{end}<br>{part['frames']} frames"
+
+
+def paths(predictions: pd.DataFrame, model: Row, look: Styles) -> Plot:
+    """Plot the path of one drive from measured speed and driven angle, and from each model's angle. Dots are restarts.
+
+    `model`: one of the models, for the wheelbase and the formula.
+    """
+    truth = predictions.drop_duplicates("frame").sort_values("frame")
+    track = Track(
+        time_s=truth["elapsed_s"].to_numpy(),
+        speed_mps=truth["speed_mps"].to_numpy(),
+        steering_rad=np.nan_to_num(truth["true_steering_rad"].to_numpy()),
+        onsets=np.flatnonzero(truth["onset"]),
+        wheelbase_m=model["wheelbase_m"],
+        formula=model["path_formula"],
+    )
+    traces = [look["driven"] | _path([track.path(track.steering_rad, 0, len(truth))]) | {"line": {"width": 3}}]
+    for name, rows in predictions.groupby("model", sort=False):
+        angles = rows.set_index("frame")["predicted_steering_rad"].reindex(truth["frame"]).to_numpy()
+        pieces = [track.path(angles, first, last) for first, last in segments(track, angles)]
+        starts = [size for piece in pieces for size in (7, *[0] * len(piece))]
+        marker = look[name]["marker"] | {"size": starts, "line": {"width": 0}}
+        traces.append(look[name] | _path(pieces) | {"mode": "lines+markers", "marker": marker, "hoverinfo": "skip"})
+    y = _title("ahead of the start in m") | {"scaleanchor": "x"}
+    return _plot(traces, 420, xaxis=_title("right of the start in m"), yaxis=y)
+
+
+def _path(pieces: Sequence[np.ndarray]) -> dict[str, Any]:
+    """Return the coordinates of positions [N,2] (ahead, left), with a gap after each piece."""
+    gaps = [np.append(piece, [[np.nan, np.nan]], axis=0) for piece in pieces]
+    table = pd.DataFrame(np.concatenate([*gaps, np.empty((0, 2))]), columns=["ahead", "left"])
+    return _points(table.assign(right=-table["left"]), "right", "ahead") | {"mode": "lines"}
+
+
+def learning(curves: Mapping[str, pd.DataFrame], look: Styles) -> Plot:
     """Plot training loss (dotted) and validation nmse of networks: name → epoch, train_loss, val_nmse."""
     traces = []
-    for name, style in _styles(curves).items():
+    for name, curve in curves.items():
         for column, dash in (("train_loss", "dot"), ("val_nmse", "solid")):
             line = {"name": f"{name}, {column}", "mode": "lines", "line": {"dash": dash}}
-            traces.append(style | _points(curves[name].astype(float), "epoch", column) | line)
+            traces.append(look[name] | _points(curve.astype(float), "epoch", column) | line)
     error = {**_title("error; 1: a constant angle"), "type": "log"}
     return _plot(traces, 400, xaxis=_title("epoch"), yaxis=error)
 
 
-def graph_3d(structure: Structure, k: int) -> Plot:
+def graph_3d(structure: Mapping[str, Any], k: int) -> Plot:
     """Plot one drive's entry of structure.json: points in the colours of their classes, edges before and after pruning.
 
     Axes: right, ahead, up, in metres of the camera frame; `k` nearest neighbours before pruning.
     """
-    xyz, cls = np.array(structure.xyz_m, np.float32).reshape(-1, 3), np.array(structure.cls, np.uint8)
+    xyz, cls = np.array(structure["xyz_m"], np.float32).reshape(-1, 3), np.array(structure["cls"], np.uint8)
     place = pd.DataFrame(np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1), columns=[*"xyz"]).astype(float).round(3)
     traces: list[dict[str, Any]] = []
     for number in np.unique(cls):
@@ -92,13 +132,13 @@ def graph_3d(structure: Structure, k: int) -> Plot:
         red, green, blue = classes.COLOURS[number] if number < classes.COUNT else (0, 0, 0)
         marker = {"size": 3, "color": f"rgb({red},{green},{blue})"}
         traces.append(_points(place[cls == number], *"xyz") | {"name": name, "mode": "markers", "marker": marker})
-    built = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
-    unpruned = graph_file.edge_pairs(built.degree, built.indices)
-    pruned = np.array(structure.edges, np.int64).reshape(-1, 2)
-    lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
+    pruned = np.array(structure["edges"], np.int64).reshape(-1, 2)
     edges = {"edges": pruned}
     if (cls != classes.VOID).any():
-        edges = {"edges before pruning": unpruned, "edges after pruning": pruned}
+        built = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
+        before = graph_file.edge_pairs(built.degree, built.indices)
+        edges = {"edges before pruning": before, "edges after pruning": pruned}
+    lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
     for name, pairs in edges.items():
         ends = np.insert(pairs, 2, len(place), axis=1).ravel()  # a row without a point: a gap after each edge
         shown = {"name": name, "visible": True if pairs is pruned else "legendonly"}
@@ -109,24 +149,10 @@ def graph_3d(structure: Structure, k: int) -> Plot:
     return _plot([trace | {"type": "scatter3d"} for trace in traces], 520, scene=scene)
 
 
-def _styles(names: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return name → name, colour and visibility of its trace; all but the first models are hidden."""
-    models = [name for name in names if name not in FIXED]
-    colours = FIXED | dict(zip(models, cycle(COLOURS), strict=False))
-    hidden = models[MODELS_SHOWN:]
-    return {
-        name: {"name": name, "marker": {"color": colours[name]}, "visible": "legendonly" if name in hidden else True}
-        for name in names
-    }
-
-
 def _points(rows: pd.DataFrame, *columns: str) -> dict[str, list[float | None]]:
-    """Return the coordinates of a trace: x, y and z from `columns`."""
-    return {axis: _numbers(rows[column].round(4)) for axis, column in zip("xyz", columns, strict=False)}
-
-
-def _numbers(values: pd.Series) -> list[float | None]:
-    return [None if np.isnan(value) else value for value in values.tolist()]
+    """Return the coordinates of a trace: x, y and z from `columns`; None, which Plotly draws as a gap, for NaN."""
+    values = {axis: rows[column].round(4).tolist() for axis, column in zip("xyz", columns, strict=False)}
+    return {axis: [None if np.isnan(value) else value for value in column] for axis, column in values.items()}
 
 
 def _title(text: str) -> dict[str, Any]:

@@ -1,159 +1,130 @@
-"""Load the outputs of stage evaluate of all models: one table of metrics and one of predictions.
+"""Load the outputs of stage evaluate: groups of models that predict the same quantities, each with its baselines.
 
-All report outputs are made from these.
+All report outputs are made from these groups.
 """
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import groupby
-from operator import itemgetter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from pipeline.base import store
-from pipeline.base.errors import InputError, error_context
-from pipeline.base.params import SPLITS
-from pipeline.evaluate.schema import Metrics, Structure, Structures
+from pipeline.base.errors import error_context
 from pipeline.report import paper
 
 SHOWN_DRIVES = 6
-"""Test drives that the page and Figure 4 draw one by one; the tables have all."""
-_BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression", "odometry_lidar")
-_TYPES = {
-    "drive": str, "frame": int, "time_s": float, "speed_mps": float, "steering_rad": float, "predicted_rad": float,
-    "valid": int, "onset": int, "odometry_rad": float, "sigma_rad": float,
-}  # fmt: skip
+"""Test drives that the page draws one by one; the tables have all."""
+BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression")
+Row = dict[str, Any]
+"""A model's metrics.json with ``paper`` (its :class:`paper.Published` or None) and ``baseline`` False; or a baseline
+with ``model``, ``baseline`` True and the scores of each split."""
 
 
-class Results(NamedTuple):
-    """The two tables."""
+@dataclass(frozen=True)
+class Group:
+    """Models that predict the same columns equally far ahead, and their baselines."""
 
-    metrics: pd.DataFrame
-    """One row per model, and per horizon one row per baseline (column `baseline`). Columns are the keys of metrics.json
-    joined by dots, as test.by_drive.DRIVE.nmse or test.by_curvature.RANGE.rmse_deg; and paper.train_mse, …test_mse.
-    Rows by horizon: the paper's networks in its order, other models in the order given, baselines."""
+    key: str
+    """Part of file names: angle-0, angle-10 or path-0."""
+    title: str
+    labels: dict[str, str]
+    """Column → label: empty for the steering angle, "5-10 m" for a range of the path ahead."""
+    models: list[Row]
+    """In the order of the paper, then as given."""
     predictions: pd.DataFrame
-    """One row per model, run (empty for the first seed), drive and frame: the columns of predictions.csv, elapsed_s
-    since the drive's first frame, and in degrees driven_deg (NaN where invalid), predicted_deg, odometry_deg,
-    sigma_deg."""
+    """predictions.csv of all models and seeds, with columns model, run (empty for the first seed), elapsed_s since the
+    drive's first frame, and in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering
+    angle, or of the turn in all ranges of the path together (then without sigma)."""
 
     @property
-    def models(self) -> pd.DataFrame:
-        """Return the metrics of models, without baselines."""
-        return self.metrics[~self.metrics["baseline"].astype(bool)]
+    def rows(self) -> list[Row]:
+        """Return the models and the baselines, on the frames of the first model that has them."""
+        rows = [*self.models]
+        for name in BASELINES:
+            has = [row for row in self.models if all(name in scores["baselines"] for scores in row["test"].values())]
+            rows += [_baseline(name, has[0])] if has else []
+        return rows
 
-    def first_seed(self, models: Sequence[str]) -> pd.DataFrame:
-        """Return the predictions of the first seed of `models`."""
-        return self.predictions[self.predictions["model"].isin(models) & (self.predictions["run"] == "")]
+    @property
+    def by_error(self) -> list[Row]:
+        """Return the models by :func:`mean_nmse`, the best first."""
+        return sorted(self.models, key=mean_nmse)
 
-    def worst_drives(self, models: pd.DataFrame) -> pd.DataFrame:
-        """Return :meth:`first_seed` of `models` for the SHOWN_DRIVES on which the best model has most squared error."""
-        predictions = self.first_seed([*models["model"]])
-        best = predictions[predictions["model"] == models.sort_values("test.nmse", kind="stable").iloc[0]["model"]]
-        error = ((best["predicted_deg"] - best["driven_deg"]) ** 2).groupby(best["drive"]).sum()
-        return predictions[predictions["drive"].isin(error.nlargest(SHOWN_DRIVES).index)]
+    def first_seed(self, model: str) -> pd.DataFrame:
+        """Return the predictions of the first seed of a model."""
+        return self.predictions[(self.predictions["model"] == model) & (self.predictions["run"] == "")]
+
+    def worst_drives(self) -> list[str]:
+        """Return the SHOWN_DRIVES test drives on which the best model has most squared error, in the CSV's order."""
+        best = self.first_seed(self.by_error[0]["model"])
+        error = ((best["predicted_deg"] - best["true_deg"]) ** 2).groupby(best["drive"], sort=False).sum()
+        return [drive for drive in error.index if drive in error.nlargest(SHOWN_DRIVES).index]
 
 
-def load_results(evaluate: Path, models: Sequence[str]) -> Results:
+def mean_nmse(row: Row) -> float:
+    """Return the mean test nmse of all columns of a row; infinite if none has one."""
+    known = [scores["nmse"] for scores in row["test"].values() if scores["nmse"] is not None]
+    return float(np.mean(known)) if known else np.inf
+
+
+def load_groups(evaluate: Path, models: Sequence[str]) -> list[Group]:
     """Load the results of `models` from their folders below `evaluate`. Raises InputError if a file is damaged."""
-    loaded = sorted((_load_metrics(evaluate / model) for model in models), key=itemgetter("line.horizon", "paper.rank"))
-    rows: list[dict[str, Any]] = []
-    for _, models_of_horizon in groupby(loaded, key=itemgetter("line.horizon")):
-        group = [*models_of_horizon]
-        rows += [*group, *_baselines(group)]
-    # dtype=object keeps integers and None as they are, also in columns that baselines lack.
-    metrics = pd.DataFrame(rows, columns=None if rows else ["model", "baseline"], dtype=object)
-    folders = [evaluate / model for model in models]
-    tables = [_load_predictions(path, folder) for folder in folders for path in sorted(folder.rglob("predictions.csv"))]
-    predictions = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=["model", "run", *_TYPES])
-    return Results(metrics, predictions)
-
-
-def steering_lines(predictions: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Return the lines of a drive's plot over time: name → rows with elapsed_s, frame, deg, and sigma_deg of models.
-
-    The names are driven, odometry if it was measured, and the models.
-    """
-    truth = predictions.drop_duplicates("frame").sort_values("frame")
-    lines = {name: truth.assign(deg=truth[f"{name}_deg"]) for name in ("driven", "odometry")}
-    models = {name: rows.assign(deg=rows["predicted_deg"]) for name, rows in predictions.groupby("model", sort=False)}
-    return {name: rows for name, rows in (lines | models).items() if rows["deg"].notna().any()}
-
-
-def columns_below(metrics: Iterable[str], prefix: str, name: str) -> dict[str, str]:
-    """Return key → column for the columns ``<prefix>.<key>.<name>``: a key is a test drive or a range of curvature."""
-    matches = {column: re.fullmatch(rf"{prefix}\.(.+)\.{name}", column) for column in metrics}
-    return {match[1]: column for column, match in matches.items() if match and ".baselines." not in match[1]}
-
-
-def _load_metrics(folder: Path) -> dict[str, Any]:
-    """Return the row of a model's metrics.json."""
-    path = folder / "metrics.json"
-    content = Metrics(**store.read_json(path, stage=f"evaluate@{folder.name}", form=Metrics)).model_dump()
-    if content["model"] != folder.name:
-        raise InputError(f"expected model {folder.name}, got {content['model']}", path, fix(folder.name))
-    for scores in filter(None, (content[split] for split in SPLITS)):
-        for part in (scores, *scores["by_curvature"]):
-            part["nmse_low"], part["nmse_high"] = part["nmse_ci95"] or (None, None)
-        scores["by_curvature"] = {
-            _range(part): {"baselines": {"zero": part.pop("zero") or {}}, **part} for part in scores["by_curvature"]
+    loaded: dict[tuple[str, int], list[Row]] = {}
+    for model in models:
+        row = store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}")
+        network = paper.name(row["entry"] | {"accumulate": row["variant"].get("accumulate")})
+        row |= {"baseline": False, "paper": paper.PAPER[network] if network else None}
+        loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)
+    order = [*paper.PAPER.values(), None]
+    groups = []
+    for (predict, horizon), rows in sorted(loaded.items()):
+        title = "steering angle" if predict == "angle" else "path ahead"
+        title += f", {horizon} frames ahead" if horizon else ""
+        columns, ranked = rows[0]["columns"], sorted(rows, key=lambda row: order.index(row["paper"]))
+        labels = {
+            name: "" if column["to_m"] is None else f"{column['from_m']:g}-{column['to_m']:g} m"
+            for name, column in columns.items()
         }
-    content["variant"]["k"] = content["variant"]["k"] or None  # 0: points without edges, so no graph is drawn
-    network = paper.name(content["line"] | {"accumulate": content["variant"]["accumulate"]})
-    row: dict[str, Any] = pd.json_normalize(content).astype(object).to_dict("records")[0]
-    published = paper.PAPER[network] if network else None
-    return row | {
-        "seeds": len(row["seeds"]),
-        "paper.rank": [*paper.PAPER, None].index(network),
-        "paper.train_mse": published and published.train_mse,
-        "paper.test_mse": published and published.test_mse,
-        "baseline": False,
+        predictions = pd.concat([_load_predictions(evaluate / row["model"], columns) for row in ranked])
+        groups.append(Group(f"{predict}-{horizon}", title, labels, ranked, predictions.reset_index(drop=True)))
+    return groups
+
+
+def _load_predictions(folder: Path, columns: Row) -> pd.DataFrame:
+    """Load predictions.csv of all seeds in a model's folder as rows of :attr:`Group.predictions`."""
+    length_m = {name: 1 if part["to_m"] is None else part["to_m"] - part["from_m"] for name, part in columns.items()}
+    tables = []
+    for path in sorted(folder.rglob("predictions.csv")):
+        with error_context(path, f"Recreate it: dvc repro --force --single-item evaluate@{folder.name}"):
+            table = pd.read_csv(path, dtype={"drive": str, "frame": int, "time_s": float})
+        for kind in ("true", "predicted", "odometry", "sigma"):
+            known = kind != "sigma" or len(columns) == 1
+            values = [table.get(f"{kind}_{name}", np.nan) * length for name, length in length_m.items()]
+            table[f"{kind}_deg"] = np.rad2deg(sum(values)) if known else np.nan
+        elapsed_s = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
+        run = ".".join(path.parent.relative_to(folder).parts)
+        tables.append(table.assign(model=folder.name, run=run, elapsed_s=elapsed_s))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _baseline(name: str, model: Row) -> Row:
+    """Return the row of a baseline, from the scores that stand beside a model's."""
+    splits = {
+        split: {
+            column: scores["baselines"][name]
+            | {"without_decisions": scores["without_decisions"]["baselines"].get(name)}
+            for column, scores in model[split].items()
+        }
+        for split in ("train", "val", "test")
+        if model[split]
     }
+    return {"train": None, "val": None} | splits | {"model": name, "baseline": True, "columns": model["columns"]}
 
 
-def load_structures(folder: Path) -> dict[str, Structure]:
+def load_structures(folder: Path) -> dict[str, Any]:
     """Load the graphs in a model's structure.json: drive → graph; none if there is no file."""
     path = folder / "structure.json"
-    if not path.is_file():
-        return {}
-    return Structures(store.read_json(path, stage=f"evaluate@{folder.name}", form=Structures)).root
-
-
-def _range(part: Mapping[str, Any]) -> str:
-    """Return the range of |curvature| of an entry of `by_curvature`."""
-    return f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
-
-
-def _baselines(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row per baseline of models with one horizon, on the frames of the first model that has it."""
-    baselines = []
-    for name in _BASELINES:
-        key = f".baselines.{name}."
-        if first := next((row for row in rows if f"test{key}nmse" in row), None):
-            errors = {column.replace(key, "."): value for column, value in first.items() if key in column}
-            baselines.append({"model": name, "line.horizon": first["line.horizon"], **errors, "baseline": True})
-    return baselines
-
-
-def _load_predictions(path: Path, folder: Path) -> pd.DataFrame:
-    """Load a predictions.csv in the model's `folder` as rows of :attr:`Results.predictions`."""
-    with error_context(path, fix=fix(folder.name)):
-        table = pd.read_csv(path, dtype=_TYPES, keep_default_na=False, na_values=[""])
-        table["sigma_rad"] = table.get("sigma_rad", np.nan)  # of models with uncertainty
-        table = table[[*_TYPES]]
-        if table.duplicated(["drive", "frame"]).any() or np.isinf(table.select_dtypes(float)).any(axis=None):
-            raise ValueError("expected finite numbers, and one row per drive and frame")
-    table.insert(0, "model", folder.name)
-    table.insert(1, "run", ".".join(path.parent.relative_to(folder).parts))
-    table["elapsed_s"] = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
-    rad = {"driven": table["steering_rad"].where(table["valid"] == 1)}
-    rad |= {name: table[f"{name}_rad"] for name in ("predicted", "odometry", "sigma")}
-    return table.assign(**{f"{name}_deg": np.rad2deg(angles) for name, angles in rad.items()})
-
-
-def fix(model: str) -> str:
-    """Return how to recreate a model's damaged results."""
-    return f"Recreate it: dvc repro --force --single-item evaluate@{model}"
+    return store.read_json(path, stage=f"evaluate@{folder.name}") if path.is_file() else {}

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres
+from pipeline.graphs.graph_file import edge_pairs
 
 NEAR_M, FAR_M = 4.0, 80.0  # ends of the depth scale; depth beyond them has the colour of the end
 LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # area shown from above
@@ -31,6 +32,7 @@ class View:
     xyz: np.ndarray | None = None  # [P,3] in metres, camera frame
     points_cls: np.ndarray | None = None  # trainIds [P], if there are points
     edges: np.ndarray | None = None  # rows of `xyz`, [E,2], each undirected edge once
+    edge_count: int = 0  # directed kNN edges after pruning, as in the paper and in all tables
 
     def images(self) -> dict[str, np.ndarray]:
         """Return title → pixels of image, depth and classes; no classes if all pixels are void."""
@@ -44,26 +46,25 @@ class View:
         return np.concatenate([cls.ravel() for cls in (self.cls, self.points_cls, np.empty(0, int)) if cls is not None])
 
 
-def evenly_spread(frames: np.ndarray, count: int) -> list[int]:
-    """Return the middle frames of `count` equal parts of `frames` [F]; all frames if there are fewer."""
-    count = min(count, len(frames))
-    return [int(frames[(2 * part + 1) * len(frames) // (2 * count)]) for part in range(count)]
+def read_view(number: int, *files: DriveReader) -> View:
+    """Read what files of any stages have of frame `number` of one drive; a later file replaces what an earlier has.
 
-
-def read_view(raw: DriveReader, perceived: DriveReader, cloud: DriveReader, number: int) -> View:
-    """Read frame `number` from the drive's files of stages ingest, perception and clouds.
-
-    Raises InputError if one of them lacks the frame.
+    Raises InputError if a file lacks the frame.
     """
-    row, points = perceived.row_of(number), cloud.row_of(number)
-    return View(
-        frame=number,
-        rgb=raw.row("image", raw.row_of(number)),
-        depth_m=to_metres(perceived.row("depth_m", row)),
-        cls=perceived.row("cls", row),
-        xyz=cloud.rows_of("xyz", points),
-        points_cls=cloud.rows_of("cls", points),
-    )
+    parts: dict[str, Any] = {}
+    for file in files:
+        row = file.row_of(number)
+        for name, key in (("image", "rgb"), ("depth", "depth_m"), ("depth_m", "depth_m"), ("cls", "cls")):
+            # In ingest, a frame may lack them; in other files, image may be of a graph, and cls of points.
+            if name in file and len(file.shape(name)) > 2 and (f"has_{name}" not in file or file[f"has_{name}"][row]):
+                pixels = file.row(name, row)
+                parts[key] = to_metres(pixels) if key == "depth_m" else pixels
+        if "xyz" in file:
+            parts |= {"xyz": file.rows_of("xyz", row), "points_cls": file.rows_of("cls", row)}
+        if "degree" in file:
+            parts["edges"] = edge_pairs(file.rows_of("degree", row), file.rows_of("indices", row))
+            parts["edge_count"] = file["edges_kept"][row]
+    return View(number, **parts)
 
 
 def depth_scale() -> ScalarMappable:
@@ -133,7 +134,7 @@ def sheet(title: str, views: Sequence[View]) -> Figure:
             above = figure.add_subplot(grid[3 * row : 3 * row + 3, -1])
             draw_points(above, view.xyz, view.points_cls, view.edges)
             look_ahead(above)
-            name, edges = ("cloud", "") if view.edges is None else ("graph", f", {len(view.edges):,} edges")
+            name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
             void = "; black: no class" if (view.points_cls == classes.VOID).any() else ""
             above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
     class_legend(figure, np.concatenate([view.all_classes() for view in views]), columns=8 if len(ratios) == 2 else 5)

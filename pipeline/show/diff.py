@@ -16,7 +16,6 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import PER_DRIVE, DriveReader
-from pipeline.show.artefact import damage_as_input_error, flatten, open_drive
 
 Column = Mapping[int, Any]
 _NO_FRAME = -1
@@ -176,3 +175,41 @@ def _dataset(file: DriveReader, name: str) -> Column:
     if len(file.shape(name)) == 1:
         return dict(zip(frames, file[name], strict=True))
     return {frame: partial(file.row, name, row) for row, frame in enumerate(frames)}
+
+
+@contextmanager
+def damage_as_input_error(path: Path, fix: str = "Make it again: dvc repro. Or fetch it: dvc pull") -> Iterator[None]:
+    """Convert exceptions of libraries on a damaged file to InputError; errors of the operating system pass unchanged.
+
+    HDF5 and YAML raise many kinds, from KeyError to RecursionError.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno:
+            raise
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"file is damaged ({reason})", path, fix) from error
+
+
+@contextmanager
+def open_drive(path: Path) -> Iterator[DriveReader]:
+    """Open a drive's file of any stage. Raises InputError if it is damaged, also for errors within the block."""
+    with damage_as_input_error(path), DriveReader(path, stage=None) as file:
+        yield file
+
+
+def flatten(value: Any, key: str = "") -> dict[str, Any]:
+    """Return dotted key → leaf of nested mappings and lists; a tensor is one leaf, as an array."""
+    if hasattr(value, "detach"):  # a tensor; torch is not imported for JSON
+        value = value.detach().cpu()
+        return {key: (value.float() if str(value.dtype) == "torch.bfloat16" else value).numpy()}
+    if isinstance(value, Mapping) and value:
+        parts = {f"{key}.{name}" if key else str(name): inner for name, inner in value.items()}
+    elif isinstance(value, list | tuple) and value:
+        parts = {f"{key}[{number}]": inner for number, inner in enumerate(value)}
+    else:
+        return {key: value}
+    return {name: leaf for part, inner in parts.items() for name, leaf in flatten(inner, part).items()}

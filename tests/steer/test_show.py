@@ -1,4 +1,4 @@
-"""steer show: output, pictures, and errors."""
+"""steer show: a file's datasets and settings, a frame as numbers and as a picture."""
 
 import json
 from pathlib import Path
@@ -7,6 +7,7 @@ import cv2
 import pytest
 from typer.testing import CliRunner
 
+from pipeline.train import checkpoint
 from steer.app import app
 from tests.artefacts import write_dataset
 
@@ -27,50 +28,50 @@ def show(*arguments: object, status: int = 0) -> str:
     return result.output
 
 
-def test_file_with_its_datasets_and_params(data: Path) -> None:
+def test_a_file_has_its_datasets_and_settings(data: Path) -> None:
     text = show(data / f"graphs/semantic/{DRIVE}.h5")
-    rows = [line.split() for line in text.splitlines()]
-    assert ["stage", "graphs"] in rows
-    assert ["xyz", "150", "×", "3", "float32", "m"] in [row[:6] for row in rows]
-    assert "keep_inter_class: 0.2" in text
-
-
-def test_frame_is_drawn_and_printed_alone(data: Path) -> None:
-    text = show(data / f"graphs/semantic/{DRIVE}.h5", "--frame", 3)
-    assert text.splitlines()[1].split() == ["frame", "3"]
-    picture = cv2.imread(f"{DRIVE}-frame-3.png")
-    assert picture is not None
-    assert picture.std() > 5
-    show(data / f"labels/{DRIVE}.h5", "--frame", 2)  # numbers only
-    assert [path.name for path in Path().iterdir()] == [f"{DRIVE}-frame-3.png"]
-
-
-def test_json_and_quiet(data: Path) -> None:
+    assert "stage: graphs" in text
+    assert "xyz: [float32 150 × 3, m, 'rows of a frame: ptr'" in text
     content = json.loads(show(data / f"graphs/semantic/{DRIVE}.h5", "--json"))
-    assert (content["frames"], content["stage"]) == (5, "graphs")
-    content = json.loads(show(data / f"graphs/semantic/{DRIVE}.h5", "--json", "--frame", 2, "--out", "a.png"))
-    assert (content["picture"], content["edges_knn"]) == ("a.png", 180)
-    assert show(data, "--quiet") == ""
+    assert (content["frames"], content["settings"]["graphs"]["keep_inter_class"]) == ("5, 0 to 4", 0.2)
+
+
+def test_a_checkpoint_has_everything_but_weights(data: Path) -> None:
+    import torch
+
+    net = {"weight": torch.zeros(2)}
+    checkpoint.write(data / "best.pt", {"kind": "steering net", "entry": {"window": 8}, "net": net})
+    content = json.loads(show(data / "best.pt", "--json"))
+    assert (content["kind"], content["entry"], "net" in content) == ("steering net", {"window": 8}, False)
+
+
+def test_a_frame_is_printed_and_drawn(data: Path) -> None:
+    file = data / f"graphs/semantic/{DRIVE}.h5"
+    content = json.loads(show(file, "--frame", 2, "--out", "a.png", "--json"))
+    assert (content["frame"], content["edges_knn"]) == (2, 180)
+    assert cv2.imread("a.png").std() > 5
+    assert "steering_rad:" in show(data / f"labels/{DRIVE}.h5", "--frame", 2)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere"], "nowhere: "),
-        (["FILE", "--frame", 77], "has no frame 77"),
-        (["FILE", "--frame", 1, "--out", "a.gif"], "--out: "),
-        (["FILE", "--frame", 1, "--out", "folder.png"], "folder.png: steer did not write"),
-        (["FILE", "--frame", 1, "--out", "photo.png"], "photo.png: steer did not write"),
+        (["nowhere.h5"], "nowhere.h5: "),
+        (["nowhere.pt"], "nowhere.pt: "),
+        (["."], "expected a drive's file (.h5) or a checkpoint (.pt)"),
+        (["photo.png"], "expected a drive's file"),
+        (["GRAPHS", "--frame", 77], "has no frame 77"),
+        (["GRAPHS", "--frame", 1, "--out", "a.gif"], "--out: "),
+        (["GRAPHS", "--out", "a.png"], "--out: "),
+        (["GRAPHS", "--frame", 1, "--out", "photo.png"], "photo.png: exists already"),
+        (["LABELS", "--frame", 1, "--out", "a.png"], "neither an image nor points"),
     ],
 )
-def test_errors_are_one_line(data: Path, arguments: list[object], message: str) -> None:
-    file = data / f"graphs/semantic/{DRIVE}.h5"
-    Path("folder.png").mkdir()
-    (Path("folder.png") / "precious").touch()
+def test_wrong_input_is_one_line(data: Path, arguments: list[object], message: str) -> None:
+    files = {"GRAPHS": data / f"graphs/semantic/{DRIVE}.h5", "LABELS": data / f"labels/{DRIVE}.h5"}
     Path("photo.png").write_bytes(b"precious")
-    text = show(*(file if argument == "FILE" else argument for argument in arguments), "--quiet", status=1)
+    text = show(*(files.get(str(argument), argument) for argument in arguments), "--quiet", status=1)
     assert text.startswith("error: ")
     assert message in text
-    assert Path("folder.png/precious").exists()
-    assert Path("photo.png").read_bytes() == b"precious"
     assert text.count("\n") == 1
+    assert Path("photo.png").read_bytes() == b"precious"

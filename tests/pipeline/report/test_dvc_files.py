@@ -2,24 +2,27 @@
 
 from pathlib import Path
 
-import pytest
-
 from pipeline.report import dvc_files
 from tests.pipeline.report import examples
+from tests.pipeline.report.examples import metrics
 
 
 def test_metrics_have_flat_names_and_no_missing_values(tmp_path: Path) -> None:
-    net = examples.metrics("net") | {"val": examples.scores(0.15)}
-    straight = examples.metrics("straight")
-    straight["test"]["nmse"] = None
-    ahead = examples.metrics("ahead", odometry={"odometry": 0.4}, horizon=10)
-    found = dvc_files.metrics(examples.results(tmp_path, net, straight, ahead), None)
-    mae = 4 * 0.2**0.5
-    expected = {"nmse": 0.2, "nmse_low": 0.1, "nmse_high": 0.3, "mae_deg": mae, "train_nmse": 0.1, "val_nmse": 0.15}
-    assert {name: found[f"net.{name}"] for name in expected} == pytest.approx(expected)
-    assert "net.odometry" not in str(found)
-    assert found["odometry-10.nmse"] == 0.4
-    assert {"straight.nmse", "ahead.val_nmse", "odometry-0.nmse"}.isdisjoint(found)
+    net = metrics("net") | {"val": {"steering_rad": examples.scores(0.15)}}
+    groups = examples.groups(
+        tmp_path, net, metrics("straight", None), metrics("path", odometry={"odometry": 0.4}, predict="path")
+    )
+    found = dvc_files.metrics(groups, None)
+    of_net = {"nmse": 0.2, "nmse_low": 0.1, "nmse_high": 0.2 * 1.5, "train_nmse": 0.1, "val_nmse": 0.15}
+    assert {name: value for name, value in found.items() if name.startswith("net")} == {
+        f"net.{name}": value for name, value in of_net.items()
+    }
+    assert (found["path.nmse_5-10m"], found["path.nmse_5-10m_low"], found["odometry-path-0.nmse_0-5m"]) == (
+        0.2,
+        0.1,
+        0.4,
+    )
+    assert not any(name.startswith("straight") or "odometry-angle" in name for name in found)
 
 
 def test_each_network_has_a_learning_curve(tmp_path: Path) -> None:

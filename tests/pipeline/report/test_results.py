@@ -1,106 +1,53 @@
-"""Metrics and predictions of all models: order of the rows, baselines, networks of the paper."""
+"""Groups of models: order of the rows, baselines, angles in degrees, networks of the paper."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.report import paper
-from pipeline.report.results import load_results, load_structures
+from pipeline.report.results import load_groups
 from tests.pipeline.report import examples
+from tests.pipeline.report.examples import metrics
 
-PAPERS = {"input": "depth", "semantics": 0.0}  # do-gnn-ncp of the paper
 
-
-def test_rows_are_sorted_by_horizon_then_as_in_the_paper_with_baselines_last(tmp_path: Path) -> None:
-    found = examples.results(
+def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path: Path) -> None:
+    found = examples.groups(
         tmp_path,
-        examples.metrics("far", odometry={"odometry": 0.5}, horizon=10),
-        examples.metrics("ours", spatial="gatv2", odometry={"odometry": 0.04, "odometry_lidar": None}),
-        examples.metrics("do", **PAPERS),
-        examples.metrics("lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
-    ).metrics
-    baselines = ["zero", "train_mean", "persistence", "odometry"]
-    names = ["lstm", "do", "ours", *baselines, "odometry_lidar", "far", *baselines]
-    assert [*found["model"]] == names
-    assert [*found["baseline"]] == [name in (*baselines, "odometry_lidar") for name in names]
-    rows = found[found["line.horizon"] == 0].set_index("model")
-    assert rows.loc["odometry", ["test.nmse", "train.nmse"]].tolist() == [0.04, 0.04]
-    assert rows.loc["odometry", f"test.by_drive.{examples.DRIVES[0]}.nmse"] == 0.04
-    assert rows.loc["zero", "test.by_curvature.0.03 to 0.1.rmse_deg"] == pytest.approx(3 * 5.73)
-    assert rows.loc["odometry_lidar", "test.nmse"] is None
-    assert rows.loc["do", "paper.test_mse"] == 0.081
-    assert rows.loc["ours", "paper.test_mse"] is None
+        metrics("path", predict="path"),
+        metrics("far", odometry={"odometry": 0.5}, horizon=10),
+        metrics("ours", spatial="gatv2", odometry={"odometry": 0.04}),
+        metrics("do", input="depth", semantics=0.0),
+        metrics("lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
+    )
+    assert [group.title for group in found] == ["steering angle", "steering angle, 10 frames ahead", "path ahead"]
+    baselines = ["zero", "train_mean", "persistence"]
+    rows = {row["model"]: row for row in found[0].rows}
+    assert [*rows] == ["lstm", "do", "ours", *baselines, "odometry"]
+    assert [row["baseline"] for row in rows.values()] == [False] * 3 + [True] * 4
+    assert rows["odometry"]["test"]["steering_rad"]["nmse"] == 0.04
+    assert rows["do"]["paper"].test_mse == 0.081
+    assert rows["ours"]["paper"] is None
+    assert [*found[2].labels.values()] == ["0-5 m", "5-10 m"]
 
 
 def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:
-    found = examples.results(tmp_path, examples.metrics("net") | {"seeds": [3, 7]}, examples.metrics("other"))
-    table = found.predictions
-    assert table.groupby(["model", "run"]).size().to_dict() == {
-        ("net", ""): 60,
-        ("net", "seed-7"): 60,
-        ("other", ""): 60,
-    }
-    first = found.first_seed(["net"])
-    assert len(first) == 60
-    row = first.iloc[[6, 10, 20]]
-    assert row["elapsed_s"].tolist() == pytest.approx([0.6, 1.0, 2.0])
-    np.testing.assert_allclose(row["driven_deg"], [np.rad2deg(0.06), np.rad2deg(0.1), np.nan])
-    np.testing.assert_allclose(row["predicted_deg"], [np.nan, np.rad2deg(0.11), np.rad2deg(0.21)])
-    np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([0.061, 0.101, 0.201]))
+    (group,) = examples.groups(tmp_path, metrics("net") | {"seeds": [3, 7]}, metrics("other"))
+    counts = group.predictions.groupby(["model", "run"]).size().to_dict()
+    assert counts == {("net", ""): 60, ("net", "seed-7"): 60, ("other", ""): 60}
+    row = group.first_seed("net").iloc[[0, 6, 10, 20]]
+    assert row["elapsed_s"].tolist() == pytest.approx([0, 0.6, 1.0, 2.0])
+    np.testing.assert_allclose(row["true_deg"], np.rad2deg([0, 0.06, 0.1, np.nan]))
+    np.testing.assert_allclose(row["predicted_deg"], np.rad2deg([np.nan, np.nan, 0.11, 0.21]))
+    np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([np.nan, 0.061, 0.101, 0.201]))
 
 
-def check_error(data: Path, name: str, problem: str) -> None:
-    with pytest.raises(InputError, match=problem) as raised:
-        load_results(data / "evaluate", ["net"])
-    assert f"net/{name}" in str(raised.value)
-    assert "dvc repro --force --single-item evaluate@net" in str(raised.value)
-    assert "\n" not in str(raised.value)
-
-
-@pytest.mark.parametrize(
-    ("keys", "value", "problem"),
-    [
-        (["model"], "../../other", "expected model net"),
-        (["line"], [], "line"),
-        (["line", "horizon"], "10", "line.horizon"),
-        (["line", "fit_to"], None, "line.fit_to"),
-        (["seeds"], [], "seeds"),
-        (["parameters"], True, "parameters"),
-        (["variant", "k"], -1, "variant.k"),
-        (["test"], None, "test"),
-        (["test", "nmse"], float("nan"), "test.nmse"),
-        (["test", "mae_deg"], None, "all errors"),
-        (["test", "nmse_ci95"], [0.1], "nmse_ci95"),
-        (["test", "by_curvature"], {}, "by_curvature"),
-        (["test", "by_drive", examples.DRIVES[0]], 3, "by_drive"),
-        (["val"], {"nmse": 0.3}, "val.frames"),
-        (["extra"], 1, "extra"),
-    ],
-)
-def test_a_forged_metrics_file_is_one_error(tmp_path: Path, keys: list[str], value: Any, problem: str) -> None:
-    content = inner = examples.metrics("net")
-    for key in keys[:-1]:
-        inner = inner[key]
-    inner[keys[-1]] = value
-    (tmp_path / "evaluate/net").mkdir(parents=True)
-    (tmp_path / "evaluate/net/metrics.json").write_text(json.dumps(content))
-    check_error(tmp_path, "metrics.json", problem)
-
-
-@pytest.mark.parametrize(
-    ("rows", "problem"),
-    [('a,0,0.0,8.0,0.1,"0.2', "EOF"), ("a,0,0,8,0.1,inf,1,0,0\n", "finite"), ("a,0,0,8,0,0,1,0,0\n" * 2, "one row")],
-)
-def test_a_damaged_table_of_predictions_is_one_error(tmp_path: Path, rows: str, problem: str) -> None:
-    examples.write_model(tmp_path, examples.metrics("net"))
-    head = ",".join(examples.predictions(0.0).columns)
-    (tmp_path / "evaluate/net/predictions.csv").write_text(f"{head}\n{rows}")
-    check_error(tmp_path, "predictions.csv", problem)
+def test_a_path_turns_by_its_curvature_times_its_length(tmp_path: Path) -> None:
+    (group,) = examples.groups(tmp_path, metrics("path", predict="path"))
+    row = group.first_seed("path").iloc[10]
+    assert (row["true_deg"], row["predicted_deg"]) == pytest.approx((np.rad2deg(0.1 * 10), np.rad2deg(0.11 * 10)))
 
 
 def test_the_drives_with_the_largest_error_of_the_best_model_are_drawn(
@@ -108,26 +55,19 @@ def test_the_drives_with_the_largest_error_of_the_best_model_are_drawn(
 ) -> None:
     monkeypatch.setattr("pipeline.report.results.SHOWN_DRIVES", 1)
     table = examples.predictions(0.01)
-    table.loc[table["drive"] == examples.DRIVES[1], "predicted_rad"] += 0.1
-    examples.write_model(tmp_path, examples.metrics("best", nmse=0.1), table)
-    examples.write_model(tmp_path, examples.metrics("worse", nmse=0.2))
-    results = load_results(tmp_path / "evaluate", ["worse", "best"])
-    shown = results.worst_drives(results.models)
-    assert set(shown["drive"]) == {examples.DRIVES[1]}
-    assert set(shown["model"]) == {"best", "worse"}
+    table.loc[table["drive"] == examples.DRIVES[1], "predicted_steering_rad"] += 0.1
+    examples.write_model(tmp_path, metrics("worse", nmse=0.2))
+    examples.write_model(tmp_path, metrics("best", nmse=0.1), table)
+    (group,) = load_groups(tmp_path / "evaluate", ["worse", "best"])
+    assert group.worst_drives() == [examples.DRIVES[1]]
 
 
-def test_a_forged_structure_is_one_error(tmp_path: Path) -> None:
-    graph = {"frame": 1, "points": 2, "xyz_m": [[0, 0, 1], [1, 0, 1]], "cls": [0, 0], "edges": [[0, 2]]}
-    store.write_json(tmp_path / "net/structure.json", {"drive": graph})
-    with pytest.raises(InputError, match=r"structure\.json: .*do not fit"):
-        load_structures(tmp_path / "net")
-
-
-SEMANTIC = {
-    "equivariant": False, "alpha": 0.0, "learning_rate": None, "features": 32, "input": "semantic", "spatial": "gnn",
-    "temporal": "ncp", "window": 8, "cell": "ltc", "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train",
-}  # fmt: skip
+def test_a_damaged_table_of_predictions_names_the_command(tmp_path: Path) -> None:
+    examples.write_model(tmp_path, metrics("net"))
+    path = tmp_path / "evaluate/net/predictions.csv"
+    path.write_text(path.read_text() + 'a,0,0.0,8.0,0.1,"0.2')
+    with pytest.raises(InputError, match=r"predictions\.csv: .*evaluate@net"):
+        load_groups(tmp_path / "evaluate", ["net"])
 
 
 @pytest.mark.parametrize(
@@ -137,13 +77,14 @@ SEMANTIC = {
         ({"cell": "eq4", "features": 64}, "sa-gnn-ncp"),
         ({"cell": "cfc"}, None),
         ({"window": 4}, None),
-        ({"accumulate": True}, None),
+        ({"predict": "path"}, None),
+        ({"accumulate": {"frames": 8}}, None),
         ({"semantics": 0.0}, None),
         ({"input": "depth", "semantics": 0.0}, "do-gnn-ncp"),
     ],
 )
 def test_a_change_of_a_compared_setting_makes_another_network(change: dict[str, Any], network: str | None) -> None:
-    assert paper.name({**SEMANTIC, **change}) == network
+    assert paper.name(examples.ENTRY | change) == network
 
 
 def test_every_network_of_the_paper_is_found() -> None:

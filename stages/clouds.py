@@ -1,13 +1,13 @@
 """Stage clouds: lift images and scans into semantic point clouds, data/clouds/{pseudo,lidar}/<drive>.h5."""
 
 from functools import partial
-from itertools import product
 from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.params import load
-from pipeline.base.runner import Job, run_over_drives
+from pipeline.base.runner import Job, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.graphs import cloud
 from pipeline.graphs.lift import clouds_drive
 from pipeline.settings.clouds import Clouds
@@ -28,32 +28,21 @@ def main(
     """
     settings = load(Clouds, params)
     splits = store.read_index(ingest, stage="ingest")
-    jobs = [
-        Job(
-            f"{kind}/{drive}",
-            out / kind / f"{drive}.h5",
-            [ingest / f"{drive}.h5", perception / f"{drive}.h5"],
-            partial(
-                clouds_drive,
-                kind=kind,
-                ingest=ingest / f"{drive}.h5",
-                perception=perception / f"{drive}.h5",
-                settings=settings,
-            ),
-        )
-        for kind, drive in product(KINDS, splits)
-    ]
-    text = "{frames} frames, {points} points"
-    with run_over_drives("clouds", settings, jobs, out, text.format_map, workers) as made:
-        for kind in KINDS:
-            counts = {drive: made[f"{kind}/{drive}"] for drive in splits}
+    for kind in KINDS:
+        jobs = []
+        for drive in splits:
+            inputs = ingest / f"{drive}.h5", perception / f"{drive}.h5"
+            work = partial(clouds_drive, kind=kind, ingest=inputs[0], perception=inputs[1], settings=settings)
+            jobs.append(Job(drive, f"{drive}.h5", inputs, work))
+        with stage_folder(f"clouds@{kind}", out / kind) as folder:
+            counts = make_drives(folder, jobs, settings, "{frames} frames, {points} points".format_map, workers)
             fix = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or check the inputs: steer show {perception}"
             with error_context(f"{params}: clouds/{kind}", fix):
                 cloud.check_not_empty(counts, splits)
-            store.write_index(out / kind, splits)
-            without = [drive for drive, count in counts.items() if not count["frames"]]
-            if without:
-                print(f"{kind}: no {'scans' if kind == 'lidar' else 'images'} in {', '.join(without)}, so no clouds")
+            store.write_index(folder.new, splits)
+        without = [drive for drive, count in counts.items() if not count["frames"]]
+        if without:
+            print(f"{kind}: no {'scans' if kind == 'lidar' else 'images'} in {', '.join(without)}, so no clouds")
     return out
 
 

@@ -1,17 +1,16 @@
 """Stage encoder: fit the unified encoder on the training drives, or take fitted weights."""
 
 import csv
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from pipeline.base import console, store
-from pipeline.base.atomic import replacing, stage_folder
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load
 from pipeline.base.resume import stage_key
+from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.encoder import PARTS, Encoder
 
 
@@ -21,8 +20,9 @@ def main(
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
     if settings.folder:
-        with stage_folder(out):
-            return _use_precomputed(settings, settings.folder, out)
+        with stage_folder("encoder", out) as stage:
+            _use_precomputed(settings, settings.folder, stage.new)
+        return out
 
     import torch
 
@@ -42,20 +42,19 @@ def main(
                 raise InputError(f"no file for the {part}", fix="Name one, or fit it with encoder.epochs")
     curve: Sequence[Any] = []
     fitted_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
-    with stage_folder(out) as pending:
+    with stage_folder("encoder", out) as stage:
         if settings.epochs:
             hashes = [source.sha256 for source in sources]
-            curve, fitted_on = _fit(model, settings, hashes, ingest, drives, pending)
-        perceive.save(out, settings.backbone, model.state_dict())
+            curve, fitted_on = _fit(model, settings, hashes, ingest, drives, stage.kept)
+        perceive.save(stage.new, settings.backbone, model.state_dict())
         parameters = sum(parameter.numel() for parameter in model.parameters())
         losses = {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None
         results = {"sources": [asdict(source) for source in sources], "losses": losses, "parameters": parameters}
-        store.write_json(out / "config.json", settings.model_dump(mode="json") | fitted_on | results)
-        with replacing(out / "curve.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+        store.write_json(stage.new / "config.json", settings.model_dump(mode="json") | fitted_on | results)
+        with (stage.new / "curve.csv").open("w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(["epoch", "loss", "depth", "classes"])
             rows.writerows([row.epoch, f"{row.loss:.6g}", f"{row.depth:.6g}", f"{row.classes:.6g}"] for row in curve)
-        shutil.rmtree(pending, ignore_errors=True)
     frames = sum(fitted_on["frames_per_drive"].values())
     origin = f", starting from {', '.join(source.path for source in sources)}" if sources else ""
     action = f"fitted on {frames} frames of {len(drives)} drives{origin}" if curve else "weights used as they are"
@@ -64,7 +63,7 @@ def main(
 
 
 def _fit(
-    model: Any, settings: Encoder, hashes: list[str], ingest: Path, drives: dict[str, str], pending: Path
+    model: Any, settings: Encoder, hashes: list[str], ingest: Path, drives: dict[str, str], kept: Path
 ) -> tuple[Sequence[Any], dict[str, Any]]:
     """Fit the parts that have a training target. Of drives outside of the training split, only images are used.
 
@@ -94,19 +93,18 @@ def _fit(
             batch=settings.batch,
             learning_rate=settings.learning_rate,
             seed=settings.seed,
-            state_path=pending / f"{key}.pt",
+            state_path=kept / f"{key}.pt",
         )
         return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
 
 
-def _use_precomputed(settings: Encoder, folder: Path, out: Path) -> Path:
+def _use_precomputed(settings: Encoder, folder: Path, out: Path) -> None:
     from pipeline.perception import precomputed
 
     files, fingerprint = precomputed.fingerprint(folder)
     config = {"weights": str(folder), "files": files, "fingerprint": fingerprint}
     store.write_json(out / "config.json", settings.model_dump(mode="json") | config)
     print(f"encoder: {files} precomputed files in {folder}", flush=True)
-    return out
 
 
 if __name__ == "__main__":

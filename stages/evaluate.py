@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import stage_folder, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import SPLITS, check_name, load
+from pipeline.base.stage_folder import stage_folder
 from pipeline.evaluate import by_frame, path_ahead
 from pipeline.evaluate.errors import interval_text
 from pipeline.evaluate.schema import Metrics, PathMetrics
@@ -36,11 +36,12 @@ def main(
     """
     with error_context(f"MODEL {name!r}"):
         check_name(name)
-    with stage_folder(out / name, entry=True):
-        return _evaluate(name, train, graphs, labels, out / name, load(Evaluate, params))
+    with stage_folder(f"evaluate@{name}", out / name) as folder:
+        _evaluate(name, train, graphs, labels, folder.new, load(Evaluate, params))
+    return out / name
 
 
-def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, settings: Evaluate) -> Path:
+def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, settings: Evaluate) -> None:
     config = runs.read_config(train / name)
     entry, seeds, variant = config.model, config.seeds, graphs / config.model.input
     folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
@@ -67,11 +68,9 @@ def _evaluate(name: str, train: Path, graphs: Path, labels: Path, out: Path, set
     store.write_json(out / "metrics.json", form.model_validate(result).model_dump(exclude_unset=True))
     writer = path_ahead if path else by_frame
     for number, folder in enumerate(runs.folders(out, seeds).values()):
-        sweep(folder)
         writer.write_predictions(folder / "predictions.csv", cases["test"], number)
     by_frame.write_structure(out / "structure.json", tested)
     print(_path_summary(result) if path else _summary(result))
-    return out
 
 
 def _load(run: runs.Run, name: str, config: runs.Config) -> predict.Trained:

@@ -9,7 +9,8 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.params import load_entry
-from pipeline.base.runner import Job, Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.graphs import cloud
 from pipeline.graphs.drive import graphs_drive
 from pipeline.settings.graphs import Variant
@@ -33,13 +34,14 @@ def main(
     for drive in splits:
         inputs = source / f"{drive}.h5", data / "motion" / f"{drive}.h5"
         work = partial(graphs_drive, source=inputs[0], motion=inputs[1], variant=variant)
-        jobs.append(Job(drive, out / name / f"{drive}.h5", inputs, work))
-    with run_over_drives(f"graphs@{name}", variant, jobs, out / name, _describe, workers) as summaries:
+        jobs.append(Job(drive, f"{drive}.h5", inputs, work))
+    with stage_folder(f"graphs@{name}", out / name) as folder:
+        summaries = make_drives(folder, jobs, variant, _describe, workers)
         if variant.kind != "image":
             crop = variant.crop_m and f"Widen crop_m = {list(variant.crop_m)}: left, near, right, far in metres"
             with error_context(f"{params}: graphs.{name}", crop or f"Repeat: dvc repro --force --single-item {stage}"):
                 cloud.check_not_empty(summaries, splits)
-        store.write_index(out / name, splits)
+        store.write_index(folder.new, splits)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("edges_knn", "edges_kept"))
     without = [drive for drive, summary in summaries.items() if not summary["frames"]]
     share = f", {after / before:.0%} of {before} kNN edges kept" if before else ""

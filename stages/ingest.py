@@ -6,7 +6,8 @@ from pathlib import Path
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.runner import Job, run_over_drives
+from pipeline.base.runner import Job, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.frames import describe, ingest_kitti
 from pipeline.kitti.raw import RawDrive, find_drives
 from pipeline.settings.ingest import Ingest
@@ -42,9 +43,10 @@ def main(
     for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
         fingerprint = files.fingerprint(settings.cameras, by_content=sources[drive] == "sample")
         work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)
-        jobs.append(Job(drive, out / f"{drive}.h5", [fingerprint], work))
-    with run_over_drives("ingest", reading, jobs, out, describe, workers) as summaries:
-        store.write_index(out, splits)
+        jobs.append(Job(drive, f"{drive}.h5", [fingerprint], work))
+    with stage_folder("ingest", out) as folder:
+        summaries = make_drives(folder, jobs, reading, describe, workers)
+        store.write_index(folder.new, splits)
     for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
         missing = [drive for drive in splits if not summaries[drive][name]]
         if missing:

@@ -7,7 +7,8 @@ import numpy as np
 
 from pipeline.base import console, store
 from pipeline.base.params import load
-from pipeline.base.runner import Job, Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.oxts import VL
 from pipeline.labels import ahead, label, sources
 from pipeline.settings.labels import Labels
@@ -29,11 +30,12 @@ def main(
     for drive in splits:
         inputs = [folder / f"{drive}.h5" for folder in ((ingest,) if settings.source == "oxts" else (ingest, motion))]
         work = partial(_label, ingest=inputs[0], motion=[*inputs, None][1], settings=settings)
-        jobs.append(Job(drive, out / f"{drive}.h5", inputs, work))
-    # One worker, as this is less work than starting a process.
-    with run_over_drives("labels", settings, jobs, out, _describe, workers=1) as summaries:
-        store.write_json(out / "summary.json", summaries)
-        store.write_index(out, splits)
+        jobs.append(Job(drive, f"{drive}.h5", inputs, work))
+    with stage_folder("labels", out) as folder:
+        # One worker, as this is less work than starting a process.
+        summaries = make_drives(folder, jobs, settings, _describe, workers=1)
+        store.write_json(folder.new / "summary.json", summaries)
+        store.write_index(folder.new, splits)
     suspect = [drive for drive, summary in summaries.items() if summary["sideways_frames"]]
     if suspect:
         print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")

@@ -4,7 +4,8 @@ from functools import partial
 from pathlib import Path
 
 from pipeline.base import console, store
-from pipeline.base.runner import Job, run_over_drives
+from pipeline.base.runner import Job, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.motion.drive import measure_drive
 
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
@@ -22,10 +23,10 @@ def main(
     for drive in splits:
         inputs = ingest / f"{drive}.h5", perception / f"{drive}.h5"
         work = partial(measure_drive, ingest=inputs[0], perception=inputs[1])
-        jobs.append(Job(drive, out / f"{drive}.h5", inputs, work))
-    text = "{frames} frames, {valid} measured"
-    with run_over_drives("motion", {}, jobs, out, text.format_map, workers) as made:
-        store.write_index(out, splits)
+        jobs.append(Job(drive, f"{drive}.h5", inputs, work))
+    with stage_folder("motion", out) as folder:
+        made = make_drives(folder, jobs, {}, "{frames} frames, {valid} measured".format_map, workers)
+        store.write_index(folder.new, splits)
     without = [drive for drive, summary in made.items() if not summary["valid"]]
     if without:
         print(f"no motion measured in {', '.join(without)}")

@@ -6,7 +6,8 @@ from pathlib import Path
 from pipeline.base import console, store
 from pipeline.base.executors import default_workers
 from pipeline.base.params import load
-from pipeline.base.runner import Job, run_over_drives
+from pipeline.base.runner import Job, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.perception import Perception
 
 
@@ -29,7 +30,7 @@ def main(
     jobs = [
         Job(
             drive,
-            out / f"{drive}.h5",
+            f"{drive}.h5",
             [ingest / f"{drive}.h5", weights_file(encoder)],
             partial(perceive_drive, ingest=ingest / f"{drive}.h5", encoder=encoder, settings=settings),
         )
@@ -37,8 +38,9 @@ def main(
     ]
     if torch.cuda.is_available():  # two processes keep a GPU busy: one reads and writes while the other encodes
         workers = min(2, workers or default_workers())
-    with run_over_drives("perception", settings, jobs, out, "{frames} frames".format_map, workers=workers) as summaries:
-        store.write_index(out, splits)
+    with stage_folder("perception", out) as folder:
+        summaries = make_drives(folder, jobs, settings, "{frames} frames".format_map, workers)
+        store.write_index(folder.new, splits)
     without = [drive for drive, summary in summaries.items() if not summary["frames"]]
     if without:
         print(f"no images in {', '.join(without)}, so no depth and classes", flush=True)

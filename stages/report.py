@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import replacing, stage_folder, sweep
 from pipeline.base.params import entries, load
+from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.evaluate import Evaluate
 
 
@@ -36,20 +36,19 @@ def main(
     perceived = perception.tables(scores) if scores else []
     story = sentences(groups, [model for model in models if model not in evaluated])
     text = "\n\n".join([*(fill(line, 110) for line in story), *(table.markdown() for table in (*steering, *perceived))])
-    with stage_folder(out):
-        with replacing(out / "table.md") as unfinished:
-            unfinished.write_text(f"{text}\n", encoding="utf-8")
-        dvc_files.write_csv(out / "table.csv", tables.csv_rows(groups), na="")
-        store.write_json(out / "metrics.json", dvc_files.metrics(groups, scores))
-        for folder in ("learning", "steering", "figures"):  # DVC expects each output, even an empty one
-            (out / folder).mkdir(exist_ok=True)
-            sweep(out / folder)
+    with stage_folder("report", out, shared=True) as folder:
+        new = folder.new
+        (new / "table.md").write_text(f"{text}\n", encoding="utf-8")
+        dvc_files.write_csv(new / "table.csv", tables.csv_rows(groups), na="")
+        store.write_json(new / "metrics.json", dvc_files.metrics(groups, scores))
+        for name in ("learning", "steering", "figures"):  # DVC expects each output, even an empty one
+            (new / name).mkdir()
         for model in evaluated:
-            dvc_files.write_learning(data / "train" / model, out / "learning")
+            dvc_files.write_learning(data / "train" / model, new / "learning")
         for group in groups:
-            dvc_files.write_steering(group.predictions, out / "steering")
-        captions = draw(out / "figures", groups, data)
-        write_page(out / "index.html", story, groups, steering, perceived, captions, data)
+            dvc_files.write_steering(group.predictions, new / "steering")
+        captions = draw(new / "figures", groups, data)
+        write_page(new / "index.html", story, groups, steering, perceived, captions, data)
     print(text)
     return out
 

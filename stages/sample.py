@@ -4,10 +4,9 @@ from functools import partial
 from pathlib import Path
 
 from pipeline.base import console
-from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError
 from pipeline.base.params import load
-from pipeline.base.runner import Job, Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.raw import find_drives
 from pipeline.sample.drive import Drive
 from pipeline.sample.rig import make_rig, write_calibration
@@ -23,42 +22,36 @@ def main(
 ) -> Path:
     """Render the drives of section ingest that belong to the sample; none with ingest.source: kitti.
 
-    Returns the stage's folder. Raises InputError instead of replacing a drive that is not rendered, and if `raw` lacks
-    a drive of section ingest, which stage `ingest` would report only after minutes of rendering.
+    Returns the stage's folder. Raises InputError if `raw` lacks a drive of section ingest, which stage `ingest` would
+    report only after minutes of rendering.
     """
     settings, ingest = load(Sample, params), load(Ingest, params)
     sources, splits = ingest.sources(), ingest.drives.splits()
     frames = {drive: getattr(settings.frames, splits[drive]) for drive in splits if sources[drive] == "sample"}
     if not frames:
-        out.mkdir(parents=True, exist_ok=True)
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
-        return out
-    if real := [drive for drive in splits if sources[drive] == "kitti"]:
+    elif real := [drive for drive in splits if sources[drive] == "kitti"]:
         find_drives(raw, real)
-    folders = {drive: out / drive[:10] / f"{drive}_sync" for drive in frames}
-    for folder in folders.values():
-        if folder.is_dir() and not (folder / "truth").is_dir():
-            raise InputError("folder holds a drive that is not rendered", folder, "Pass another --out, or move it")
     jobs = [
         Job(
             drive,
-            folders[drive],
-            [splits[drive]],
+            f"{drive[:10]}/{drive}_sync",
+            [str(frames[drive])],
             partial(_render, drive=drive, frames=frames[drive], settings=settings),
         )
         for drive in sorted(frames, key=frames.__getitem__, reverse=True)  # the longest first
     ]
     text = "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²"
-    with run_over_drives("sample", settings, jobs, out, text.format_map, workers=workers):
-        for date in {folder.parent for folder in folders.values()}:
-            write_calibration(make_rig(settings.image_size, date.name), date)
+    with stage_folder("sample", out) as folder:
+        make_drives(folder, jobs, settings.model_dump(exclude={"frames"}), text.format_map, workers)
+        for date in {drive[:10] for drive in frames}:
+            write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out
 
 
 def _render(path: Path, *, drive: str, frames: int, settings: Sample) -> Summary:
     rendered = Drive(drive, frames=frames, size=settings.image_size, scan_rays=settings.scan_rays, seed=settings.seed)
-    with replacing(path) as folder:
-        rendered.write(folder)
+    rendered.write(path)
     return rendered.summary()
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from pipeline.base import console, store
 from pipeline.base.errors import named_frames
 from pipeline.base.params import SPLITS, load
-from pipeline.base.runner import Job, Summary, run_over_drives
+from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
@@ -40,13 +41,14 @@ def main(
     jobs = [
         Job(
             drive,
-            out / drive,
+            f"{drive}/metrics.json",
             [folder / f"{drive}.h5" for folder in (ingest, perception, motion)],
             partial(_score_drive, drive=drive, ingest=ingest, perception=perception, score_motion=score_motion),
         )
         for drive in splits
     ]
-    with run_over_drives("scores", rule, jobs, out, "{frames} frames, {line}".format_map, workers) as summaries:
+    with stage_folder("scores", out) as folder:
+        summaries = make_drives(folder, jobs, rule, "{frames} frames, {line}".format_map, workers)
         motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
         kinds_scored = dict.fromkeys(kind for scores in motion_scored.values() for kind in scores)
         content: dict[str, Any] = {
@@ -60,7 +62,7 @@ def main(
             print(f"scores, {split}: {summary_line(content[split])}", flush=True)
             for kind, motion_scores in motion_scored[split].items():
                 print(f"{_pair(kind)}, {split}: {comparison.summary_line(motion_scores)}", flush=True)
-        store.write_json(out / "metrics.json", content)
+        store.write_json(folder.new / "metrics.json", content)
     return out
 
 
@@ -78,7 +80,7 @@ def _score_drive(
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
     report, motion = scores.report(), score_motion([drive])
-    store.write_json(path / "metrics.json", {**report, "motion": motion})
+    store.write_json(path, {**report, "motion": motion})
     lines = [f"{_pair(kind)}: {comparison.summary_line(scores)}" for kind, scores in motion.items()]
     return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
 

@@ -3,8 +3,6 @@
 On several GPUs: torchrun --nproc-per-node 2 -m stages.train MODEL; all processes must see the same files.
 """
 
-import shutil
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -12,11 +10,11 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.atomic import pending_folder, stage_folder, sweep
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load, load_entry
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import run_jobs
+from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import distributed, runs
@@ -45,23 +43,17 @@ def main(
     folds = runs.drop_untestable(folds, variant, labels, entry)
     drives = {drive for fold in folds for drive in fold.train + fold.val}
     files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in drives}
-    pending = pending_folder(out / name, entry=True)
-    job = Job(name, where, entry, settings, variant, labels, splits, files, pending)
-    for fold in folds:
-        job.target(job.read_drives(fold.train)), job.read_drives(fold.val)  # errors before anything is written
-    todo = runs.runs(out / name, settings.seeds, folds)
-    with (
-        distributed.process_group() as (world, device),
-        stage_folder(out / name, entry=True) if world.is_main else nullcontext(),
-    ):
+    with distributed.process_group() as (world, device), stage_folder(f"train@{name}", out / name) as stage:
+        job = Job(name, where, entry, settings, variant, labels, splits, files, stage.kept)
+        for fold in folds:
+            job.target(job.read_drives(fold.train)), job.read_drives(fold.val)  # errors before anything is written
+        todo = runs.runs(stage.new, settings.seeds, folds)
         if world.size > settings.batch_spans:
             raise InputError(
                 f"train.batch_spans = {settings.batch_spans}, expected at least the {world.size} processes",
                 params,
                 "Raise it or start fewer processes",
             )
-        if world.is_main:
-            sweep(*(run.folder for run in todo))
         if not folds[0].val and world.is_main:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
         at_once = networks_at_once(job, folds[0].train[0], device) if world.size == 1 else 1
@@ -76,8 +68,7 @@ def main(
         if world.is_main:
             # With folds, the first network has its own folder, and the model's config.json is a copy.
             config = store.read_json(todo[0].folder / "config.json", stage=f"train@{name}")
-            store.write_json(out / name / "config.json", config)
-            shutil.rmtree(pending)
+            store.write_json(stage.new / "config.json", config)
     return out / name
 
 

@@ -104,7 +104,7 @@ def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:
     first = {path.name: path.read_bytes() for path in evaluated.iterdir()}
     run_evaluate(folder)
     assert first == {path.name: path.read_bytes() for path in evaluated.iterdir()}
-    assert set(first) == {"metrics.json", "predictions.csv", "structure.json"}
+    assert set(first) == {"metrics.json", "predictions.csv", "structure.json", "index.json"}
     result, rows = json.loads(first["metrics.json"]), read(evaluated / "predictions.csv")
     assert not any("ms_per" in key for key in result)  # artefacts hold no times
     assert [row["frame"] for row in rows] == [str(number) for number in range(60)]

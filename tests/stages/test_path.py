@@ -87,7 +87,7 @@ def test_the_band_contains_two_thirds_of_the_validation_errors(data: Path) -> No
 def test_points_without_edges_are_evaluated(data: Path) -> None:
     for drive in SPLITS:
         with h5py.File(data / f"graphs/semantic/{drive}.h5", "a") as file:
-            file.attrs["params"] = file.attrs["params"].replace(b'"k": 6', b'"k": 0')
+            file.attrs["params"] = file.attrs["params"].replace('"k": 6', '"k": 0')
     write_params(data, {"predict": "path", "spatial": "polar"}, epochs=1)
     run_train(data)
     assert json.loads((run_evaluate(data) / "metrics.json").read_text())["variant"]["k"] == 0

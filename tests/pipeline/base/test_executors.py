@@ -1,7 +1,6 @@
 """Where jobs run: threads of local processes, and the workers of a Dask cluster of this machine."""
 
 import os
-import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.executors import SCHEDULER
 from pipeline.base.runner import run_jobs
 from tests.pipeline.base import toy_stage
-from tests.pipeline.base.toy_stage import calls, end_trouble, outputs, trouble
+from tests.pipeline.base.toy_stage import calls, outputs, trouble
 
 LOCAL = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
 
@@ -30,14 +29,6 @@ def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pyt
     ((_, (process, used)),) = run_jobs(threads, [0], workers=1, threads=1)
     assert (process != os.getpid(), used) == (True, "1")
     assert os.environ["OMP_NUM_THREADS"] == "7"
-
-
-@pytest.mark.parametrize("text", ["all", "0", "-1", "1.5", "9" * 5000])
-def test_a_number_of_workers_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    monkeypatch.setenv("STEER_WORKERS", text)
-    with pytest.raises(InputError, match="expected a number of processes") as raised:
-        executors.default_workers()
-    assert len(str(raised.value)) < 200
 
 
 @pytest.fixture(scope="module")
@@ -56,15 +47,13 @@ def dask(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.mark.slow
 def test_a_cluster_writes_the_bytes_of_one_process(
-    folder: Path, expected: dict[str, bytes], dask: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any
+    folder: Path, expected: dict[str, bytes], dask: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.chdir(folder)
     toy_stage.main(Path(), workers=None)
     assert outputs(folder) == expected
     processes = {line.split()[1] for line in (folder / "calls").read_text().splitlines()}
     assert str(os.getpid()) not in processes
-    assert "4/4" in capsys.readouterr().err.split("\r")[-1]
 
 
 @pytest.mark.slow
@@ -75,14 +64,9 @@ def test_a_job_whose_worker_dies_goes_to_another(folder: Path, expected: dict[st
     assert outputs(folder) == expected
     dask.scheduler.allowed_failures, before = 0, dask.scheduler.allowed_failures
     trouble(folder, b="die")
-    with pytest.raises(InputError) as raised:
-        toy_stage.main(folder)
+    with pytest.raises(InputError, match="died"):
+        toy_stage.main(folder, k=3)
     dask.scheduler.allowed_failures = before
-    assert raised.value.where == "at or near b"
-    assert "died" in raised.value.problem
-    end_trouble(folder)
-    toy_stage.main(folder)
-    assert outputs(folder) == expected
 
 
 def pretend(environment: dict[str, str]) -> None:

@@ -19,7 +19,8 @@ import numpy as np
 from pipeline.base import store
 from pipeline.base.errors import DamagedFile, named_frames
 from pipeline.base.resume import ROOT
-from pipeline.base.runner import Job, run_over_drives
+from pipeline.base.runner import Job, make_drives
+from pipeline.base.stage_folder import stage_folder
 from pipeline.base.store import DriveWriter
 from tests.kitti_drive import contents
 
@@ -59,15 +60,12 @@ def _trouble(path: Path) -> None:
                 time.sleep(0.02)
 
 
-def main(folder: Path, k: int = 2, workers: int | None = None) -> dict[str, Any]:
-    out = folder / "data/toy"
-    jobs = [
-        Job(drive, out / f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k))
-        for drive in DRIVES
-    ]
-    with run_over_drives("labels", {"k": k}, jobs, out, "{frames} frames".format_map, workers) as summaries:
+def main(folder: Path, k: int = 2, workers: int | None = None, drives: Sequence[str] = DRIVES) -> dict[str, Any]:
+    jobs = [Job(drive, f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k)) for drive in drives]
+    with stage_folder("labels", folder / "data/toy") as stage:
+        summaries = make_drives(stage, jobs, {"k": k}, "{frames} frames".format_map, workers)
         _trouble(folder / "trouble/index")
-        store.write_index(out, dict.fromkeys(DRIVES, "train"))
+        store.write_index(stage.new, dict.fromkeys(drives, "train"))
     return summaries
 
 
@@ -141,7 +139,11 @@ def wait_for(condition: Callable[[], bool]) -> None:
     raise TimeoutError
 
 
+def run(folder: Path, workers: int = 1) -> None:
+    main(folder, workers=workers)
+
+
 if __name__ == "__main__":
     from pipeline.base import console
 
-    console.run(main)
+    console.run(run)

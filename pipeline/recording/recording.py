@@ -1,6 +1,7 @@
 """Your own recording, and its conversion to a drive in KITTI raw's layout."""
 
 import math
+import shutil
 import sys
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -81,6 +82,8 @@ class Recording:
             angles = [self._write_logs(folder, time_s, part) for folder, part in zip(unfinished, parts, strict=True)]
             if not calibrated:
                 layout.write_calibration(date, self.camera)
+            for folder in folders:
+                shutil.rmtree(folder, ignore_errors=True)  # the earlier drive, with force
         written_s = time_s[np.logical_or.reduce(parts)]
         summary = {
             "drives": {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)},

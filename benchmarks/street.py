@@ -76,9 +76,9 @@ class Street:
     def batch(self, count: int, device: str = DEVICE) -> GraphBatch:
         """Return the first `count` frames as a batch of the graph network."""
         with graph_file.open_graphs(self.file) as file:
-            batch = from_arrays(graph_file.collate([(file, 0, count)]))
+            batch = from_arrays(graph_file.collate([(file, 0, count)]), device)
         assert isinstance(batch, GraphBatch)
-        return batch.to(device)
+        return batch
 
 
 def sample(data: Path) -> Street:

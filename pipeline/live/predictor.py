@@ -10,10 +10,12 @@ from collections import deque
 from collections.abc import Generator, Iterable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
+from models.steering.core.batch import from_arrays
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.graphs import frame_graph
@@ -167,9 +169,12 @@ class Predictor:
                 motion = estimate.yaw_rate_radps, speed_mps
             window = stream.add(frame.number, frame.time_s, motion)
             with torch.inference_mode():
-                features.append(net.encode(net.frames(frame.arrays)))
+                batch: Any = from_arrays(frame.arrays, net.device)
+                original = net.spatial(batch)
+                features.append(original - net.spatial(batch.mirrored()) if net.equivariant else original)
                 if window:
-                    output = net.run_windows(torch.cat([*features]), *net.windows(window))
+                    others: Any = net.inputs(frame.arrays | window)[1:]
+                    output = net.span_windows(torch.cat([*features]), *others)
                     values = target.decode(output, window["base_rad"])[:, 0].tolist()
                     if entry.predict == "path":
                         frame.path_1pm = values[: target.outputs]

@@ -7,7 +7,7 @@ import dataclasses
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 import torch
@@ -18,28 +18,12 @@ FrameKind = Literal["graph", "pointnet2", "image"]
 """Kinds of frames: GraphBatch, SetBatch, ImageBatch."""
 
 
-CPU_FIELDS = ("ptr", "cpu_degree")
-
-
-class _Movable:
-    def to(self, device: torch.device | str) -> Self:
-        """Return a copy on `device`. Fields in CPU_FIELDS stay: reading them from a GPU would stall each step."""
-        moved = {name: _move(value, device) for name, value in vars(self).items() if name not in CPU_FIELDS}
-        return dataclasses.replace(self, **moved)  # type: ignore[type-var]
-
-
-def _move(value: Any, device: torch.device | str) -> Any:
-    if isinstance(value, tuple):
-        return tuple(_move(item, device) for item in value)
-    return value.to(device) if isinstance(value, _Movable) else value.to(device, non_blocking=True)
-
-
 @dataclass(frozen=True)
-class _Points(_Movable):
+class _Points:
     """Points of B frames, N in all.
 
     xyz [N,3] metres, rectified camera frame (x right, y down, z forward); cls uint8 [N], trainId;
-    ptr int64 [B+1], frame b has the rows ptr[b]:ptr[b+1].
+    ptr int64 [B+1] on the CPU, frame b has the rows ptr[b]:ptr[b+1], none if it has no points.
     """
 
     xyz: Tensor
@@ -68,10 +52,6 @@ class GraphBatch(_Points):
     indices: Tensor
     cpu_degree: Tensor | None = None
 
-    def to(self, device: torch.device | str) -> Self:
-        moved = super().to(device)
-        return dataclasses.replace(moved, cpu_degree=self.degree if self.cpu_degree is None else self.cpu_degree)
-
     @property
     def edge_index(self) -> Tensor:
         """The edges int64 [2,E] as PyTorch Geometric has them: from row numbers, to row numbers."""
@@ -82,8 +62,8 @@ class GraphBatch(_Points):
         """Split the batch into blocks of complete frames with at most `points` points, or of one larger frame."""
         ptr = self.ptr.tolist()
         ends = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # edges before each frame
-        first = 0
-        while first < self.frames:
+        first, frames = 0, len(ptr) - 1
+        while first < frames:
             last = max(first + 1, bisect_right(ptr, ptr[first] + points) - 1)
             rows = slice(ptr[first], ptr[last])
             yield type(self)(
@@ -97,11 +77,11 @@ class GraphBatch(_Points):
 
 
 @dataclass(frozen=True)
-class Level(_Movable):
+class Level:
     """One sampling and grouping of B frames' points: M centres with n neighbours each.
 
     centres int32 [M], neighbours int32 [M,n]: row numbers in the batch's points, or in the previous level's centres;
-    ptr int64 [B+1], frame b has the rows ptr[b]:ptr[b+1].
+    ptr int64 [B+1] on the CPU, frame b has the rows ptr[b]:ptr[b+1].
     """
 
     centres: Tensor
@@ -117,7 +97,7 @@ class SetBatch(_Points):
 
 
 @dataclass(frozen=True)
-class ImageBatch(_Movable):
+class ImageBatch:
     """Images of B frames: RGB uint8 [B,H,W,3]."""
 
     image: Tensor
@@ -130,15 +110,21 @@ class ImageBatch(_Movable):
 Batch = GraphBatch | SetBatch | ImageBatch
 
 
-def from_arrays(arrays: Mapping[str, Array]) -> Batch:
-    """Return a batch of arrays or tensors by name, as from a graph file; other names are ignored."""
-    tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
-    if "image" in tensors:
-        return ImageBatch(tensors["image"])
-    points = tensors["xyz"], tensors["cls"], tensors["ptr"]
-    if "degree" in tensors:
-        return GraphBatch(*points, tensors["degree"], tensors["indices"])
+def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
+    """Return a batch on `device` of arrays by name, as :func:`graph_file.collate` reads them; others are ignored.
+
+    Pointers stay on the CPU: reading them from a GPU would stall each step.
+    """
+    here = {name: torch.as_tensor(array) for name, array in arrays.items()}
+    there = {
+        name: tensor if name.endswith("ptr") else tensor.to(device, non_blocking=True) for name, tensor in here.items()
+    }
+    if "image" in there:
+        return ImageBatch(there["image"])
+    points = there["xyz"], there["cls"], there["ptr"]
+    if "degree" in there:
+        return GraphBatch(*points, there["degree"], there["indices"], here["degree"])
     levels: list[Level] = []
-    while (name := f"centres_{len(levels) + 1}") in tensors:
-        levels.append(Level(tensors[name], tensors[f"neighbours_{len(levels) + 1}"], tensors[f"{name}_ptr"]))
+    while (name := f"centres_{len(levels) + 1}") in there:
+        levels.append(Level(there[name], there[f"neighbours_{len(levels) + 1}"], there[f"{name}_ptr"]))
     return SetBatch(*points, tuple(levels))

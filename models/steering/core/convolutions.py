@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise, starmap
 from typing import Any, NamedTuple, TypeVar
 
@@ -17,24 +17,8 @@ from models.steering.core.features import mean_max_pool, node_features
 
 T = TypeVar("T")
 R = TypeVar("R")
+_POOL = ThreadPoolExecutor(len(os.sched_getaffinity(0)), "convolve", initializer=partial(torch.set_num_threads, 1))
 TILE = 2048  # points; with 64 channels and two versions 1 MB in float32
-
-
-def convolve(batch: GraphBatch, semantics: float, versions: int, parameters: Sequence[Tensor]) -> Tensor:
-    """Apply graph convolutions (paper eq. 3) with ReLU to the node features, and pool: mean ‖ max over each frame.
-
-    S `versions` of the node features are convolved together (original and mirrored). They share the graph and the first
-    layer's sparse product, its weight is S times as wide. A later layer has one weight for all versions, and its sparse
-    product, S times as wide, reads the graph's indices once. The same array is viewed as [n, S C] and as [n S, C].
-
-    Args:
-        semantics: λ of node_features.
-        parameters: weight and bias of each layer: [25, S C], [S C], then [C, C'], [C'], …
-    Returns:
-        [B, S, 2C]. Without a gradient for the points' positions.
-    """
-    pooled: Tensor = _Convolutions.apply(batch, semantics, *parameters)  # type: ignore[no-untyped-call]
-    return pooled.view(batch.frames, 2, versions, -1).transpose(1, 2).flatten(2)
 
 
 class _Block(NamedTuple):
@@ -66,10 +50,18 @@ class _Block(NamedTuple):
         return gradient
 
 
-class _Convolutions(torch.autograd.Function):
-    """Convolutions block by block: a block is one tile of complete frames, or one frame of several tiles.
+class Convolutions(torch.autograd.Function):
+    """Graph convolutions (paper eq. 3) with ReLU on the node features, then pooling: mean ‖ max over each frame.
 
-    Blocks are computed side by side. Gradients are summed in the order of the blocks, whatever the number of threads.
+    S versions of the node features are convolved together (original and mirrored). They share the graph and the first
+    layer's sparse product, its weight is S times as wide. A later layer has one weight for all versions, and its sparse
+    product, S times as wide, reads the graph's indices once. The same array is viewed as [n, S C] and as [n S, C].
+
+    Works block by block: a block is one tile of complete frames, or one frame of several tiles. Blocks are computed
+    side by side. Gradients are summed in the order of the blocks, whatever the number of threads.
+
+    Args: batch; λ of node_features; weight and bias of each layer: [25, S C], [S C], then [C, C'], [C'], …
+    Returns: [B, 2 S C]. Without a gradient for the points' positions.
     """
 
     @staticmethod
@@ -150,12 +142,7 @@ def _backward(block: _Block, grad_pooled: Tensor, layers: Sequence[tuple[Tensor,
 def _side_by_side(work: Callable[[T], R], items: Iterable[T]) -> Iterable[R]:
     """Return ``work(item)`` of each item in order; the cores share the items, with one torch thread each."""
     items = list(items)
-    return _pool().map(work, items) if len(items) > 1 else map(work, items)
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "convolve", initializer=partial(torch.set_num_threads, 1))
+    return _POOL.map(work, items) if len(items) > 1 else map(work, items)
 
 
 def _tiles(matrix: Tensor) -> list[tuple[slice, Tensor]]:

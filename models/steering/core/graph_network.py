@@ -58,11 +58,11 @@ class GraphNetwork(nn.Module):
 
     def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
-        return self.project(self.pooled(batch, 1))[:, 0]
+        return torch.tanh(self.read_out(self.pooled(batch, 1)))[:, 0]  # in (-1,1), where LTC synapses are sensitive
 
     def both(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
-        original, mirrored = self.project(self.pooled(batch, 2)).unbind(1)
+        original, mirrored = torch.tanh(self.read_out(self.pooled(batch, 2))).unbind(1)
         return original, mirrored
 
     def pooled(self, batch: GraphBatch, versions: int) -> Tensor:
@@ -84,7 +84,3 @@ class GraphNetwork(nn.Module):
                 by_sector = torch.stack([by_sector[:, :, 0], by_sector[:, :, 1].flip(1)], dim=2)
             pooled = torch.cat([pooled, by_sector.transpose(1, 2).flatten(2)], dim=2)
         return pooled
-
-    def project(self, pooled: Tensor) -> Tensor:
-        """Map pooled values to features in (-1,1), where LTC synapses are sensitive: [..., pooled] → [..., F]."""
-        return torch.tanh(self.read_out(pooled))

@@ -72,19 +72,6 @@ class SteeringNet(nn.Module):
         """File of the spatial network and its number of features per frame, if known, for the error message."""
         self.path = path
 
-    def encode(self, batch: Batch) -> Tensor:
-        """Return the spatial features of each frame [B,F]."""
-        if not self.equivariant:
-            features: Tensor = self.spatial(batch)
-            return features
-        original, mirrored = self.encode_both(batch)
-        return original - mirrored
-
-    def encode_both(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """Return the spatial network's output for the frames and for their mirror images, each [B,F]."""
-        both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
-        return both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
-
     def forward(
         self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None, pairs: bool = False
     ) -> Tensor:
@@ -102,30 +89,44 @@ class SteeringNet(nn.Module):
             [W], of a path [W,R]; with uncertainty [W,2] or [W,2R], the second half is log σ. With pairs the mirror
             images follow.
         """
-        if not pairs:
-            return self.run_windows(self.encode(batch), windows, dt_s, motion)
+        if not (self.equivariant or pairs):
+            return self.span_windows(self.spatial(batch), windows, dt_s, motion)
+        both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
+        original, mirrored = both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
         if self.equivariant:
-            out = self.run_windows(self.encode(batch), windows, dt_s, motion)
-            return torch.cat([out, self._mirror(out)])
-        original, mirrored = self.encode_both(batch)
+            out = self.span_windows(original - mirrored, windows, dt_s, motion)
+            return torch.cat([out, self._mirror(out)]) if pairs else out
         windows = torch.cat([windows, windows + len(original)])
         if motion is not None:
             motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
-        return self.run_windows(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
+        return self.span_windows(torch.cat([original, mirrored]), windows, dt_s.repeat(2, 1), motion)
 
-    def run_windows(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
+    def span_windows(self, features: Tensor, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None) -> Tensor:
         """Predict as `forward`, from the features [B,F] of encoded frames. Raises ValueError for another F."""
         if self.features and features.shape[1:] != self.features[1:]:
             file, expected = self.features
             problem = f"the spatial network returns {list(features.shape)} for {len(features)} frames"
             raise ValueError(f"{file}: {problem}, expected [{len(features)}, {expected}] (sizes.features)")
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
-            odd, even = self._recurrent_inputs(features, motion)
+            odd = features.to(next(self.temporal.parameters()).dtype)  # mirror-odd inputs, and even ones [B,..]
+            even = odd.new_empty(len(odd), 0)
+            if self.motion:
+                assert motion is not None, "a network with motion needs the motion of each frame"
+                odd_motion, even = odd_and_even(motion.to(odd))
+                odd = torch.cat([odd, odd_motion], dim=1)
+            inputs = torch.cat([odd, even], dim=1)
+            if self.equivariant:
+                inputs = torch.cat([inputs, torch.cat([-odd, even], dim=1)])
+                windows, dt_s = torch.cat([windows, windows + len(odd)]), dt_s.repeat(2, 1)
+            projected = self.temporal.project_inputs(inputs)  # [B,S]
+            states, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
+            out: Tensor = states[:, -1] if self.path or self.uncertainty is not None else states[:, -1, 0]
+            if self.uncertainty is not None:
+                out = torch.cat([out, self.uncertainty(torch.cat(state, dim=1).detach())], dim=1)
             if not self.equivariant:
-                return self._last(torch.cat([odd, even], dim=1) if self.motion else odd, windows, dt_s)
-            inputs = torch.cat([torch.cat([odd, even], dim=1), torch.cat([-odd, even], dim=1)])
-            out = self._last(inputs, torch.cat([windows, windows + len(odd)]), dt_s.repeat(2, 1))
-            return (out[: len(windows)] + self._mirror(out[len(windows) :])) / 2
+                return out
+            original, mirrored = out.chunk(2)
+            return (original + self._mirror(mirrored)) / 2
 
     def _mirror(self, output: Tensor) -> Tensor:
         """Return the output for the mirrored scene: steering changes its sign, its σ does not."""
@@ -139,41 +140,15 @@ class SteeringNet(nn.Module):
 
         Names: those of the frames, `windows` [W,T], `dt_s` [W,T], and with motion `motion` [B,4].
         """
-        return self.frames(arrays), *self.windows(arrays)
-
-    def frames(self, arrays: Mapping[str, Array]) -> Batch:
-        """Return the argument of `encode` on the network's device."""
-        return from_arrays(arrays).to(self.device)
-
-    def windows(self, arrays: Mapping[str, Array]) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Return the arguments of `run_windows` behind the features, on the network's device."""
+        device = next(self.parameters()).device
         tensors = {name: torch.as_tensor(arrays[name]) for name in ("windows", "dt_s", "motion") if name in arrays}
-        moved = {name: tensor.to(self.device, non_blocking=True) for name, tensor in tensors.items()}
-        return moved["windows"], moved["dt_s"], moved.get("motion")
+        moved = {name: tensor.to(device, non_blocking=True) for name, tensor in tensors.items()}
+        return from_arrays(arrays, device), moved["windows"], moved["dt_s"], moved.get("motion")
 
     @property
     def device(self) -> torch.device:
         """Device of the weights."""
         return next(self.parameters()).device
-
-    def _recurrent_inputs(self, features: Tensor, motion: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Return mirror-odd and mirror-even inputs, each [B,..]; without motion, all inputs are odd."""
-        features = features.to(next(self.temporal.parameters()).dtype)
-        if not self.motion:
-            return features, features.new_empty(len(features), 0)
-        if motion is None:
-            raise ValueError("a network with motion needs the motion of each frame")
-        odd, even = odd_and_even(motion.to(features))
-        return torch.cat([features, odd], dim=1), even
-
-    def _last(self, inputs: Tensor, windows: Tensor, dt_s: Tensor) -> Tensor:
-        """Run the recurrent network on inputs [B,D]; return its output at each window's end."""
-        projected = self.temporal.project_inputs(inputs)  # [B,S]
-        out, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
-        if self.uncertainty is None:
-            return out[:, -1] if self.path else out[:, -1].squeeze(1)
-        log_sigma = self.uncertainty(torch.cat(state, dim=1).detach())  # [W,1], of a path [W,R]
-        return torch.cat([out[:, -1], log_sigma], dim=1)
 
 
 def odd_and_even(motion: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 from models.steering.core.adjacency import normalised_adjacency, propagate
 from models.steering.core.batch import GraphBatch
-from models.steering.core.convolutions import convolve
+from models.steering.core.convolutions import Convolutions
 from models.steering.core.graph_network import GraphNetwork, GraphOptions
 from models.steering.core.options import Sizes
 
@@ -48,7 +48,8 @@ class GCN(GraphNetwork):
         weight, bias, *later = self.layers.parameters()
         # Mirroring changes the sign of node features; in Â H W that equals changing the sign of rows of W.
         wide = torch.cat([weight * signs[:, None] for signs in self.signs[:versions]], dim=1)
-        return convolve(batch, self.semantics, versions, [wide, bias.repeat(versions), *later])
+        pooled: Tensor = Convolutions.apply(batch, self.semantics, wide, bias.repeat(versions), *later)  # type: ignore[no-untyped-call]
+        return pooled.view(len(pooled), 2, versions, -1).transpose(1, 2).flatten(2)
 
 
 class Options(GraphOptions):

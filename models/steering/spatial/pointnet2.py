@@ -8,7 +8,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from models.steering.core.batch import FrameKind, SetBatch
-from models.steering.core.features import NODE_FEATURES, max_pool, node_features
+from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes
 
 OFFSET_M = 10.0  # scale of a neighbour's offset: balls on a street are 8 to 16 m wide
@@ -90,4 +90,5 @@ class PointNet2(nn.Module):
             f = layer(xyz, f, level.centres, level.neighbours)  # [M,width]
             xyz, ptr = xyz[level.centres], level.ptr
         h = self.whole(torch.cat([xyz / OFFSET_M, f], dim=1))  # [M,1024 width]
-        return torch.tanh(self.read_out(self.head(max_pool(h, ptr))))  # where LTC synapses are sensitive
+        pooled = mean_max_pool(h, ptr)[:, h.shape[1] :]  # the maximum
+        return torch.tanh(self.read_out(self.head(pooled)))  # where LTC synapses are sensitive

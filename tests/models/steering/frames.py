@@ -1,0 +1,90 @@
+"""Small irregular frames of each kind, and their concatenation, written without the code under test."""
+
+import numpy as np
+import torch
+
+from models.steering.core.batch import Batch, from_arrays
+from pipeline.graphs import neighbourhoods
+from pipeline.graphs.graph_file import Arrays
+
+REFERS_TO = {"indices": "xyz", "centres_1": "xyz", "neighbours_1": "xyz"}
+REFERS_TO |= {"centres_2": "centres_1", "neighbours_2": "centres_1"}
+POINTERS = {"xyz": "ptr", "centres_1": "centres_1_ptr", "centres_2": "centres_2_ptr"}
+
+
+def points(count: int, seed: int) -> Arrays:
+    """Return xyz float64 [P,3] on a street, and cls with each seventh point void."""
+    rng = np.random.default_rng(seed)
+    xyz = rng.uniform([-10, -1, 0], [10, 2, 60], (count, 3))
+    return {"xyz": xyz, "cls": np.where(np.arange(count) % 7, rng.integers(0, 19, count), 255).astype(np.uint8)}
+
+
+def graph(count: int, seed: int = 0) -> Arrays:
+    """Return a frame with a random symmetric graph."""
+    linked = np.random.default_rng(seed).random((count, count)) < 0.15
+    linked = (linked | linked.T) & ~np.eye(count, dtype=bool)
+    arrays = {"degree": linked.sum(1).astype(np.uint8), "indices": np.nonzero(linked)[1].astype(np.int32)}
+    return points(count, seed) | arrays
+
+
+def sets(count: int, seed: int = 0) -> Arrays:
+    """Return a frame with two levels of neighbourhoods."""
+    arrays = points(count, seed)
+    levels = neighbourhoods.levels(arrays["xyz"], [(12, 8.0, 5), (4, 16.0, 6)], np.random.default_rng(seed))
+    for number, level in enumerate(levels, start=1):
+        arrays |= {f"centres_{number}": level.centres, f"neighbours_{number}": level.neighbours}
+    return arrays
+
+
+def image(count: int, seed: int = 0) -> Arrays:
+    """Return a random image, whatever the `count` of points."""
+    return {"image": np.random.default_rng(seed).integers(0, 256, (1, 33, 50, 3), np.uint8)}
+
+
+FRAME = {"graph": graph, "pointnet2": sets, "image": image}
+CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (33, 50)}}
+
+
+def join(frames: list[Arrays]) -> Batch:
+    """Return frames, whose numbers count from 0 in each, as a batch."""
+    batch = {}
+    for name in frames[0]:
+        lengths = [len(frame[REFERS_TO[name]]) if name in REFERS_TO else 0 for frame in frames]
+        before = np.cumsum([0, *lengths[:-1]])
+        parts = [frame[name] + first if first else frame[name] for frame, first in zip(frames, before, strict=True)]
+        batch[name] = np.concatenate(parts)
+        if name in POINTERS:
+            batch[POINTERS[name]] = np.cumsum([0, *(len(frame[name]) for frame in frames)])
+    return from_arrays(batch)
+
+
+def batch(counts: list[int], kind: str = "graph") -> Batch:
+    """Return a batch of frames with these numbers of points."""
+    return join([FRAME[kind](count, seed) for seed, count in enumerate(counts)])
+
+
+def permuted(frame: Arrays, seed: int = 0) -> Arrays:
+    """Return the same frame with its points, centres and neighbours in another order."""
+    if "image" in frame:
+        return frame
+    rng, count = np.random.default_rng(seed), len(frame["xyz"])
+    order = rng.permutation(count)
+    place = np.argsort(order)  # new row of each point
+    result = {"xyz": frame["xyz"][order], "cls": frame["cls"][order]}
+    if "degree" in frame:
+        rows = np.split(frame["indices"], np.cumsum(frame["degree"])[:-1])
+        result |= {"degree": frame["degree"][order], "indices": np.concatenate([place[rows[node]] for node in order])}
+    level = 1
+    while f"centres_{level}" in frame:
+        turn = rng.permutation(len(frame[f"centres_{level}"]))
+        result[f"centres_{level}"] = place[frame[f"centres_{level}"][turn]]
+        result[f"neighbours_{level}"] = place[frame[f"neighbours_{level}"][turn]][:, ::-1].copy()
+        place, level = np.argsort(turn), level + 1
+    return result
+
+
+def dense(batch: Batch) -> torch.Tensor:
+    """Return the adjacency matrix [N,N] of a graph batch, without loops."""
+    matrix = torch.zeros(len(batch.xyz), len(batch.xyz), dtype=torch.float64)
+    matrix[tuple(batch.edge_index)] = 1
+    return matrix

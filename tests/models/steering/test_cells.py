@@ -1,0 +1,305 @@
+"""Recurrent networks: their contract, and each one's oracle (torch, ncps, an ODE solver); the wiring."""
+
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.special import expit
+
+from models.steering.core.cell.cfc import CfC
+from models.steering.core.cell.eq4 import Eq4
+from models.steering.core.cell.ltc import LTC, Unfolded
+from models.steering.core.options import Sizes
+from models.steering.core.recurrent import NOMINAL_STEP_S
+from models.steering.core.wiring import Layout, ncp
+from models.steering.temporal import lstm
+from models.steering.temporal import ncp as ncp_file
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from ncps.torch import LTCCell, WiredCfCCell
+    from ncps.wirings import Wiring as PeerWiring
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+HEADS = ["ff1", "ff2", "time_a", "time_b"]
+SYNAPSE = {"w": "w", "sigma": "sigma", "mu": "mu", "erev": "erev"}
+NEURON = {"capacity": "cm", "leak": "gleak", "rest": "vleak"}
+MAP = {"input_scale": "input_w", "input_shift": "input_b", "output_scale": "output_w", "output_shift": "output_b"}
+LAYOUT = Layout(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3)
+# Irregular, and different in each window.
+DT_S = torch.rand(3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 0.3 + 0.01
+
+
+@pytest.fixture(params=["lstm", *ncp_file.CELLS])
+def cell(request):
+    torch.manual_seed(0)
+    options = lstm.Options() if request.param == "lstm" else ncp_file.Options(cell=request.param)
+    return options.build(Sizes(features=5, window=9)).double()
+
+
+def test_windows_are_independent_and_equal_pieces_with_carried_state(cell):
+    x = torch.randn(4, 9, 5, dtype=torch.float64)
+    dt_s = torch.rand(4, 9, dtype=torch.float64) * 0.2 + 0.05
+    complete, last = cell(cell.project_inputs(x), dt_s)
+    assert complete.shape == (4, 9, 1)
+    alone = torch.cat([cell(cell.project_inputs(x[w : w + 1]), dt_s[w : w + 1])[0] for w in range(4)])
+    torch.testing.assert_close(complete, alone, **TOLERANCE)
+
+    state, pieces = None, []
+    for frames in (slice(0, 1), slice(1, 5), slice(5, 9)):
+        out, state = cell(cell.project_inputs(x[:, frames]), dt_s[:, frames], state)
+        pieces.append(out)
+    torch.testing.assert_close(torch.cat(pieces, dim=1), complete, **TOLERANCE)
+    torch.testing.assert_close(state, last, **TOLERANCE)
+    assert not torch.allclose(cell(cell.project_inputs(x[:, 5:]), dt_s[:, 5:])[0], complete[:, 5:])  # the state matters
+
+
+def test_lstm_equals_torch_forward_and_gradients():
+    torch.manual_seed(0)
+    cell = lstm.LSTM(5, lstm.Options(units=7)).double()
+    peer = torch.nn.LSTM(5, 7, batch_first=True).double()
+    for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
+        getattr(peer, f"{name}_l0").data = getattr(cell, name).data.clone()
+    x = torch.randn(3, 6, 5, dtype=torch.float64, requires_grad=True)
+    h0, c0 = torch.randn(2, 3, 7, dtype=torch.float64)
+
+    out, (h, c) = cell(cell.project_inputs(x), torch.full((3, 6), 0.1), (h0, c0))
+    hidden, (h_peer, c_peer) = peer(x, (h0[None], c0[None]))
+    expected = cell.read_out(hidden)
+    torch.testing.assert_close(out, expected, **TOLERANCE)
+    torch.testing.assert_close((h, c), (h_peer[0], c_peer[0]), **TOLERANCE)
+
+    ours = torch.autograd.grad(out.square().sum(), [x, cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh])
+    peers = torch.autograd.grad(expected.square().sum(), [x, *peer.parameters()])
+    torch.testing.assert_close(ours, peers, **TOLERANCE)
+
+
+def pair(wiring):
+    """Our cell and ncps's with the same wiring and weights; yields (our parameter, theirs, which of theirs)."""
+    ours = LTC(wiring).double()
+    with torch.no_grad():
+        for parameter in (ours.input_scale, ours.input_shift, ours.output_scale, ours.output_shift):
+            parameter.normal_()
+    same = PeerWiring(wiring.units)
+    same.adjacency_matrix = wiring.internal.astype(np.int32)
+    same.build(len(wiring.sensory))
+    same.sensory_adjacency_matrix = wiring.sensory.astype(np.int32)
+    same.set_output_dim(wiring.motor)
+    peer = LTCCell(same, implicit_param_constraints=True).double()
+
+    matches = []
+    for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
+        matches += [
+            (getattr(synapses, name), getattr(peer, prefix + theirs), signs.nonzero())
+            for name, theirs in SYNAPSE.items()
+        ]
+    matches += [(getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()]
+    for parameter, theirs, which in matches:
+        theirs.data[which] = parameter.data
+    return ours, peer, matches
+
+
+@pytest.mark.parametrize("motor", [1, 2])
+def test_ltc_equals_ncps_forward_and_gradients(motor):
+    torch.manual_seed(0)
+    wiring = ncp(7, LAYOUT, motor=motor)
+    ours, peer, matches = pair(wiring)
+    x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
+    dt_s = DT_S
+
+    out, (v,) = ours(ours.project_inputs(x), dt_s)
+    state, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
+    for t in range(5):
+        motor_out, state = peer(x[:, t], state, dt_s[:, t, None] / NOMINAL_STEP_S)
+        outs.append(motor_out)
+    expected = torch.stack(outs, dim=1)
+    torch.testing.assert_close(out, expected, **TOLERANCE)
+    torch.testing.assert_close(v, state, **TOLERANCE)
+
+    upstream = torch.randn_like(out)
+    gradients = torch.autograd.grad((out * upstream).sum() + v.square().sum(), [x, *(ours_ for ours_, _, _ in matches)])
+    peers = torch.autograd.grad(
+        (expected * upstream).sum() + state.square().sum(), [x, *(theirs for _, theirs, _ in matches)]
+    )
+    torch.testing.assert_close(gradients[0], peers[0], **TOLERANCE)
+    for gradient, theirs, (_, _, which) in zip(gradients[1:], peers[1:], matches, strict=True):
+        torch.testing.assert_close(gradient, theirs[which], **TOLERANCE)
+        assert gradient.abs().max() > 1e-9
+
+
+def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
+    """v, c, fixed, slope, threshold, sums of a cell with a random wiring."""
+    cell = LTC(ncp(5, Layout(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).to(dtype)
+    units = len(cell.leak)
+    v = torch.rand(windows, units, dtype=dtype)
+    c = torch.rand(windows, frames, units, dtype=dtype) * 30 + 1
+    fixed = cell.project_inputs(torch.randn(windows, frames, 5, dtype=dtype)) + 0.1
+    return [each.detach().requires_grad_() for each in (v, c, fixed, *cell.internal.matrices())], cell.internal.place
+
+
+def test_explicit_gradients_of_the_unfolded_ltc():
+    torch.manual_seed(0)
+    inputs, place = inputs_of_steps(windows=2, frames=2)
+    assert torch.autograd.gradcheck(lambda *tensors: Unfolded.apply(*tensors, place, 3), inputs)
+
+
+class Layered(PeerWiring):
+    """Our wiring as ncps describes it, with the layers inter, command and motor in this order."""
+
+    def __init__(self, wiring):
+        super().__init__(wiring.units)
+        self.layers = np.split(np.arange(wiring.units), [wiring.motor, wiring.motor + wiring.command])[::-1]
+        self.adjacency_matrix = wiring.internal.astype(np.int32)
+        self.build(len(wiring.sensory))
+        self.sensory_adjacency_matrix = wiring.sensory.astype(np.int32)
+        self.set_output_dim(wiring.motor)
+
+    @property
+    def num_layers(self):
+        return len(self.layers)
+
+    def get_neurons_of_layer(self, layer_id):
+        return self.layers[layer_id].tolist()
+
+
+@pytest.mark.parametrize("motor", [1, 2])
+def test_cfc_equals_ncps_forward_and_gradients(motor):
+    torch.manual_seed(0)
+    wiring = ncp(7, LAYOUT, motor=motor)
+    ours, peer = CfC(wiring).double(), WiredCfCCell(None, Layered(wiring)).double()
+    pairs = list(zip([ours.inter, ours.command, ours.motor], peer.children(), strict=True))
+    with torch.no_grad():
+        ours.output_scale.normal_()
+        ours.output_shift.normal_()
+        for layer, cell in pairs:
+            for head, matrix, bias in zip(HEADS, layer.weight.dense().chunk(4, 1), layer.bias.chunk(4), strict=True):
+                getattr(cell, head).weight.data, getattr(cell, head).bias.data = matrix.T.clone(), bias.clone()
+    x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
+    dt_s = DT_S
+
+    out, state = ours(ours.project_inputs(x), dt_s)
+    hidden, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
+    for t in range(5):
+        motor_out, hidden = peer(x[:, t], hidden, dt_s[:, t, None] / NOMINAL_STEP_S)
+        outs.append(motor_out * ours.output_scale + ours.output_shift)
+    expected = torch.stack(outs, dim=1)
+    torch.testing.assert_close(out, expected, **TOLERANCE)
+    torch.testing.assert_close(torch.cat(state, dim=1), hidden, **TOLERANCE)
+
+    upstream = torch.randn_like(out)
+    theirs = [getattr(getattr(cell, head), kind) for _, cell in pairs for head in HEADS for kind in ("weight", "bias")]
+    mine = [parameter for layer, _ in pairs for parameter in (layer.weight.w, layer.bias)]
+    of_x, *gradients = torch.autograd.grad((out * upstream).sum() + torch.cat(state, dim=1).square().sum(), [x, *mine])
+    of_x_peer, *peers = torch.autograd.grad((expected * upstream).sum() + hidden.square().sum(), [x, *theirs])
+    torch.testing.assert_close(of_x, of_x_peer, **TOLERANCE)
+    for number, (layer, _) in enumerate(pairs):
+        of_w, of_bias = gradients[2 * number : 2 * number + 2]
+        heads = peers[8 * number : 8 * number + 8]
+        of_matrix = torch.cat([weight.T for weight in heads[::2]], dim=1)
+        torch.testing.assert_close(of_w, of_matrix.flatten()[layer.weight.place], **TOLERANCE)
+        torch.testing.assert_close(of_bias, torch.cat(heads[1::2]), **TOLERANCE)
+        assert of_w.abs().min() > 0
+
+
+DT_EQ4_S = torch.tensor([[0.1, 0.31, 0.02, 0.1], [0.08, 0.1, 0.12, 0.6]], dtype=torch.float64)
+WIRING = ncp(5, LAYOUT, motor=2)
+
+
+def cell_of(unfolds: int) -> Eq4:
+    torch.manual_seed(0)
+    cell = Eq4(WIRING, unfolds).double()
+    with torch.no_grad():
+        for parameter in cell.parameters():
+            parameter.add_(0.2 * torch.randn_like(parameter))
+    return cell
+
+
+def features():
+    torch.manual_seed(1)
+    return torch.randn(2, 4, 5, dtype=torch.float64)
+
+
+def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
+    """h after each of a window's frames, from eq. 4 written as sums over synapses and a solver of order 8."""
+    synapses = [
+        [(j, i, w) for (j, i), w in zip(np.argwhere(signs), matrix.w.tolist(), strict=True)]
+        for signs, matrix in [(WIRING.sensory, cell.sensory), (WIRING.internal, cell.internal)]
+    ]
+    bias, theta = cell.bias.detach().numpy(), cell.theta.weight.detach().numpy()
+
+    def slope(_, h, x_frame):
+        change = bias - h
+        for k, i, w in synapses[0]:
+            change[i] += w * x_frame[k]
+        for j, i, w in synapses[1]:
+            change[i] += w * expit(h[j])
+        return change / np.exp(theta @ x_frame)
+
+    h, states = np.zeros(WIRING.units), []
+    for x_frame, dt in zip(x, dt_s, strict=True):
+        solution = solve_ivp(slope, (0, dt / NOMINAL_STEP_S), h, "DOP853", args=(x_frame,), rtol=1e-12, atol=1e-13)
+        h = solution.y[:, -1]
+        states.append(h)
+    return np.array(states)
+
+
+def test_small_steps_of_eq4_reach_the_ode_solvers_solution():
+    x, unfolds = features(), [64, 128, 256, 512, 1024]
+    exact = torch.from_numpy(np.stack([solved(cell_of(1), x[w].numpy(), DT_EQ4_S[w].numpy()) for w in range(2)]))
+    with torch.no_grad():
+        runs = []
+        for steps in unfolds:
+            cell = cell_of(steps)
+            out, (last,) = cell(cell.project_inputs(x), DT_EQ4_S)
+            y = exact[..., :2].sigmoid() * cell.output_scale + cell.output_shift
+            runs.append(torch.cat([(out - y).flatten(), (last - exact[:, -1]).flatten()]))  # errors
+    sizes = [run.abs().max().item() for run in runs]
+    # Second order: half the step, a quarter of the error. Cancelling its terms in step², step³, … leaves the limit.
+    assert all(3.7 < coarse / fine < 4.3 for coarse, fine in itertools.pairwise(sizes))
+    for order in range(2, len(unfolds) + 1):
+        runs = [(2**order * fine - coarse) / (2**order - 1) for coarse, fine in itertools.pairwise(runs)]
+    assert sizes[-1] < 1e-7
+    assert runs[0].abs().max() < 1e-9
+
+
+def test_eq4_gradients():
+    cell, x = cell_of(2), features().requires_grad_()
+    dt_s = DT_EQ4_S.clone().requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda x, dt_s, *_: cell(cell.project_inputs(x), dt_s)[0], (x, dt_s, *cell.parameters())
+    )
+
+
+def test_default_is_the_wiring_of_the_paper():
+    wiring = ncp(32)
+    assert (wiring.motor, wiring.command, wiring.inter, wiring.units) == (1, 6, 12, 19)
+    motor, command, inter = slice(0, 1), slice(1, 7), slice(7, 19)
+    sensory, internal = np.abs(wiring.sensory), np.abs(wiring.internal)
+    assert (sensory[:, inter].sum(1) == 6).all()
+    assert (internal[inter, command].sum(1) == 4).all()
+    assert internal[command, command].sum() == 6
+    assert internal[command, motor].sum() == 6
+    assert sensory.sum() == 32 * 6
+    assert internal.sum() == 12 * 4 + 6 + 6
+    assert set(np.unique(wiring.internal)) == set(np.unique(wiring.sensory)) == {-1, 0, 1}
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 3), st.integers(1, 3))
+def test_each_neuron_has_input_and_output(seed: int, inputs: int, fanout: int) -> None:
+    sizes = {"inter": 15, "command": 7, "sensory_fanout": fanout, "inter_fanout": fanout, "motor_fanin": 2}
+    wiring = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
+    again = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
+    assert (wiring.sensory == again.sensory).all()
+    assert (wiring.internal == again.internal).all()
+    commands, inters = slice(2, 9), slice(9, 24)
+    assert wiring.sensory[:, inters].any(0).all()
+    assert wiring.internal[inters, commands].any(0).all()
+    assert wiring.internal[commands, :2].any(0).all()
+    assert wiring.internal[commands, :2].any(1).all()
+    assert (np.abs(wiring.internal[commands, :2]).sum(0) >= 2).all()

@@ -1,0 +1,188 @@
+"""Networks of each combination: shared frames, mirroring, motion, uncertainty, paths, mixed precision."""
+
+import json
+import pickle
+from typing import Any
+
+import pytest
+import torch
+
+from models.steering.core.options import load, names
+from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, odd_and_even
+from models.steering.temporal.ncp import CELLS
+from pipeline.settings.models import Entry
+from tests.models.steering import frames
+
+TOLERANCE = {"rtol": 0, "atol": 1e-9}
+WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
+DT_S = torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 0.1 + 0.05
+MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * torch.tensor(
+    [0.2, 0.5, 20, 1]
+)
+MIRROR = torch.tensor(MOTION_MIRROR_SIGNS)
+COUNTS = [20, 9, 30, 12, 0, 25]  # points per frame
+SPATIAL = [name for name in names("spatial") if name != "blind"]  # blind has no input
+WIRING = {"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2, "motor_fanin": 3}
+SMALL = {"layers": [8, 12], "semantics": 1.0, "width": 0.125, "units": 7}
+SMALL["wiring"] = WIRING | {"recurrent_command_synapses": 4}
+each_cell = pytest.mark.parametrize("cell", ["lstm", *CELLS])
+
+
+def entry(spatial: str = "gnn", cell: str = "ltc", **changes: Any) -> Entry:
+    """Return a small model's entry; `cell`: lstm, or a cell of ncp."""
+    temporal = {"temporal": "lstm"} if cell == "lstm" else {"temporal": "ncp", "cell": cell}
+    known = {*load("spatial", spatial).model_fields, *load("temporal", temporal["temporal"]).model_fields}
+    small = {key: value for key, value in SMALL.items() if key in known}
+    general = {"input": "semantic", "spatial": spatial, "window": 4, "features": 8}
+    return Entry.model_validate(general | temporal | small | changes)
+
+
+def build(spatial: str = "gnn", cell: str = "ltc", outputs: int = 1, **changes: Any) -> SteeringNet:
+    torch.manual_seed(0)
+    kind = load("spatial", spatial).kind
+    return entry(spatial, cell, **changes).build(kind, **frames.CONTENTS[kind], outputs=outputs).double()
+
+
+def batch(spatial: str = "gnn") -> Any:
+    return frames.batch(COUNTS, load("spatial", spatial).kind)
+
+
+@each_cell
+@pytest.mark.parametrize("spatial", SPATIAL)
+def test_shared_frames_equal_naive_windows(spatial: str, cell: str) -> None:
+    """Values and gradients: each window read and encoded for itself."""
+    net, kind = build(spatial, cell), load("spatial", spatial).kind
+    parts = [frames.FRAME[kind](count, seed) for seed, count in enumerate(COUNTS)]
+    shared = net(frames.join(parts), WINDOWS, DT_S)
+    own = torch.arange(4)[None]
+    windows = [frames.join([parts[row] for row in window]) for window in WINDOWS.tolist()]
+    naive = torch.cat([net(window, own, DT_S[w : w + 1]) for w, window in enumerate(windows)])
+    torch.testing.assert_close(shared, naive, **TOLERANCE)
+    gradients = [torch.autograd.grad(out.square().sum(), list(net.parameters())) for out in (shared, naive)]
+    torch.testing.assert_close(*gradients, **TOLERANCE)
+    assert all(gradient.any() for gradient in gradients[0])
+
+
+@each_cell
+@pytest.mark.parametrize("spatial", SPATIAL)
+def test_mirrored_input_negates_an_equivariant_network(spatial: str, cell: str) -> None:
+    scene = batch(spatial)
+    for motion in (None, MOTION.clone().requires_grad_()):
+        turned = None if motion is None else motion * MIRROR
+        net = build(spatial, cell, motion="none" if motion is None else "visual", equivariant=True)
+        output = net(scene, WINDOWS, DT_S, motion)
+        torch.testing.assert_close(net(scene.mirrored(), WINDOWS, DT_S, turned), -output, **TOLERANCE)
+        assert output.abs().min() > 1e-6
+        pairs = net(scene, WINDOWS, DT_S, motion, pairs=True)
+        torch.testing.assert_close(pairs, torch.cat([output, -output]), **TOLERANCE)
+    (gradient,) = torch.autograd.grad(output.square().sum(), motion)
+    assert (gradient.abs() > 0).all()
+    plain = build(spatial, cell, motion="visual")
+    sides = plain(scene, WINDOWS, DT_S, MOTION), plain(scene.mirrored(), WINDOWS, DT_S, MOTION * MIRROR)
+    assert (sides[0] + sides[1]).abs().max() > 1e-6
+    torch.testing.assert_close(plain(scene, WINDOWS, DT_S, MOTION, pairs=True), torch.cat(sides), **TOLERANCE)
+
+
+@each_cell
+@pytest.mark.parametrize("equivariant", [False, True])
+@pytest.mark.parametrize(("ranges", "uncertainty"), [(1, True), (3, False), (3, True)])
+def test_a_path_and_uncertainties_mirror(cell: str, equivariant: bool, ranges: int, uncertainty: bool) -> None:
+    """A path has an output per range; a mirrored scene negates it and has the same σ, in the second half."""
+    target = {"predict": "path"} if ranges > 1 else {}
+    changes = {"equivariant": equivariant, "uncertainty": uncertainty, "motion": "visual", **target}
+    net = build("gnn", cell, ranges, **changes)
+    pairs = net(batch(), WINDOWS, DT_S, MOTION, pairs=True)
+    assert pairs.shape == (2 * len(WINDOWS), ranges * (1 + uncertainty))
+    mirrored = net(batch().mirrored(), WINDOWS, DT_S, MOTION * MIRROR)
+    torch.testing.assert_close(pairs[len(WINDOWS) :], mirrored, **TOLERANCE)
+    if equivariant:
+        signs = torch.tensor([-1.0] * ranges + [1.0] * ranges * uncertainty)
+        torch.testing.assert_close(pairs[: len(WINDOWS)], mirrored * signs, **TOLERANCE)
+
+
+def test_uncertainty_does_not_change_what_the_mean_learns_from() -> None:
+    net = build(uncertainty=True)
+    log_sigma = net(batch(), WINDOWS, DT_S)[:, 1]
+    log_sigma.sum().backward()
+    others = [name for name, parameter in net.named_parameters() if parameter.grad is not None and parameter.grad.any()]
+    assert others
+    assert all(name.startswith("uncertainty") for name in others)
+
+
+@pytest.mark.parametrize(("cell", "expected"), [("ltc", 0.7463194025667146), ("lstm", 0.26132779169831866)])
+def test_a_seed_gives_the_same_numbers_in_all_versions(cell: str, expected: float) -> None:
+    torch.manual_seed(3)
+    net = entry("gnn", cell).build("graph").double()
+    generator = torch.Generator().manual_seed(0)
+    counts = torch.tensor([9, 12, 7, 9, 5, 20])
+    nodes, frame = int(counts.sum()), torch.arange(6).repeat_interleave(counts)
+    linked = torch.rand(nodes, nodes, generator=generator) < 0.15
+    linked = (linked | linked.T) & (frame[:, None] == frame) & ~torch.eye(nodes, dtype=torch.bool)
+    size, offset = torch.tensor([20, 3, 60]), torch.tensor([10, 1, 0])
+    xyz = torch.rand(nodes, 3, generator=generator, dtype=torch.float64) * size - offset
+    cls = torch.randint(0, 19, (nodes,), generator=generator).to(torch.uint8)
+    cls[::7] = 255
+    arrays = {"xyz": xyz, "cls": cls, "ptr": torch.cat([torch.zeros(1).long(), counts.cumsum(0)])}
+    arrays |= {"degree": linked.sum(1).to(torch.uint8), "indices": linked.nonzero()[:, 1]}
+    arrays |= {"windows": WINDOWS, "dt_s": torch.full(WINDOWS.shape, 0.1, dtype=torch.float64)}
+    # Initial weights are drawn in float32, whose logarithms differ between CPUs in the last bit.
+    assert net(*net.inputs(arrays))[0].item() == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_mixed_precision_keeps_the_recursion_in_float32(cell: str) -> None:
+    net = build("gnn", cell).float()
+    arguments = (batch(), WINDOWS[:1], torch.full((1, 4), 0.1))
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        mixed = net(*arguments)
+        mixed.sum().backward()
+    assert mixed.dtype == torch.float32
+    assert all(parameter.grad.isfinite().all() for parameter in net.parameters())
+    torch.testing.assert_close(mixed, net(*arguments), rtol=0, atol=0.1)
+
+
+def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
+    net = build()
+    net.spatial = torch.nn.Sequential(net.spatial, torch.nn.Linear(8, 20).double())
+    expected = r"models/steering/spatial/gnn\.py: the spatial network returns \[6, 20\] for 6 frames, expected \[6, 8\]"
+    with pytest.raises(ValueError, match=expected):
+        net(batch(), WINDOWS, DT_S)
+
+
+@pytest.mark.parametrize("spatial", names("spatial"))
+def test_an_entry_is_complete_and_survives_json_and_pickle(spatial: str) -> None:
+    first = entry(spatial)
+    dumped = first.model_dump(mode="json")
+    for copy in (Entry.model_validate(json.loads(json.dumps(dumped))), pickle.loads(pickle.dumps(first))):
+        assert copy == first
+        assert copy.model_dump(mode="json") == dumped
+    assert {*load("spatial", spatial).model_fields, *load("temporal", "ncp").model_fields} <= dumped.keys()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"layerz": [3]}, "unknown key 'layerz'.*did you mean layers"),
+        ({"layers": [0]}, r"layers\.0: .*greater than or equal to 1"),
+        ({"wiring": {"comand": 5}}, r"wiring\.comand: unknown key: did you mean command"),
+        ({"sectors": 8}, "sectors: expected 0 or an odd number"),
+        ({"spatial": "gmn"}, r"spatial = 'gmn': there is no .*gmn\.py \(known: blind, cnn"),
+        ({"spatial": "../temporal/lstm"}, "known: blind"),
+        ({"predict": "path", "horizon": 3}, "predict: path has no horizon"),
+    ],
+)
+def test_a_wrong_entry_names_its_key(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Entry.model_validate(entry().model_dump() | changes)
+
+
+def test_columns_are_of_order_one_and_the_odd_ones_are_odd() -> None:
+    corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
+    motion = torch.tensor([corner, motorway, [0.0] * 4, [-1.5, 0.0, 0.1, 0.0]])
+    odd, even = odd_and_even(motion)
+    assert odd.abs().max() <= 1 < even.max() < 3
+    assert odd[0].min() > 0.8
+    assert not torch.cat([odd[2], even[2]]).any()
+    there, same = odd_and_even(motion * MIRROR)
+    assert torch.equal(there, -odd)
+    assert torch.equal(same, even)

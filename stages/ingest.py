@@ -37,6 +37,10 @@ def main(
         if names and not root.is_dir():
             raise InputError("folder is missing", root, _FIXES[source].format(root=root))
         drives |= find_drives(root, names) if names else {}
+    for drive, manifest in settings.manifests.items():
+        if drive in drives and drives[drive].manifest != manifest:
+            fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"
+            raise InputError("drive was imported again, ingest.manifests has the one before", drives[drive].folder, fix)
     if settings.source == "both":
         _check_names([drive for drive in splits if sources[drive] == "sample"], raw)
     jobs, reading = [], settings.reading()

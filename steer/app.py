@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base.console import App, guarded
-from steer import artefacts, import_recording, measure, predict
+from steer import artefacts, import_, measure, predict
 
 app = App(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
@@ -41,7 +41,7 @@ _UNFINISHED = "The frames so far are in .unfinished of the output folder"
 _NO_DRIVE = "No drive was written; repeat the command"
 _add("predict", predict.predict, _UNFINISHED, help=predict.__doc__)
 _add("measure", measure.measure, _UNFINISHED, help=measure.__doc__)
-_add("import", import_recording.import_recording, _NO_DRIVE, help=import_recording.__doc__)
+_add("import", import_.import_recording, _NO_DRIVE, help=import_.__doc__)
 _add("show", artefacts.show, "Files that were written are complete")
 _add("diff", artefacts.diff, "Nothing was written")
 

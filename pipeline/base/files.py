@@ -1,34 +1,13 @@
-"""Read untrusted input files: bytes up to a limit, columns of numbers from CSV files, and YAML."""
+"""Read untrusted input files: columns of numbers from CSV files, and YAML."""
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError
-
-MiB = 1 << 20
-_MOST_YAML_BYTES = 16 * MiB
-
-
-def check_file(path: Path, limit: int) -> int:
-    """Return the size of a file in bytes. Raises DamagedFile if it is not a regular file or larger than `limit`.
-
-    Raises OSError if it is missing.
-    """
-    if not path.is_file() and (path.exists() or path.is_symlink()):
-        raise DamagedFile("expected a regular file", path)
-    size = path.stat().st_size
-    if size > limit:
-        raise DamagedFile(f"file is too large (expected at most {limit} bytes, got {size})", path)
-    return size
-
-
-def read_bytes(path: Path, limit: int) -> bytes:
-    """Return the content of a file after :func:`check_file`."""
-    check_file(path, limit)
-    return path.read_bytes()
+from pipeline.base.errors import InputError
 
 
 def size_of(path: Path) -> int:
@@ -38,41 +17,37 @@ def size_of(path: Path) -> int:
     return sum(file.lstat().st_size for file in path.rglob("*") if not file.is_dir())
 
 
-def read_columns(
-    path: Path, required: Sequence[str], optional: Sequence[str], expected: str, most_bytes: int
-) -> dict[str, np.ndarray]:
+def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
     """Return name → column, float64 [N], for the `required` and those of the `optional` columns that the file has.
 
-    The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError, which ends with the
-    sentence `expected`, for a missing column, and for values that are not numbers; as :func:`check_file` does.
+    The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
+    column, which ends with the sentence `expected`; for values that are not numbers; and for rows with more values than
+    the header has names, as decimal commas give.
     """
-    import pandas as pd
-
-    check_file(path, most_bytes)
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        header = file.readline(1 << 16)
-    separator = max(",;\t", key=header.count)
-    names = [name.strip(' "\r\n') for name in header.split(separator)]
-    missing = [name for name in required if name not in names]
-    if missing:
-        raise InputError(f"has no column {', '.join(missing)} (got {', '.join(names)})", path, expected)
-    columns = [*required, *(name for name in optional if name in names)]
-    try:
-        table = pd.read_csv(
-            path,
-            sep=separator,
-            header=0,
-            names=names,
-            index_col=False,
-            usecols=columns,
-            dtype=np.float64,
-            skipinitialspace=True,
-            encoding="utf-8-sig",
-            encoding_errors="replace",
-        )
-    except ValueError as error:  # pandas' parser errors too
-        raise InputError(f"is not a table of numbers ({error})", path, "Correct or remove the line") from error
-    return {name: table[name].to_numpy() for name in columns}
+    if not path.is_file():
+        raise InputError("file is missing", path, expected)
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        separator = max(",;\t", key=file.readline().count)
+        file.seek(0)
+        reader = csv.reader(file, delimiter=separator, skipinitialspace=True)
+        names = [name.strip() for name in next(reader, [])]
+        if missing := [name for name in required if name not in names]:
+            raise InputError(f"has no column {', '.join(missing)} (got {', '.join(names)})", path, expected)
+        columns = {name: names.index(name) for name in (*required, *optional) if name in names}
+        rows: list[list[float]] = []
+        for fields in reader:
+            where = f"{path} line {reader.line_num}"
+            if any(field.strip() for field in fields[len(names) :]):
+                problem = f"has {len(fields)} values, the header {len(names)} names"
+                raise InputError(problem, where, "Write numbers with a decimal point, not a comma")
+            if fields:
+                try:
+                    rows.append([float(fields[column]) for column in columns.values()])
+                except (ValueError, IndexError):
+                    problem = f"expected numbers in {', '.join(columns)}, got {separator.join(fields)!r}"
+                    raise InputError(problem, where, "Correct or remove the line") from None
+    table = np.array(rows, np.float64).reshape(-1, len(columns))
+    return {name: table[:, at].copy() for at, name in enumerate(columns)}
 
 
 def check_limit(
@@ -101,13 +76,13 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path)
 def read_yaml(path: Path, *, comments: bool = False) -> Any:
     """Return the content of a YAML 1.2 file, as DVC reads it, for ruamel's writer with `comments`.
 
-    Raises InputError if it is invalid, has a key twice, or is not a regular file.
+    Raises InputError if it is invalid or has a key twice.
     """
     from ruamel.yaml import YAML  # here, as workers read no YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     try:
-        text = read_bytes(path, _MOST_YAML_BYTES).decode("utf-8-sig")
+        text = path.read_text("utf-8-sig")
         return YAML(typ="rt" if comments else "safe", pure=True).load(text)
     except UnicodeDecodeError as error:
         raise InputError(f"invalid UTF-8 ({error})", path) from error

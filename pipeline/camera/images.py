@@ -3,6 +3,7 @@
 OpenCV 5 refuses damaged files; earlier versions fill the missing part with grey.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,15 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.files import MiB, read_bytes
 
 Size = tuple[int, int]
 """(H, W) pixels."""
 DEPTH_UNITS_PER_M = 256  # of stored depth, as in KITTI's depth benchmark; 0: no depth
 MAX_UNITS = np.iinfo(np.uint16).max
-PNG_END = b"IEND\xaeB`\x82"
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-_MOST_BYTES = 256 * MiB  # of an image file
+# EXIF's tag 0x0112, orientation, one short number, little or big endian; 1 is upright.
+_ROTATED = re.compile(rb"\x12\x01\x03\0\x01\0\0\0[\x02-\x08]\0|\x01\x12\0\x03\0\0\0\x01\0[\x02-\x08]")
 
 
 class Crop(NamedTuple):
@@ -115,19 +115,17 @@ def nearest(pixels: np.ndarray, size: Size) -> np.ndarray:
 def read_pixels(path: Path) -> np.ndarray:
     """Decode a PNG or JPEG file.
 
-    Returns: [H,W] or RGB [H,W,3], uint8 or uint16. JPEG is always RGB uint8, rotated as its EXIF orientation demands.
+    Returns: [H,W] or RGB [H,W,3], uint8 or uint16. JPEG is always RGB uint8.
 
-    Raises DamagedFile if the file is truncated, altered or of another kind.
+    Raises DamagedFile if the file is truncated, altered or of another kind, or is to be shown rotated or mirrored.
     """
     import cv2
 
-    content = read_bytes(path, _MOST_BYTES)
-    if not content:
-        raise DamagedFile("file is empty", path)
+    content = path.read_bytes()
     if not content.startswith((_PNG, _JPEG)):
         raise DamagedFile("is not a PNG or JPEG file", path)
-    if content.startswith(_PNG) and PNG_END not in content:  # libpng would print a second message
-        raise DamagedFile(f"PNG is cut short at {len(content)} bytes", path)
+    if (b"eXIf" in content or b"Exif" in content) and _ROTATED.search(content):
+        raise DamagedFile("EXIF orientation rotates or mirrors the image", path, "Apply it: mogrify -auto-orient FILE")
     flags = cv2.IMREAD_COLOR if content.startswith(_JPEG) else cv2.IMREAD_UNCHANGED
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.files import MiB, read_bytes
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -90,7 +89,7 @@ def read_row(path: Path) -> np.ndarray:
 
     pykitti's ``load_oxts_packets_and_poses`` accepts NaN and does not name the file that is short.
     """
-    words = read_bytes(path, MiB).decode("ascii", errors="replace").split()
+    words = path.read_text("ascii", errors="replace").split()
     if len(words) != len(COLUMNS):
         raise DamagedFile(f"expected {len(COLUMNS)} oxts columns, got {len(words)}", path)
     try:
@@ -115,7 +114,7 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     extract = f"Extract the drive's {path.parent.name} folder again"
     if not path.is_file():
         raise InputError("file is missing", path, extract)
-    lines = read_bytes(path, 64 * MiB).decode("ascii", errors="replace").rstrip().split("\n")
+    lines = path.read_text("ascii", errors="replace").rstrip().split("\n")
     if len(lines) > frames[-1]:
         numbers = list(frames)
     elif len(lines) == len(frames):

@@ -8,27 +8,30 @@ four cameras.
 import hashlib
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest, error_context
-from pipeline.base.files import MiB, check_file
 from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
-from pipeline.camera.intrinsics import matrix, projection, read_entries, rotation
 from pipeline.camera.mount import camera_height
 from pipeline.kitti import steering_file
+from pipeline.kitti.calibration import matrix, projection, read_entries, rotation
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 _LOWEST_DEG = -20.0
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
-_MOST_BYTES = 256 * MiB  # of a scan
 _FEWEST_POINTS = 100  # KITTI's scans have 100,000
 _EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
 _FARTHEST_M = 20.0  # between LiDAR and camera
 _LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored
+
+
+HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
+MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
 
 
 class RawDrive:
@@ -53,8 +56,10 @@ class RawDrive:
         return numbers[0] if numbers else None
 
     def camera(self, number: int) -> Camera:
-        """Return a calibrated camera. Raises InputError."""
-        return read_calibration(self.calibration, number)
+        """Return a calibrated camera, with the horizon's row of an imported drive. Raises InputError."""
+        camera, path, name = read_calibration(self.calibration, number), self.folder / HORIZON, f"horizon_{number:02d}"
+        entries = read_entries(path) if path.is_file() else {}
+        return replace(camera, horizon=float(matrix(entries, name, (1,), path)[0])) if entries else camera
 
     @property
     def oxts_times(self) -> Path:
@@ -67,6 +72,12 @@ class RawDrive:
         if not path.is_file() and (path.exists() or path.is_symlink()):
             raise InputError("expected a regular file", path, "Replace or remove it")
         return path if path.is_file() else None
+
+    @property
+    def manifest(self) -> str | None:
+        """The hash of the manifest that `steer import` wrote; None for other drives."""
+        path = self.folder / MANIFEST
+        return file_hash(path) if path.is_file() else None
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the frames of the drive and the file with their times: frames with an oxts packet.
@@ -99,7 +110,8 @@ class RawDrive:
             *(self.images(camera) for camera in cameras),
         ]
         times = dict.fromkeys(self.timeline(camera)[1] for camera in cameras)
-        others = [*times, *sorted(self.calibration.glob("calib_*.txt")), self.folder / steering_file.FILE]
+        names = steering_file.FILE, HORIZON
+        others = [*times, *sorted(self.calibration.glob("calib_*.txt")), *(self.folder / name for name in names)]
         return [path for paths in folders for path in paths.values()] + [path for path in others if path.is_file()]
 
 
@@ -123,7 +135,7 @@ def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:
 
 def read_scan(path: Path) -> np.ndarray:
     """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance. Raises DamagedFile."""
-    size = check_file(path, _MOST_BYTES)
+    size = path.stat().st_size
     if size == 0 or size % 16 != 0:
         raise DamagedFile(f"scan is cut short at {size} bytes (expected a multiple of 16)", path)
     scan = np.fromfile(path, np.float32).reshape(-1, 4)

@@ -6,23 +6,22 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import MiB, check_increase, check_limit, read_columns
+from pipeline.base.files import check_increase, check_limit, read_columns
 
 FILE = "steering.csv"
 COLUMNS = ("frame", "steering_rad")
 LIMIT_RAD = 1.2  # of front wheels; angles of a steering wheel, 15 times as large, exceed it in a tight bend
 LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored
-_MOST_BYTES = 64 * MiB  # 3 million frames
 _EXPECTED = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
 
 
 def read(path: Path) -> dict[int, float]:
     """Return frame number → angle of the front wheels in rad, left positive.
 
-    Raises InputError for a file that is too large, a missing column, frame numbers that do not increase, or an
+    Raises InputError for a missing column, frame numbers that do not increase, or an
     implausible angle.
     """
-    columns = read_columns(path, COLUMNS, (), _EXPECTED, _MOST_BYTES)
+    columns = read_columns(path, COLUMNS, (), _EXPECTED)
     frame, steering_rad = (columns[name] for name in COLUMNS)
     check_frames(frame, path)
     check_angles(steering_rad, path)

@@ -11,16 +11,16 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera
-from pipeline.camera.footage import open_footage
 from pipeline.camera.images import Crop, Size, format_size, read_image, resized
-from pipeline.camera.intrinsics import pinhole, undistortion
 from pipeline.camera.mount import check_height
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import RawDrive, read_scan
 from pipeline.labels.label import Car
 from pipeline.live.chain import FrameState
-from pipeline.live.horizon import find_horizon
 from pipeline.live.truth import UNKNOWN, Driven, Truth, of_drive
+from pipeline.video.horizon import find_horizon
+from pipeline.video.lens import pinhole, undistortion
+from pipeline.video.recording import open_recording
 
 DEFAULT_FPS = 10.0  # KITTI's
 ROTATE = "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
@@ -183,26 +183,28 @@ def _frame(number: int, time_s: float, image: np.ndarray, crop: Crop, driven: Dr
 
 
 def _open_footage(path: Path, lens: Lens, aspect: Size, clock: Clock, level: bool, truth: Truth) -> Source:
-    footage = open_footage(path, clock.fps, clock.times)
+    footage = open_recording(path, clock.fps, clock.times)
     if footage.size[0] > footage.size[1]:
         sizes = f"images are taller than wide ({format_size(footage.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, ROTATE)
     camera = pinhole(footage.size, calib=lens.calib, fov_deg=lens.fov_deg, K=lens.K)
-    straighten = undistortion(camera, lens.distortion) if lens.distortion else lambda image: image
+    if lens.distortion:
+        footage.straighten = undistortion(camera, lens.distortion)
     notes, horizon = [], None
     if not footage.has_times:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
         footage.set_rate(DEFAULT_FPS)
-    if not level and (horizon := find_horizon((straighten(frame.image) for frame in footage.frames()), camera)) is None:
+    if not level and (horizon := find_horizon(footage.frames(), camera)) is None:
         notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
     camera = replace(camera, horizon=horizon)
     crop = camera.crop_to(aspect)
 
     def frames() -> Generator[FrameState]:
         started_s = time.perf_counter()
-        for number, time_s, image in footage.frames():
-            driven = truth.at(number, time_s)
-            yield _frame(number, time_s, straighten(image), crop, driven, started_s)
+        for frame in footage.frames():
+            assert frame.image is not None
+            driven = truth.at(frame.number, frame.time_s)
+            yield _frame(frame.number, frame.time_s, frame.image, crop, driven, started_s)
             started_s = time.perf_counter()
 
     fps = footage.fps or DEFAULT_FPS

@@ -11,8 +11,7 @@ from pipeline.kitti import oxts, steering_file
 from pipeline.kitti.raw import RawDrive
 from pipeline.labels import label
 from pipeline.labels.label import Car
-from pipeline.recording.motion_log import check_ratio, read_motion, read_wheel
-from pipeline.recording.track import coverage
+from pipeline.video.log import check_ratio, read_motion, read_wheel
 
 MAX_GAP_S = 2.0  # between samples of a log that are interpolated, as by steer import
 
@@ -73,12 +72,14 @@ def of_logs(wheel: Path | None, steering_ratio: float | None, motion: Path | Non
 
     def at(number: int, time_s: float) -> Driven:
         driven, now = Driven(), np.array([time_s])
-        if rates and coverage(rates.time_s, now, MAX_GAP_S)[0][0]:
-            yaw_rate_radps, speed_mps = (
-                float(np.interp(time_s, rates.time_s, rate)) for rate in (rates.yaw_rate_radps, rates.speed_mps)
-            )
-            driven = _by_motion(yaw_rate_radps, speed_mps, car)
-        return driven._replace(driven_rad=angles.angle(number, time_s, MAX_GAP_S)) if angles else driven
+        if rates:
+            speed_mps, yaw_rate_radps = (float(rate[0]) for rate in rates.at(now, MAX_GAP_S))
+            if np.isfinite(speed_mps):
+                driven = _by_motion(yaw_rate_radps, speed_mps, car)
+        if not angles:
+            return driven
+        angle = float(angles.at(np.array([number]), now, MAX_GAP_S)[0])
+        return driven._replace(driven_rad=angle if np.isfinite(angle) else None)
 
     return Truth(" and ".join(path.name for path in (wheel, motion) if path), at)
 

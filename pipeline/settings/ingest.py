@@ -66,6 +66,8 @@ class Ingest(Reading):
     key = "ingest"
     source: Literal["sample", "kitti", "both"]
     drives: Drives
+    manifests: dict[Drive, str] = {}
+    """Imported drive → hash of its manifest, see `steer import`."""
 
     def reading(self) -> Reading:
         """Return the settings that determine a drive's file."""

@@ -96,13 +96,6 @@ def test_faulty_files(tmp_path: Path, content: bytes | None, problem: str) -> No
     assert raised.value.where.startswith(str(path))
 
 
-def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
-    with (tmp_path / "params.yaml").open("wb") as file:
-        file.truncate(1 << 40)  # sparse
-    with pytest.raises(InputError, match="too large"):
-        params.read(tmp_path / "params.yaml")
-
-
 @pytest.mark.parametrize(
     "name",
     ["", "..", "a b", "a/b", "-a", "x;touch pwned", "$(x)", "ä", "a\n", "x" * 300, 7],

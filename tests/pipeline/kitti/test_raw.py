@@ -1,7 +1,6 @@
 """KITTI raw's folders and scans."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
-from pipeline.kitti.oxts import read_row
 from pipeline.kitti.raw import RawDrive, find_drives, read_calibration, read_scan
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write_drive
 
@@ -73,16 +71,6 @@ def test_damaged_scans(tmp_path: Path) -> None:
             read_scan(tmp_path / "0.bin")
 
 
-@pytest.mark.parametrize("read", [read_scan, read_row, read_pixels])
-def test_pipes_and_devices_are_refused(tmp_path: Path, read: Callable[[Path], np.ndarray]) -> None:
-    """Reading one would block, or fill the memory."""
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "device").symlink_to("/dev/zero")
-    for name in ("pipe", "device"):
-        with pytest.raises(DamagedFile):
-            read(tmp_path / name)
-
-
 @pytest.mark.real
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
     """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is only close."""
@@ -128,7 +116,6 @@ def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
     ("old", "new", "problem"),
     [
         ("P_rect_02: 5.000000000e+01", "P_rect_02: inf", "P_rect_02: expected 12 finite"),
-        ("S_rect_02: 64", "S_rect_02: 64000", "implausible image size"),
         ("R_rect_00: 9", "R_rect_00: -9", "expected a rotation"),
         ("calib_time:", "<html>\ncalib_time:", "not a calibration file"),
     ],

@@ -1,24 +1,19 @@
-"""Intrinsics of a camera from a calibration file, a field of view or four numbers; the text of calibration files."""
+"""Intrinsics of a camera from a calibration file, a field of view or four numbers; undistortion of its images."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.files import MiB, check_file
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size, format_size
+from pipeline.kitti.calibration import check_pinhole, projection, read_entries
 
 WAYS = "--calib FILE (a KITTI calib_cam_to_cam.txt), --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
 _CAMERAS = (2, 0, 3, 1)  # first match wins: rectified cameras share one K
 _FOV_DEG = (5.0, 170.0)
-_LARGEST_PX = 1 << 15  # of a side
-_FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
-_FARTHEST_M = 100.0  # of a camera from the reference camera
-_TOLERANCE = 1e-3  # of a rotation written as text
 
 
 def pinhole(size: Size, *, calib: Path | None = None, fov_deg: float | None = None, K: str | None = None) -> Camera:
@@ -99,73 +94,3 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
         raise InputError(problem, "--distortion", "Pass the coefficients of this lens, and its --K")
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, (width, height), cv2.CV_16SC2)
     return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
-
-
-def read_entries(path: Path) -> dict[str, np.ndarray]:
-    """Return name → numbers [n], read by ``pykitti.utils.read_calib_file``. Raises InputError."""
-    from pykitti.utils import read_calib_file  # takes a second to import
-
-    if not path.is_file():
-        raise InputError("file is missing", path)
-    check_file(path, MiB)
-    try:
-        return dict(read_calib_file(path))
-    except ValueError as error:
-        raise InputError(f"is not a calibration file ({error})", path) from error
-
-
-def matrix(entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    """Return entry `name` of the file at `path` in this shape. Raises InputError."""
-    if name not in entries:
-        raise InputError(f"has no entry {name}", path)
-    values = entries[name]
-    if values.size != np.prod(shape) or not np.isfinite(values).all():
-        raise InputError(f"{name}: expected {np.prod(shape)} finite numbers, got {values}", path)
-    return values.reshape(shape)
-
-
-def projection(entries: Mapping[str, np.ndarray], number: int, path: Path) -> tuple[np.ndarray, tuple[int, int]]:
-    """Return P_rect [3,4] of a rectified camera and its image size (H, W). Raises InputError."""
-    name, size_name = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
-    P, (width, height) = matrix(entries, name, (3, 4), path), matrix(entries, size_name, (2,), path)
-    if not (1 <= width <= _LARGEST_PX and 1 <= height <= _LARGEST_PX):
-        raise InputError(f"{size_name}: implausible image size {width:g} x {height:g}", path)
-    size = round(height), round(width)
-    check_pinhole(P[:, :3], size, f"{path}: {name}")
-    if np.abs(P[:, 3]).max() > _FARTHEST_M * P[0, 0]:
-        distance_m = np.abs(P[:, 3]).max() / P[0, 0]
-        raise InputError(f"{name} puts the camera {distance_m:g} m away from the reference camera", path)
-    return P, size
-
-
-def check_pinhole(K: np.ndarray, size: tuple[int, int], where: str) -> None:
-    """Raise InputError if K [3,3] is implausible for images of `size` (H, W): focal length, centre, skew."""
-    height, width = size
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
-    if not (focal and 0 <= cx <= width and 0 <= cy <= height and np.allclose(K, pinhole, atol=1e-3)):
-        raise InputError(
-            f"implausible intrinsics: focal lengths {fx:g}, {fy:g} (expected 1 to {_FOCAL_PER_WIDTH * width:g}), "
-            f"centre {cx:g}, {cy:g} (expected within {width} x {height} pixels)",
-            where,
-        )
-
-
-def rotation(entries: Mapping[str, np.ndarray], name: str, path: Path) -> np.ndarray:
-    """Return entry `name` [3,3]. Raises InputError if it is not a rotation."""
-    R = matrix(entries, name, (3, 3), path)
-    if np.abs(R).max() > 2 or np.abs(R @ R.T - np.eye(3)).max() > _TOLERANCE or np.linalg.det(R) < 0:
-        raise InputError(f"{name}: expected a rotation matrix, got rows that are not orthonormal", path)
-    return R
-
-
-def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:
-    """Write the entries in one step: text unchanged, numbers with 13 digits."""
-    lines = [f"{name}: {value if isinstance(value, str) else _format(value)}\n" for name, value in entries.items()]
-    with replacing(path) as tmp:
-        tmp.write_text("".join(lines), encoding="ascii")
-
-
-def _format(values: np.ndarray) -> str:
-    return " ".join(f"{value:.12e}" for value in values.ravel())

@@ -9,9 +9,8 @@ With --split, 60,20,20 for instance, a single recording is enough to train and t
 following numbers get the first 60 %, the next 20 % and the last 20 % of the time, less 2 s between them. The last
 line says how to train.
 
-A GPX or NMEA track has times in seconds since 1970 (UTC). Its speeds and courses are smoothed over a second or
-more, and one fix per second flattens bends. Prefer the car's own log, or a receiver with 5 Hz that reports
-velocities.
+Images are written without the distortion of the lens. Stages crop them around the horizon, which is estimated from
+the motion unless --horizon gives its row.
 
 \b
 steer import drive.mp4 --fov 78 --drive 2027_03_31_drive_0001
@@ -20,9 +19,10 @@ steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_3
 steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_03_31_drive_0004
 """
 
+import dataclasses
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,11 +37,12 @@ Gap = Annotated[float, options.number(0, 3600, "longest interval between samples
 Start = Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")]
 End = Annotated[float | None, options.number(0, 1e10, "leave out this and later images")]
 _SPLIT = "write three consecutive drives with these shares of the time in %, and presets/DRIVE.yaml"
+Horizon = Annotated[float | None, options.number(-10000, 10000, "row of the road's horizon; default: estimated")]
 Split = Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)]
 
 
 def import_recording(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="video, or folder of images; undistorted")],
+    recording: Annotated[Path, typer.Argument(help="video, or folder of images")],
     drive: Annotated[str, typer.Option(help="name of the drive, for instance 2027_03_31_drive_0001")],
     motion: options.Motion = None,
     wheel: options.Wheel = None,
@@ -50,6 +51,8 @@ def import_recording(
     calib: options.Calib = None,
     fov: options.Fov = None,
     k: options.K = None,
+    distortion: options.Distortion = None,
+    horizon: Horizon = None,
     times: options.Times = None,
     fps: options.Fps = None,
     offset: Offset = 0.0,
@@ -58,44 +61,50 @@ def import_recording(
     end: End = None,
     split: Split = None,
     camera_height: options.CameraHeight = None,
-    force: Annotated[bool, typer.Option("--force", help="replace existing drives, and their preset")] = False,
+    replace: Annotated[bool, typer.Option("--replace", help="replace unchanged drives of an earlier import")] = False,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
     """Write drives and print what to do next; the module's docstring is the help text."""
-    from pipeline.camera.footage import open_footage
-    from pipeline.camera.intrinsics import pinhole
-    from pipeline.recording import drive_preset, layout
-    from pipeline.recording.motion_log import check_ratio, read_motion, read_wheel
-    from pipeline.recording.recording import Recording
     from pipeline.settings.preset import PRESETS
+    from pipeline.video import drive_layout, drive_preset
+    from pipeline.video.horizon import find_horizon
+    from pipeline.video.import_recording import Import
+    from pipeline.video.lens import pinhole, undistortion
+    from pipeline.video.log import check_ratio, read_motion, read_wheel
+    from pipeline.video.recording import open_recording
 
     output = options.Output(quiet, as_json)
-    options.check_names(source, motion, wheel, out, calib, times)
     check_ratio(wheel, steering_ratio)
     if end is not None and end <= start:
         raise InputError(f"--end {end:g} is not after --start {start:g}")
     shares = _shares(split)
     out = options.in_project(out)
-    layout.drive_folder(out, drive, force)
-    drives = layout.consecutive(drive, len(shares))
+    drive_layout.drive_folder(out, drive, replace)
+    drives = drive_layout.consecutive(drive, len(shares))
     preset = PRESETS / f"{drive}.yaml" if split else None
     if preset:
-        drive_preset.check_replaceable(preset)
+        drive_preset.check_unchanged(preset)
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
-    footage = open_footage(source, fps, times)
-    if not footage.has_times:
-        raise InputError("images have no times", source, "Pass --fps N, or --times FILE")
-    camera = pinhole(footage.size, calib=calib, fov_deg=fov, K=k)
-    recording = Recording(footage, camera, log, angles, max_gap, start, math.inf if end is None else end)
-    recording.check_overlap()
-    summary = recording.write(out, drives, shares, force=force, visible=output.visible)
+    opened = open_recording(recording, fps, times)
+    if not opened.has_times:
+        raise InputError("images have no times", recording, "Pass --fps N, or --times FILE")
+    camera = pinhole(opened.size, calib=calib, fov_deg=fov, K=k)
+    if distortion:
+        opened.straighten = undistortion(camera, distortion)
+    camera = dataclasses.replace(camera, horizon=find_horizon(opened.frames(), camera) if horizon is None else horizon)
+    work = Import(opened, camera, log, angles, max_gap, start, math.inf if end is None else end)
+    work.check_overlap()
+    summary = work.write(out, drives, shares, replace=replace, visible=output.visible)
     labels = "oxts" if log else "wheel" if angles else "visual"
     if preset:
-        drive_preset.write(preset, drives, labels, summary["hz"], camera, camera_height)
-    for line in (*_lines(summary), *_next_steps(out, drives, labels, camera_height, preset)):
+        drive_preset.write(preset, summary["manifests"], labels, summary["hz"], camera, camera_height)
+    for line in (
+        *_lines(summary, log is not None),
+        *_next_steps(out, summary["manifests"], labels, camera_height, preset),
+    ):
         output.line(line)
     output.result(summary | {"preset": preset, "K": camera.K.tolist()})
 
@@ -113,44 +122,42 @@ def _shares(split: str | None) -> list[float]:
     return shares
 
 
-def _lines(summary: dict[str, Any]) -> Iterator[str]:
+def _lines(summary: dict[str, Any], motion: bool) -> Iterator[str]:
     """Yield the lines of the log."""
-    from pipeline.recording.recording import GAP_S
+    from pipeline.video.import_recording import GAP_S
 
     height, width = summary["size"]
     for (drive, frames), folder in zip(summary["drives"].items(), summary["folders"], strict=True):
         yield f"{drive}: {frames} of {summary['images']} images, written to {folder}"
     yield f"{width} x {height} pixels, {{first_s:.3f}} to {{last_s:.3f}} s".format_map(summary)
+    if summary["horizon"] is None:
+        yield "horizon: not found, since too few images show a drive; assuming a level camera (or pass --horizon)"
+    else:
+        yield "horizon: row {horizon:.0f}".format_map(summary)
     if len(summary["drives"]) > 1:
         yield f"left out: {GAP_S:g} s between the drives, as neighbouring images are almost the same"
     if summary["steering_angles"]:
         yield "{steering_angles} recorded steering angles".format_map(summary)
-    if summary["motion"]:
-        gaps = "{interpolated} frames interpolated, samples up to {largest_gap_s:.3g} s apart".format_map(summary)
-        yield f"motion: {summary['motion']}; {gaps if summary['interpolated'] else 'a sample at each frame'}"
-        if any(summary["left_out"].values()):
-            left_out = "{before} before the first sample, {after} after the last, {in_gaps} in gaps"
-            yield f"left out, no motion: {left_out.format_map(summary['left_out'])}"
-    elif not summary["steering_angles"]:
+    elif not motion:
         yield "no recorded motion: labels will come from the motion that stage motion measures in the images"
-    if summary["untimed_from"] is not None:
-        yield f"the video's timestamps end at image {summary['untimed_from']}; later times follow from its frame rate"
 
 
 def _next_steps(
-    out: Path, drives: Sequence[str], labels: str, height_m: float | None, preset: Path | None
+    out: Path, manifests: Mapping[str, str], labels: str, height_m: float | None, preset: Path | None
 ) -> Iterator[str]:
     """Yield the line that says how to train; with a preset, its commands can be copied."""
     from pipeline.base.resume import ROOT
 
+    first = next(iter(manifests))
     if preset is None:
         height = f", perception.camera_height_m: {height_m:g}" if height_m else ""
         settings = f"ingest.source: kitti, labels.source: {labels}{height}"
-        yield f"next: set {settings} in params.yaml, replace ingest.drives by {drives[0]} and others, run dvc repro"
-        yield "Only this recording? Repeat with --split 60,20,20 --force: then no file has to be edited"
+        yield f"next: set {settings} in params.yaml, replace ingest.drives by {first} and others, run dvc repro"
+        yield f"ingest.manifests: {{{first}: {manifests[first]}}} lets dvc repro notice that it is imported again"
+        yield "Only this recording? Repeat with --split 60,20,20 --replace: then no file has to be edited"
         return
     yield f"settings: {preset}"
-    raw, date = ROOT / "data" / "raw", drives[0][:10]
+    raw, date = ROOT / "data" / "raw", first[:10]
     link = f"mkdir -p {raw} && ln -sfT {shlex.quote(str(out.resolve() / date))} {raw / date} && "
     place = "" if Path.cwd() == ROOT else f" -C {shlex.quote(str(ROOT))}"
     yield f"next: {'' if out.resolve() == raw.resolve() else link}make{place} street && make{place} {preset.stem}"

@@ -1,10 +1,10 @@
-"""Your own recording, and its conversion to a drive in KITTI raw's layout."""
+"""Convert a recording with its logs to drives in KITTI raw's layout."""
 
 import math
 import shutil
 import sys
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,26 +12,25 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pipeline.base.atomic import exclusive, replacing
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
 from pipeline.camera.camera import Camera
-from pipeline.camera.footage import Footage
 from pipeline.kitti import steering_file
-from pipeline.recording import layout
-from pipeline.recording.motion_log import WheelLog
-from pipeline.recording.track import ROUNDING_S, Rates, coverage
+from pipeline.video import drive_layout as layout
+from pipeline.video.log import ROUNDING_S, MotionLog, WheelLog
+from pipeline.video.recording import Recording
 
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
 
 
 @dataclass(frozen=True)
-class Recording:
-    """Images, with logs of the car's motion and of its steering wheel."""
+class Import:
+    """A recording, with logs of the car's motion and of its steering wheel."""
 
-    footage: Footage
-    camera: Camera  # of the images
-    motion: Rates | None
+    recording: Recording
+    camera: Camera
+    motion: MotionLog | None
     wheel: WheelLog | None
     max_gap_s: float  # longest interval between samples of a log to interpolate over
     start_s: float = 0.0  # images before and after are left out; since the first image
@@ -39,9 +38,9 @@ class Recording:
 
     def check_overlap(self) -> None:
         """Raise InputError if the images and a log do not overlap in time."""
-        count, fps = self.footage.count, self.footage.fps
+        count, fps, times_s = self.recording.count, self.recording.fps, self.recording.times_s
         first_s, last_s = 0.0, (count - 1) / fps if count and fps else math.inf  # a video may not announce its length
-        if (times_s := self.footage.times_s) is not None:
+        if times_s is not None:
             first_s, last_s = float(times_s[0]), float(times_s[-1])
         for name, log in (("motion", self.motion), ("wheel angles", self.wheel)):
             if log is None or log.time_s is None:
@@ -55,26 +54,23 @@ class Recording:
                 )
 
     def write(
-        self, root: Path, drives: Sequence[str], shares: Sequence[float] = (1.0,), *, force: bool, visible: bool
+        self, root: Path, drives: Sequence[str], shares: Sequence[float] = (100.0,), *, replace: bool, visible: bool
     ) -> dict[str, Any]:
         """Write the drives below `root`, and return counts and times; images without motion are left out.
 
         Args:
             drives: names, all of one date.
             shares: of the duration, one for each drive; see :func:`cut`.
-            force: replace existing drives.
+            replace: replace drives of an earlier import.
             visible: show a progress bar.
-        Raises:
-            InputError: a drive exists, no image has motion or none of a drive an angle, a part of the split is too
-                short, or the date has another camera.
+
+        Raises InputError if a drive exists, no image has motion or none of a drive an angle, a part of the split is too
+        short, or the date has another camera.
         """
-        folders = [layout.drive_folder(root, drive, force) for drive in drives]
+        folders = [layout.drive_folder(root, drive, replace) for drive in drives]
         date = folders[0].parent
-        # One lock per date, as its drives share a calibration.
-        with exclusive(date, root / ".import" / date.name), _removed_if_empty(date), ExitStack() as stack:
-            for drive in drives:
-                layout.drive_folder(root, drive, force)  # again, under the lock
-            calibrated = layout.check_calibration(folders, self.camera, force)
+        calibrated = layout.check_calibration(folders, self.camera, replace)
+        with ExitStack() as stack:
             unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
             time_s, usable = self._write_images(unfinished[0], visible)
             parts = cut(usable, time_s, shares)
@@ -82,23 +78,25 @@ class Recording:
             angles = [self._write_logs(folder, time_s, part) for folder, part in zip(unfinished, parts, strict=True)]
             if not calibrated:
                 layout.write_calibration(date, self.camera)
+            for folder in unfinished:
+                layout.write_horizon(folder, self.camera.horizon)
+            manifests = [layout.write_manifest(folder, date) for folder in unfinished]
             for folder in folders:
-                shutil.rmtree(folder, ignore_errors=True)  # the earlier drive, with force
+                shutil.rmtree(folder, ignore_errors=True)  # the earlier import
         written_s = time_s[np.logical_or.reduce(parts)]
-        summary = {
+        return {
             "drives": {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)},
             "folders": list(map(str, folders)),
+            "manifests": dict(zip(drives, manifests, strict=True)),
             "images": len(time_s),
             "frames": len(written_s),
-            "size": list(self.footage.size),
+            "size": list(self.recording.size),
+            "horizon": self.camera.horizon,
             "first_s": float(written_s[0]),
             "last_s": float(written_s[-1]),
             "hz": (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else None,
-            "untimed_from": self.footage.untimed_from,
-            "motion": self.motion.source if self.motion else None,
             "steering_angles": sum(angles),
         }
-        return summary | (self._coverage(time_s)[1])
 
     def _write_logs(self, folder: Path, time_s: np.ndarray, usable: np.ndarray) -> int:
         """Write times, packets and angles of a drive's `usable` images, bool [F], taken at `time_s` [F].
@@ -107,14 +105,17 @@ class Recording:
         """
         if self.motion:
             layout.write_packets(folder, self.motion, time_s, usable)
-        layout.write_times(folder, usable, time_s, (layout.IMAGES, "oxts") if self.motion else (layout.IMAGES,))
-        angles = self.wheel.at(time_s, usable, self.max_gap_s) if self.wheel else {}
-        if self.wheel and not angles:
+        sensors = (layout.IMAGES, "oxts") if self.motion else (layout.IMAGES,)
+        layout.write_times(folder, folder.name[:10], usable, time_s, sensors)
+        if self.wheel is None:
+            return 0
+        steering_rad = self.wheel.at(np.arange(len(time_s)), time_s, self.max_gap_s)
+        known = np.flatnonzero(usable & np.isfinite(steering_rad)).tolist()
+        if not known:
             problem = f"no image of {folder.name} has an angle"
             raise InputError(problem, "--wheel", "Check its times or frames, or raise --max-gap")
-        if angles:
-            steering_file.write(folder / steering_file.FILE, angles)
-        return len(angles)
+        steering_file.write(folder / steering_file.FILE, {number: float(steering_rad[number]) for number in known})
+        return len(known)
 
     def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:
         """Write the usable images; return the times of all images up to the end, and the mask of usable ones.
@@ -123,15 +124,18 @@ class Recording:
         """
         all_s: list[float] = []
         hidden = not (visible and sys.stderr.isatty())
-        frames = tqdm(self.footage.frames(), total=self.footage.count, unit=" images", disable=hidden)
+        frames = tqdm(self.recording.frames(), total=self.recording.count, unit=" images", disable=hidden)
 
         def images() -> Generator[tuple[int, np.ndarray]]:
-            for number, time_s, image in frames:
-                if all_s and time_s - all_s[0] > self.end_s - ROUNDING_S:
+            for frame in frames:
+                if all_s and frame.time_s - all_s[0] > self.end_s - ROUNDING_S:
                     return
-                all_s.append(time_s)
-                if self._usable(np.array([time_s]), all_s[0])[0]:
-                    yield number, image
+                all_s.append(frame.time_s)
+                assert frame.image is not None
+                if self._usable(np.array([frame.time_s]), all_s[0])[0]:
+                    yield frame.number, frame.image
+            if self.wheel:
+                self.wheel.check_frames(len(all_s) - 1)
 
         layout.write_images(folder, images(), threads=default_workers())
         time_s = np.array(all_s)
@@ -146,15 +150,8 @@ class Recording:
     def _usable(self, time_s: np.ndarray, first_s: float) -> np.ndarray:
         """Return a mask of the images at `time_s` [F] to write; `first_s` is the time of the first image."""
         elapsed_s = time_s - first_s
-        return (
-            self._coverage(time_s)[0] & (elapsed_s > self.start_s - ROUNDING_S) & (elapsed_s < self.end_s - ROUNDING_S)
-        )
-
-    def _coverage(self, time_s: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
-        """Return a mask of the images at `time_s` [F] with motion (all without a log), and counts if there is a log."""
-        if self.motion is None:
-            return np.ones(len(time_s), bool), {}
-        return coverage(self.motion.time_s, time_s, self.max_gap_s)
+        inside = (elapsed_s > self.start_s - ROUNDING_S) & (elapsed_s < self.end_s - ROUNDING_S)
+        return inside & np.isfinite(self.motion.at(time_s, self.max_gap_s)[0]) if self.motion else inside
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
@@ -169,16 +166,6 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
     parts = [usable & (time_s >= begin) & (time_s < end) for begin, end in zip(edges_s[:-1], ends_s, strict=True)]
     if short := next((share for share, part in zip(shares, parts, strict=True) if part.sum() < 2), None):
         problem = f"the part of {short:g} % has fewer than 2 images ({last_s - first_s:.1f} s in all)"
-        raise InputError(
-            problem, "--split", f"Pass a longer recording, or other shares: {GAP_S:g} s are left out between parts"
-        )
+        fix = f"Pass a longer recording, or other shares: {GAP_S:g} s are left out between parts"
+        raise InputError(problem, "--split", fix)
     return parts
-
-
-@contextmanager
-def _removed_if_empty(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            folder.rmdir()

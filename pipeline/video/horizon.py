@@ -5,7 +5,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 
-from pipeline.camera.camera import Camera
+from pipeline.camera.camera import Camera, Frame
 from pipeline.motion.tracks import Corners, track
 
 WIDTH = 640  # px, of the images that are tracked
@@ -16,12 +16,13 @@ RANSAC_PX = 0.7
 PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
 
 
-def find_horizon(images: Iterable[np.ndarray], camera: Camera) -> float | None:
+def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
     """Return the image row of the direction of travel; None if too few images show one.
 
-    It is the median over pairs of consecutive images RGB uint8 [H,W,3], spread over the first minute of a drive. The
+    It is the median over pairs of consecutive images, spread over the first minute of a drive. The
     row depends little on the focal length. A camera on a car travels along the road, so this is the road's horizon.
     """
+    images = (frame.image for frame in frames if frame.image is not None)
     pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)
     rows = [row for before, now in pairs if (row := _row(before, now, camera)) is not None]
     return float(np.median(rows)) if len(rows) >= MIN_PAIRS else None

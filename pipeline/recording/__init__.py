@@ -1,1 +1,0 @@
-"""Convert your own recording to a drive in KITTI raw's layout."""

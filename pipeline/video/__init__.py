@@ -1,0 +1,1 @@
+"""Recordings of your own, videos and folders of images: import them as drives."""

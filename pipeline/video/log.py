@@ -1,0 +1,116 @@
+"""Read logs of a car, its motion and the angles of its steering wheel, and interpolate them at the times of images."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.base.files import check_limit, read_columns
+from pipeline.kitti.oxts import LIMITS
+from pipeline.kitti.steering_file import check_angles, check_frames
+from pipeline.video.recording import check_times
+
+ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
+_MOTION = "Expected a CSV file with time_s [s], speed_mps [m/s] and yaw_rate_radps [rad/s, left +]"
+_WHEEL = "Expected a CSV file with wheel_rad [rad, left +] and time_s [s] or frame (number of the image)"
+
+
+@dataclass(frozen=True)
+class MotionLog:
+    """Samples of a car's motion, all [N], times ascending, yaw rate left positive."""
+
+    time_s: np.ndarray
+    speed_mps: np.ndarray
+    yaw_rate_radps: np.ndarray
+
+    def at(self, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return speed and yaw rate at `time_s` [F], see :func:`interpolate`."""
+        speed_mps, yaw_rate_radps = (
+            interpolate(time_s, self.time_s, rate, max_gap_s) for rate in (self.speed_mps, self.yaw_rate_radps)
+        )
+        return speed_mps, yaw_rate_radps
+
+
+@dataclass(frozen=True)
+class WheelLog:
+    """Angles of the front wheels in rad, left positive, with times or with numbers of images; all [N], ascending."""
+
+    path: Path
+    steering_rad: np.ndarray
+    time_s: np.ndarray | None
+    frame: np.ndarray | None
+
+    def at(self, number: np.ndarray, time_s: np.ndarray, max_gap_s: float) -> np.ndarray:
+        """Return the angles [F] of images with these numbers and times [F]; NaN where unknown."""
+        if self.time_s is not None:
+            return interpolate(time_s, self.time_s, self.steering_rad, max_gap_s)
+        assert self.frame is not None
+        at = np.minimum(np.searchsorted(self.frame, number), len(self.frame) - 1)
+        return np.where(self.frame[at] == number, self.steering_rad[at], np.nan)
+
+    def check_frames(self, last: int) -> None:
+        """Raise InputError if the log has an angle of an image after the `last` one."""
+        if self.frame is not None and self.frame[-1] > last:
+            problem = f"has frame {self.frame[-1]}, but the last image is {last}"
+            raise InputError(problem, self.path, "Number the images from 0, or give time_s instead of frame")
+
+
+def interpolate(time_s: np.ndarray, samples_s: np.ndarray, samples: np.ndarray, max_gap_s: float) -> np.ndarray:
+    """Interpolate `samples` [N] at `samples_s` [N], ascending, linearly at `time_s` [F].
+
+    Returns [F], NaN before the first sample, after the last, and between two samples more than `max_gap_s` apart.
+    """
+    left = np.clip(np.searchsorted(samples_s, time_s, side="right") - 1, 0, len(samples_s) - 2)
+    gap_s = samples_s[left + 1] - samples_s[left]
+    gap_s[(time_s == samples_s[left]) | (time_s == samples_s[left + 1])] = 0.0
+    inside = (time_s >= samples_s[0] - ROUNDING_S) & (time_s <= samples_s[-1] + ROUNDING_S)
+    return np.where(inside & (gap_s <= max_gap_s + ROUNDING_S), np.interp(time_s, samples_s, samples), np.nan)
+
+
+def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
+    """Read a CSV file with the columns time_s, speed_mps and yaw_rate_radps; `offset_s` is added to its times.
+
+    Raises InputError if a column is missing, values are implausible, or times do not increase or are not in seconds.
+    """
+    columns = read_columns(path, ("time_s", "speed_mps", "yaw_rate_radps"), (), _MOTION)
+    time_s, speed_mps, yaw_rate_radps = columns.values()
+    _check_samples(time_s, path)
+    check_times(time_s, path)
+    check_limit("speed_mps", speed_mps, LIMITS["vf"], path)
+    check_limit("yaw_rate_radps", yaw_rate_radps, LIMITS["wu"], path)
+    return MotionLog(time_s + offset_s, speed_mps, yaw_rate_radps)
+
+
+def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> WheelLog:
+    """Read angles of the steering wheel from a CSV file and divide them by the steering ratio.
+
+    Args:
+        path: a CSV file with wheel_rad, left positive, and time_s or frame; with both, time_s counts.
+        offset_s: added to the file's times.
+
+    Raises InputError as :func:`read_motion` does.
+    """
+    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), _WHEEL)
+    steering_rad, frame, time_s = columns["wheel_rad"] / steering_ratio, columns.get("frame"), columns.get("time_s")
+    _check_samples(steering_rad, path)
+    check_angles(steering_rad, path)
+    if time_s is not None:
+        check_times(time_s, path)
+        return WheelLog(path, steering_rad, time_s + offset_s, None)
+    if frame is None:
+        raise InputError("has neither time_s nor frame", path, _WHEEL)
+    check_frames(frame, path)
+    return WheelLog(path, steering_rad, None, frame.astype(np.int64))
+
+
+def check_ratio(wheel: Path | None, steering_ratio: float | None) -> None:
+    """Raise InputError if only one of a file of wheel angles and a steering ratio is given."""
+    if (wheel is None) != (steering_ratio is None):
+        fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
+        raise InputError("--wheel and --steering-ratio need each other", fix=fix)
+
+
+def _check_samples(samples: np.ndarray, path: Path) -> None:
+    if len(samples) < 2:
+        raise InputError(f"expected at least 2 samples, got {len(samples)}", path)

@@ -1,0 +1,246 @@
+"""Read a recording, a video file or a folder of images, one frame at a time, with times."""
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.files import check_increase, check_limit
+from pipeline.camera.camera import Frame
+from pipeline.camera.images import Size, format_size, read_pixels
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+    from av.container import InputContainer
+
+LATEST_S = 4e9  # since 1970: year 2096
+LEAST_STEP_S = 1e-5  # between images, or between samples of a log
+MEDIAN_STEP_S = (0.999e-3, 2.0)  # milliseconds, taken as seconds, have steps of 10 and more
+_SUFFIXES = (".png", ".jpg", ".jpeg")
+_SMALLEST_PX = 16  # of a side
+_CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
+# Playlists, scripts and session descriptions can open other files and sockets. So only containers and streams of frames
+# are accepted, and no protocol: FFmpeg reads the file that is already open.
+_WITHOUT_TIMES = ("h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu")
+_CONTAINERS = ("mov", "mp4", "matroska", "webm", "avi", "mpegts", "mpeg", "ivf", "ogg", "flv", "asf", "yuv4mpegpipe")
+_OPTIONS = {
+    "format_whitelist": ",".join((*_CONTAINERS, *_WITHOUT_TIMES)),
+    "protocol_whitelist": "none",
+    "enable_drefs": "0",  # references of MOV files to other files
+    "use_absolute_path": "0",
+}
+
+
+class Recording(ABC):
+    """Images in order, with times: the file of times, a fixed rate, or the video's own timestamps.
+
+    ``size`` is (H, W). ``count`` is the number of images, for a video an estimate, or None. ``fps`` is the mean rate,
+    None if unknown; then frames have no times. ``times_s`` [F]: of all images, if they are known in advance.
+    """
+
+    def __init__(self, path: Path, count: int | None, times_s: np.ndarray | None, fps: float | None) -> None:
+        self.path, self.count, self.times_s, self.fps = path, count, times_s, fps
+        self.straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image
+        """Removes the distortion of the lens from an image of :meth:`frames`, see :func:`lens.undistortion`."""
+        self._fixed = fps is not None
+        if times_s is not None and len(times_s) > 1:
+            self.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
+        _, first = next(self._images(), (None, None))
+        if first is None:
+            raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
+        self.size: Size = (first.shape[0], first.shape[1])
+        if min(self.size) < _SMALLEST_PX:
+            sizes = f"{format_size(self.size)} pixels (expected at least {_SMALLEST_PX} x {_SMALLEST_PX})"
+            raise InputError(f"images are too small: {sizes}", path)
+
+    @property
+    def has_times(self) -> bool:
+        return self.times_s is not None or self.fps is not None
+
+    def set_rate(self, fps: float) -> None:
+        """Use `fps` images per second, for images without times."""
+        self.fps, self._fixed = fps, True
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield number, time and image RGB uint8 [H,W,3] of the frames; a second call starts again.
+
+        Times count from the first frame, or are those of the file of times; NaN without times.
+
+        Raises DamagedFile if an image cannot be decoded, or images are missing at the end; InputError if the size
+        changes, there are more or fewer images than times, or a video's timestamps do not increase.
+        """
+        first_s, last_s, number = 0.0, -math.inf, -1
+        for number, (stamp_s, image) in enumerate(self._images()):
+            if image.shape[:2] != self.size:
+                sizes = f"{format_size(image.shape)} pixels (expected {format_size(self.size)}, as the first one)"
+                raise InputError(f"image {number} has {sizes}", self.path, "Images of one recording have one size")
+            if number == 0:
+                first_s = stamp_s or 0.0
+            if self.times_s is not None:
+                if number >= len(self.times_s):
+                    raise InputError(f"has more images than times ({len(self.times_s)})", self.path)
+                time_s = float(self.times_s[number])
+            elif self._fixed or self.fps is None:
+                time_s = math.nan if self.fps is None else number / self.fps
+            else:
+                time_s = math.nan if stamp_s is None else stamp_s - first_s
+                if not time_s > last_s:
+                    raise DamagedFile(f"timestamps do not increase at image {number}", self.path, "Pass --fps")
+            last_s = time_s
+            yield Frame(number, time_s, self.straighten(image))
+        self._check_end(number + 1, last_s)
+
+    def _check_end(self, images: int, last_s: float) -> None:
+        """Raise an error if images are missing by number and by time; one of the two may be an estimate."""
+        if self.times_s is not None and images != len(self.times_s):
+            raise InputError(f"has {images} images, but {len(self.times_s)} times", self.path)
+        least = (self.count or 0) - max(2, (self.count or 0) // 100)
+        if self.fps and self.times_s is None and images < least and last_s < (least - 1) / self.fps:
+            problem = f"ends after {images} of {self.count} frames"
+            raise DamagedFile(problem, self.path, _CONVERT.format(name=self.path.name))
+
+    @abstractmethod
+    def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
+        """Yield the timestamp in seconds, if there is one, and RGB uint8 [H,W,3] of each image."""
+
+
+class Video(Recording):
+    """A video file; raw streams, such as .h264 and .mjpeg files, have no times of their own."""
+
+    def __init__(self, path: Path, fps: float | None, times_s: np.ndarray | None) -> None:
+        with self._opened(path) as container:
+            stream = container.streams.video[0]
+            shape = float(stream.sample_aspect_ratio or 1)
+            if abs(shape - 1) > 0.01:
+                fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
+                raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+            # FFmpeg assumes 25 frames per second for a stream without a container.
+            rate = stream.average_rate or stream.guessed_rate
+            own_fps = None if container.format.name in _WITHOUT_TIMES or not rate else float(rate)
+            count = None if own_fps is None else stream.frames or _estimated_count(container, own_fps)
+        super().__init__(path, count, times_s, fps)
+        self.fps = self.fps or own_fps
+
+    def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
+        with self._opened(self.path) as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            for frame in container.decode(stream):
+                yield frame.time, _upright(frame, self.path)
+
+    @staticmethod
+    @contextmanager
+    def _opened(path: Path) -> Iterator["InputContainer"]:
+        """Open a file with a video stream. Raises DamagedFile, also for errors inside of the block."""
+        import av
+
+        fix = _CONVERT.format(name=path.name)
+        with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
+            try:
+                with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
+                    if not container.streams.video:
+                        raise DamagedFile("file has no video stream", path)
+                    yield container
+            except (av.FFmpegError, OSError) as error:
+                problem = "cannot be decoded as a video (expected a container like MP4, MOV, Matroska, AVI or MPEG)"
+                raise DamagedFile(problem, path, fix) from error
+
+
+def _estimated_count(container: "InputContainer", fps: float) -> int | None:
+    """Return the number of frames by the duration in the header; None if unknown."""
+    import av
+
+    duration = container.duration or 0
+    if "matroska" in container.format.name:  # its duration is the time of the end
+        duration -= container.start_time or 0
+    return round(duration / av.time_base * fps) or None
+
+
+def _upright(frame: "VideoFrame", path: Path) -> np.ndarray:
+    """Return the image RGB uint8 [H,W,3], rotated by its display matrix. Raises InputError for other matrices."""
+    image = frame.to_ndarray(format="rgb24")
+    display: Any = frame.side_data.get("DISPLAYMATRIX")
+    if display is not None:
+        a, b, _, c, d, *_ = np.frombuffer(display, np.int32).tolist()
+        if (a, b) != (d, -c) or (a and b):
+            fix = f"Apply it to the pixels: ffmpeg -i {path.name} -c:v libx264 upright.mp4"
+            raise InputError("display matrix mirrors the images or turns them by no multiple of 90 degrees", path, fix)
+        image = np.rot90(image, frame.rotation // 90)
+    return np.ascontiguousarray(image)
+
+
+class ImageFolder(Recording):
+    """The PNG and JPEG files of a folder, in the order of the numbers in their names, then of the names."""
+
+    def __init__(self, path: Path, fps: float | None, times_s: np.ndarray | None) -> None:
+        images = [file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES]
+        self._files = sorted((file for file in images if not file.name.startswith("._")), key=_order)  # of macOS
+        if not self._files:
+            raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", path)
+        stems = [file.stem for file in self._files]
+        if twice := next((stem for stem, following in pairwise(stems) if stem == following), None):
+            raise InputError(f"folder has several images {twice}", path, "Keep one file for each image")
+        if not fps and times_s is None and all(re.fullmatch("[12][0-9]{18}", stem) for stem in stems):  # ns since 1970
+            times_s = np.array([(int(stem) - int(stems[0])) / 1e9 for stem in stems])
+        super().__init__(path, len(stems), times_s, fps)
+        self._check_end(len(stems), math.inf)
+
+    def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
+        for path in self._files:
+            pixels = read_pixels(path)
+            if pixels.dtype != np.uint8:
+                raise DamagedFile(f"expected 8 bits per channel, got {pixels.dtype}", path)
+            yield None, np.repeat(pixels[..., None], 3, axis=-1) if pixels.ndim == 2 else pixels
+
+
+def open_recording(path: Path, fps: float | None = None, times: Path | None = None) -> Recording:
+    """Open a video file or a folder of images.
+
+    Args:
+        fps: images per second; replaces timestamps of a video, and timestamps in ns as names of images.
+        times: a file with the time of each image instead, see :func:`read_times`.
+
+    Raises InputError if there are no images, they are too small, mirrored or have pixels that are not square, or
+    `times` cannot be used; DamagedFile if the first cannot be decoded.
+    """
+    if fps and times:
+        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
+    if not path.exists():
+        raise InputError("path is missing", path, "Pass a video, or a folder of images")
+    times_s = read_times(times) if times else None
+    return (ImageFolder if path.is_dir() else Video)(path, fps, times_s)
+
+
+def _order(path: Path) -> tuple[list[int | str], str]:
+    """Return a sort key that puts img_9 before img_10."""
+    parts = re.split(r"(\d+)", path.stem)
+    return [int(part) if odd % 2 else part for odd, part in enumerate(parts)], path.name
+
+
+def read_times(path: Path) -> np.ndarray:
+    """Return the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
+    try:
+        times_s = np.array(path.read_text("utf-8-sig").split(), np.float64)
+    except (OSError, ValueError) as error:
+        raise InputError(f"expected a file with one number per line ({error})", path) from error
+    if not len(times_s):
+        raise InputError("file is empty (expected one number per line)", path)
+    check_times(times_s, path)
+    return times_s
+
+
+def check_times(times_s: np.ndarray, path: Path) -> None:
+    """Raise InputError if times [N] of the file at `path` are implausible, not in seconds, or do not increase."""
+    check_increase("time_s", times_s, LEAST_STEP_S, path)
+    lowest_s, highest_s = MEDIAN_STEP_S
+    if len(times_s) > 1 and not lowest_s <= (step_s := float(np.median(np.diff(times_s)))) <= highest_s:
+        problem = f"median time step is {step_s:g} (expected {lowest_s:.3f} to {highest_s:g} s)"
+        raise InputError(problem, path, "Times are in seconds: divide milliseconds by 1000")
+    check_limit("time_s", times_s, LATEST_S, path)

@@ -101,11 +101,11 @@ def entries(mapping: str, path: Path) -> dict[str, Any]:
     return content
 
 
-def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
+def read(path: Path) -> dict[str, Any]:
     """Return the content of a params file or a preset. Raises InputError if it is missing or has no sections."""
     if not path.is_file():
         raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
-    content = read_yaml(path, comments=comments)
+    content = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError("expected sections", path)
     return content

@@ -84,7 +84,7 @@ def main(
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
-    """Return the content of `params` with the changes of preset `name`, with comments.
+    """Return the content of `params` with the changes of preset `name`.
 
     Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
     and ``"*": null`` removes all earlier keys, so that a list of models is replaced.
@@ -96,7 +96,7 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     Raises InputError if there is no such preset, or if a key or value of either file is wrong.
     """
     preset = find(name)
-    content, changes = read(params, comments=True), read(preset)
+    content, changes = read(params), read(preset)
     validate(content, _short(params))
     _merge(content, changes)
     validate(content, _short(preset))
@@ -109,7 +109,10 @@ def text(name: str, params: Path = PARAMS) -> str:
 
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
-    writer.dump(merged(name, params), stream)
+    merged(name, params)  # raises
+    document = read_yaml(params, comments=True)
+    _merge(document, read(find(name)))
+    writer.dump(document, stream)
     written = _HEAD.sub("", stream.getvalue(), count=1)
     presets = dict.fromkeys([*_presets_in(params.read_text(encoding="utf-8")), str(_short(find(name)))])
     return f"# Includes the changes of {', '.join(presets)}, written by make params ({_hash(written)})\n{written}"

@@ -1,6 +1,5 @@
 """Stage scores: errors of depth, classes and measured motion against what the drives recorded."""
 
-from collections.abc import Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -16,6 +15,7 @@ from pipeline.base.stage_folder import stage_folder
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
+from pipeline.labels.label import Car
 from pipeline.perception.scores import Scores, summary_line
 from pipeline.perception.truth import read_truth
 from pipeline.settings.labels import Labels
@@ -35,9 +35,9 @@ def main(
     defined as in the labels. Returns the output folder.
     """
     labels = load(Labels, params)
-    rule = {"wheelbase_m": labels.wheelbase_m, "min_speed_mps": labels.min_speed_mps, "standstill": "invalid"}
+    car = Car(labels.wheelbase_m, labels.min_speed_mps)
     splits = store.read_index(perception, stage="perception")
-    score_motion = partial(_score_motion, ingest=ingest, motion=motion, rule=rule)
+    score_motion = partial(_score_motion, ingest=ingest, motion=motion, car=car)
     jobs = [
         Job(
             drive,
@@ -48,7 +48,7 @@ def main(
         for drive in splits
     ]
     with stage_folder("scores", out) as folder:
-        summaries = make_drives(folder, jobs, rule, "{frames} frames, {line}".format_map, workers)
+        summaries = make_drives(folder, jobs, vars(car), "{frames} frames, {line}".format_map, workers)
         motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
         kinds_scored = dict.fromkeys(kind for scores in motion_scored.values() for kind in scores)
         content: dict[str, Any] = {
@@ -61,7 +61,7 @@ def main(
             content[split] = scores.report()
             print(f"scores, {split}: {summary_line(content[split])}", flush=True)
             for kind, motion_scores in motion_scored[split].items():
-                print(f"{_pair(kind)}, {split}: {comparison.summary_line(motion_scores)}", flush=True)
+                print(f"{split}: {_line(kind, motion_scores)}", flush=True)
         store.write_json(folder.new / "metrics.json", content)
     return out
 
@@ -81,11 +81,11 @@ def _score_drive(
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path, {**report, "motion": motion})
-    lines = [f"{_pair(kind)}: {comparison.summary_line(scores)}" for kind, scores in motion.items()]
+    lines = [_line(kind, scores) for kind, scores in motion.items()]
     return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
 
 
-def _score_motion(drives: list[str], *, ingest: Path, motion: Path, rule: Mapping[str, Any]) -> dict[str, Any]:
+def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
     """Return scores of the measured motion that models get (visual), and of steering angles (wheel), against oxts.
 
     ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared: without oxts and steering
@@ -97,7 +97,7 @@ def _score_motion(drives: list[str], *, ingest: Path, motion: Path, rule: Mappin
             references = sources.recorded(raw)
             measured = motion / f"{drive}.h5"
             labels = {
-                kind: sources.read(kind, raw, measured, rule, look_ahead=False) for kind in ("visual", *references)
+                kind: sources.read(kind, raw, measured, car, look_ahead=False) for kind in ("visual", *references)
             }
             with store.DriveReader(measured, stage="motion") as file:
                 rows = {"visual": np.searchsorted(raw.frame, file.frame)}
@@ -113,10 +113,10 @@ def _score_motion(drives: list[str], *, ingest: Path, motion: Path, rule: Mappin
     return {kind: comparison.score(errors_of_kind) for kind, errors_of_kind in errors.items()}
 
 
-def _pair(kind: str) -> str:
-    """Return the two sources that a key of the scores compares, in words."""
+def _line(kind: str, scores: dict[str, Any] | None) -> str:
+    """Return a line for the log that names the two sources of a key of the scores."""
     source, _, reference = kind.partition("-")
-    return f"{source} against {reference or 'oxts'}"
+    return f"{source} against {reference or 'oxts'}: {comparison.summary_line(scores, wheel='wheel' in kind)}"
 
 
 if __name__ == "__main__":

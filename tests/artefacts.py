@@ -16,7 +16,7 @@ from pipeline.settings.graphs import Variant
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
-LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0, "standstill": "invalid"}}
+LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0}}
 
 
 def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -98,7 +98,7 @@ def write_params(
             "drives": {"train": train, "val": [], "test": test},
         }
         | ingest,
-        "labels": {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "standstill": "invalid"} | (labels or {}),
+        "labels": {"wheelbase_m": 2.7, "min_speed_mps": 1.0} | (labels or {}),
     }
     path.write_text(yaml.safe_dump(sections))
     return path

@@ -1,14 +1,16 @@
 """Files of stage motion for tests."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.store import DriveWriter
+from pipeline.motion.step import PROBLEMS, STANDSTILL
 
 
-def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]]) -> None:
-    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured. The road is always found.
+def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:
+    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured, in `stands` as nothing moves.
 
     Frames are 10 s apart, so that means over neighbours are the frames' own values.
     """
@@ -22,6 +24,9 @@ def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]])
             file.put(name, speed)
         file.put("yaw_rate_radps", yaw_rate)
         file.put("valid", (speed != 0).astype(np.uint8))
+        problem = PROBLEMS.index("no common motion of the scene") * (speed == 0)
+        problem[np.isin(list(rows), stands)] = PROBLEMS.index(STANDSTILL[0])
+        file.put("problem", problem.astype(np.uint8))
         file.put("road_height_m", np.ones(len(rows), np.float32))
         file.put("scale", np.full(len(rows), 1, np.float32))
         file.put("T_before", forth)

@@ -7,6 +7,8 @@ import numpy as np
 
 from pipeline.labels.label import Labels
 
+INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
+
 
 class Errors(NamedTuple):
     """Errors of the frames of one drive, for :func:`score`."""
@@ -37,14 +39,16 @@ def score(drives: Iterable[Errors]) -> dict[str, Any] | None:
 
     ``drives``: number with frames; ``frames``: of the source; ``valid``: share of valid labels; ``judged``:
     frames in nmse, none for drives without a measurement; ``yaw_rmse_degps``, ``yaw_median_degps``; ``speed_ratio``:
-    median of measured / true speed; ``nmse``: MSE of the last measured steering angle / MSE of predicting zero.
+    median of measured / true speed; ``nmse``: MSE of the last measured steering angle / MSE of predicting zero;
+    ``correlation`` of these angles, about zero.
     """
     parts = list(drives)
     joined = Errors(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None
     if joined is None or not len(joined.measured):
         return None
     yaw_degps, ratio = (values[np.isfinite(values)] for values in (np.degrees(joined.yaw_radps), joined.speed_ratio))
-    zero = float((joined.true_rad**2).sum())
+    zero, found = float((joined.true_rad**2).sum()), joined.angle_rad + joined.true_rad
+    norm = float(np.sqrt(zero * (found**2).sum()))
     return {
         "drives": sum(len(one.measured) > 0 for one in parts),
         "frames": len(joined.measured),
@@ -54,14 +58,18 @@ def score(drives: Iterable[Errors]) -> dict[str, Any] | None:
         "yaw_median_degps": float(np.median(np.abs(yaw_degps))) if len(yaw_degps) else None,
         "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
         "nmse": float((joined.angle_rad**2).sum() / zero) if zero else None,
+        "correlation": float((found * joined.true_rad).sum() / norm) if norm else None,
     }
 
 
-def summary_line(figures: dict[str, Any] | None) -> str:
-    """Return a line for the log about the result of :func:`score`."""
+def summary_line(figures: dict[str, Any] | None, wheel: bool = False) -> str:
+    """Return a line for the log about the result of :func:`score`; `wheel`: one of the two sources is recorded."""
     if not figures or not figures["judged"]:
         return "no frame is both measured and recorded above the minimum speed"
     text = "{valid:.0%} of {frames} frames measured".format_map(figures)
     if figures["speed_ratio"] is not None:
         text += ", yaw rate to {yaw_rmse_degps:.2f} deg/s, speed x {speed_ratio:.3f}".format_map(figures)
-    return text if figures["nmse"] is None else f"{text}, steering nmse {figures['nmse']:.4f}"
+    if figures["nmse"] is not None:
+        text += f", steering nmse {figures['nmse']:.4f}"
+    inverted = wheel and (figures["correlation"] or 0.0) < INVERTED
+    return f"{text}: the sign of wheel_rad is inverted: left is positive" if inverted else text

@@ -5,18 +5,18 @@ surface, and the yaw rate ψ̇ the corresponding ``wu``.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from pipeline.base.store import DriveWriter
 
-Standstill = Literal["invalid", "raw", "zero"]
 # Forward speed at standstill dips to -0.15 m/s in KITTI; below this limit the car rolls backwards.
 REVERSING_MPS = -0.5
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
+TURNING_RAD = 0.02  # a radius of 135 m
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,8 @@ class Labels(NamedTuple):
 def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float) -> np.ndarray:
     """Return atan(L ψ̇ / v) [F] in rad, the front wheel angle of the bicycle model; 0 where both are 0.
 
-    In reverse v and ψ̇ both change sign, so the formula holds there too: left stays positive.
+    In reverse v and ψ̇ both change sign, so the formula holds there too: left stays positive. At standstill it divides
+    noise by noise, up to ±π/2.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.arctan(wheelbase_m * yaw_rate_radps / speed_mps)
@@ -51,7 +52,7 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
 
 
 def is_usable(speed_mps: np.ndarray, valid: np.ndarray, min_speed_mps: float) -> np.ndarray:
-    """Return which frames [F] have a measured angle, see :func:`measured_angle`."""
+    """Return which frames [F] have `valid` motion of at least `min_speed_mps`, in either direction."""
     return np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
 
 
@@ -70,24 +71,12 @@ def measured_angle(
 
 
 def steering_labels(
-    yaw_rate_radps: np.ndarray,
-    speed_mps: np.ndarray,
-    *,
-    wheelbase_m: float,
-    min_speed_mps: float,
-    standstill: Standstill,
+    yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, *, wheelbase_m: float, min_speed_mps: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``steering_rad`` float64 [F] and ``valid`` bool [F].
-
-    Below `min_speed_mps`, in either direction, the formula divides noise by noise, up to ±π/2. `standstill` selects the
-    label there: ``invalid`` (the formula's value, not valid), ``raw`` (the same, but valid: the paper's formula) or
-    ``zero`` (0, valid).
-    """
-    steering_rad = steering_angle(yaw_rate_radps, speed_mps, wheelbase_m)
-    slow = np.abs(speed_mps) < min_speed_mps
-    if standstill == "zero":
-        steering_rad = np.where(slow, 0.0, steering_rad)
-    return steering_rad, ~slow if standstill == "invalid" else np.ones_like(slow)
+    """Return ``steering_rad`` float64 [F], and ``valid`` bool [F]: at known speeds of at least `min_speed_mps`."""
+    known = np.isfinite(speed_mps)
+    steering_rad = np.where(known, steering_angle(yaw_rate_radps, speed_mps, wheelbase_m), 0.0)
+    return steering_rad, is_usable(speed_mps, known, min_speed_mps)
 
 
 def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labels, wheelbase_m: float) -> None:
@@ -101,25 +90,21 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labe
     file.put("curvature_1pm", np.tan(labels.steering_rad) / wheelbase_m, "1/m, left positive")
 
 
-def plausibility(labels: Labels, sideways_mps: np.ndarray, time_s: np.ndarray) -> dict[str, float | int | None]:
-    """Return statistics that show whether a drive's labels are plausible; None where there are no values.
+def plausibility(labels: Labels, sideways_mps: np.ndarray) -> dict[str, Any]:
+    """Return statistics that show whether a drive's labels are plausible.
 
-    ``zero_mse_rad2`` is the error of always predicting 0. ``dt_std_s`` is the jitter of the frame interval.
+    ``zero_mse_rad2`` is the error of always predicting 0; None without valid frames, as the mean and maximum.
     """
-    valid = labels.valid
-    angle = np.abs(labels.steering_rad[valid])
-    dt = np.diff(time_s)
+    angle = np.abs(labels.steering_rad[labels.valid])
     return {
-        "frames": len(valid),
-        "valid_share": float(valid.mean()) if len(valid) else None,
+        "frames": len(labels.valid),
+        "valid": len(angle),
+        "turning": int((angle > TURNING_RAD).sum()),
         "mean_abs_steering_rad": float(angle.mean()) if len(angle) else None,
         "max_abs_steering_rad": float(angle.max()) if len(angle) else None,
         "zero_mse_rad2": float((angle**2).mean()) if len(angle) else None,
-        "reversing_frames": int((labels.speed_mps < REVERSING_MPS).sum()),
-        "sideways_frames": int((np.abs(sideways_mps) > SIDEWAYS_MPS).sum()),
-        "dt_mean_s": float(dt.mean()) if len(dt) else None,
-        "dt_std_s": float(dt.std()) if len(dt) else None,
-        "dt_max_s": float(dt.max()) if len(dt) else None,
+        "reversing": int((labels.speed_mps < REVERSING_MPS).sum()),
+        "sideways": int((np.abs(sideways_mps) > SIDEWAYS_MPS).sum()),
     }
 
 

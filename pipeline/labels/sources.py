@@ -1,16 +1,15 @@
 """Labels of a drive from each source: oxts, measured motion (visual), or recorded steering angles (wheel)."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.kitti.oxts import VF, WU
-from pipeline.labels.label import Labels, steering_labels
+from pipeline.labels.label import Car, Labels, steering_labels
 from pipeline.labels.means import means
+from pipeline.motion.step import PROBLEMS, STANDSTILL
 
 _CHOOSE_ANOTHER = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
 
@@ -20,19 +19,17 @@ def recorded(raw: DriveReader) -> list[str]:
     return [source for source, name in {"oxts": "oxts", "wheel": "steering_rad"}.items() if name in raw]
 
 
-def read(
-    source: str, raw: DriveReader, motion: Path | None, rule: Mapping[str, Any], *, look_ahead: bool = True
-) -> Labels:
-    """Return a drive's labels.
+def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_ahead: bool = True) -> Labels:
+    """Return a drive's labels, valid from the car's minimum speed on.
 
-    Every recorded angle is valid, even at unknown speed. With source wheel, speed and yaw rate are
-    read from oxts or, in a drive without oxts, from measured motion.
+    A recorded angle is also valid at unknown speed, unless the motion is unknown because nothing moves. With source
+    wheel, speed and yaw rate are read from oxts or, in a drive without oxts, from measured motion.
 
     Args:
         source: a value of ``labels.source``.
         raw: the drive's ingest file.
         motion: the drive's file of measured motion; None: without.
-        rule: keyword arguments of :func:`pipeline.labels.label.steering_labels`.
+        car: of the steering angle.
         look_ahead: measured rates are means over neighbouring frames, later ones included, which a target may know.
             False: the causal rates that models get.
 
@@ -47,12 +44,22 @@ def read(
     elif motion:
         speed_mps, yaw_rate_radps = _measured(raw, motion, look_ahead)
     known = np.isfinite(speed_mps)
-    steering_rad, valid = steering_labels(yaw_rate_radps, speed_mps, **rule)
+    steering_rad, valid = steering_labels(yaw_rate_radps, speed_mps, **vars(car))
     if source == "wheel":
-        steering_rad, valid = raw["steering_rad"], (valid | ~known) & raw["has_steering"].astype(bool)
-    else:
-        steering_rad, valid = np.where(known, steering_rad, 0.0), valid & known
+        unknown = ~known & ~_stands(raw, motion)
+        steering_rad, valid = raw["steering_rad"], (valid | unknown) & raw["has_steering"].astype(bool)
     return Labels(steering_rad, valid, speed_mps, yaw_rate_radps)
+
+
+def _stands(raw: DriveReader, motion: Path | None) -> np.ndarray:
+    """Return bool [F]: the motion of a frame is not measured because nothing moves."""
+    stands = np.zeros(len(raw.frame), bool)
+    if motion:
+        with DriveReader(motion, stage="motion") as file:
+            stands[np.searchsorted(raw.frame, file.frame)] = np.isin(
+                file["problem"], [PROBLEMS.index(text) for text in STANDSTILL]
+            )
+    return stands
 
 
 def _measured(raw: DriveReader, path: Path, look_ahead: bool) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.labels.label import Car
 from pipeline.live.chain import Course, FrameState
-from pipeline.motion.visual import STANDSTILL
+from pipeline.motion.step import STANDSTILL
 
 # Standard deviations of Gaussian means. A driver turns the wheel in a second, and a car changes its speed more slowly;
 # a speed from one pair of images has much more noise than a yaw rate.

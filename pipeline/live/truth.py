@@ -87,5 +87,5 @@ def of_logs(wheel: Path | None, steering_ratio: float | None, motion: Path | Non
 def _by_motion(yaw_rate_radps: float, speed_mps: float, car: Car) -> Driven:
     """Return the label of a speed and a yaw rate; no angle below the car's minimum speed."""
     rates = np.array([yaw_rate_radps]), np.array([speed_mps])
-    steering_rad, valid = label.steering_labels(*rates, **vars(car), standstill="invalid")
+    steering_rad, valid = label.steering_labels(*rates, **vars(car))
     return Driven(float(steering_rad[0]) if valid[0] else None, float(speed_mps))

@@ -8,8 +8,8 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.drive_frames import open_frames
 from pipeline.motion.speed import LEAST_NOISE, filter_speed
-from pipeline.motion.step import StepClock, rates
-from pipeline.motion.visual import PROBLEMS, Odometry
+from pipeline.motion.step import PROBLEMS, StepClock, rates
+from pipeline.motion.visual import Odometry
 
 UNITS = {
     "yaw_rate_radps": "rad/s, left positive",

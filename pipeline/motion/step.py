@@ -9,6 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+STANDSTILL = ("the image does not move", "the camera stands")
+PROBLEMS = (
+    "",
+    "no previous frame",
+    *STANDSTILL,
+    "too few points can be tracked",
+    "no common motion of the scene",
+    "a motion that is not a car's",
+)
+"""Reasons why a step is not measured; the first means that it is."""
 STANDSTILL_M = 0.02  # shorter steps count as standstill
 SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # limits, absolute and of the forward way: a camera ahead of the axle swings out
 MAX_FORWARD_M = 10.0

@@ -7,7 +7,7 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
-from pipeline.motion.step import Step, is_standstill, plausible
+from pipeline.motion.step import STANDSTILL, Step, is_standstill, plausible
 from pipeline.motion.tracks import Corners, track
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
@@ -18,16 +18,6 @@ EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth
 AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
-STANDSTILL = ("the image does not move", "the camera stands")
-PROBLEMS = (
-    "",
-    "no previous frame",
-    *STANDSTILL,
-    "too few points can be tracked",
-    "no common motion of the scene",
-    "a motion that is not a car's",
-)
-"""Reasons why a step is not measured; the first means that it is."""
 STANDSTILL_PX = 0.1  # the car stands if the median corner moves less
 
 

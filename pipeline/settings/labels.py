@@ -14,7 +14,6 @@ class Labels(Section):
     source: Literal["oxts", "visual", "wheel"] = "oxts"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
-    standstill: Literal["invalid", "raw", "zero"]
     ahead_m: list[Annotated[float, Field(ge=0, le=MAX_AHEAD_M)]] = Field(
         default=[], max_length=17, description="edges between the ranges of the path ahead; none: no such labels"
     )

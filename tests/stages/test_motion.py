@@ -10,7 +10,7 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import to_units
 from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.oxts import make_rows
-from pipeline.motion.visual import PROBLEMS
+from pipeline.motion.step import PROBLEMS
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from stages import motion

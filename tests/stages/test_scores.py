@@ -8,11 +8,11 @@ import pytest
 from pipeline.camera.camera import Frame
 from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.oxts import make_rows
+from pipeline.labels.label import Car
 from pipeline.settings.ingest import Reading
 from stages import scores
 from tests.motion_files import write_motion
 
-RULE = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "standstill": "invalid"}
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20
 SPEED_MPS, YAW_RATE_RADPS = 10.0, 0.2
 TRUE_RAD = float(np.arctan(2.7 * YAW_RATE_RADPS / SPEED_MPS))
@@ -30,7 +30,7 @@ def score(folder: Path, oxts: bool, wheel: bool) -> dict[str, dict[str, float] |
         steering_rad=dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if wheel else None,
     )
     write_motion(folder / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
-    return scores._score_motion([DRIVE], ingest=folder / "ingest", motion=folder / "motion", rule=RULE)
+    return scores._score_motion([DRIVE], ingest=folder / "ingest", motion=folder / "motion", car=Car(2.7, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,5 @@ def test_only_recorded_values_are_a_reference(tmp_path: Path, oxts: bool, wheel:
 
 
 def test_the_log_names_both_sources() -> None:
-    assert [scores._pair(kind) for kind in ("visual", "visual-wheel", "wheel")] == [
-        "visual against oxts",
-        "visual against wheel",
-        "wheel against oxts",
-    ]
+    lines = [scores._line(kind, None).split(":")[0] for kind in ("visual", "visual-wheel", "wheel")]
+    assert lines == ["visual against oxts", "visual against wheel", "wheel against oxts"]

@@ -34,7 +34,7 @@ def edited(tmp_path: Path, key: str, value: Any) -> Path:
 
 def test_a_stage_reads_only_its_own_sections(tmp_path: Path) -> None:
     path = tmp_path / "params.yaml"
-    path.write_text("labels: {wheelbase_m: 2.7, min_speed_mps: 1, standstill: raw}\n")
+    path.write_text("labels: {wheelbase_m: 2.7, min_speed_mps: 1, source: oxts}\n")
     assert params.load(Labels, path).min_speed_mps == 1.0
     with pytest.raises(InputError, match="no section 'clouds'"):
         params.load(Clouds, path)

@@ -115,7 +115,7 @@ def test_the_interval_covers_on_the_angles_of_kitti(real_kitti: Path, tmp_path: 
 def a_second_ahead(packets: Path) -> np.ndarray:
     """Return the valid angles of a drive and those ten frames later, [2,N]; [2,0] for a short drive."""
     rows = np.array([oxts.read_row(path) for path in sorted(packets.iterdir())])
-    rule = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "standstill": "invalid"}
+    rule = {"wheelbase_m": 2.7, "min_speed_mps": 1.0}
     angle, valid = label.steering_labels(rows[:, oxts.WU], rows[:, oxts.VF], **rule)
     both = valid[:-10] & valid[10:]
     return np.stack([angle[:-10][both], angle[10:][both]]) if both.sum() >= 20 else np.empty((2, 0))

@@ -1,0 +1,209 @@
+"""The steering label, paths, the path ahead of simulated drives, and errors of one source against another."""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.labels import ahead, comparison, label
+from pipeline.labels.label import Labels
+
+L = 2.7
+CAR = {"wheelbase_m": L, "min_speed_mps": 1.0}
+EDGES_M = [0, 5, 10, 20, 30]
+Function = Callable[[np.ndarray], np.ndarray]
+SPEED = st.floats(0.5, 30.0)
+
+
+@given(radius=st.floats(4, 1e3), speed=SPEED)
+def test_a_left_bend_is_positive_with_the_bicycles_radius_and_in_reverse_too(radius: float, speed: float) -> None:
+    yaw_rate, speeds = np.array([1, -1, -1]) * speed / radius, np.array([1, 1, -1]) * speed
+    np.testing.assert_allclose(np.tan(label.steering_angle(yaw_rate, speeds, L)), np.array([1, -1, 1]) * L / radius)
+
+
+def test_labels_are_valid_where_the_car_moves_in_either_direction() -> None:
+    yaw_rate, speed = np.array([0.1, 0.1, -0.01, -0.1, 0.0, 0.1]), np.array([5.0, 1.0, 0.02, -3.0, 0.0, np.nan])
+    angle, valid = label.steering_labels(yaw_rate, speed, **CAR)
+    np.testing.assert_allclose(angle, [*np.arctan(L * yaw_rate[:4] / speed[:4]), 0, 0])
+    np.testing.assert_array_equal(valid, [1, 1, 0, 1, 0, 0])
+    mirrored, same = label.steering_labels(-yaw_rate, speed, **CAR)
+    np.testing.assert_array_equal(mirrored, -angle)
+    np.testing.assert_array_equal(same, valid)
+
+
+@given(radius=st.floats(8, 100), speed=SPEED)
+def test_constant_steering_drives_a_circle(radius: float, speed: float) -> None:
+    """After a full circle the car is back; halfway it is 2R to the left of its start."""
+    frames = 2001
+    time_s, angle = np.linspace(0, 2 * np.pi * radius / speed, frames), np.full(frames, np.arctan(L / radius))
+    xy = label.path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
+    np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
+
+
+@pytest.mark.parametrize("model", ["bicycle", "paper"])
+def test_mirrored_steering_drives_the_mirrored_path(model: Literal["bicycle", "paper"]) -> None:
+    rng = np.random.default_rng(0)
+    angle, speed, time_s = rng.normal(0, 0.2, 30), rng.uniform(0, 10, 30), np.cumsum(rng.uniform(0.08, 0.12, 30))
+    left, right = (label.path(sign * angle, speed, time_s, wheelbase_m=L, model=model) for sign in (1, -1))
+    np.testing.assert_allclose(left * [1, -1], right, atol=1e-12)
+
+
+def test_paper_model_is_its_formula() -> None:
+    """With constant steering the paper's path is a straight line, as the angle is the heading."""
+    xy = label.path(np.full(3, 0.2), np.array([5.0, 10, 0]), np.array([0.0, 0.1, 0.3]), wheelbase_m=L, model="paper")
+    np.testing.assert_allclose(xy, np.array([[0.0], [0.5], [2.5]]) * [np.cos(0.2), np.sin(0.2)])
+
+
+def test_measured_angle_repeats_where_motion_is_unusable() -> None:
+    yaw_rate, speed = np.array([9.0, 0.3, 9.0, 0.5, -0.2]), np.array([9.0, 6.0, 6.0, 0.4, -3.0])
+    angle = label.measured_angle(yaw_rate, speed, np.array([0, 1, 0, 1, 1]), L, 1.0)
+    left, reverse = np.arctan(L * 0.3 / 6), np.arctan(L * 0.2 / 3)
+    assert angle == pytest.approx([0, left, left, left, reverse])
+
+
+def drive(
+    speed: Function, curvature: Function = lambda s: np.full_like(s, 0.02), seconds: float = 8.0
+) -> tuple[np.ndarray, Labels, np.ndarray]:
+    """Return times, labels and true distances of a drive with `speed`(t) on a road with `curvature`(distance)."""
+    fine_s = np.arange(0, seconds, 1e-4)
+    distance = np.cumsum(speed(fine_s)) * 1e-4
+    time_s = np.arange(0, seconds - 1e-3, 0.1)
+    at_m, speed_mps = np.interp(time_s, fine_s, distance), speed(time_s)
+    unused = np.zeros(len(time_s))
+    return time_s, Labels(unused, unused.astype(bool), speed_mps, speed_mps * curvature(at_m)), at_m
+
+
+def compute(
+    time_s: np.ndarray, labels: Labels, max_stand_s: float = 5.0, frame: np.ndarray | None = None, **changes: np.ndarray
+) -> ahead.Ahead:
+    frame = np.arange(len(time_s)) if frame is None else frame
+    return ahead.path_ahead(frame, time_s, labels._replace(**changes), EDGES_M, max_stand_s)
+
+
+def constant(value: float) -> Function:
+    return lambda t: np.full_like(t, value)
+
+
+@pytest.mark.parametrize(
+    ("speed", "curvature", "integral"),
+    [
+        (constant(9.3), lambda s: np.full_like(s, 0.02), lambda s: 0.02 * s),
+        (lambda t: 8 + 4 * np.sin(t), lambda s: 0.001 * s - 0.03, lambda s: 0.0005 * s**2 - 0.03 * s),
+        (constant(9.0), lambda s: 0.05 * np.sin(s / 6), lambda s: -0.3 * np.cos(s / 6)),
+    ],
+    ids=["circle", "clothoid", "S-bend"],
+)
+def test_the_path_ahead_is_the_mean_curvature_of_each_range(
+    speed: Function, curvature: Function, integral: Function
+) -> None:
+    """Until the drive ends; second route: the heading as a function of the distance."""
+    time_s, labels, at_m = drive(speed, curvature)
+    found, valid = compute(time_s, labels)
+    edges = at_m[:, None] + EDGES_M
+    expected = np.diff(integral(edges), axis=1) / np.diff(EDGES_M)
+    np.testing.assert_allclose(found[valid], expected[valid], atol=3e-4)
+    assert (valid != (edges[:, 1:] <= at_m[-1] + 1e-6)).sum() < len(EDGES_M)  # an edge on the last frame, rounded
+    assert valid.any()
+    assert not found[~valid].any()
+
+
+def stop(t: np.ndarray) -> np.ndarray:
+    """Brake to a stand from second 3 to 7 and drive on; sensors at standstill have noise of either sign."""
+    speed = np.interp(t, [0, 1, 3, 7, 9], [8.0, 8, 0, 0, 8])
+    return np.where((t >= 3) & (t <= 7), 0.1 * np.sin(20 * t), speed)
+
+
+def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_label() -> None:
+    """Only the ranges that end beyond it are affected, and frames in its last seconds are not."""
+    time_s, labels, at_m = drive(stop, seconds=16)
+    labels.yaw_rate_radps[(time_s >= 3) & (time_s <= 7)] = 0.003
+    curvature, valid = compute(time_s, labels)
+    assert valid[:50].all()
+    np.testing.assert_allclose(curvature[valid], 0.02, rtol=0.1)
+    _, valid = compute(time_s, labels, max_stand_s=2.0)
+    beyond = at_m[:, None] + np.array(EDGES_M[1:]) > np.interp(7.0, time_s, at_m)
+    np.testing.assert_array_equal(valid[time_s < 3], ~beyond[time_s < 3])
+    assert not valid[(time_s > 3) & (time_s < 4.8)].any()
+    assert valid[(time_s > 5.2) & (time_s < 10)].all()
+
+
+@pytest.mark.parametrize(("speed", "frames"), [(0.0, 15), (3.0, 15), (0.0, 0)])
+def test_a_drive_shorter_than_the_nearest_range_has_no_path(speed: float, frames: int) -> None:
+    time_s, labels, _ = drive(constant(speed), seconds=1.5)
+    curvature, valid = compute(time_s[:frames], labels.at(slice(frames)))
+    assert curvature.shape == valid.shape == (frames, 4)
+    assert not valid.any()
+
+
+@pytest.mark.parametrize("change", ["reverses", "yaw rate unknown", "speed unknown", "frame missing"])
+def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change: str) -> None:
+    time_s, labels, at_m = drive(constant(9.3))
+    _, complete = compute(time_s, labels)
+    speed, yaw_rate, frame = labels.speed_mps.copy(), labels.yaw_rate_radps.copy(), np.arange(len(time_s))
+    if change == "frame missing":
+        frame[40:] += 1
+    elif change == "yaw rate unknown":
+        yaw_rate[40] = np.nan
+    else:
+        speed[40] = -1.0 if change == "reverses" else np.nan
+    curvature, valid = compute(time_s, labels, frame=frame, speed_mps=speed, yaw_rate_radps=yaw_rate)
+    np.testing.assert_array_equal(valid[:40], (at_m[:, None] + EDGES_M[1:])[:40] <= at_m[39] + 1e-9)
+    np.testing.assert_array_equal(valid[41:], complete[41:])
+    assert np.isfinite(curvature).all()
+
+
+@given(seed=st.integers(0, 1000))
+def test_mirrored_motion_gives_the_mirrored_path_ahead(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time_s, speed, yaw_rate = np.cumsum(rng.uniform(0.08, 0.12, 80)), rng.uniform(0, 12, 80), rng.normal(0, 0.2, 80)
+    labels = Labels(speed, speed > 0, speed, yaw_rate)
+    left, right = compute(time_s, labels), compute(time_s, labels, yaw_rate_radps=-yaw_rate)
+    np.testing.assert_array_equal(left.valid, right.valid)
+    np.testing.assert_allclose(left.curvature_1pm, -right.curvature_1pm, atol=1e-15)
+
+
+MEASURED = np.array([0, 1, 0, 1, 1], bool)
+
+
+def moved(yaw_rate: float, speed: float, measured: np.ndarray) -> Labels:
+    """Return the labels of five frames, of which the last is slow."""
+    rates = yaw_rate * measured, speed * np.array([1, 1, 1, 1, 0.03]) * measured
+    angle, valid = label.steering_labels(*rates, **CAR)
+    return Labels(angle, valid & measured.astype(bool), rates[1], rates[0])
+
+
+def test_scores_use_measured_frames_above_the_minimum_speed() -> None:
+    true, held = np.arctan(L * 0.2 / 6), np.arctan(L * 0.21 / 6.6)
+    errors = comparison.errors(moved(0.21, 6.6, MEASURED), moved(0.2, 6.0, np.ones(5)))
+    scores = comparison.score([errors])
+    assert scores == pytest.approx(
+        {
+            "drives": 1,
+            "frames": 5,
+            "valid": 2 / 5,
+            "judged": 3,
+            "yaw_rmse_degps": np.degrees(0.01),
+            "yaw_median_degps": np.degrees(0.01),
+            "speed_ratio": 1.1,
+            "nmse": (held - true) ** 2 / true**2,  # frames 1 to 3: the first is not measured yet, the last too slow
+            "correlation": 1.0,
+        }
+    )
+    assert comparison.summary_line(scores).startswith("40% of 5 frames measured, yaw rate to 0.57 deg/s, speed x 1.100")
+    assert comparison.score([]) is None
+
+
+@pytest.mark.parametrize(("sign", "nmse", "inverted"), [(1, 0.01, False), (-1, 4.41, True)])
+def test_recorded_angles_have_no_speed_and_an_inverted_sign_is_named(sign: int, nmse: float, inverted: bool) -> None:
+    true, unknown = moved(0.2, 6.0, np.ones(5)), np.full(5, np.nan)
+    wheel = Labels(sign * 1.1 * true.steering_rad, true.valid, unknown, unknown)
+    scores = comparison.score([comparison.errors(wheel, true)])
+    assert scores
+    assert (scores["yaw_rmse_degps"], scores["speed_ratio"]) == (None, None)
+    assert scores["nmse"] == pytest.approx(nmse)
+    line = comparison.summary_line(scores, wheel=True)
+    assert line.endswith("the sign of wheel_rad is inverted: left is positive") == inverted
+    assert "inverted" not in comparison.summary_line(scores)

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
@@ -16,8 +15,6 @@ from pipeline.report.dvc_files import load_curves
 from pipeline.report.results import Group, load_structures
 from pipeline.report.tables import Table
 
-JPEG_QUALITY = 82
-
 
 class Plot(NamedTuple):
     caption: str
@@ -26,7 +23,7 @@ class Plot(NamedTuple):
 
 class Picture(NamedTuple):
     caption: str
-    jpeg: str  # in base64
+    png: str  # in base64
 
 
 Content = Sequence[str | Table | Plot | Picture]
@@ -52,7 +49,10 @@ def write_page(
         figures: name of a PNG file without suffix → caption; the chain is shown first.
         data: holds a folder per stage; folders may be missing.
     """
-    pictures = {name: _picture(caption, path.parent / f"figures/{name}.png") for name, caption in figures.items()}
+    pictures = {
+        name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))
+        for name, caption in figures.items()
+    }
     chain, look = pictures.pop("chain", None), plots.styles(groups)
     sections: dict[str, Content] = {
         "Results": tables[: len(groups)],
@@ -121,10 +121,3 @@ def _learning(groups: Sequence[Group], look: plots.Styles, train: Path) -> Conte
     first = {model: next(iter(runs.values())) for model, runs in curves.items() if runs}
     caption = "Training loss (dotted) and validation nmse of each model's first network"
     return [Plot(caption, plots.learning(first, look))] if first else []
-
-
-def _picture(caption: str, path: Path) -> Picture:
-    image = cv2.imread(str(path))
-    assert image is not None
-    jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-    return Picture(caption, base64.b64encode(jpeg.tobytes()).decode("ascii"))

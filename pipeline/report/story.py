@@ -26,7 +26,8 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
             texts.append("The sign of wheel_rad is inverted: left is positive.")
     if absent:
         texts.append(
-            f"No result here: {', '.join(absent)}. To get the results of another machine, run: dvc pull, then dvc repro"
+            f"No result here: {', '.join(absent)}. To fetch those of another machine: dvc pull --allow-missing train "
+            "evaluate, then dvc repro --pull --allow-missing"
         )
     return texts
 

@@ -1,6 +1,5 @@
 """Draw a frame: its image, depth and classes beside its cloud or graph from above (the paper's Figures 1 and 2)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,11 +90,11 @@ def draw_points(panel: Axes, xyz: np.ndarray, cls: np.ndarray, edges: np.ndarray
     """
     if edges is not None:
         lines = [*xyz[edges][..., [0, 2]]]
-        panel.add_collection(LineCollection(lines, colors="0.7", linewidths=0.6, zorder=0, rasterized=len(xyz) > 1000))
+        panel.add_collection(LineCollection(lines, colors="0.7", linewidths=0.6, zorder=0))
     order = np.argsort(-xyz[:, 1], kind="stable")  # y points down
     size = 1.0 if edges is None else float(np.clip(12_000 / max(len(xyz), 1), 1, 12))
     colours = classes.colourise(cls[order]) / 255
-    panel.scatter(xyz[order, 0], xyz[order, 2], s=size, c=colours, linewidths=0, rasterized=len(xyz) > 1000)
+    panel.scatter(xyz[order, 0], xyz[order, 2], s=size, c=colours, linewidths=0)
     panel.set(xlabel="x in m", ylabel="z in m", aspect="equal")
 
 
@@ -111,32 +110,26 @@ def class_legend(figure: Figure, cls: np.ndarray, columns: int) -> None:
     figure.legend(handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
 
 
-def sheet(title: str, views: Sequence[View]) -> Figure:
-    """Draw views one below the other, with the depth scale and the names of the classes."""
-    with_images, with_points = (
-        any(parts) for parts in zip(*((v.images(), v.xyz is not None) for v in views), strict=True)
-    )
-    ratios = [5] * with_images + [4] * with_points
-    figure = Figure(figsize=(10 if len(ratios) == 2 else 7, 1.2 + 4.9 * len(views)), layout="constrained")
-    grid = figure.add_gridspec(3 * len(views), len(ratios), width_ratios=ratios)
-    style: dict[str, Any] = {"fontsize": "small", "loc": "left"}
-    for row, view in enumerate(views):
-        left = []
-        for number, (name, pixels) in enumerate(view.images().items(), start=3 * row):
-            left.append(figure.add_subplot(grid[number, 0]))
-            draw_image(left[-1], pixels, name, **style)
-        if view.depth_m is not None:
-            ticks = [NEAR_M, 10, 20, FAR_M]
-            scale = figure.colorbar(depth_scale(), ax=left, location="left", shrink=0.3, format="%d m", ticks=ticks)
-            scale.ax.tick_params(labelsize="x-small")
-            scale.minorticks_off()
-        if view.xyz is not None and view.points_cls is not None:
-            above = figure.add_subplot(grid[3 * row : 3 * row + 3, -1])
-            draw_points(above, view.xyz, view.points_cls, view.edges)
-            look_ahead(above)
-            name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
-            void = "; black: no class" if (view.points_cls == classes.VOID).any() else ""
-            above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
-    class_legend(figure, np.concatenate([view.all_classes() for view in views]), columns=8 if len(ratios) == 2 else 5)
+def sheet(title: str, view: View) -> Figure:
+    """Draw the images of a frame beside its points from above, with the depth scale and the names of the classes."""
+    images, style = view.images(), {"fontsize": "small", "loc": "left"}
+    figure = Figure(figsize=(10, 6), layout="constrained")
+    widths = [5 if images else 0.1, 4 if view.xyz is not None else 0.1]
+    left, right = figure.subfigures(1, 2, width_ratios=widths, squeeze=False).ravel()
+    panels = left.subplots(len(images), 1, squeeze=False).ravel() if images else []
+    for panel, (name, pixels) in zip(panels, images.items(), strict=True):
+        draw_image(panel, pixels, name, **style)
+    if view.depth_m is not None:
+        ticks = [NEAR_M, 10, 20, FAR_M]
+        scale = left.colorbar(depth_scale(), ax=panels, location="left", shrink=0.3, format="%d m", ticks=ticks)
+        scale.minorticks_off()
+    if view.xyz is not None and view.points_cls is not None:
+        above = right.subplots()
+        draw_points(above, view.xyz, view.points_cls, view.edges)
+        look_ahead(above)
+        name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
+        void = "; black: no class" if (view.points_cls == classes.VOID).any() else ""
+        above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
+    class_legend(figure, view.all_classes(), columns=8)
     figure.suptitle(title)
     return figure

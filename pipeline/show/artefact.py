@@ -55,7 +55,7 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
     if view and out:
         if not view.images() and view.xyz is None:
             raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
-        figure_file.save(street_view.sheet(str(Path(*path.parts[-3:])), [view]), out)
+        figure_file.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
     return numbers
 
 

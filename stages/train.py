@@ -1,8 +1,6 @@
-"""Train one model on its graph variant: data/train/<model>/{best.pt, last.pt, config.json, curve.csv}.
+"""Train one model on its graph variant: data/train/<model>/{best.pt, last.pt, curve.csv}."""
 
-On several GPUs: torchrun --nproc-per-node 2 -m stages.train MODEL; all processes must see the same files.
-"""
-
+import os
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -10,14 +8,15 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import error_context
+from pipeline.base.executors import SCHEDULER, default_workers
 from pipeline.base.params import load, load_entry
-from pipeline.base.resume import file_hash
 from pipeline.base.runner import run_jobs
 from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import distributed, runs
+from pipeline.train import runs
+from pipeline.train.scale import Scale
 
 
 def main(
@@ -29,10 +28,12 @@ def main(
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
-    One network per seed, and per test drive with fit_to: others or both. Networks are trained in parallel, one process
-    each; on a GPU as many as its free memory allows. Returns the model's folder.
+    One network per seed, and per test drive with fit_to: others or both. Networks are trained in parallel on CPUs, one
+    process each, and one after the other on a GPU. Returns the model's folder.
     """
-    from pipeline.train.training import Job, fit_run, networks_at_once
+    import torch
+
+    from pipeline.train.training import Job, fit_run
 
     entry, settings = load_entry(Entry, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
@@ -41,34 +42,21 @@ def main(
     with error_context(where=where):
         folds = runs.folds(splits, entry.fit_to, entry.roads)
     folds = runs.drop_untestable(folds, variant, labels, entry)
-    drives = {drive for fold in folds for drive in fold.train + fold.val}
-    files = {drive: [file_hash(folder / f"{drive}.h5") for folder in (variant, labels)] for drive in drives}
-    with distributed.process_group() as (world, device), stage_folder(f"train@{name}", out / name) as stage:
-        job = Job(name, where, entry, settings, variant, labels, splits, files, stage.kept)
-        for fold in folds:
-            job.target(job.read_drives(fold.train)), job.read_drives(fold.val)  # errors before anything is written
-        todo = runs.runs(stage.new, settings.seeds, folds)
-        if world.size > settings.batch_spans:
-            raise InputError(
-                f"train.batch_spans = {settings.batch_spans}, expected at least the {world.size} processes",
-                params,
-                "Raise it or start fewer processes",
-            )
-        if not folds[0].val and world.is_main:
+    with stage_folder(f"train@{name}", out / name) as folder:
+        job = Job(name, where, entry, settings, variant, labels, splits, folder.kept)
+        for fold in folds:  # errors before the first network is trained
+            Scale.from_drives(job.read_drives(fold.train)), job.read_drives(fold.val)
+        todo = runs.runs(folder.new, settings.seeds, folds)
+        if not folds[0].val:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
-        at_once = networks_at_once(job, folds[0].train[0], device) if world.size == 1 else 1
-        if len(todo) > 1 and at_once != 1:
-            # Each process of a GPU reads with a thread: together they read in parallel, and need no shared memory.
-            work = partial(fit_run, job=job, device=device, readers=None if at_once is None else 0)
-            for _ in run_jobs(work, todo, workers=at_once, threads=1):
-                pass
-        else:
+        # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.
+        alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
+        if len(todo) == 1 or alone:
             for run in todo:
-                fit_run(run, job, world, device)
-        if world.is_main:
-            # With folds, the first network has its own folder, and the model's config.json is a copy.
-            config = store.read_json(todo[0].folder / "config.json", stage=f"train@{name}")
-            store.write_json(stage.new / "config.json", config)
+                fit_run(run, job)
+        else:
+            for _ in run_jobs(partial(fit_run, job=job), todo, threads=1):
+                pass
     return out / name
 
 

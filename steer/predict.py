@@ -62,8 +62,7 @@ def predict(
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
     model = options.in_project(TRAINED / model if named else model)
     trained = load(model)
-    trained.check_same_scene()
-    car = trained.target.car
+    car = trained.car
     data = _data_folder(model, encoder, params)
     sections = load_settings(params or data.parent / "params.yaml", trained.entry.input, data)
     scans, size, cameras = predictor.needs_scans(trained, sections), sections.ingest.image_size, sections.ingest.cameras

@@ -12,17 +12,18 @@ SPLITS = {
     "2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_01_drive_0003": "train",
     "2026_01_02_drive_0001": "val", "2026_01_03_drive_0001": "test",
 }  # fmt: skip
+TEST, EDGES_M = "2026_01_03_drive_0001", [0, 5, 10, 20]
 
 
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
     """Write params.yaml with the model `net`, whose entry is changed by `model`, and section train by `settings`."""
     content = yaml.safe_load(PARAMS.read_text())
-    line = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
-    line |= model or {}
+    entry = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
+    entry |= model or {}
     options = {"cnn": {}, "pointnet2": {"semantics": 1.0}, "polar": {}}.get(
-        str(line["spatial"]), {"layers": [16, 16], "semantics": 1.0}
+        str(entry["spatial"]), {"layers": [16, 16], "semantics": 1.0}
     )
-    content["models"] = {"net": options | line}
+    content["models"] = {"net": options | entry}
     content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
     (folder / "params.yaml").write_text(yaml.safe_dump(content))
 

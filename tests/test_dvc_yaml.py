@@ -23,13 +23,9 @@ BEYOND: dict[str, set[str]] = {
     "sample": {"pipeline/kitti/frames.py", "pipeline/kitti/ingest_file.py"},  # an edit renders the sample again
     "scores": {"models/encoder"},  # needed for flat ground; an edit of another network reruns perception anyway
     "graphs": {"pipeline/graphs/lift.py"},  # an edit of it makes the clouds again anyway
-    "train": {"pipeline/train/pyg.py"},  # short, and used by no stage
     # An edit of these reruns training anyway.
     "evaluate": {
-        *(
-            f"pipeline/train/{name}.py"
-            for name in ("training", "fit", "curve", "reading", "augment", "pyg", "optimisation")
-        ),
+        *(f"pipeline/train/{name}.py" for name in ("training", "fit", "curve", "reading", "augment", "optimisation")),
     },
 }
 

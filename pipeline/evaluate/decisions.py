@@ -58,23 +58,18 @@ def read_turns(drive: LabelledDrive) -> Turns:
         return Turns(labels.frame[rows], labels.time_s[rows])
 
 
-def near_onsets_ahead(drive: LabelledDrive, turns: Turns) -> np.ndarray:
-    """Return the mask [G,R] of frames whose path reaches an onset before the range's far edge.
+def near_onsets(drive: LabelledDrive, turns: Turns) -> np.ndarray:
+    """Return the mask [G,R] of a drive's frames that are close to an onset, for each column.
 
-    As with :func:`near_onsets`, the frame itself is at most one second after the onset.
+    The target of such a frame is at an onset or later, or its path reaches an onset before the range's far edge; and
+    the frame itself is at most one second after the onset.
     """
-    driven_m = np.abs(drive.speed_mps[1:]) * np.diff(drive.time_s)
-    at_m = np.concatenate([[0.0], np.cumsum(driven_m)])[: len(drive.frame)]
-    begun = at_m[:, None, None] + np.array(drive.ahead_m[1:])[:, None] >= np.interp(turns.time_s, drive.time_s, at_m)
+    if drive.ahead_m:
+        driven_m = np.abs(drive.speed_mps[1:]) * np.diff(drive.time_s)
+        at_m = np.concatenate([[0.0], np.cumsum(driven_m)])[: len(drive.frame)]
+        reached_m = at_m[:, None, None] + np.array(drive.ahead_m[1:])[:, None]  # [G,R,1]
+        begun = reached_m >= np.interp(turns.time_s, drive.time_s, at_m)
+    else:
+        begun = (drive.frame[:, None] + drive.horizon >= turns.frame)[:, None]
     recent = drive.time_s[:, None] <= turns.time_s + SECOND_S
     return np.asarray((begun & recent[:, None]).any(axis=2))
-
-
-def near_onsets(drive: LabelledDrive, turns: Turns) -> np.ndarray:
-    """Return the mask [G] of a drive's frames that are close to an onset.
-
-    The target of such a frame is at an onset or later, and the frame itself at most one second after the onset.
-    """
-    begun = drive.frame[:, None] + drive.horizon >= turns.frame
-    recent = drive.time_s[:, None] <= turns.time_s + SECOND_S
-    return np.asarray((begun & recent).any(axis=1))

@@ -1,11 +1,11 @@
-"""Compute errors of steering predictions, their confidence intervals, and scores of predicted standard deviations.
+"""Compute errors of predictions, their confidence intervals, and scores of predicted standard deviations.
 
-Angles are in rad unless named deg. Predictions are [N], or [S,N] for S seeds, over which errors are averaged.
+One column at a time, in its unit: rad, or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors are
+averaged.
 """
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,57 +15,30 @@ from pipeline.settings.evaluate import Evaluate
 _DRAWS_AT_ONCE = 1 << 22  # bounds the memory of the bootstrap at about 100 MB
 
 
-def scores(steering_rad: np.ndarray, predicted_rad: np.ndarray) -> dict[str, Any]:
-    """Return frames, mse_rad2, rmse_deg, mae_deg and nmse of predictions for angles [N].
+def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
+    """Return frames, mse, rmse, mae and nmse of predictions for true values [N].
 
-    nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless, None if every angle is 0. Without frames, or
-    if a prediction is NaN, all errors are None.
+    nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless, None if every true value is 0. Without
+    frames, or if a prediction is NaN, all errors are None.
     """
-    if not len(steering_rad) or np.isnan(predicted_rad).any():
-        return {"frames": 0, **dict.fromkeys(("mse_rad2", "rmse_deg", "mae_deg", "nmse"))}
-    error = predicted_rad - steering_rad
-    mse, zero = float(np.mean(error**2)), float(np.mean(steering_rad**2))
+    if not len(truth) or np.isnan(predicted).any():
+        return {"frames": 0, **dict.fromkeys(("mse", "rmse", "mae", "nmse"))}
+    error = predicted - truth
+    mse, zero = float(np.mean(error**2)), float(np.mean(truth**2))
     return {
-        "frames": len(steering_rad),
-        "mse_rad2": mse,
-        "rmse_deg": float(np.rad2deg(np.sqrt(mse))),
-        "mae_deg": float(np.rad2deg(np.mean(np.abs(error)))),
+        "frames": len(truth),
+        "mse": mse,
+        "rmse": float(np.sqrt(mse)),
+        "mae": float(np.mean(np.abs(error))),
         "nmse": mse / zero if zero > 0 else None,
     }
 
 
-def by_curvature(
-    steering_rad: np.ndarray,
-    predicted_rad: np.ndarray,
-    curvature_1pm: np.ndarray,
-    drive: np.ndarray,
-    settings: Evaluate,
-) -> list[dict[str, Any]]:
-    """Return the scores in bins of |curvature|, straightest first, each with the scores of predicting `zero`.
+def interval(error: np.ndarray, truth: np.ndarray, drive: np.ndarray, settings: Evaluate) -> list[float] | None:
+    """Return the 95 % interval of Σ error / Σ truth² over other roads, from a circular block bootstrap of drives.
 
-    Predictions are [S,N]; `nmse_ci95` is the :func:`interval` of nmse in the bin, None also if every angle is 0.
-
-    A model that always drives straight ahead has a small mean error, but not in the bins of bends. A bin without frames
-    has only its bounds and `frames` 0.
-    """
-    rows = []
-    for low, high in pairwise([0.0, *settings.curvature_bins_1pm, np.inf]):
-        inside = (np.abs(curvature_1pm) >= low) & (np.abs(curvature_1pm) < high)
-        row: dict[str, Any] = {"from_1pm": low, "to_1pm": None if np.isinf(high) else high, "frames": 0}
-        if inside.any():
-            row |= scores(steering_rad[inside], predicted_rad[..., inside])
-            row["zero"] = scores(steering_rad[inside], np.zeros(inside.sum()))
-            error = ((predicted_rad[:, inside] - steering_rad[inside]) ** 2).mean(axis=0)
-            known = steering_rad[inside].any()
-            row["nmse_ci95"] = interval(error, steering_rad[inside], drive[inside], settings) if known else None
-        rows.append(row)
-    return rows
-
-
-def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, settings: Evaluate) -> list[float] | None:
-    """Return the 95 % interval of Σ error / Σ Θ² over other roads, from a circular block bootstrap of resampled drives.
-
-    None if all rows are one block: each draw would be the same, and an interval of zero width claims certainty.
+    None if all rows are one block: each draw would be the same, and an interval of zero width claims certainty. None
+    also if every true value is 0.
 
     Drives are drawn with replacement, and within each drawn drive blocks of consecutive rows, since errors of
     neighbouring frames are correlated. A block that passes the end of its drive continues at its start, so that all
@@ -75,21 +48,21 @@ def interval(error: np.ndarray, steering_rad: np.ndarray, drive: np.ndarray, set
         error: [N] in time order; squared errors of a model, for the interval of its nmse. For the interval of a
             difference in nmse, the difference of two models' squared errors: it is narrower if both have their errors
             on the same roads. Means over seeds give an interval for these networks.
-        steering_rad: [N], Θ.
+        truth: [N], true values.
         drive: [N], the number of each row's drive.
     """
+    if not truth.any():
+        return None
     first = np.flatnonzero(np.diff(drive, prepend=drive[0] - 1))  # [D] first row of each drive
     rows = np.diff(first, append=len(drive))  # [D]
     blocks = -(-rows // settings.bootstrap_block_frames)  # [D] of equal length, which together cover the drive
     if blocks.sum() < 2:
         return None
     length = np.round(rows / blocks).astype(int)
-    block_sums = np.concatenate(  # [2,N] sums of error and Θ² over the block that starts at each row
+    block_sums = np.concatenate(  # [2,N] sums of error and truth² over the block that starts at each row
         [
             _circular_sums(values, size)
-            for values, size in zip(
-                np.split(np.stack([error, steering_rad**2]), first[1:], axis=1), length, strict=True
-            )
+            for values, size in zip(np.split(np.stack([error, truth**2]), first[1:], axis=1), length, strict=True)
         ],
         axis=1,
     )
@@ -121,24 +94,26 @@ def _circular_sums(values: np.ndarray, length: int) -> np.ndarray:
 
 
 def uncertainty(
-    steering_rad: np.ndarray, predicted_rad: np.ndarray, sigma_rad: np.ndarray, half_95_rad: np.ndarray
-) -> dict[str, float]:
+    truth: np.ndarray, predicted: np.ndarray, sigma: np.ndarray, half_95: np.ndarray
+) -> dict[str, float] | None:
     """Return means over S seeds' predictions [S,N] with standard deviations and halves of 95 % intervals [S,N].
 
     - nll: mean negative log-likelihood of a normal distribution, in nats; nll_constant: the same with one σ for all
       frames, the RMSE on these frames, which is the best constant.
-    - coverage_68, coverage_95: share of angles within ±σ of the prediction, and in its 95 % interval.
-    - mae_deg_certain: mean error of the half with the smaller σ.
+    - coverage_68, coverage_95: share of true values within ±σ of the prediction, and in its 95 % interval.
+    - mae_certain: mean error of the half with the smaller σ.
     """
-    error = np.abs(predicted_rad - steering_rad)
+    if not len(truth):
+        return None
+    error = np.abs(predicted - truth)
     rmse = np.sqrt(np.mean(error**2, axis=1, keepdims=True))
-    by_sigma = np.take_along_axis(error, np.argsort(sigma_rad, axis=1), axis=1)
+    by_sigma = np.take_along_axis(error, np.argsort(sigma, axis=1), axis=1)
     return {
-        "nll": _nll(error, sigma_rad),
+        "nll": _nll(error, sigma),
         "nll_constant": _nll(error, np.broadcast_to(rmse, error.shape)),
-        "coverage_68": float(np.mean(error <= sigma_rad)),
-        "coverage_95": float(np.mean(error <= half_95_rad)),
-        "mae_deg_certain": float(np.rad2deg(by_sigma[:, : (error.shape[1] + 1) // 2].mean())),
+        "coverage_68": float(np.mean(error <= sigma)),
+        "coverage_95": float(np.mean(error <= half_95)),
+        "mae_certain": float(by_sigma[:, : (error.shape[1] + 1) // 2].mean()),
     }
 
 

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Generator, Iterable
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ from pipeline.camera.camera import Camera
 from pipeline.graphs import frame_graph
 from pipeline.graphs.accumulate import Accumulator
 from pipeline.graphs.cloud import stored_cloud
-from pipeline.graphs.graph_file import Column, Columns
+from pipeline.graphs.graph_file import Column, Columns, MeasuredMotion
+from pipeline.labels import label
 from pipeline.live.chain import Chain, FrameState
 from pipeline.live.course import SpeedFilter, add_courses
 from pipeline.live.results import PREDICTED_FILES, STEERING, TRACK, Results, result_folder, write_frames
@@ -32,7 +34,7 @@ from pipeline.motion.speed import LEAST_NOISE
 from pipeline.perception.perceive import FILE
 from pipeline.settings.ingest import SAMPLE
 from pipeline.train import windows
-from pipeline.train.path_target import PathTarget
+from pipeline.train.labelled_drive import Timeline
 from pipeline.train.predict import Trained
 from pipeline.train.prefetch import prefetch
 
@@ -86,7 +88,7 @@ def predict(
         InputError: the source lacks an input of the model, or no frame can be read.
     """
     source.notes += differences(model, source, focal_by_width(data))
-    kinds, car = motion_kinds(model, settings), model.target.car
+    kinds, car = motion_kinds(model, settings), model.car
     perceives = (encoder / FILE).is_file() or settings.variant.source != "ingest" or "visual" in kinds
     kinds |= {"visual"} if perceives else set()
     with closing(source.frames) as frames:
@@ -95,7 +97,6 @@ def predict(
         predicted = Predictor(model, settings, source, camera).run(chain.run(frames))
         courses = add_courses(predicted, car, smooth=False, height_known=source.height_known)
         with result_folder(out, *PREDICTED_FILES) as folder:
-            edges_m = model.target.ahead_m if isinstance(model.target, PathTarget) else ()
             results = write_frames(
                 courses,
                 folder / STEERING,
@@ -104,7 +105,7 @@ def predict(
                 warm_up=model.entry.window,
                 video=video,
                 visible=visible,
-                ahead_m=edges_m,
+                ahead_m=model.ahead_m,
                 uncertainty=model.entry.uncertainty,
             )
             draw_track(folder / TRACK, source.name, results)
@@ -157,8 +158,8 @@ class Predictor:
 
     def _predict(self, frames: Iterable[FrameState]) -> Generator[FrameState]:
         """Add the angle or the path predicted after each frame that completes a window."""
-        net, target, entry = self.model.net, self.model.target, self.model.entry
-        stream = windows.Stream(entry.window, target.car if entry.motion != "none" else None, entry.base)
+        net, entry = self.model.net, self.model.entry
+        stream = _Stream(self.model)
         features: deque[torch.Tensor] = deque(maxlen=entry.window)  # each [1,F]
         speeds = SpeedFilter()
         for frame in frames:
@@ -175,12 +176,13 @@ class Predictor:
                 if window:
                     others: Any = net.inputs(frame.arrays | window)[1:]
                     output = net.span_windows(torch.cat([*features]), *others)
-                    values = target.decode(output, window["base_rad"])[:, 0].tolist()
+                    predicted = self.model.scale.decode(output.double().cpu().numpy().reshape(1, -1), window["base"])
+                    mean = predicted.mean[0].tolist()
+                    sigma = None if predicted.sigma is None else predicted.sigma[0].tolist()
                     if entry.predict == "path":
-                        frame.path_1pm = values[: target.outputs]
-                        frame.path_sigma_1pm = values[target.outputs :] or None
+                        frame.path_1pm, frame.path_sigma_1pm = mean, sigma
                     else:
-                        frame.predicted_rad, frame.sigma_rad = [*values, None][:2]
+                        frame.predicted_rad, frame.sigma_rad = mean[0], sigma and sigma[0]
             frame.latency_s = time.perf_counter() - frame.started_s
             yield frame
 
@@ -191,3 +193,29 @@ def _single(columns: Columns) -> dict[str, np.ndarray]:
     return {
         name: column.rows.astype(np.int32) if column.refers_to else column.rows for name, column in columns.items()
     } | pointers
+
+
+class _Stream:
+    """The windows of frames that arrive one by one, as :func:`windows.batches` reads them from a file."""
+
+    def __init__(self, model: Trained) -> None:
+        self._entry, self._car = model.entry, model.car
+        # The last `window` frames, and before them the latest older frame whose measured angle is still held.
+        self._frames: list[tuple[int, float, float, float, int]] = []
+
+    def add(self, number: int, time_s: float, motion: tuple[float, float] | None) -> dict[str, np.ndarray] | None:
+        """Return the window that ends with this frame, without the frames' arrays; None if it is not complete.
+
+        `motion`: yaw rate and speed; None if they are not measured.
+        """
+        self._frames.append((number, time_s, *(motion or (0.0, 0.0)), int(motion is not None)))
+        frame, times, yaw_rate, speed, valid = map(np.array, zip(*self._frames, strict=True))
+        measured = MeasuredMotion(yaw_rate.astype(np.float32), speed.astype(np.float32), valid.astype(np.uint8))
+        entry, last = self._entry, len(frame) - 1
+        graphs: Any = SimpleNamespace(path=Path(), frame=frame, time_s=times, motion=measured)
+        timeline = Timeline.read(graphs, self._car, entry.motion, entry.base, entry.predict)
+        older = slice(0, max(0, len(frame) - entry.window))
+        held = np.flatnonzero(label.is_usable(measured.speed_mps, valid, self._car.min_speed_mps)[older])[-1:]
+        self._frames = [self._frames[row] for row in held] + self._frames[-entry.window :]
+        group = windows.spans([timeline], entry.window, 1, [np.array([last])])
+        return windows._windows([timeline], group, entry.window) if group else None

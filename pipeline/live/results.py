@@ -251,7 +251,7 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
     interval = None if nmse is None else errors.interval((angle_rad - target_rad) ** 2, target_rad, drive, settings)
     varies = np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0
     correlation = float(np.corrcoef(target_rad, angle_rad)[0, 1]) if varies else None
-    return {"nmse": nmse, "nmse_ci95": interval, "rmse_deg": scores["rmse_deg"], "correlation": correlation}
+    return {"nmse": nmse, "nmse_ci95": interval, "rmse_deg": math.degrees(scores["rmse"]), "correlation": correlation}
 
 
 def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:

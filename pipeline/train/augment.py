@@ -11,18 +11,23 @@ def rescale(batch: Arrays, factor: np.ndarray, ahead_m: Sequence[float] = ()) ->
     """Multiply lengths, radii and speed of each frame by `factor` [B], which is equal within a span.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
-    Images and their steering do not change: a larger world gives the same image. `ahead_m`: the R+1 edges of a path's
-    ranges, as in :func:`scale_path`.
+    Images and their steering do not change: a larger world gives the same image. `ahead_m`: the edges of a path's
+    ranges, as in :func:`scale_path`; none for an angle.
     """
     if "image" in batch:
         return batch
-    scaled = batch | scale_speed(batch, factor)
-    scaled["xyz"] = batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]
     last = factor[batch["windows"][:, -1]]
-    if "path_1pm" in batch:
-        scaled["path_1pm"], scaled["valid"] = scale_path(batch["path_1pm"], batch["valid"], ahead_m, last)
+    scaled = batch | {"xyz": batch["xyz"] * np.repeat(factor, np.diff(batch["ptr"]))[:, None]}
+    if ahead_m:
+        scaled["base"] = batch["base"] / last
+        scaled["target"], scaled["valid"] = scale_path(batch["target"], batch["valid"], ahead_m, last)
     else:
-        scaled["steering_rad"] = scale_radius(batch["steering_rad"], last)
+        scaled["base"] = scale_radius(batch["base"], last)
+        scaled["target"] = scale_radius(batch["target"], last[:, None])
+    if "motion" in batch:
+        measured_rad, yaw_rate_radps, speed_mps, valid = batch["motion"].T
+        columns = [scale_radius(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
+        scaled["motion"] = np.stack(columns, axis=1)
     return scaled
 
 
@@ -41,16 +46,6 @@ def scale_path(
     known = (share * valid[:, None]).sum(axis=2) > 1 - 1e-4
     scaled = (share * np.where(valid, path_1pm, 0)[:, None]).sum(axis=2) / factor[:, None]
     return np.where(known, scaled, 0).astype(path_1pm.dtype), known
-
-
-def scale_speed(batch: Arrays, factor: np.ndarray) -> Arrays:
-    """Return motion and base angle with the speed multiplied by `factor` [B], at the same yaw rate."""
-    changed = {"base_rad": scale_radius(batch["base_rad"], factor[batch["windows"][:, -1]])}
-    if "motion" in batch:
-        measured_rad, yaw_rate_radps, speed_mps, valid = batch["motion"].T
-        columns = [scale_radius(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
-        changed["motion"] = np.stack(columns, axis=1)
-    return changed
 
 
 def scale_radius(steering_rad: np.ndarray, factor: np.ndarray) -> np.ndarray:

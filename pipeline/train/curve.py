@@ -13,12 +13,11 @@ SMOOTHING = 3  # epochs
 
 @dataclass(frozen=True)
 class Epoch:
-    """One row of curve.csv. Without validation drives the last two are NaN."""
+    """One row of curve.csv. Without validation drives, val_nmse is NaN."""
 
     epoch: int
     learning_rate: float
     train_loss: float
-    val_mse_rad2: float
     val_nmse: float
 
 

@@ -1,6 +1,7 @@
-"""A drive's frames by row: times, measured motion, and targets from its labels.
+"""A drive's frames by row: times, measured motion, and targets from its labels, matched by frame number.
 
-Graph files and labels are matched by frame number.
+A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
+ahead. Letters: G frames of a graph file, R columns.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,13 @@ from pipeline.graphs import graph_file
 from pipeline.graphs.graph_file import MeasuredMotion
 from pipeline.labels import label
 
+ANGLE = "steering_rad"
+
+
+def column_names(ahead_m: Sequence[float]) -> list[str]:
+    """Return the columns for the edges of the ranges of a path, or that of the angle without edges."""
+    return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(ahead_m)] or [ANGLE]
+
 
 @dataclass(frozen=True)
 class Timeline:
@@ -25,9 +33,9 @@ class Timeline:
     graphs: Path
     frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
     time_s: np.ndarray  # float64 [G]
-    dt_s: np.ndarray  # float32 [G], time since the previous frame; nominal at the start of a run
-    runs: tuple[tuple[int, int], ...]  # [start, stop) rows of consecutive frames
-    base_rad: np.ndarray  # float64 [G], angle to which the output is added, see `base` of a model's entry
+    dt_s: np.ndarray  # float32 [G], time since the previous frame; nominal at the start of a stretch
+    stretches: tuple[tuple[int, int], ...]  # [start, stop) rows without a missing frame
+    base: np.ndarray  # float64 [G], measured value that the output is added to, see `base` of a model's entry
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None without motion
     scene: str  # same | another, see `scene` of a model's entry
 
@@ -35,44 +43,29 @@ class Timeline:
     def read(
         cls,
         graphs: graph_file.Graphs,
+        car: label.Car,
         motion: str = "none",
-        car: label.Car | None = None,
         base: str = "motion",
+        predict: str = "angle",
         scene: str = "same",
     ) -> "Timeline":
-        """Read the times of an open graph file, and the measured motion of a `car`.
+        """Read the times of an open graph file, and the measured motion of a `car`; other arguments as in an entry.
 
-        `motion`, `base` and `scene` as in a model's entry. Raises InputError if the file has no motion.
+        Raises InputError if the file has no motion.
         """
-        measured = None if motion == "none" else graphs.motion
-        if motion != "none" and measured is None:
-            raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
-        return cls.of(graphs.path, graphs.frame, graphs.time_s, measured, car, base, scene)
-
-    @classmethod
-    def of(
-        cls,
-        graphs: Path,
-        frame: np.ndarray,
-        time_s: np.ndarray,
-        motion: MeasuredMotion | None,
-        car: label.Car | None,
-        base: str = "motion",
-        scene: str = "same",
-    ) -> "Timeline":
-        """Return the timeline of frames with these numbers, times, and measured motion of a `car`."""
         from models.steering.core.recurrent import NOMINAL_STEP_S
 
-        runs = consecutive(frame)
-        dt_s = np.diff(time_s, prepend=np.nan)
-        dt_s[[start for start, _ in runs]] = NOMINAL_STEP_S
-        base_rad, columns = np.zeros(len(frame)), None
-        if motion is not None:
-            assert car is not None, "the steering angle needs a wheelbase"
-            measured_rad = label.measured_angle(*motion, **vars(car))
-            columns = np.stack([measured_rad, *motion], axis=1).astype(np.float32)
-            base_rad = measured_rad if base == "motion" else base_rad
-        return cls(graphs, frame, time_s, dt_s.astype(np.float32), runs, base_rad, columns, scene)
+        stretches = consecutive(graphs.frame)
+        dt_s = np.diff(graphs.time_s, prepend=np.nan)
+        dt_s[[start for start, _ in stretches]] = NOMINAL_STEP_S
+        values, columns = np.zeros(len(graphs.frame)), None
+        if motion != "none":
+            if (measured := graphs.motion) is None:
+                raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
+            columns = np.stack([label.measured_angle(*measured, **vars(car)), *measured], axis=1).astype(np.float32)
+            values = _measured(measured, car, predict) if base == "motion" else values
+        frames = graphs.path, graphs.frame, graphs.time_s, dt_s.astype(np.float32)
+        return cls(*frames, stretches, values, columns, scene)
 
     def scene_shift(self, rng: np.random.Generator | None = None) -> int:
         """Return the number of rows from the frames of a span to the frames whose scenes it gets, 0 with scene: same.
@@ -96,42 +89,35 @@ class Timeline:
 
 @dataclass(frozen=True)
 class LabelledDrive(Timeline):
-    """A drive's frames with their targets, `horizon` frames after each; arrays [G]."""
+    """A drive's frames with their targets, of the angle `horizon` frames after each; arrays [G,R] unless noted."""
 
     name: str
     empty: bool  # no frame has a point
     labels: Path
     horizon: int
     car: label.Car
-    steering_rad: np.ndarray  # float64, NaN without a label
-    curvature_1pm: np.ndarray  # float64, NaN without a label
-    valid: np.ndarray  # bool; False without a label. With predict: path, whether the path is known in any range
-    speed_mps: np.ndarray  # float64, at the frame itself
-    persistence_rad: np.ndarray  # float64, last valid label before the target and not after the frame itself; or 0
-    label_source: str  # labels.source: oxts | visual | wheel
-    # Kind of motion in the file → float64, the measured angle; NaN if no frame is measured, as without scans. At
-    # horizon 0 without the kind that the labels are from, since it is the same measurement.
-    measured_rad: dict[str, np.ndarray]
     ahead_m: tuple[float, ...]  # R+1 edges of the ranges of the path ahead; none with predict: angle
-    path_1pm: np.ndarray  # float64 [G,R], NaN without a label
+    target: np.ndarray  # float64, NaN without a label
+    valid: np.ndarray  # bool; False without a label
+    curvature_1pm: np.ndarray  # float64, of the road at the target; NaN without a label
+    speed_mps: np.ndarray  # float64 [G], at the frame itself
+    persistence: np.ndarray | None  # last valid label before the target and not after the frame; None for a path
+    # Measured value, which a later unmeasured frame repeats; NaN before the first. None without motion in the file,
+    # and at horizon 0 if the labels are from the same measurement.
+    odometry: np.ndarray | None
+    settings: dict[str, Any]  # section → settings that made graphs and labels
 
     @property
-    def targets(self) -> np.ndarray:
-        """The angle [G] or the path [G,R]."""
-        return self.path_1pm if self.ahead_m else self.steering_rad
+    def columns(self) -> list[str]:
+        return column_names(self.ahead_m)
 
-    def measured_1pm(self, kind: str) -> np.ndarray:
-        """Return the measured curvature [G], left positive."""
-        return np.tan(self.measured_rad[kind]) / self.car.wheelbase_m
+    @property
+    def truth(self) -> np.ndarray:
+        """The targets, NaN where they are not valid."""
+        return np.where(self.valid, self.target, np.nan)
 
 
-def read_drives(
-    graphs: Path,
-    labels: Path,
-    names: Sequence[str],
-    window: int,
-    **reading: Any,
-) -> list[LabelledDrive]:
+def read_drives(graphs: Path, labels: Path, names: Sequence[str], window: int, **reading: Any) -> list[LabelledDrive]:
     """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
 
     `reading` are keyword arguments of :func:`read_drive`. Raises InputError as that, or a :func:`target_fault`.
@@ -149,17 +135,17 @@ def target_fault(drives: Sequence[LabelledDrive], window: int) -> InputError | N
     graphs, labels, horizon = drives[0].graphs.parent, drives[0].labels.parent, drives[0].horizon
     if not filled and any(len(drive.frame) for drive in drives):
         return InputError(f"no point in any frame of {names}", graphs, "Widen the variant's crop_m or add drives")
-    if not any(drive.valid[start + window - 1 : stop].any() for drive in filled for start, stop in drive.runs):
-        longest = max((stop - start for drive in drives for start, stop in drive.runs), default=0)
+    if not any(drive.valid[start + window - 1 : stop].any() for drive in filled for start, stop in drive.stretches):
+        longest = max((stop - start for drive in drives for start, stop in drive.stretches), default=0)
         target = f"a valid label {horizon} frames after its end" if horizon else "a valid label at its end"
         if drives[0].ahead_m:
             target = f"a driven path of {drives[0].ahead_m[1]:g} m ahead of its end"
         return InputError(
-            f"no window of {window} consecutive frames with {target} in {names} (longest run: {longest} frames)",
+            f"no window of {window} consecutive frames with {target} in {names} (longest stretch: {longest} frames)",
             graphs,
             "Use a smaller window, other drives or another input",
         )
-    if not any(np.nan_to_num(drive.targets[drive.valid]).any() for drive in drives):
+    if not any(drive.target[drive.valid].any() for drive in drives):
         return InputError(f"every valid label of {names} is 0", labels, "Add drives with bends")
     return None
 
@@ -189,39 +175,50 @@ def read_drive(
         if missing:
             raise InputError(f"no label for frame {missing[0]} of {graphs}", labels, "Make both again: dvc repro")
         here = np.array([row_of[int(number)] for number in file.frame], np.int64)
-        ahead = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
+        then = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
         steering_rad, valid, section = truth["steering_rad"], truth["valid"].astype(bool), truth.params["labels"]
-        car, source = label.Car(section["wheelbase_m"], section["min_speed_mps"]), section.get("source", "oxts")
-        moved = {} if file.motion is None else {"visual": file.motion}
-        if valid[here].any() and motion in moved and not moved[motion].valid.any():
-            raise InputError(
-                "motion is not measured in any frame (it needs images)",
-                graphs,
-                f"Remove {name} from ingest.drives, or set motion: none",
+        car, measured = label.Car(section["wheelbase_m"], section["min_speed_mps"]), file.motion
+        if motion != "none" and measured and not measured.valid.any() and valid[here].any():
+            fix = f"Remove {name} from ingest.drives, or set motion: none"
+            raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
+        if predict == "path":
+            edges_m, path_1pm = _read_path(truth)
+            target = curvature_1pm = path_1pm[here]
+            target_valid, persistence = np.isfinite(target), None
+        else:
+            edges_m, known = (), then >= 0
+            target, curvature_1pm = (
+                np.where(known, values[then], np.nan)[:, None] for values in (steering_rad, truth["curvature_1pm"])
             )
-        edges_m, path_1pm = _read_path(truth) if predict == "path" else ((), np.empty((len(valid), 0)))
-        target_valid = np.isfinite(path_1pm[here]).any(axis=1) if edges_m else (ahead >= 0) & valid[ahead]
+            target_valid = np.asarray(known & valid[then])[:, None]
+            persistence = _hold(steering_rad[here], valid[here], including=horizon > 0)[:, None]
+        odometry = None
+        if measured and (horizon or edges_m or section.get("source") != "visual"):
+            usable = label.is_usable(measured.speed_mps, measured.valid, car.min_speed_mps)
+            held = np.where(np.logical_or.accumulate(usable), _measured(measured, car, predict), np.nan)
+            odometry = np.repeat(held[:, None], target.shape[1], axis=1)
         return LabelledDrive(
-            **vars(Timeline.read(file, motion, car, base, scene)),
+            **vars(Timeline.read(file, car, motion, base, predict, scene)),
             name=name,
             empty=file.empty,
             labels=labels,
             horizon=horizon,
             car=car,
-            steering_rad=np.where(ahead >= 0, steering_rad[ahead], np.nan),
-            curvature_1pm=np.where(ahead >= 0, truth["curvature_1pm"][ahead], np.nan),
-            valid=np.asarray(target_valid),
             ahead_m=edges_m,
-            path_1pm=path_1pm[here],
+            target=target,
+            valid=target_valid,
+            curvature_1pm=curvature_1pm,
             speed_mps=truth["speed_mps"][here],
-            label_source=source,
-            persistence_rad=_hold(steering_rad[here], valid[here], including=horizon > 0),
-            measured_rad={
-                kind: label.measured_angle(*rates, **vars(car)) if rates.valid.any() else np.full(len(here), np.nan)
-                for kind, rates in moved.items()
-                if horizon or edges_m or kind != source
-            },
+            persistence=persistence,
+            odometry=odometry,
+            settings=file.params | truth.params,
         )
+
+
+def _measured(motion: MeasuredMotion, car: label.Car, predict: str) -> np.ndarray:
+    """Return the measured angle [G], or the curvature for a path."""
+    angle_rad = label.measured_angle(*motion, **vars(car))
+    return np.tan(angle_rad) / car.wheelbase_m if predict == "path" else angle_rad
 
 
 def _read_path(labels: store.DriveReader) -> tuple[tuple[float, ...], np.ndarray]:
@@ -241,7 +238,7 @@ def _hold(steering_rad: np.ndarray, valid: np.ndarray, including: bool) -> np.nd
 
 
 def consecutive(frame: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """Return the runs [start, stop) of rows with consecutive frame numbers [G]."""
+    """Return the stretches [start, stop) of rows with consecutive frame numbers [G]."""
     if not len(frame):
         return ()
     edges = [0, *(np.flatnonzero(np.diff(frame) != 1) + 1).tolist(), len(frame)]

@@ -121,7 +121,7 @@ class Reader(Dataset[dict[str, Any]]):
         if step.hide_motion is not None:
             hidden = np.repeat(step.hide_motion, lengths)
             batch["motion"][hidden] = 0
-            batch["base_rad"][hidden[batch["windows"][:, -1]]] = 0
+            batch["base"][hidden[batch["windows"][:, -1]]] = 0
         tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
         return tensors | (self._targets(tensors) if self._targets else {})
 

@@ -5,30 +5,14 @@ per test drive, trained on the other test drives and evaluated on this one. `oth
 they are from the training drives' world, which `others` leaves out completely.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-from pydantic import BaseModel, Field
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.base.resume import file_hash
 from pipeline.settings.models import Entry
 from pipeline.train.labelled_drive import read_drive, target_fault
-
-_SEED, _FOLD = "seed-", "fold-"
-
-
-class Config(BaseModel):
-    """Schema of a trained model's config.json, as far as it is read."""
-
-    model: Entry
-    seeds: Annotated[list[int], Field(min_length=1)]
-    parameters: int
-    best_sha256: str | None = None  # None: not verified
 
 
 @dataclass(frozen=True)
@@ -98,7 +82,7 @@ def drop_untestable(folds: Sequence[Fold], graphs: Path, labels: Path, entry: En
 def runs(model: Path, seeds: Sequence[int], folds: Sequence[Fold]) -> list[Run]:
     """Return all runs of the model with folder `model`: the folds of the first seed, then those of the next."""
     return [
-        Run(seed, fold, folder / f"{_FOLD}{fold.name}" if fold.name else folder)
+        Run(seed, fold, folder / f"fold-{fold.name}" if fold.name else folder)
         for seed, folder in folders(model, seeds).items()
         for fold in folds
     ]
@@ -106,32 +90,4 @@ def runs(model: Path, seeds: Sequence[int], folds: Sequence[Fold]) -> list[Run]:
 
 def folders(model: Path, seeds: Sequence[int]) -> dict[int, Path]:
     """Return the folder of each seed: `model` for the first one, subfolders for the others."""
-    return {seed: model / f"{_SEED}{seed}" if position else model for position, seed in enumerate(seeds)}
-
-
-def read_config(folder: Path) -> Config:
-    """Read the config.json of a trained model. Raises InputError."""
-    content = store.read_json(folder / "config.json", stage=f"train@{model_name(folder)}", form=Config)
-    return Config.model_validate(content)
-
-
-def check_pair(best: Path) -> None:
-    """Raise InputError if best.pt and the config.json beside it are of different runs. config.json may be missing."""
-    config, name = best.with_name("config.json"), model_name(best.parent)
-    if not config.is_file():
-        return
-    expected = read_config(best.parent).best_sha256
-    if expected and expected != file_hash(best):
-        raise InputError(
-            f"best.pt and {config} are of different runs (SHA-256 differs)",
-            best,
-            f"Train the model again: dvc repro --force --single-item train@{name}",
-        )
-
-
-def model_name(folder: Path) -> str:
-    """Return the model's name, from the folder of one of its runs."""
-    folder = Path(os.path.realpath(folder))  # unlike resolve(), a symlink loop is no error
-    while folder.name.startswith((_SEED, _FOLD)):
-        folder = folder.parent
-    return folder.name
+    return {seed: model / f"seed-{seed}" if position else model for position, seed in enumerate(seeds)}

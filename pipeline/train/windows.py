@@ -1,17 +1,16 @@
 """Read graph files and labels as batches: spans of consecutive frames with overlapping windows.
 
 A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last frame; that frame
-needs a label but no graph. A span is a run of consecutive frames that is read and encoded once for all its windows.
-Frames are consecutive by KITTI frame number, never by position: a missing frame ends a run.
+needs a label but no graph. A span is consecutive frames that are read and encoded once for all their windows. Frames
+are consecutive by KITTI frame number, never by position: a missing frame ends a stretch.
 
 A batch is a dict of arrays: B frames as in pipeline/graphs/graph_file.py, and for W windows of T frames
 
-- windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base_rad float32
-  [W] (angle of the window's last frame to which the network's output is added);
+- windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base float32 [W]
+  (measured value of the window's last frame that the network's output is added to);
 - with motion, motion float32 [B,4] since the previous frame: the measured steering angle, yaw rate,
   speed, and whether they were measured; the first two change sign under mirroring;
-- with targets, steering_rad float32 [W] and valid bool [W], `horizon` frames after each window's last frame; or the
-  path ahead of the last frame, path_1pm float32 [W,R] and valid bool [W,R].
+- with targets, target float32 [W,R] and valid bool [W,R] of R columns, see labelled_drive.py; 0 if unknown.
 """
 
 from collections import defaultdict
@@ -19,13 +18,11 @@ from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
 from pipeline.graphs import graph_file
-from pipeline.graphs.graph_file import Arrays, MeasuredMotion
-from pipeline.labels import label
+from pipeline.graphs.graph_file import Arrays
 from pipeline.train.labelled_drive import LabelledDrive, Timeline
 
 
@@ -43,14 +40,14 @@ class Span:
 
 
 def random_spans(drives: Sequence[LabelledDrive], window: int, windows: int, rng: np.random.Generator) -> list[Span]:
-    """Split all runs into spans of at most `windows` windows of `window` frames; each window is in one span.
+    """Split all stretches into spans of at most `windows` windows of `window` frames; each window is in one span.
 
     Spans start at a random phase and are shuffled, so that epochs have different batches. Spans without a valid target
     are left out.
     """
     spans = []
     for number, drive in enumerate(drives):
-        for start, stop in drive.runs:
+        for start, stop in drive.stretches:
             last = start + window - 1  # row of the first window's last frame
             phase = int(rng.integers(windows)) or windows  # windows in the first span
             edges = [last, *range(last + phase, stop, windows), stop]
@@ -75,7 +72,7 @@ def spans(
     for number, timeline in enumerate(timelines):
         wanted = np.arange(len(timeline.frame)) if rows is None else np.unique(rows[number])
         shift = timeline.scene_shift()
-        for start, stop in timeline.runs:
+        for start, stop in timeline.stretches:
             span: Span | None = None
             for end in wanted[(wanted >= start + window - 1) & (wanted < stop)].tolist():  # a window's last frame
                 if span and end - window + 1 <= span.stop and end - (span.start + window - 1) < windows:
@@ -113,33 +110,6 @@ def _scenes(file: graph_file.Graphs, span: Span) -> list[tuple[graph_file.Graphs
     return [(file, a, b) for a, b in ((first, min(last, frames)), (0, last - frames)) if a < b]
 
 
-class Stream:
-    """The windows of frames that arrive one by one, as :func:`batches` reads them from a file."""
-
-    def __init__(self, window: int, car: label.Car | None, base: str = "motion") -> None:
-        """`car`: None for a network without motion; `base` as in a model's entry."""
-        self._window, self._car, self._base = window, car, base
-        # The last `window` frames, and before them the latest older frame whose measured angle is still held.
-        self._frames: list[tuple[int, float, float, float, int]] = []
-
-    def add(self, number: int, time_s: float, motion: tuple[float, float] | None) -> Arrays | None:
-        """Return the window that ends with this frame, without the frames' arrays; None if it is not complete.
-
-        `motion`: yaw rate and speed; None if they are not measured.
-        """
-        self._frames.append((number, time_s, *(motion or (0.0, 0.0)), int(motion is not None)))
-        frame, times, yaw_rate, speed, valid = map(np.array, zip(*self._frames, strict=True))
-        measured = MeasuredMotion(yaw_rate.astype(np.float32), speed.astype(np.float32), valid.astype(np.uint8))
-        last = len(frame) - 1
-        timeline = Timeline.of(Path(), frame, times, measured if self._car else None, self._car, self._base)
-        older = slice(0, max(0, len(frame) - self._window))
-        usable = label.is_usable(measured.speed_mps, valid, self._car.min_speed_mps if self._car else 0.0)
-        held = np.flatnonzero(usable[older])[-1:]
-        self._frames = [self._frames[row] for row in held] + self._frames[-self._window :]
-        group = spans([timeline], self._window, 1, [np.array([last])])
-        return _windows([timeline], group, self._window) if group else None
-
-
 def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) -> Arrays:
     columns: dict[str, list[np.ndarray]] = defaultdict(list)
     before = 0  # frames of the batch before the span
@@ -149,15 +119,12 @@ def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) 
         members = np.arange(span.stop - span.start - window + 1)[:, None] + np.arange(window)  # [W,T]
         columns["windows"].append(members + before)
         columns["dt_s"].append(timeline.dt_s[rows][members])
-        columns["base_rad"].append(timeline.base_rad[ends].astype(np.float32))
+        columns["base"].append(timeline.base[ends].astype(np.float32))
         if timeline.motion is not None:
             columns["motion"].append(timeline.motion[rows])
         if isinstance(timeline, LabelledDrive):
             # Targets without a label have weight 0, but 0 × NaN is NaN.
-            name, known = "steering_rad", timeline.valid
-            if timeline.ahead_m:
-                name, known = "path_1pm", np.isfinite(timeline.path_1pm)
-            columns[name].append(np.nan_to_num(timeline.targets[ends]).astype(np.float32))
-            columns["valid"].append(known[ends])
+            columns["target"].append(np.nan_to_num(timeline.target[ends]).astype(np.float32))
+            columns["valid"].append(timeline.valid[ends])
         before += span.stop - span.start
     return {name: np.concatenate(parts) for name, parts in columns.items()}

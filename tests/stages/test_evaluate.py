@@ -1,16 +1,23 @@
-import csv
+"""Stage evaluate: figures again from predictions.csv, for the angle and for the path ahead."""
+
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.train import predict
 from pipeline.train.labelled_drive import read_drive
-from stages import evaluate, report
-from tests.small_model import run_evaluate, run_train, write_params, write_two_test_drives
+from pipeline.train.scale import WITHIN
+from stages import evaluate
+from tests import artefacts
+from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
+
+COLUMNS = {"angle": ["steering_rad"], "path": ["path_0-5m_1pm", "path_5-10m_1pm", "path_10-20m_1pm"]}
 
 
 @pytest.fixture(autouse=True)
@@ -19,52 +26,61 @@ def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEER_WORKERS", "1")
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+def read_metrics(evaluated: Path) -> dict[str, Any]:
+    return json.loads((evaluated / "metrics.json").read_text())
 
 
-@pytest.mark.slow
-def test_metrics_are_means_over_seeds(folder: Path) -> None:
-    """And predict in Python gives the numbers of predictions.csv, for each seed."""
-    write_params(folder, seeds=[0, 7], epochs=1)
+@pytest.mark.parametrize("predicted", COLUMNS)
+def test_metrics_are_means_over_seeds(folder: Path, predicted: str) -> None:
+    write_params(folder, {"predict": predicted}, epochs=2, seeds=[0, 7])
     trained, evaluated = run_train(folder), run_evaluate(folder)
-    both = json.loads((evaluated / "metrics.json").read_text())["test"]
-    errors = []
-    for seed in ("", "seed-7/"):
-        rows = read(evaluated / f"{seed}predictions.csv")
-        error = [float(row["predicted_rad"]) - float(row["steering_rad"]) for row in rows if row["predicted_rad"]]
-        errors.append(np.mean(np.square(error)))
-        with graph_file.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
-            model = predict.load(str(trained / seed))
-            angles, some = model.predict(graphs), model.predict(graphs, [59, 2, 30])
-        assert [row["predicted_rad"] for row in rows] == [_text(angle) for angle in angles]
-        assert some == pytest.approx(angles[[59, 2, 30]], abs=1e-6, nan_ok=True)
-    assert both["mse_rad2"] == pytest.approx(np.mean(errors), rel=1e-3)
-    zero = both["baselines"]["zero"]["mse_rad2"]
-    assert both["nmse_std"] == pytest.approx(abs(errors[0] - errors[1]) / zero / np.sqrt(2), rel=1e-2)
-    report.main(folder, folder / "report", folder / "params.yaml")
-    assert "Means over 2 seeds" in " ".join((folder / "report/table.md").read_text().split())
+    metrics = read_metrics(evaluated)
+    tables = [pd.read_csv(evaluated / seed / "predictions.csv") for seed in ("", "seed-7")]
+    for table, seed in zip(tables, ("", "seed-7"), strict=True):
+        with graph_file.open_graphs(folder / f"graphs/semantic/{TEST}.h5") as graphs:
+            model = predict.load(trained / seed)
+            mean, some = model.predict(graphs).mean, model.predict(graphs, [59, 2, 30]).mean
+        assert table["frame"].tolist() == [*range(60)]
+        np.testing.assert_allclose(table[[f"predicted_{name}" for name in COLUMNS[predicted]]], mean, atol=1e-6)
+        assert np.isnan(mean).all(axis=1).tolist() == [True] * 3 + [False] * 57
+        np.testing.assert_allclose(some, mean[[59, 2, 30]], atol=1e-6)
+    assert [*metrics["test"]] == [*metrics["columns"]] == COLUMNS[predicted]
+    for name, scores in metrics["test"].items():
+        keys = [f"{key}_{name}" for key in ("true", "predicted", "odometry")]
+        rows = [table.dropna(subset=keys[:2]) for table in tables]
+        (true, _, odometry), zero = (rows[0][key] for key in keys), (rows[0][keys[0]] ** 2).mean()
+        mse = [((table[keys[1]] - true) ** 2).mean() for table in rows]
+        assert scores["frames"] == len(true) == scores["without_decisions"]["frames"]  # the drives have no corner
+        assert scores["mse"] == pytest.approx(np.mean(mse), rel=1e-3)
+        assert scores["nmse"] == pytest.approx(np.mean(mse) / zero, rel=1e-3)
+        assert scores["nmse_std"] == pytest.approx(abs(mse[0] - mse[1]) / zero / np.sqrt(2), rel=1e-2)
+        assert scores["nmse_ci95"] is None or predicted == "angle"  # one drive, not longer than a block
+        gain = metrics["columns"][name]["odometry_gain"]
+        for baseline, values in {"odometry": odometry, "regression": gain * odometry, "zero": 0 * true}.items():
+            found = scores["baselines"][baseline]["nmse"]
+            assert found == pytest.approx(((values - true) ** 2).mean() / zero, rel=1e-3, abs=1e-9)
 
 
-def test_uncertainty_is_calibrated_on_validation_drives(folder: Path) -> None:
-    write_params(folder, {"uncertainty": True}, epochs=2)
+@pytest.mark.parametrize("predicted", COLUMNS)
+def test_sigma_is_calibrated_on_the_validation_drive(folder: Path, predicted: str) -> None:
+    write_params(folder, {"predict": predicted, "motion": "visual", "uncertainty": True}, epochs=3)
     trained, evaluated = run_train(folder), run_evaluate(folder)
-    assert json.loads((evaluated / "metrics.json").read_text())["test"]["uncertainty"]["nll"] < 9
-    model, val = predict.load(trained), "2026_01_02_drive_0001"
-    drive = read_drive(folder / "graphs/semantic", folder / "labels", val)
+    table, metrics = pd.read_csv(evaluated / "predictions.csv"), read_metrics(evaluated)
+    for name, scores in metrics["test"].items():
+        rows = table.dropna(subset=[f"true_{name}", f"predicted_{name}"])
+        within = (rows[f"predicted_{name}"] - rows[f"true_{name}"]).abs() <= rows[f"sigma_{name}"]
+        assert scores["uncertainty"]["coverage_68"] == pytest.approx(within.mean(), abs=0.03)  # six decimals
+    model = predict.load(trained, "cpu")
+    drive = read_drive(folder / "graphs/semantic", folder / "labels", "2026_01_02_drive_0001", **model.entry.reading)
     with graph_file.open_graphs(drive.graphs) as graphs:
-        predicted = model.predict_with_sigma(graphs)
-    ratio = (predicted.steering_rad - drive.steering_rad) / predicted.sigma_rad
-    assert np.nanmean(ratio**2) == pytest.approx(1, rel=1e-6)
-    inside = np.abs(predicted.steering_rad - drive.steering_rad) <= predicted.half_95_rad
-    assert inside[~np.isnan(ratio)].mean() == pytest.approx(0.95, abs=0.02)
-    rows = read(evaluated / "predictions.csv")
-    with graph_file.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
-        predicted = model.predict_with_sigma(graphs, [3, 59])
-    assert predicted.sigma_rad is not None
-    assert [float(rows[number]["sigma_rad"]) for number in (3, 59)] == pytest.approx(predicted.sigma_rad, abs=1e-6)
-    assert rows[2]["sigma_rad"] == ""
+        mean, sigma, half_95 = model.predict(graphs)
+    error = np.abs(mean - drive.truth)
+    known = np.isfinite(error)
+    if predicted == "path":
+        np.testing.assert_allclose((error <= sigma).sum(axis=0) / known.sum(axis=0), WITHIN, atol=0.03)
+    else:
+        assert np.nanmean((error / sigma) ** 2) == pytest.approx(1, rel=1e-6)
+    np.testing.assert_allclose((error <= half_95).sum(axis=0) / known.sum(axis=0), 0.95, atol=0.03)
 
 
 @pytest.mark.slow
@@ -74,58 +90,47 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder: Path, f
     write_params(folder, {"fit_to": fit_to}, epochs=1, seeds=[0, 7])
     trained, evaluated = run_train(folder), run_evaluate(folder)
     own, val = (["2026_01_01_drive_0001"], ["2026_01_02_drive_0001"]) if fit_to == "both" else ([], [])
-    result = json.loads((evaluated / "metrics.json").read_text())
+    result = read_metrics(evaluated)
     assert result["drives"] == {"train": own + tested[::-1], "val": val, "test": tested}
     for split in [split for split, names in result["drives"].items() if names]:  # each drive once
-        assert result[split]["frames"] == len(result["drives"][split]) * (60 - 3)
+        assert result[split]["steering_rad"]["frames"] == len(result["drives"][split]) * (60 - 3)
     for seed in ("", "seed-7/"):
-        rows = read(evaluated / f"{seed}predictions.csv")
+        table = pd.read_csv(evaluated / f"{seed}predictions.csv")
         for drive in tested:
             model = predict.load(trained / f"{seed}fold-{drive}")
             assert model.fold == drive
             with graph_file.open_graphs(folder / f"graphs/semantic/{drive}.h5") as graphs:
-                angles = model.predict(graphs)
-            assert [row["predicted_rad"] for row in rows if row["drive"] == drive] == [_text(angle) for angle in angles]
-    with pytest.raises(InputError, match="fold-2026_01_01_drive_0002, fold-2026"):
-        predict.load(trained)
-    report.main(folder, folder / "report", folder / "params.yaml")
-    assert len(list((folder / "report/learning").iterdir())) == 4
-
-
-def _text(angle: float) -> str:
-    return "" if np.isnan(angle) else f"{angle:.6f}"
+                mean = model.predict(graphs).mean[:, 0]
+            found = table[table["drive"] == drive]["predicted_steering_rad"]
+            np.testing.assert_allclose(found, mean, atol=1e-6)
 
 
 def test_files_of_one_model_repeat_and_agree(folder: Path) -> None:
-    """predictions.csv has each frame; metrics and structure.json agree with it."""
+    """structure.json is the graph where the drive bends most; odometry is unknown in the first frame."""
     write_params(folder, {"equivariant": False}, epochs=1)
     run_train(folder)
     evaluated = run_evaluate(folder)
-    first = {path.name: path.read_bytes() for path in evaluated.iterdir()}
+    first = {path.name: path.read_bytes() for path in evaluated.glob("*.*") if path.name != "index.json"}
     run_evaluate(folder)
-    assert first == {path.name: path.read_bytes() for path in evaluated.iterdir()}
-    assert set(first) == {"metrics.json", "predictions.csv", "structure.json", "index.json"}
-    result, rows = json.loads(first["metrics.json"]), read(evaluated / "predictions.csv")
-    assert not any("ms_per" in key for key in result)  # artefacts hold no times
-    assert [row["frame"] for row in rows] == [str(number) for number in range(60)]
-    assert [row["predicted_rad"] == "" for row in rows] == [number < 3 for number in range(60)]
-    error = np.array([float(row["predicted_rad"]) - float(row["steering_rad"]) for row in rows[3:]])
-    assert result["test"]["mse_rad2"] == pytest.approx(float((error**2).mean()), rel=1e-3)
-
-    sharpest = int(max(rows, key=lambda row: abs(float(row["steering_rad"])))["frame"])
-    graph = json.loads(first["structure.json"])["2026_01_03_drive_0001"]
+    assert first == {name: (evaluated / name).read_bytes() for name in first}
+    assert set(first) == {"metrics.json", "predictions.csv", "structure.json"}
+    table = pd.read_csv(evaluated / "predictions.csv")
+    assert table["odometry_steering_rad"].isna().tolist() == [True] + [False] * 59
+    sharpest = int(table["true_steering_rad"].abs().idxmax())
+    graph = json.loads(first["structure.json"])[TEST]
     assert graph["frame"] == sharpest
-    with graph_file.open_graphs(folder / "graphs/semantic/2026_01_03_drive_0001.h5") as graphs:
+    with graph_file.open_graphs(folder / f"graphs/semantic/{TEST}.h5") as graphs:
         arrays = graph_file.collate([(graphs, sharpest, sharpest + 1)])
     np.testing.assert_allclose(graph["xyz_m"], arrays["xyz"], atol=6e-4)
     assert graph["cls"] == arrays["cls"].tolist()
     assert 2 * len(graph["edges"]) == len(arrays["indices"])
 
 
-def test_the_memory_of_the_bootstrap_is_bounded_by_the_params(folder: Path) -> None:
-    params = folder / "params.yaml"
-    params.write_text(params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 1000000000"))
-    with pytest.raises(InputError, match="bootstrap_samples"):
+def test_other_ranges_than_in_training_are_refused(folder: Path) -> None:
+    write_params(folder, {"predict": "path", "spatial": "polar"}, epochs=1)
+    run_train(folder)
+    artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M[:3])
+    with pytest.raises(InputError, match=r"labels\.ahead_m differs from the ranges of the trained model"):
         run_evaluate(folder)
 
 

@@ -1,14 +1,7 @@
-"""Stage train: learning, resume, mirror pairs, torchrun."""
+"""Stage train on small graphs: it learns, resumes to the same bytes, and refuses data it cannot learn from."""
 
 import json
-import os
-import shutil
-import socket
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -16,113 +9,84 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base import store
-from pipeline.train import checkpoint, distributed
-from pipeline.train.labelled_drive import read_drives
-from pipeline.train.runs import Run
-from pipeline.train.training import networks_at_once
-from stages import train
+from pipeline.base.errors import InputError
+from pipeline.graphs import graph_file
+from pipeline.train import checkpoint, predict
 from tests import artefacts
-from tests.small_model import PARAMS, SPLITS, run_evaluate, run_train, write_params
-
-TEST = "2026_01_03_drive_0001"
-EPOCHS = 12
-
-
-@pytest.fixture(scope="module")
-def trained(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with a trained and evaluated gnn-ncp. Read only."""
-    folder = tmp_path_factory.mktemp("trained") / "data"
-    shutil.copytree(dataset, folder)
-    write_params(folder, epochs=EPOCHS)
-    run_train(folder)
-    run_evaluate(folder)
-    return folder
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Return relative path → bytes of the files of the stage train."""
-    files = [path for path in (folder / "train").rglob("*") if path.is_file()]
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
 
 
 def load(path: Path) -> dict[str, object]:
     return torch.load(path, weights_only=True)
 
 
-@contextmanager
-def killed_after(monkeypatch: pytest.MonkeyPatch, epoch: int) -> Iterator[None]:
-    """Interrupt training after the checkpoint of an epoch."""
+def nmse(folder: Path, split: str = "test") -> float:
+    """Evaluate the model, and return the error of its first column."""
+    return next(iter(json.loads((run_evaluate(folder) / "metrics.json").read_text())[split].values()))["nmse"]
+
+
+def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder: Path) -> None:
+    write_params(folder, epochs=8)
+    trained = run_train(folder)
+    assert nmse(folder) < 0.35
+    best = load(trained / "best.pt")
+    assert best["splits"] == SPLITS
+    assert best["settings"] == artefacts.GRAPHS | {"labels": artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}}
+    header, *rows = (trained / "curve.csv").read_text().splitlines()
+    assert header == "epoch,learning_rate,train_loss,val_nmse"
+    errors = [float(row.split(",")[-1]) for row in rows]
+    smoothed = [np.mean(errors[max(0, end - 3) : end]) for end in range(1, 9)]
+    assert best["epoch"] == 1 + int(np.argmin(smoothed))
+    assert {path.name for path in trained.iterdir()} >= {"best.pt", "last.pt", "curve.csv"}
+
+
+@pytest.mark.parametrize("predicted", ["angle", "path"])
+def test_resumed_training_writes_the_same_bytes(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], predicted: str
+) -> None:
+    write_params(folder, {"predict": predicted, "motion": "visual"}, epochs=3)
+    complete = (run_train(folder) / "best.pt").read_bytes()
+    (folder / "train/net/best.pt").unlink()
     write = checkpoint.write
 
     def interrupt(path: Path, content: dict[str, object]) -> None:
         write(path, content)
-        if content["epoch"] == epoch:
+        if content["epoch"] == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "write", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            yield
+            run_train(folder)
+    assert not (folder / "train/net/best.pt").exists()
+    assert (run_train(folder) / "best.pt").read_bytes() == complete
+    assert "continues after epoch 2 of 3" in capsys.readouterr().out
 
 
-def test_a_trained_model_follows_the_bend(trained: Path) -> None:
-    result = json.loads((trained / "evaluate/net/metrics.json").read_text())
-    assert result["test"]["nmse"] < 0.35
-    assert result["drives"]["test"] == [TEST]
-    assert result["test"]["frames"] == 60 - 3
-    best = load(trained / "train/net/best.pt")
-    assert best["splits"] == SPLITS
-    assert set(best["target"]) == {
-        "mean_rad",
-        "std_rad",
-        "wheelbase_m",
-        "min_speed_mps",
-        "coefficients",
-        "sigma_factor",
-        "interval_95",
-    }
-    config = json.loads((trained / "train/net/config.json").read_text())
-    assert config["best_epoch"] == best["epoch"] <= config["epochs"] == EPOCHS
-    header, *rows = (trained / "train/net/curve.csv").read_text().splitlines()
-    assert header == "epoch,learning_rate,train_loss,val_mse_rad2,val_nmse"
-    assert len(rows) == EPOCHS
-    nmse = [float(row.split(",")[-1]) for row in rows]
-    smoothed = [np.mean(nmse[max(0, end - 3) : end]) for end in range(1, EPOCHS + 1)]
-    assert best["epoch"] == 1 + int(np.argmin(smoothed))
-
-
-def test_resumed_training_writes_the_same_bytes(folder: Path, trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_params(folder, epochs=EPOCHS)
-    with killed_after(monkeypatch, EPOCHS - 2):
-        run_train(folder)
-    assert not (folder / "train").exists()
-    run_train(folder)
-    assert contents(folder) == contents(trained)
-    assert list((folder / ".drives/train-net").iterdir()) == []
+@pytest.mark.slow
+def test_seeds_in_parallel_processes_equal_those_trained_alone(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_params(folder, epochs=1, seeds=[0, 7])
+    monkeypatch.setenv("STEER_WORKERS", "2")
+    trained = run_train(folder)
+    nets = [load(trained / name)["net"] for name in ("best.pt", "seed-7/best.pt")]
+    for seed, expected in zip((0, 7), nets, strict=True):
+        write_params(folder, epochs=1, seeds=[seed])
+        alone = load(run_train(folder) / "best.pt")["net"]
+        assert all(torch.equal(alone[name], expected[name]) for name in expected)
 
 
 @pytest.mark.slow
 def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
-    for drive in SPLITS:
-        with store.DriveReader(folder / f"labels/{drive}.h5", stage="labels") as truth:
-            artefacts.add_motion(folder / f"graphs/semantic/{drive}.h5", truth["steering_rad"])
-    write_params(folder, {"temporal": "lstm", "motion": "visual", "horizon": 5}, epochs=EPOCHS, average=0.0)
-    output, metrics = run_train(folder), run_evaluate(folder)
-    test = json.loads((metrics / "metrics.json").read_text())["test"]
+    write_params(folder, {"temporal": "lstm", "motion": "visual", "horizon": 5}, epochs=8, average=0.0)
+    run_train(folder)
+    test = json.loads((run_evaluate(folder) / "metrics.json").read_text())["test"]["steering_rad"]
     assert test["frames"] == 60 - 3 - 5
     assert test["nmse"] < 0.8 * test["baselines"]["odometry"]["nmse"]
-    (drive,) = read_drives(folder / "graphs/semantic", folder / "labels", [TEST], 4, horizon=5, motion="visual")
-    assert load(output / "best.pt")["target"]["std_rad"] != pytest.approx(
-        drive.steering_rad[drive.valid].std(), rel=0.05
-    )
-    rows = [line.split(",") for line in (metrics / "predictions.csv").read_text().splitlines()[1:]]
-    assert [row[6] for row in rows] == ["1"] * 55 + ["0"] * 5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("write", "line", "epochs", "nmse"),
+    ("write", "entry", "epochs", "limit"),
     [
         (artefacts.write_graphs, {"spatial": "gatv2", "cell": "cfc"}, 1, 10),
         (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
@@ -130,14 +94,13 @@ def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
     ],
 )
 def test_other_networks_and_inputs(
-    tmp_path: Path, write: Callable[..., None], line: dict[str, object], epochs: int, nmse: float
+    tmp_path: Path, write: Callable[..., None], entry: dict[str, object], epochs: int, limit: float
 ) -> None:
     artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, write=write)
-    write_params(tmp_path, line, epochs=epochs, average=0.0)
+    write_params(tmp_path, entry, epochs=epochs, average=0.0)
     best = load(run_train(tmp_path) / "best.pt")
-    assert line.items() <= best["model"].items()
-    assert all(weight.isfinite().all() for weight in best["net"].values())
-    assert json.loads((run_evaluate(tmp_path) / "metrics.json").read_text())["test"]["nmse"] < nmse
+    assert entry.items() <= best["entry"].items()
+    assert nmse(tmp_path) < limit
 
 
 def test_mirror_trains_the_same_on_a_mirrored_data_set(folder: Path) -> None:
@@ -154,65 +117,44 @@ def test_mirror_trains_the_same_on_a_mirrored_data_set(folder: Path) -> None:
     assert curves[0][1]["val_nmse"] != pytest.approx(curves[1][1]["val_nmse"], rel=1e-3)  # the network is not symmetric
 
 
-def train_on_two_machines(clones: list[Path]) -> list[tuple[int, str, str]]:
-    """Train with one process per clone; return exit status, output and errors of each."""
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        port = server.getsockname()[1]
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--nnodes=2", "--nproc-per-node=1"]
-    arguments = ["--master-addr=127.0.0.1", f"--master-port={port}", "-m", "stages.train", "net"]
-    pipes = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    processes = [
-        subprocess.Popen(
-            [*torchrun, f"--node-rank={rank}", *arguments],
-            cwd=clone,
-            env=os.environ | {"PYTHONPATH": str(clone)},
-            **pipes,
-        )
-        for rank, clone in enumerate(clones)
-    ]
-    outputs = [process.communicate(timeout=240) for process in processes]
-    return [(process.returncode, *output) for process, output in zip(processes, outputs, strict=True)]
+def test_mirrored_drives_give_the_mirrored_path(folder: Path) -> None:
+    write_params(folder, {"predict": "path", "motion": "visual", "equivariant": True, "uncertainty": True}, epochs=2)
+    model, path = predict.load(run_train(folder)), folder / f"graphs/semantic/{TEST}.h5"
+    with graph_file.open_graphs(path) as graphs:
+        left = model.predict(graphs)
+    with h5py.File(path, "a") as file:
+        file["xyz"][:, 0] = -file["xyz"][:, 0]
+        file["motion_yaw_rate_radps"][:] = -file["motion_yaw_rate_radps"][:]
+    with graph_file.open_graphs(path) as graphs:
+        right = model.predict(graphs)
+    np.testing.assert_allclose(right.mean, -left.mean, atol=1e-8)
+    np.testing.assert_allclose(right.sigma, left.sigma, rtol=1e-5)
+    assert np.nanmax(np.abs(left.mean)) > 1e-3
 
 
-def clone(folder: Path, to: Path) -> Path:
-    """Copy this code, dvc.yaml, and the graphs and labels in `folder`."""
-    for name in ("pipeline", "models", "stages"):
-        shutil.copytree(PARAMS.parent / name, to / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("graphs", "labels"):
-        shutil.copytree(folder / name, to / "data" / name)
-    shutil.copy(folder / "params.yaml", to)
-    shutil.copy(PARAMS.parent / "dvc.yaml", to)
-    return to
+@pytest.mark.parametrize("spatial", ["gnn", pytest.param("polar", marks=pytest.mark.slow)])
+def test_the_control_with_another_scene_learns_nothing(folder: Path, spatial: str) -> None:
+    errors = {}
+    for scene in ("same", "another"):
+        write_params(folder, {"predict": "path", "spatial": spatial, "scene": scene}, epochs=12, average=0.0)
+        run_train(folder)
+        errors[scene] = nmse(folder, "train")
+    assert errors["same"] < 0.75
+    assert errors["another"] > 0.9
 
 
-def test_networks_in_processes_of_one_gpu_equal_those_trained_one_after_the_other(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_params(folder, epochs=1, seeds=[0, 7])
-    monkeypatch.setenv("STEER_WORKERS", "2")
-    run_train(folder)  # in two processes
-    expected = contents(folder)
-    shutil.rmtree(folder / "train")
-    gpu, found = torch.device("cuda", 0), {}
-
-    def one_after_the_other(
-        work: partial[None], jobs: Sequence[Run], *, workers: int, threads: int
-    ) -> Iterator[tuple[Run, None]]:
-        found.update(work.keywords, workers=workers)
-        for run in jobs:
-            yield run, work.func(run, job=work.keywords["job"])
-
-    monkeypatch.setattr(distributed, "process_group", lambda: nullcontext((distributed.World(), gpu)))
-    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _: (20 * 10**9, 24 * 10**9))
-    monkeypatch.setattr(train, "run_jobs", one_after_the_other)
-    run_train(folder)
-    assert contents(folder) == expected
-    assert (found["workers"], found["device"], found["readers"]) == (2, gpu, 0)
-
-    monkeypatch.setenv("STEER_WORKERS", "16")
-    drive = next(iter(SPLITS))
-    for free_gb, networks in (0.5, 1), (3.5, 3), (100, 16):
-        monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _, free=int(free_gb * 1e9): (free, free))
-        assert networks_at_once(found["job"], drive, gpu) == networks
-    assert networks_at_once(found["job"], drive, torch.device("cpu")) is None
+@pytest.mark.parametrize(
+    ("frames", "edges_m", "problem"),
+    [
+        (60, [], r"labels/2026.*no path ahead.*dvc repro labels"),
+        (5, EDGES_M, "no window of 4 consecutive frames with a driven path of 5 m ahead"),  # 3.2 m at 8 m/s
+        (20, EDGES_M, "path from 10 to 20 m"),
+    ],
+)
+def test_drives_without_a_path_are_refused(tmp_path: Path, frames: int, edges_m: list[float], problem: str) -> None:
+    artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=20, ahead_m=edges_m)
+    write_params(tmp_path, {"predict": "path"}, epochs=1)
+    with pytest.raises(InputError, match=problem) as raised:
+        run_train(tmp_path)
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "train/net").exists()

@@ -67,7 +67,9 @@ def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: i
     artefacts.write_labels(tmp_path / f"labels/{NAME}.h5", NAME, steering, frame)
     artefacts.write_graphs(tmp_path / f"graphs/{NAME}.h5", NAME, steering, frame, 8, np.random.default_rng(0))
     drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, horizon)
-    assert np.flatnonzero(decisions.near_onsets(drive, decisions.read_turns(drive))).tolist() == list(range(first, 41))
+    assert np.flatnonzero(decisions.near_onsets(drive, decisions.read_turns(drive))[:, 0]).tolist() == list(
+        range(first, 41)
+    )
 
 
 def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path: Path) -> None:
@@ -79,6 +81,6 @@ def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path: Path) -> None
     drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAME, predict="path")
     turns = decisions.read_turns(drive)
     assert turns.frame.tolist() == [30]
-    near, far = decisions.near_onsets_ahead(drive, turns).T
+    near, far = decisions.near_onsets(drive, turns).T
     assert frame[near].tolist() == pytest.approx(np.arange(25, 41), abs=1)
     assert frame[far].tolist() == pytest.approx(np.arange(5, 41), abs=1)

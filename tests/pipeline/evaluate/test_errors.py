@@ -13,30 +13,11 @@ from pipeline.settings.evaluate import Evaluate
 def test_scores_by_hand() -> None:
     result = errors.scores(np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1]))
     assert result["frames"] == 3
-    assert result["mse_rad2"] == pytest.approx((0 + 0.04 + 0.01) / 3)
+    assert result["mse"] == pytest.approx((0 + 0.04 + 0.01) / 3)
     assert result["nmse"] == pytest.approx(0.05 / 0.06)
-    assert result["mae_deg"] == pytest.approx(np.rad2deg(0.1))
-    assert result["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(0.05 / 3)))
-
-
-def test_errors_by_curvature_stand_beside_those_of_zero() -> None:
-    steering, curvature = np.array([0.0, 0.01, 0.2, -0.3]), np.array([0.0, -0.001, 0.07, -0.1])
-    settings = Evaluate(
-        bootstrap_block_frames=2, bootstrap_samples=20, curvature_bins_1pm=[0.005, 0.03], path="bicycle", seed=0
-    )
-    predicted, drive = np.full((1, 4), 0.01), np.zeros(4)
-    straight, slight, sharp = errors.by_curvature(steering, predicted, curvature, drive, settings)
-    assert slight == {"from_1pm": 0.005, "to_1pm": 0.03, "frames": 0}
-    assert (straight["frames"], sharp["frames"], sharp["to_1pm"]) == (2, 2, None)
-    assert sharp["zero"]["mse_rad2"] == pytest.approx((0.04 + 0.09) / 2)
-    assert straight["mse_rad2"] == pytest.approx(0.0001 / 2)
-    assert sharp["nmse_ci95"] is None  # its two frames are one block
-    drives = np.arange(4)
-    *_, sharp = errors.by_curvature(steering, predicted, curvature, drives, settings)
-    low, high = sharp["nmse_ci95"]
-    assert low <= sharp["nmse"] <= high
-    zeros = errors.by_curvature(np.zeros(4), predicted, curvature, drive, settings)
-    assert zeros[0]["nmse_ci95"] is None
+    assert result["mae"] == pytest.approx(0.1)
+    assert result["rmse"] == pytest.approx(np.sqrt(0.05 / 3))
+    assert set(errors.scores(np.empty(0), np.empty(0)).values()) == {0, None}
 
 
 def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> list[float]:
@@ -71,7 +52,7 @@ def test_scores_over_seeds_are_means() -> None:
     alone = [errors.scores(steering, one_seed) for one_seed in seeds]
     both = errors.scores(steering, seeds)
     assert both["frames"] == 400
-    for key in ("mse_rad2", "nmse", "mae_deg"):
+    for key in ("mse", "nmse", "mae"):
         assert both[key] == pytest.approx(np.mean([scores[key] for scores in alone]))
     # An error whose square is the seeds' mean square, frame by frame, has the same interval.
     typical = np.sqrt(((seeds - steering) ** 2).mean(axis=0))
@@ -172,7 +153,7 @@ def test_scores_of_normal_errors_with_known_sigma() -> None:
     assert found["nll_constant"] == pytest.approx(
         np.log(np.sqrt(np.mean([0.01**2, 0.01**2, 0.04**2]))) + entropy, abs=0.01
     )
-    assert found["mae_deg_certain"] == pytest.approx(np.sqrt(2 / np.pi) * np.rad2deg(0.01), rel=0.02)
+    assert found["mae_certain"] == pytest.approx(np.sqrt(2 / np.pi) * 0.01, rel=0.02)
 
 
 def test_too_small_a_sigma_covers_less() -> None:

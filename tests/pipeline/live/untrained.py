@@ -4,13 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, predict
-from pipeline.train.path_target import PathTarget
-from pipeline.train.predict import Target, Trained
+from pipeline.train.labelled_drive import column_names
+from pipeline.train.predict import Trained
+from pipeline.train.scale import Scale
 from tests import artefacts
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_03_drive_0001": "test"}
@@ -35,21 +37,21 @@ def model(folder: Path, spatial: str = "gnn", temporal: str = "lstm", **settings
         contents = graphs.contents
     torch.manual_seed(0)
     entry = Entry.model_validate(line)
-    target: Target | PathTarget = Target(0.0, 0.1, artefacts.WHEELBASE_M, 1.0)
+    scale = Scale(["steering_rad"], np.ones(1), np.array([0.1]), np.zeros(1))
     if entry.predict == "path":
-        target = PathTarget([*EDGES_M], [0.9, 0.5], [0.01, 0.01], artefacts.WHEELBASE_M, 1.0)
-    net = entry.build(**contents.model_dump(), outputs=target.outputs).eval()
-    return Trained("net", 0, None, entry, contents, target, net)
+        scale = Scale(column_names(EDGES_M), np.array([0.9, 0.5]), np.array([0.01, 0.01]), np.zeros(2))
+    net = entry.build(**contents.model_dump(), outputs=len(scale.names)).eval()
+    settings = artefacts.LABELS["labels"] | {"ahead_m": list(EDGES_M)}
+    card = predict.Card(list(DRIVES), 10.0)
+    return Trained("net", 0, [0], None, entry, contents, scale, {"labels": settings}, card, net)
 
 
 def save(trained: Trained, folder: Path) -> Path:
     """Write the model as training does, and return its folder."""
-    about = {name: getattr(trained, name) for name in ("name", "seed", "fold")}
-    about |= {"contents": trained.contents.model_dump(exclude_defaults=True)}
-    about |= {
-        "model": trained.entry.model_dump(mode="json"),
-        "target": vars(trained.target),
-        "net": trained.net.state_dict(),
-    }
-    checkpoint.write(folder / trained.name / "best.pt", {**about, "kind": predict.KIND})
+    about = {name: getattr(trained, name) for name in ("name", "seed", "seeds", "fold", "settings")}
+    about |= {"contents": trained.contents.model_dump(), "card": trained.card._asdict()}
+    about |= {"entry": trained.entry.model_dump(mode="json"), "scale": trained.scale.content}
+    checkpoint.write(
+        folder / trained.name / "best.pt", {**about, "net": trained.net.state_dict(), "kind": predict.KIND}
+    )
     return folder / trained.name

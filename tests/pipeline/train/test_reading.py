@@ -16,6 +16,7 @@ from pipeline.settings.train import Train
 from pipeline.train import augment, fit, predict, reading, windows
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.reading import Reader, TrainStep
+from pipeline.train.scale import Scale
 from tests import artefacts, small_model
 
 
@@ -92,13 +93,13 @@ def test_predictions_are_the_same_with_each_reader(drives: list[LabelledDrive], 
     entry = Entry.model_validate(
         {"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 4, "semantics": 0.0}
     )
-    net, target = entry.build("graph"), predict.Target.from_drives(drives)
-    (expected,) = predict.predict_drives(net, drives[1:], 4, target)
+    net, scale = entry.build("graph"), Scale.from_drives(drives)
+    (expected,) = predict.predict_drives(net, drives[1:], 4, scale)
     with Reader(drives, 4, torch.device("cpu"), workers=workers) as reader:
         read = partial(reader.predictions, first=1)
-        (predicted,) = predict.predict_drives(net, drives[1:], 4, target, read=read)
-    np.testing.assert_array_equal(predicted.steering_rad, expected.steering_rad, strict=True)
-    assert np.isfinite(predicted.steering_rad).any()
+        (predicted,) = predict.predict_drives(net, drives[1:], 4, scale, read=read)
+    np.testing.assert_array_equal(predicted.mean, expected.mean, strict=True)
+    assert np.isfinite(predicted.mean).any()
 
 
 def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[LabelledDrive], tmp_path: Path) -> None:
@@ -110,13 +111,13 @@ def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[LabelledDriv
     runs = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
     with Reader(moving, 4, torch.device("cpu"), workers=0) as reader:
         shown, half = reader[TrainStep(runs)], reader[TrainStep(runs, hide_motion=np.array([False, True]))]
-    assert (shown["base_rad"] != 0).all()
+    assert (shown["base"] != 0).all()
     assert (shown["motion"][:, 3] == 1).all()
-    for name in ("motion", "base_rad"):
+    for name in ("motion", "base"):
         first = len(shown[name]) // 2
         assert torch.equal(half[name][:first], shown[name][:first])
         assert not half[name][first:].any()
-    assert torch.equal(half["steering_rad"], shown["steering_rad"])
+    assert torch.equal(half["target"], shown["target"])
 
 
 @pytest.mark.parametrize(("ahead", "motion", "hides"), [(5, True, True), (0, True, False), (5, False, False)])
@@ -128,8 +129,8 @@ def test_motion_is_hidden_from_half_of_the_runs_if_the_target_lies_ahead(
     line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
     entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
-    fitting = fit.Fit(entry.build("graph"), 4, 0.0, settings, seed=0)
-    _, steps = fitting._plan(drives, epoch=1)
+    fitting = fit.Fit(entry.build("graph"), entry, settings, seed=0)
+    steps = fitting._plan(drives, epoch=1)
     hidden = [step.hide_motion for step in steps if step.hide_motion is not None]
     assert bool(hidden) == hides
     assert not hides or 0.3 < np.concatenate(hidden).mean() < 0.7

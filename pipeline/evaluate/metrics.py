@@ -1,0 +1,162 @@
+"""Compute the metrics of one split, column by column, as written to metrics.json."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from pipeline.evaluate import decisions, errors, paths
+from pipeline.graphs.graph_file import open_graphs
+from pipeline.settings.evaluate import Evaluate
+from pipeline.train.labelled_drive import LabelledDrive
+from pipeline.train.scale import Prediction, Scale
+
+
+@dataclass(frozen=True)
+class Case:
+    """A drive with the predictions of a model's S seeds for its G frames in R columns."""
+
+    drive: LabelledDrive
+    predictions: Sequence[Prediction]  # [S]
+    scale: Scale
+
+    @cached_property
+    def turns(self) -> decisions.Turns:
+        """The onsets of turns in the drive."""
+        return decisions.read_turns(self.drive)
+
+    def baselines(self) -> dict[str, np.ndarray]:
+        """Return the values [G,R] of predictors that do not use the scene.
+
+        - zero: always straight ahead.
+        - train_mean: the mean of the training targets.
+        - persistence: the last true angle before the target frame. No model gets it as input. Not for a path, whose
+          truth is in the future.
+        - odometry: measured at the last input frame; 0 before the first measurement, NaN in a drive without one.
+        - regression: odometry times its regression coefficient on the training drives.
+        """
+        drive, scale = self.drive, self.scale
+        values = {"zero": np.zeros_like(drive.truth), "train_mean": np.broadcast_to(scale.mean, drive.truth.shape)}
+        if drive.persistence is not None:
+            values["persistence"] = drive.persistence
+        if drive.odometry is not None:
+            measured = np.isfinite(drive.odometry).any()
+            values["odometry"] = np.nan_to_num(drive.odometry) if measured else drive.odometry
+            if scale.odometry_gain is not None:
+                values["regression"] = scale.odometry_gain * values["odometry"]
+        return values
+
+    def track(self, settings: Evaluate) -> paths.Track:
+        """Return the drive's true path, of a model that predicts the angle."""
+        return paths.Track(
+            time_s=self.drive.time_s,
+            speed_mps=self.drive.speed_mps,
+            steering_rad=np.nan_to_num(self.drive.target[:, 0]),
+            onsets=np.flatnonzero(np.isin(self.drive.frame, self.turns.frame)),
+            wheelbase_m=self.drive.car.wheelbase_m,
+            formula=settings.path,
+        )
+
+
+def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
+    """Return column → errors, confidence interval, baselines, and errors by curvature, by drive, without decisions.
+
+    Only frames with a valid target and a prediction are scored; `without_decisions` leaves out `decisions.near_onsets`.
+    """
+    baselines = [case.baselines() for case in cases]
+    common = [name for name in baselines[0] if all(name in others for others in baselines)]
+    parts = [_values(case) | {name: of[name] for name in common} for case, of in zip(cases, baselines, strict=True)]
+    values = {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}  # [...,N,R]
+    drive = np.repeat(np.arange(len(cases)), [len(case.drive.frame) for case in cases])
+    names = [case.drive.name for case in cases]
+    result = {}
+    for number, column in enumerate(cases[0].drive.columns):
+        scored = np.isfinite(values["truth"][:, number]) & np.isfinite(values["predicted"][0, :, number])
+        of_column = {name: array[..., scored, number] for name, array in values.items()}
+        result[column] = _scores(of_column, drive[scored], names, common, settings)
+        result[column]["drift_m_per_100m"] = _drift(cases, settings)
+    return result
+
+
+def _values(case: Case) -> dict[str, np.ndarray]:
+    """Return arrays [G,R]; predictions, σ and halves of 95 % intervals of the seeds [S,G,R]."""
+    mean, sigma, half_95 = zip(*case.predictions, strict=True)
+    values = {"truth": case.drive.truth, "curvature": case.drive.curvature_1pm, "predicted": np.stack(mean)}
+    if sigma[0] is not None:
+        values |= {"sigma": np.stack(sigma), "half_95": np.stack(half_95)}
+    return values | {"near_onset": decisions.near_onsets(case.drive, case.turns)}
+
+
+def _scores(
+    values: dict[str, np.ndarray], drive: np.ndarray, names: Sequence[str], baselines: Sequence[str], settings: Evaluate
+) -> dict[str, Any]:
+    """Return the metrics of a column: `values` [N] or [S,N] of the scored frames, and the numbers of their drives."""
+    truth, predicted, curvature = values["truth"], values["predicted"], np.abs(values["curvature"])
+    error = ((predicted - truth) ** 2).mean(axis=0)
+    by_seed = [errors.scores(truth, one_seed)["nmse"] for one_seed in predicted]
+
+    def scores(rows: np.ndarray) -> dict[str, Any]:
+        others = {name: errors.scores(truth[rows], values[name][rows]) for name in baselines}
+        return errors.scores(truth[rows], predicted[:, rows]) | {"baselines": others}
+
+    def with_interval(rows: np.ndarray) -> dict[str, Any]:
+        return scores(rows) | {"nmse_ci95": errors.interval(error[rows], truth[rows], drive[rows], settings)}
+
+    bins = []
+    for low, high in pairwise([0.0, *settings.curvature_bins_1pm, np.inf]):
+        rows = (curvature >= low) & (curvature < high)
+        bounds = {"from_1pm": low, "to_1pm": None if np.isinf(high) else high}
+        inside: dict[str, Any] = with_interval(rows) if rows.any() else {"frames": 0, "baselines": {}}
+        bins.append(bounds | inside | {"zero": inside.pop("baselines").get("zero")})
+    everything = np.ones(len(truth), bool)
+    certain = errors.uncertainty(truth, predicted, values["sigma"], values["half_95"]) if "sigma" in values else None
+    return with_interval(everything) | {
+        "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
+        "by_curvature": bins,
+        "by_drive": {name: scores(drive == number) for number, name in enumerate(names)},
+        "without_decisions": with_interval(~values["near_onset"].astype(bool)),
+        "uncertainty": certain,
+    }
+
+
+def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:
+    """Return the mean over seeds of :func:`paths.drift`; None with a horizon and for a path."""
+    if cases[0].drive.horizon or cases[0].drive.ahead_m:
+        return None
+    tracks = [case.track(settings) for case in cases]
+    by_seed = [
+        paths.drift(zip(tracks, (seed.mean[:, 0] for seed in seeds), strict=True))
+        for seeds in zip(*(case.predictions for case in cases), strict=True)
+    ]
+    values = [value for value in by_seed if value is not None]
+    return float(np.mean(values)) if values else None
+
+
+def columns(cases: Sequence[Case]) -> dict[str, dict[str, Any]]:
+    """Return column → unit, range in metres, and regression coefficient on odometry, the mean over training runs."""
+    gains = [case.scale.odometry_gain for case in cases if case.scale.odometry_gain is not None]
+    mean = np.mean(gains, axis=0).tolist() if gains else None
+    ranges: list[Any] = [*pairwise(cases[0].drive.ahead_m)] or [(None, None)]
+    unit = "1/m" if cases[0].drive.ahead_m else "rad"
+    return {
+        name: {"unit": unit, "from_m": near, "to_m": far, "odometry_gain": mean and mean[number]}
+        for number, (name, (near, far)) in enumerate(zip(cases[0].drive.columns, ranges, strict=True))
+    }
+
+
+def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
+    """Return settings of the drives' graph variant, and means per frame; None where a file has none.
+
+    Means are of points, and of directed kNN edges after and before pruning.
+    """
+    counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}
+    for drive in drives:
+        with open_graphs(drive.graphs) as graphs:
+            for name, values in graphs.counts.items():
+                counts[name].append(values)
+    points, knn, edges = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
+    sizes = {"points_per_frame": points, "edges_per_frame": edges, "edges_per_frame_unpruned": knn}
+    return {"variant": drives[-1].settings.get("graphs", {}), **sizes}

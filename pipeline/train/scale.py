@@ -1,0 +1,122 @@
+"""Scale of a network's outputs, from the training drives, and its predictions. Angle and path differ in R alone."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.train.labelled_drive import LabelledDrive
+
+WITHIN = 0.6827  # share of a normal distribution within one standard deviation
+
+
+class Prediction(NamedTuple):
+    """Predictions for G frames in R columns, float64 [G,R], left positive; NaN where no complete window ends.
+
+    With uncertainty also the standard deviation, and half of the 95 % interval.
+    """
+
+    mean: np.ndarray
+    sigma: np.ndarray | None = None
+    half_95: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Scale:
+    """y = gain · base + std · output, in each of R columns.
+
+    base is the measured angle or curvature of the window's last frame, or 0, see `base` of a model's entry. For an
+    angle gain is 1, for a range of the path the regression coefficient of y on base; std is the standard deviation of
+    y - gain · base. So output 0 means the best prediction from base alone. With uncertainty, σ = std · sigma_factor ·
+    exp(output R + r), and the 95 % interval is ± interval_95 · σ. The mean of y, and its regression coefficient on
+    odometry, are for baselines.
+    """
+
+    names: list[str]  # columns, see labelled_drive.column_names
+    gain: np.ndarray  # float64 [R], as the following
+    std: np.ndarray
+    mean: np.ndarray
+    odometry_gain: np.ndarray | None = None
+    sigma_factor: np.ndarray = field(default_factory=lambda: np.ones(1))  # [R] or [1]
+    interval_95: np.ndarray = field(default_factory=lambda: np.full(1, 1.96))
+
+    @classmethod
+    def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Scale":
+        """Raise InputError if the drives never drive on to the end of a range of the path."""
+        edges_m, y = drives[0].ahead_m, np.concatenate([drive.truth for drive in drives])
+        for (near, far), driven in zip(pairwise(edges_m), np.isfinite(y).any(axis=0), strict=False):
+            if not driven:
+                names = ", ".join(drive.name for drive in drives)
+                problem = f"predict: path: no frame is followed by a path from {near:g} to {far:g} m in {names}"
+                raise InputError(problem, drives[0].labels.parent, "Add longer drives, or shorten labels.ahead_m")
+        base = np.concatenate([drive.base for drive in drives])[:, None]
+        gain = _regress(base, y) if edges_m else np.ones(1)
+        std = np.maximum(np.nanstd(y - gain * base, axis=0), 1e-6)  # 0 for a straight road
+        measured = [drive.odometry for drive in drives if drive.odometry is not None]
+        odometry_gain = _regress(np.concatenate(measured), y) if len(measured) == len(drives) else None
+        return cls(drives[0].columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
+
+    @classmethod
+    def parse(cls, content: dict[str, Any]) -> "Scale":
+        """Return the scale of :attr:`content`. Raises TypeError or ValueError."""
+        values: dict[str, Any] = {name: value and np.array(value) for name, value in content.items()}
+        return cls(**values | {"names": content["names"]})
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The fields as lists."""
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in asdict(self).items()
+        }
+
+    def encode(self, y: np.ndarray, base: np.ndarray) -> np.ndarray:
+        """Return the outputs [W,R] that the network should have, in the precision of y [W,R], for base [W]."""
+        gain, std = self.gain.astype(y.dtype), self.std.astype(y.dtype)
+        return np.asarray((y - gain * base[:, None]) / std)
+
+    def decode(self, output: np.ndarray, base: np.ndarray) -> Prediction:
+        """Return the predictions of outputs [G,R], with uncertainty [G,2R], for base [G]."""
+        columns = len(self.names)
+        mean = self.gain * base[:, None] + self.std * output[:, :columns]
+        if output.shape[1] == columns:
+            return Prediction(mean)
+        sigma = self.std * self.sigma_factor * np.exp(output[:, columns:])
+        return Prediction(mean, sigma, self.interval_95 * sigma)
+
+    def calibrated(self, drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> "Scale":
+        """Return the scale with σ and the 95 % interval fitted to the errors on drives of validation.
+
+        Training errors are smaller than those on new drives, so σ fitted to them is too small. The factor of an angle
+        has the highest likelihood, that of a path covers WITHIN of the errors, since those at junctions are large. The
+        interval covers 95 %, since large errors are more frequent than in a normal distribution. A column without
+        errors is left as it is.
+        """
+        truth = np.concatenate([drive.truth for drive in drives])
+        mean, sigma = (np.concatenate(values) for values in list(zip(*predictions, strict=True))[:2])
+        factor, interval = np.ones(len(self.names)), np.full(len(self.names), 1.96)
+        for column, ratio in enumerate((np.abs(mean - truth) / sigma).T):
+            if len(known := ratio[np.isfinite(ratio)]):
+                path = bool(drives[0].ahead_m)
+                factor[column] = np.quantile(known, WITHIN) if path else np.sqrt(np.mean(known**2))
+                interval[column] = np.quantile(known, 0.95) / factor[column]
+        return replace(self, sigma_factor=factor, interval_95=interval)
+
+
+def nmse(drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> float:
+    """Return the mean over the columns of MSE / MSE of predicting 0; NaN if every target is 0."""
+    truth = np.concatenate([drive.truth for drive in drives])
+    error = np.concatenate([prediction.mean for prediction in predictions]) - truth
+    zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
+    known = zero > 0
+    return float((np.nansum(error**2, axis=0)[known] / zero[known]).mean()) if known.any() else np.nan
+
+
+def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the regression coefficients [R] of y [N,R] on x [N,R] or [N,1], without offset; 0 if x is 0."""
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
+    square = (x**2).sum(axis=0)
+    return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)

@@ -1,4 +1,4 @@
-"""The command line: steer predict, measure, import, show and diff."""
+"""The command line: steer predict, measure, import and show."""
 
 from pipeline.base import startup
 

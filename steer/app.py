@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.base.console import App, guarded
-from steer import artefacts, import_, measure, predict
+from steer import import_, measure, predict, show
 
 app = App(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
@@ -42,8 +42,7 @@ _NO_DRIVE = "No drive was written; repeat the command"
 _add("predict", predict.predict, _UNFINISHED, help=predict.__doc__)
 _add("measure", measure.measure, _UNFINISHED, help=measure.__doc__)
 _add("import", import_.import_recording, _NO_DRIVE, help=import_.__doc__)
-_add("show", artefacts.show, "Files that were written are complete")
-_add("diff", artefacts.diff, "Nothing was written")
+_add("show", show.show, "Nothing was written")
 
 if __name__ == "__main__":
     app(prog_name="steer")

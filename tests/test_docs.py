@@ -47,7 +47,7 @@ def test_there_are_seven_short_pages() -> None:
 
 
 def test_examples_name_drives_and_frames_of_the_sample() -> None:
-    texts = [(ROOT / name).read_text() for name in ("README.md", "pipeline/train/predict.py", "steer/artefacts.py")]
+    texts = [(ROOT / name).read_text() for name in ("README.md", "pipeline/train/predict.py", "steer/show.py")]
     drives = load(Ingest, ROOT / "params.yaml").drives.splits()
     last = load(Sample, ROOT / "params.yaml").frames.test - 1
     for text in texts:

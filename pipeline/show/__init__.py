@@ -1,1 +1,1 @@
-"""Describe, draw and compare artefacts: `steer show` and `steer diff`."""
+"""Describe and draw files of the stages, for `steer show`."""

@@ -18,66 +18,52 @@ from pipeline.report.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.report.results import Group, Row
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
-CHAIN_POINTS = 300
+CHAIN_POINTS, BEND_DEG = 300, 5.0  # of the chain: points of its graph, and the least angle of a bend
 MAX_ERRORS, APART_S = 6, 1.0  # frames with the largest errors, and the least time between them
 Captions = dict[str, str]
 """Name of the file without suffix → caption."""
 
 
 def draw(out: Path, groups: Sequence[Group], data: Path) -> Captions:
-    """Draw a frame's way from image to steering, a frame's perception, and the largest errors of each best model.
+    """Draw a frame's way from image to steering, and the largest errors of each group's best model.
 
     Pictures whose files are not in the stages' folders below `data` are left out, as on a machine that only trains.
     """
-    captions: Captions = {}
-    for group in groups[:1]:
-        captions |= _draw_frames(out, group, data)
+    captions = _draw_typical_bend(out / "chain.png", groups[0], data) if groups else {}
     for group in groups:
         captions |= _draw_errors(out / f"errors-{group.key}", group, data / "ingest")
     return captions
 
 
-def _draw_frames(out: Path, group: Group, data: Path) -> Captions:
-    """Draw the chain and the perception of frames: the sharpest left turn of drives, as the best model predicts."""
-    model = group.by_error[0]
-    steering = group.first_seed(model["model"])
-    predicted = steering.dropna(subset=["true_deg", "predicted_deg"])
-    rows = predicted.loc[predicted.groupby("drive")["predicted_deg"].idxmax()].sort_values("predicted_deg")
-    views = [
-        (drive, view)
-        for drive, number in rows[["drive", "frame"]].itertuples(index=False, name=None)
-        if (view := _read_view(data, drive, number))
-    ]
-    if not views:
+def _draw_typical_bend(path: Path, group: Group, data: Path) -> Captions:
+    """Draw the chain of the best model with a graph, in the drive of median error among those that bend left."""
+    model = next((row for row in group.by_error if row["variant"].get("k")), None)
+    if model is None:
         return {}
-    drive, view = views[-1]
-    captions = {}
-    if model["variant"].get("k"):
-        draw_chain(out / "chain.png", model, view, steering[steering["drive"] == drive])
-        captions["chain"] = (
-            f"From image to steering (Figure 1 of the paper): frame {view.frame} of {drive}. {model['model']} gets the "
-            f"graphs of {model['entry']['window']} such frames, with {model['points_per_frame']:,.0f} points each."
-        )
-    drive, view = views[0]
-    figure_file.save(street_view.sheet(drive, [view]), out / "street.png")
-    names = ", ".join(["image", *[*view.images()][1:], "cloud from above"])
-    captions["street"] = f"{drive}, frame {view.frame}: {names} (Figure 2 of the paper)."
-    return captions
-
-
-def _read_view(data: Path, drive: str, number: int) -> street_view.View | None:
-    """Read a frame's image, perception and cloud; None if a file or the frame is missing."""
-    paths = {folder: data / folder / f"{drive}.h5" for folder in _FOLDERS}
-    if not all(path.is_file() for path in paths.values()):
-        return None
+    steering = group.first_seed(model["model"])
+    known = steering.assign(cost=(steering["predicted_deg"] - steering["true_deg"]) ** 2).dropna(subset="cost")
+    sharpest = known.loc[known.groupby("drive")["true_deg"].idxmax()].set_index("drive")
+    bends = sharpest[sharpest["true_deg"] >= min(BEND_DEG, sharpest["true_deg"].max())]
+    costs = known.groupby("drive")["cost"].sum()[bends.index].sort_values()
+    drive = str(costs.index[len(costs) // 2])
+    number = int(bends.loc[drive, "frame"])
+    paths = {folder.split("/")[0]: data / folder / f"{drive}.h5" for folder in _FOLDERS}
+    if not all(file.is_file() for file in paths.values()):
+        return {}
     with ExitStack() as stack:
-        files = [
-            stack.enter_context(store.DriveReader(path, stage=folder.split("/")[0])) for folder, path in paths.items()
-        ]
-        return street_view.read_view(number, *files) if all(number in file.frame for file in files) else None
+        files = [stack.enter_context(store.DriveReader(file, stage=stage)) for stage, file in paths.items()]
+        if not all(number in file.frame for file in files):
+            return {}
+        view = street_view.read_view(number, *files)
+    _draw_chain(path, model, view, steering[steering["drive"] == drive])
+    caption = (
+        f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, in a drive of median error of "
+        f"{model['model']}, which gets {model['entry']['window']} graphs with {model['points_per_frame']:,.0f} points."
+    )
+    return {path.stem: caption}
 
 
-def draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.DataFrame) -> None:
+def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.DataFrame) -> None:
     """Draw image, depth, classes, cloud, pruned graph, and the predicted angles [F] over the drive of `view`."""
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])

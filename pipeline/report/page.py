@@ -57,7 +57,7 @@ def write_page(
     sections: dict[str, Content] = {
         "Results": tables[: len(groups)],
         **{f"Test drives: {group.title}": _test_drives(group, look) for group in groups},
-        "Pictures": [*pictures.values()],
+        "Largest errors": [*pictures.values()],
         "Graphs in 3D": _graphs(groups, data / "evaluate"),
         "Learning curves": _learning(groups, look, data / "train"),
         "Models in detail": tables[len(groups) :],

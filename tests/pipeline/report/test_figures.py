@@ -36,11 +36,13 @@ def test_pictures_show_what_the_encoder_has(
         for name in (f"perception/{DRIVE}.h5", f"clouds/pseudo/{DRIVE}.h5"):
             with h5py.File(tmp_path / name, "a") as file:
                 file["cls"][:] = VOID
-    examples.write_model(tmp_path, metrics("net"), examples.predictions(0.01).query("drive == @DRIVE and frame < 9"))
-    captions = figures.draw(tmp_path / "figures", load_groups(tmp_path / "evaluate", ["net"]), tmp_path)
-    assert [*captions] == ["chain", "street", "errors-angle-0"]
+    table = examples.predictions(0.01).query("drive == @DRIVE and frame < 9")
+    examples.write_model(tmp_path, metrics("without", 0.1) | {"variant": {}}, table)
+    examples.write_model(tmp_path, metrics("net"), table)
+    captions = figures.draw(tmp_path / "figures", load_groups(tmp_path / "evaluate", ["without", "net"]), tmp_path)
+    assert "of net, which" in captions["chain"]
+    assert [*captions] == ["chain", "errors-angle-0"]
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {f"{name}.png" for name in captions}
-    assert ("classes" in captions["street"]) == with_classes
     assert any("classes" in title for title in titles) == with_classes
     (edges,) = [title for title in titles if "directed edges" in title]
     assert (" of 1,800 " in edges) == with_classes

@@ -21,7 +21,7 @@ EVIL = "x</script><script>alert(1)</script>"
 MODELS = ("net", "ahead", "path")
 SECTIONS = [
     "Results", "Test drives: steering angle", "Test drives: steering angle, 10 frames ahead",
-    "Test drives: path ahead", "Pictures", "Graphs in 3D", "Learning curves", "Models in detail",
+    "Test drives: path ahead", "Largest errors", "Graphs in 3D", "Learning curves", "Models in detail",
 ]  # fmt: skip
 
 
@@ -38,14 +38,14 @@ def data(tmp_path: Path) -> Path:
     }  # fmt: skip
     store.write_json(tmp_path / "evaluate/net/structure.json", dict.fromkeys([*examples.DRIVES, EVIL], graph))
     (tmp_path / "figures").mkdir()
-    for name in ("street", "chain"):
+    for name in ("errors-angle-0", "chain"):
         cv2.imwrite(str(tmp_path / f"figures/{name}.png"), rng.integers(0, 255, (60, 200, 3), np.uint8))
     return tmp_path
 
 
 def write(data: Path) -> str:
     groups = load_groups(data / "evaluate", MODELS)
-    captions = {"chain": "Figure 1.", "street": "Figure 2."}
+    captions = {"chain": "Figure 1.", "errors-angle-0": "Errors."}
     built = tables.steering_tables(groups, SETTINGS)
     write_page(data / "index.html", ["A sentence <b>."], groups, built, [], captions, data)
     return (data / "index.html").read_text(encoding="utf-8")

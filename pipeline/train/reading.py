@@ -5,12 +5,9 @@ process at a time, and numpy holds Python's lock. Random numbers depend on the s
 the reader.
 """
 
-import math
-import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,15 +25,14 @@ from pipeline.train.prefetch import prefetch
 AHEAD = 4  # batches per process
 Targets = Callable[[Mapping[str, Tensor]], dict[str, Tensor]]
 """Arrays of a batch → further arrays, computed where it is read."""
-SHARED_MEMORY = Path("/dev/shm")  # where torch's processes put batches; 64 MB in a container by default
 
 
 @dataclass(frozen=True)
 class TrainStep:
     """One batch: spans of frames, and the factors of their lengths."""
 
-    runs: tuple[windows.Span, ...]
-    factor: np.ndarray | None = None  # float32, one per run; None: lengths as they are
+    spans: tuple[windows.Span, ...]
+    factor: np.ndarray | None = None  # float32, one per span; None: lengths as they are
     hide_motion: np.ndarray | None = None  # bool, one per run: motion is not measured, and the base angle is 0
 
 
@@ -59,63 +55,40 @@ class Reader(Dataset[dict[str, Any]]):
         self._opened: dict[int, graph_file.Graphs] = {}
         self._files = ExitStack()
         self._epoch: list[TrainStep] = []  # the loader's sampler; its processes live for several epochs
+        on_gpu = device.type == "cuda"
         if workers is None:
-            workers = default_workers() if device.type == "cuda" else 0
-        self._workers, self._pin = workers, device.type == "cuda"
-        self._loader: DataLoader[dict[str, Any]] | None = None
+            workers = default_workers() if on_gpu else 0
+        options: dict[str, Any] = {}
+        if workers:
+            options = {"prefetch_factor": AHEAD, "persistent_workers": True, "multiprocessing_context": "forkserver"}
+        self._workers, generator = workers, torch.Generator()  # its own: the loader draws a number for its processes
+        self._loader: DataLoader[dict[str, Any]] | None = DataLoader(
+            self,
+            batch_size=None,
+            sampler=self._epoch,
+            num_workers=workers,
+            pin_memory=on_gpu,
+            generator=generator,
+            **options,
+        )
 
     def batches(self, steps: Sequence[TrainStep]) -> Generator[dict[str, Any]]:
         """Yield the steps' batches in order."""
         self._epoch[:] = steps
-        if self._workers and not self._loader and steps:
-            self._start(max(steps, key=lambda step: sum(run.stop - run.start for run in step.runs)))
-        if self._loader:
-            yield from self._loader
-        else:
-            yield from prefetch(self._pinned(self[step]) for step in steps)
+        assert self._loader, "the reader is closed"
+        yield from self._loader if self._workers else prefetch(batch for batch in self._loader)
 
     def predictions(self, spans: Sequence[windows.Span], first: int) -> Generator[dict[str, Any]]:
         """Yield a batch per span, whose drives are numbered from drive `first` of this reader on."""
         return self.batches([TrainStep((replace(span, drive=span.drive + first),)) for span in spans])
 
-    def _start(self, largest: TrainStep) -> None:
-        """Start as many processes as the shared memory has space for batches; none, with a note, if it is too small."""
-        batch_bytes = sum(tensor.nbytes for tensor in self[largest].values())
-        free_bytes = shutil.disk_usage(SHARED_MEMORY).free if SHARED_MEMORY.is_dir() else 0
-        # Half of the space, as validation's batches may be larger. Two batches are in use while others are read.
-        ahead = free_bytes // 2 // batch_bytes - 2
-        workers = max(0, min(self._workers, ahead))
-        if ahead < self._workers * AHEAD:
-            needed_gb = 2 * (self._workers * AHEAD + 2) * batch_bytes / 1e9
-            readers = f"{workers} processes read" if workers else "one thread reads"
-            print(
-                f"note: {SHARED_MEMORY} has {free_bytes / 1e6:.0f} MB free, so {readers} ahead. {self._workers} "
-                f"processes need {needed_gb:.1f} GB; in a container: docker run --shm-size={math.ceil(needed_gb)}g",
-                flush=True,
-            )
-        self._workers = workers
-        if self._workers:
-            self._loader = DataLoader(
-                self,
-                batch_size=None,
-                sampler=self._epoch,
-                num_workers=self._workers,
-                prefetch_factor=min(AHEAD, ahead // self._workers),
-                persistent_workers=True,
-                pin_memory=self._pin,
-                multiprocessing_context="forkserver",
-            )
-
-    def _pinned(self, batch: dict[str, Any]) -> dict[str, Any]:
-        return {name: tensor.pin_memory() for name, tensor in batch.items()} if self._pin else batch
-
     def __getitem__(self, step: TrainStep) -> dict[str, Any]:
         """Return the arrays of a batch as tensors, which can be pinned."""
-        for drive in {run.drive for run in step.runs} - self._opened.keys():
+        for drive in {span.drive for span in step.spans} - self._opened.keys():
             graphs = graph_file.open_graphs(self._drives[drive].graphs)
             self._opened[drive] = self._files.enter_context(graphs)
-        (batch,) = windows.batches(self._drives, [step.runs], self._window, self._opened)
-        lengths = [run.stop - run.start for run in step.runs]
+        (batch,) = windows.batches(self._drives, [step.spans], self._window, self._opened)
+        lengths = [span.stop - span.start for span in step.spans]
         if step.factor is not None:
             batch = rescale(batch, np.repeat(step.factor, lengths), self._drives[0].ahead_m)
         if step.hide_motion is not None:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import yaml
 
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import augment, fit, predict, reading, windows
+from pipeline.train import augment, fit, predict, windows
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.reading import Reader, TrainStep
 from pipeline.train.scale import Scale
@@ -38,7 +37,7 @@ def planned(seed: int) -> list[TrainStep]:
 
 
 def expected_batch(drives: Sequence[LabelledDrive], step: TrainStep) -> dict[str, np.ndarray]:
-    (batch,) = windows.batches(drives, [step.runs], 4)
+    (batch,) = windows.batches(drives, [step.spans], 4)
     return augment.rescale(batch, np.repeat(step.factor, 9))
 
 
@@ -56,35 +55,6 @@ def test_batches_equal_the_reference(drives: list[LabelledDrive], workers: int) 
             steps = planned(epoch)
             for step, batch in zip(steps, reader.batches(steps), strict=True):
                 same(batch, expected_batch(drives, step))
-
-
-@pytest.mark.parametrize(
-    ("free_batches", "processes", "note"), [(100, 2, ""), (8, 2, "2 processes read"), (1, 0, "one thread reads")]
-)
-def test_shared_memory_limits_the_processes(
-    drives: list[LabelledDrive],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    free_batches: int,
-    processes: int,
-    note: str,
-) -> None:
-    (step, *_) = steps = planned(0)
-    with Reader(drives, 4, torch.device("cpu"), workers=0) as reader:
-        batch_bytes = sum(tensor.nbytes for tensor in reader[step].values())
-    monkeypatch.setattr(reading.shutil, "disk_usage", lambda _: SimpleNamespace(free=int(free_batches * batch_bytes)))
-    started = []
-    monkeypatch.setattr(reading, "DataLoader", lambda reader, **options: started.append(options) or [])
-    with Reader(drives, 4, torch.device("cpu"), workers=2) as reader:
-        read = list(reader.batches(steps))
-    assert sum(options["num_workers"] for options in started) == processes
-    assert all(2 * (2 + options["prefetch_factor"] * 2) <= free_batches for options in started)
-    printed = capsys.readouterr().out
-    assert note in printed
-    assert bool(note) == printed.startswith("note: /dev/shm has")
-    if not processes:
-        for batch, step in zip(read, steps, strict=True):
-            same(batch, expected_batch(drives, step))
 
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])

@@ -9,7 +9,7 @@ from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
 from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.frames import describe, ingest_kitti
-from pipeline.kitti.raw import RawDrive, find_drives
+from pipeline.kitti.raw import KittiDrive, find_drives
 from pipeline.settings.ingest import Ingest
 
 _FIXES = {
@@ -31,14 +31,14 @@ def main(
     """
     settings = load(Ingest, params)
     splits, sources = settings.drives.splits(), settings.sources()
-    drives: dict[str, RawDrive] = {}
+    drives: dict[str, KittiDrive] = {}
     for source, root in {"sample": sample, "kitti": raw}.items():
         names = [drive for drive in splits if sources[drive] == source]
         if names and not root.is_dir():
             raise InputError("folder is missing", root, _FIXES[source].format(root=root))
         drives |= find_drives(root, names) if names else {}
     for drive, manifest in settings.manifests.items():
-        if drive in drives and drives[drive].manifest != manifest:
+        if drive in drives and drives[drive].manifest() != manifest:
             fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"
             raise InputError("drive was imported again, ingest.manifests has the one before", drives[drive].folder, fix)
     if settings.source == "both":

@@ -12,43 +12,47 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image, to_metres
 from pipeline.kitti import oxts, steering_file
 from pipeline.kitti.ingest_file import ingest_drive
-from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.settings.ingest import Reading
 
 
 def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:
-    """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image."""
-    raw = RawDrive(folder)
-    number = raw.camera_number(settings.cameras)
-    camera = None if number is None else raw.camera(number)
-    if settings.lidar and raw.scans and (camera is None or camera.T_cam_velo is None):
+    """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image.
+
+    Raises InputError if packets, times or the calibration are missing; DamagedFile that lists all damaged files.
+    """
+    files = KittiDrive(folder)
+    number = files.camera_number(settings.cameras)
+    camera = None if number is None else files.camera(number)
+    scans = files.scans if settings.lidar else {}
+    if scans and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
-        raise InputError(problem, raw.calibration, "Extract the date's calibration archive, or set ingest.lidar: false")
+        fix = "Extract the date's calibration archive, or set ingest.lidar: false"
+        raise InputError(problem, files.calibration, fix)
     reader = _Reader(tolerant=settings.on_damaged == "skip")
-    numbers, times = raw.timeline(number)
-    packets = {
-        frame: row for frame in numbers if (row := reader.read("oxts", oxts.read_row, raw.oxts, frame)) is not None
-    }
-    if not packets and (raw.oxts or not numbers or raw.oxts_times.parent.is_dir()):
+    numbers, times = files.timeline(number)
+    rows = {frame: reader.read("oxts", oxts.read_row, files.oxts, frame) for frame in numbers}
+    packets = {frame: row for frame, row in rows.items() if row is not None}
+    if not packets and (files.oxts or not numbers or files.oxts_times.parent.is_dir()):
         reader.raise_damaged()
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
-        raise InputError("drive has no oxts packets", raw.oxts_times.parent, fix)
+        raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
     time_s = dict(zip(numbers, oxts.read_times(times, numbers).tolist(), strict=True))
-    frames = {frame: time_s[frame] for frame in packets or numbers}
-    images = {} if number is None else raw.images(number)
+    images = {} if number is None else files.images(number)
+    truth = {"depth": files.truth_depth, "cls": files.truth_cls}
     summary = ingest_drive(
-        _frames(raw, camera, images, raw.scans if settings.lidar else {}, frames, reader),
+        _frames({frame: time_s[frame] for frame in packets or numbers}, camera, images, truth, scans, reader),
         path,
         drive=drive,
         camera=camera,
         settings=settings,
-        truth=[name for name, files in (("depth", raw.truth_depth), ("cls", raw.truth_cls)) if camera and files],
+        truth=[name for name in truth if camera and truth[name]],
         oxts=packets,
-        steering_rad=steering_file.read(raw.steering) if raw.steering else None,
+        steering_rad=steering_file.read(files.steering) if files.steering else None,
         attributes={"camera": -1 if number is None else number},
     )
-    left_out = (set(images) | set(raw.scans if settings.lidar else ())) - set(numbers)
+    left_out = {*images, *scans} - {*numbers}
     damaged = {kind: len(errors) for kind, errors in reader.damaged.items()}
     return summary | {"camera": number, "left_out": len(left_out), "damaged": damaged}
 
@@ -64,28 +68,26 @@ def describe(summary: Summary) -> str:
         text += f", {summary['steering']} steering angles"
     if summary["left_out"]:
         text += f", {summary['left_out']} without an {'oxts packet' if summary['oxts'] else 'image'} left out"
-    for kind, number in summary["damaged"].items():
-        text += f", {number} damaged {kind} left out"
-    return text
+    return text + "".join(f", {number} damaged {kind} left out" for kind, number in summary["damaged"].items())
 
 
 def _frames(
-    raw: RawDrive,
+    time_s: Mapping[int, float],
     camera: Camera | None,
     images: Mapping[int, Path],
+    truth: Mapping[str, Mapping[int, Path]],
     scans: Mapping[int, Path],
-    time_s: Mapping[int, float],
     reader: "_Reader",
 ) -> Iterator[Frame]:
-    """Yield the frames of `time_s`: frame number → seconds. Raises DamagedFile at the end."""
+    """Yield the frames of `time_s`, number → seconds. Raises DamagedFile at the end."""
     for number, seconds in time_s.items():
         frame = Frame(number, seconds, scan=reader.read("lidar", read_scan, scans, number))
         if camera:
             size = camera.size
             frame.image = reader.read("image", partial(read_image, size=size), images, number)
-            depth = reader.read("depth", partial(read_depth, size=size), raw.truth_depth, number)
+            depth = reader.read("depth", partial(read_depth, size=size), truth["depth"], number)
             frame.depth_m = None if depth is None else to_metres(depth)
-            frame.cls = reader.read("cls", partial(read_classes, size=size), raw.truth_cls, number)
+            frame.cls = reader.read("cls", partial(read_classes, size=size), truth["cls"], number)
         yield frame
     reader.raise_damaged()
 
@@ -108,7 +110,7 @@ class _Reader:
             return None
 
     def raise_damaged(self) -> None:
-        """Raise DamagedFile that names all damaged files, unless they are tolerated."""
+        """Raise DamagedFile that lists all damaged files, unless they are tolerated."""
         errors = [error for errors in self.damaged.values() for error in errors]
         if errors and not self._tolerant:
             faults = "; ".join(f"{error.where}: {error.problem}" for error in errors)

@@ -6,7 +6,6 @@ four cameras.
 """
 
 import hashlib
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,21 +19,16 @@ from pipeline.camera.mount import camera_height
 from pipeline.kitti import steering_file
 from pipeline.kitti.calibration import matrix, projection, read_entries, rotation
 
+HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
+MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 _LOWEST_DEG = -20.0
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
-_FEWEST_POINTS = 100  # KITTI's scans have 100,000
 _EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
-_FARTHEST_M = 20.0  # between LiDAR and camera
-_LAST_FRAME = np.iinfo(np.int32).max  # as frame numbers are stored
 
 
-HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
-MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
-
-
-class RawDrive:
+class KittiDrive:
     """The files of one drive; each mapping is frame number → path, ascending, empty if there are none."""
 
     def __init__(self, folder: Path) -> None:
@@ -57,9 +51,10 @@ class RawDrive:
 
     def camera(self, number: int) -> Camera:
         """Return a calibrated camera, with the horizon's row of an imported drive. Raises InputError."""
-        camera, path, name = read_calibration(self.calibration, number), self.folder / HORIZON, f"horizon_{number:02d}"
-        entries = read_entries(path) if path.is_file() else {}
-        return replace(camera, horizon=float(matrix(entries, name, (1,), path)[0])) if entries else camera
+        camera, path = read_calibration(self.calibration, number), self.folder / HORIZON
+        if not path.is_file():
+            return camera
+        return replace(camera, horizon=float(matrix(read_entries(path), f"horizon_{number:02d}", (1,), path)[0]))
 
     @property
     def oxts_times(self) -> Path:
@@ -67,17 +62,9 @@ class RawDrive:
 
     @property
     def steering(self) -> Path | None:
-        """Recorded steering angles, which KITTI itself lacks; None without. Raises InputError if it is no file."""
+        """Recorded steering angles, which KITTI itself lacks; None without."""
         path = self.folder / steering_file.FILE
-        if not path.is_file() and (path.exists() or path.is_symlink()):
-            raise InputError("expected a regular file", path, "Replace or remove it")
         return path if path.is_file() else None
-
-    @property
-    def manifest(self) -> str | None:
-        """The hash of the manifest that `steer import` wrote; None for other drives."""
-        path = self.folder / MANIFEST
-        return file_hash(path) if path.is_file() else None
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the frames of the drive and the file with their times: frames with an oxts packet.
@@ -88,96 +75,71 @@ class RawDrive:
             return list(self.oxts), self.oxts_times
         return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
+    def manifest(self) -> str | None:
+        """Return the hash of the manifest that `steer import` wrote; None for other drives."""
+        path = self.folder / MANIFEST
+        return file_hash(path) if path.is_file() else None
+
     def fingerprint(self, cameras: Sequence[int], *, by_content: bool) -> str:
         """Return a hash of the names of the drive's files and of their contents, or of their sizes and times.
 
         Hashing the contents of KITTI's 175 GB would take longer than ingesting them. The change time detects a file
         that was extracted again: unzip restores the modification time.
         """
+        images = [self.images(camera) for camera in cameras]
+        times = dict.fromkeys(self.timeline(camera)[1] for camera in cameras)
+        frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, *images]
+        single = [*times, *sorted(self.calibration.glob("calib_*.txt"))]
+        single += [self.folder / name for name in (steering_file.FILE, HORIZON)]
         digest = hashlib.sha256()
-        for path in self._files(cameras):
+        for path in [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]:
             stat = path.stat()
             content = file_hash(path) if by_content else f"{stat.st_size} {stat.st_mtime_ns} {stat.st_ctime_ns}"
             digest.update(f"{path.relative_to(self.calibration)} {content}\n".encode())
         return digest.hexdigest()
 
-    def _files(self, cameras: Sequence[int]) -> list[Path]:
-        folders = [
-            self.oxts,
-            self.scans,
-            self.truth_depth,
-            self.truth_cls,
-            *(self.images(camera) for camera in cameras),
-        ]
-        times = dict.fromkeys(self.timeline(camera)[1] for camera in cameras)
-        names = steering_file.FILE, HORIZON
-        others = [*times, *sorted(self.calibration.glob("calib_*.txt")), *(self.folder / name for name in names)]
-        return [path for paths in folders for path in paths.values()] + [path for path in others if path.is_file()]
 
-
-def find_drives(root: Path, drives: Sequence[str]) -> dict[str, RawDrive]:
+def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
     """Return the named drives (for instance 2011_09_26_drive_0052) below `root`.
 
     Raises InputError if the folder or one of the drives is missing, or if there are no drives at all.
     """
     if not root.is_dir():
         raise InputError("folder is missing", root, f"Link it: ln -s /path/to/kitti {root}")
-    folders = [path for path in root.glob("????_??_??/*_drive_????_sync") if path.is_dir()]
-    known = sorted(path.name.removesuffix("_sync") for path in folders)
+    known = sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
     if not known:
         raise InputError("folder has no drives (expected <date>/<date>_drive_NNNN_sync, as in KITTI raw)", root)
     for drive in drives:
         if drive not in known:
             problem = f"drive {drive} of ingest.drives is missing ({closest(drive, known)})"
             raise InputError(problem, root, "Extract it, or take it out of ingest.drives")
-    return {drive: RawDrive(root / drive[:10] / f"{drive}_sync") for drive in drives}
+    return {drive: KittiDrive(root / drive[:10] / f"{drive}_sync") for drive in drives}
 
 
 def read_scan(path: Path) -> np.ndarray:
     """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance. Raises DamagedFile."""
-    size = path.stat().st_size
-    if size == 0 or size % 16 != 0:
-        raise DamagedFile(f"scan is cut short at {size} bytes (expected a multiple of 16)", path)
-    scan = np.fromfile(path, np.float32).reshape(-1, 4)
+    values = np.fromfile(path, np.float32)
+    if not len(values) or len(values) % 4 or path.stat().st_size % 16:
+        raise DamagedFile(f"scan is cut short at {path.stat().st_size} bytes (expected a multiple of 16)", path)
+    scan = values.reshape(-1, 4)
     if not np.isfinite(scan).all() or np.abs(scan[:, :3]).max() > _MAX_RANGE_M:
         raise DamagedFile(f"scan has points that are not finite or beyond {_MAX_RANGE_M:g} m", path)
-    at_origin = int(np.count_nonzero(~scan[:, :3].any(axis=1)))  # KITTI stores no missing returns
-    if at_origin or len(scan) < _FEWEST_POINTS:
-        problem = f"scan has {len(scan)} points, {at_origin} at the origin (expected {_FEWEST_POINTS} or more, 0)"
-        raise DamagedFile(problem, path)
-    if scan[:, 3].min() < 0 or scan[:, 3].max() > 1:
-        raise DamagedFile("scan has reflectances outside of 0 to 1", path)
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
     if lowest > _LOWEST_DEG:
-        raise DamagedFile(
-            f"scan is cut short: its {len(scan)} points end at {lowest:.1f} degrees of elevation (expected below "
-            f"{_LOWEST_DEG:g})",
-            path,
-        )
+        problem = f"scan is cut short: its {len(scan)} points end at {lowest:.1f} degrees of elevation"
+        raise DamagedFile(f"{problem} (expected below {_LOWEST_DEG:g})", path)
     return scan
 
 
 def _frames(folder: Path, suffix: str) -> dict[int, Path]:
-    if not folder.is_dir():
-        return {}
     # Other names are ignored: macOS adds "._0000000000.png", half-finished downloads ".part".
-    names = [path for path in folder.iterdir() if path.suffix == suffix and re.fullmatch("[0-9]+", path.stem)]
-    paths: dict[int, Path] = {}
-    for path in sorted(names):
-        number = int(path.stem) if len(path.stem) <= 10 else _LAST_FRAME + 1
-        if number > _LAST_FRAME:
-            raise InputError(f"frame number is above {_LAST_FRAME}", path, "Rename or remove the file")
-        if number in paths:
-            raise InputError(f"has the same frame number as {paths[number].name}", path, "Remove the wrong one")
-        paths[number] = path
-    return dict(sorted(paths.items()))
+    return dict(sorted((int(path.stem), path) for path in folder.glob(f"*{suffix}") if path.stem.isdecimal()))
 
 
 def cameras_in(folder: Path) -> list[int]:
     """Return the camera numbers in a date folder's ``calib_cam_to_cam.txt``; none without the file."""
     path = folder / "calib_cam_to_cam.txt"
-    with error_context(fix=_EXTRACT):
-        entries = read_entries(path) if path.is_file() else {}
+    entries = read_entries(path) if path.is_file() else {}
     return [number for number in range(4) if f"P_rect_{number:02d}" in entries]
 
 
@@ -195,10 +157,7 @@ def read_calibration(folder: Path, number: int) -> Camera:
         shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
         rectify = _rigid(rotation(entries, "R_rect_00", path), np.zeros(3))
         entries = read_entries(velo)
-        t = matrix(entries, "T", (3,), velo)
-        if np.abs(t).max() > _FARTHEST_M:
-            raise InputError(f"T puts the LiDAR {np.abs(t).max():g} m away from the camera", velo)
-        T_cam_velo = shift @ rectify @ _rigid(rotation(entries, "R", velo), t)
+        T_cam_velo = shift @ rectify @ _rigid(rotation(entries, "R", velo), matrix(entries, "T", (3,), velo))
         return Camera(K, size, camera_height(T_cam_velo), T_cam_velo)
 
 

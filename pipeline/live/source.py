@@ -14,7 +14,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import Crop, Size, format_size, read_image, resized
 from pipeline.camera.mount import check_height
 from pipeline.kitti import oxts
-from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.labels.label import Car
 from pipeline.live.chain import FrameState
 from pipeline.live.truth import UNKNOWN, Driven, Truth, of_drive
@@ -101,7 +101,7 @@ def open_source(
     Raises:
         InputError: it is none of them, lacks a calibration, or cannot be read.
     """
-    drive = RawDrive(path.resolve()) if path.is_dir() else None
+    drive = KittiDrive(path.resolve()) if path.is_dir() else None
     if drive and any(drive.images(camera) for camera in cameras):
         if lens != Lens() or clock != Clock():
             fix = "Remove --calib, --fov, --K, --distortion, --fps and --times"
@@ -123,7 +123,7 @@ def open_source(
 
 
 def _open_drive(
-    path: Path, drive: RawDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car, given: Truth | None
+    path: Path, drive: KittiDrive, cameras: Sequence[int], aspect: Size, scans: bool, car: Car, given: Truth | None
 ) -> Source:
     camera_number = drive.camera_number(cameras)
     assert camera_number is not None  # since it has images

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.kitti import oxts, steering_file
-from pipeline.kitti.raw import RawDrive
+from pipeline.kitti.raw import KittiDrive
 from pipeline.labels import label
 from pipeline.labels.label import Car
 from pipeline.video.log import check_ratio, read_motion, read_wheel
@@ -33,7 +33,7 @@ class Truth(NamedTuple):
 UNKNOWN = Truth("", lambda number, time_s: Driven())
 
 
-def of_drive(drive: RawDrive, car: Car, notes: list[str]) -> Truth:
+def of_drive(drive: KittiDrive, car: Car, notes: list[str]) -> Truth:
     """Return the truth of a KITTI drive: oxts, or steering.csv without oxts. Damaged files become `notes`."""
     packets, damaged = drive.oxts, set[int]()
 

@@ -13,7 +13,7 @@ from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import format_size, write_png
 from pipeline.kitti.calibration import write_entries
-from pipeline.kitti.oxts import GRAVITY_MPS2, LONGEST_STEP_S, format_packet, format_times, level_columns, make_rows
+from pipeline.kitti.oxts import GRAVITY_MPS2, format_packet, format_times, level_columns, make_rows
 from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration
 from pipeline.train.prefetch import side_by_side
 from pipeline.video.log import MotionLog
@@ -40,7 +40,7 @@ def drive_folder(out: Path, drive: str, replace: bool) -> Path:
     if folder.exists() and not replace:
         raise InputError("drive exists", folder, "Replace it with --replace, or pass --drive another number")
     if folder.exists():
-        check_unchanged(folder)
+        _check_unchanged(folder)
     return folder
 
 
@@ -60,7 +60,7 @@ def write_manifest(folder: Path, calibration: Path) -> str:
     return file_hash(folder / MANIFEST)
 
 
-def check_unchanged(folder: Path) -> None:
+def _check_unchanged(folder: Path) -> None:
     """Raise InputError unless a drive's folder holds exactly the files of its manifest."""
     written = json.loads((folder / MANIFEST).read_text())["files"] if (folder / MANIFEST).is_file() else {}
     found = _hashes(folder)
@@ -103,17 +103,8 @@ def distribute_images(folders: Sequence[Path], parts: Sequence[np.ndarray]) -> N
             path.rename(homes[0] / IMAGES / "data" / path.name)
 
 
-def write_times(folder: Path, date: str, usable: np.ndarray, time_s: np.ndarray, sensors: Iterable[str]) -> None:
-    """Write the times [F] in seconds of all images for each sensor's folder.
-
-    Raises InputError if two of the `usable` images, bool [F], are farther apart than stage ingest accepts.
-    """
-    numbers = np.flatnonzero(usable)
-    gaps_s = np.diff(time_s[numbers])
-    if (gaps_s > LONGEST_STEP_S).any():
-        at = int(np.argmax(gaps_s))
-        problem = f"images {numbers[at]} and {numbers[at + 1]} are {gaps_s[at]:.0f} s apart, without motion in between"
-        raise InputError(f"{problem} (limit {LONGEST_STEP_S:g} s)", fix="Import the two parts as two drives")
+def write_times(folder: Path, date: str, time_s: np.ndarray, sensors: Iterable[str]) -> None:
+    """Write the times [F] in seconds of all images for each sensor's folder."""
     for sensor in sensors:
         (folder / sensor / "timestamps.txt").write_bytes(format_times(time_s - time_s[0], date, _NOON_S))
 
@@ -160,15 +151,10 @@ def check_calibration(folders: Sequence[Path], camera: Camera, replace: bool) ->
     stored = read_calibration(date, CAMERA)
     if stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
         return True
-    drives = sorted(drive.name for drive in date.glob("*_sync") if drive not in folders)
-    if replace and not drives:
+    if replace and not [drive for drive in date.glob("*_sync") if drive not in folders]:
         return False
-    raise InputError(
-        f"date has the calibration of another camera, {_describe(stored)} (this one: "
-        f"{_describe(camera)}; {f'used by {drives[0]}' if drives else '--replace replaces it'})",
-        date,
-        "Pass --drive another date: all drives of a date share the calibration",
-    )
+    fix = "Pass --drive another date: all drives of a date share the calibration"
+    raise InputError(f"date has the calibration of another camera, {_describe(stored)}", date, fix)
 
 
 def write_calibration(date: Path, camera: Camera) -> None:

@@ -106,7 +106,7 @@ class Import:
         if self.motion:
             layout.write_packets(folder, self.motion, time_s, usable)
         sensors = (layout.IMAGES, "oxts") if self.motion else (layout.IMAGES,)
-        layout.write_times(folder, folder.name[:10], usable, time_s, sensors)
+        layout.write_times(folder, folder.name[:10], time_s, sensors)
         if self.wheel is None:
             return 0
         steering_rad = self.wheel.at(np.arange(len(time_s)), time_s, self.max_gap_s)

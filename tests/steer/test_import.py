@@ -14,7 +14,7 @@ from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.kitti import steering_file
 from pipeline.kitti.oxts import read_times
-from pipeline.kitti.raw import MANIFEST, RawDrive
+from pipeline.kitti.raw import MANIFEST, KittiDrive
 from pipeline.labels.label import steering_labels
 from pipeline.settings import preset
 from pipeline.video import drive_layout
@@ -43,11 +43,11 @@ def video(tmp_path: Path) -> Path:
     return write_video(tmp_path / "drive.mp4", pictures(FRAMES))
 
 
-def take(recording: Path, log: Path, drive: str = DRIVES[0], **options: Any) -> RawDrive:
+def take(recording: Path, log: Path, drive: str = DRIVES[0], **options: Any) -> KittiDrive:
     """Import with a field of view of 80 degrees into raw/ beside the log."""
     out = log.parent / "raw"
     import_recording(recording, drive, **{"motion": log, "out": out, "fov": 80.0, **options})
-    return RawDrive(out / drive[:10] / f"{drive}_sync")
+    return KittiDrive(out / drive[:10] / f"{drive}_sync")
 
 
 def written(log: Path) -> dict[str, bytes]:
@@ -149,7 +149,7 @@ def test_a_split_recording_has_a_preset_that_check_accepts(
         first.folder,
         *(first.folder.with_name(f"2027_03_31_drive_{number}_sync") for number in ("0002", "0003")),
     ]
-    drives = [RawDrive(folder) for folder in folders]
+    drives = [KittiDrive(folder) for folder in folders]
     times_s = np.concatenate([np.array(list(drive.images(2))) / 10 for drive in drives])
     # Two seconds lie between the parts, so that no window of one shows what another has.
     assert np.flatnonzero(np.diff(times_s) > 0.11).size == 2

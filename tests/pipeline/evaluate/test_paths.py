@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.evaluate.paths import Track, drift, segments
 from pipeline.kitti import oxts
-from pipeline.kitti.raw import RawDrive
+from pipeline.kitti.raw import KittiDrive
 from pipeline.labels import label
 
 STEPS = 101  # 10 m/s for 10 s
@@ -68,14 +68,14 @@ def test_paths_of_true_angles_follow_gnss(real_kitti: Path, tmp_path: Path) -> N
     """Label, sign and integration at once: GNSS positions are a second route to where the car went."""
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         archive.extractall(tmp_path, filter="data")
-    drives = [RawDrive(path) for path in sorted(tmp_path.glob("*/*_sync"))]
+    drives = [KittiDrive(path) for path in sorted(tmp_path.glob("*/*_sync"))]
     means = [pieces.mean() for drive in drives if len(drive.oxts) > 300 and len(pieces := off_the_track(drive))]
     assert len(means) == 30
     assert sum(mean > 1 for mean in means) == 7  # lost satellites, gaps, or a heading off by half a degree
     assert sorted(means)[-2] < 3  # one drive has no place at first: 44 m off
 
 
-def off_the_track(raw: RawDrive) -> np.ndarray:
+def off_the_track(raw: KittiDrive) -> np.ndarray:
     """Return how many metres per 100 m the path of true angles ends beside GNSS, for pieces of 100 m."""
     rows = np.array([oxts.read_row(path) for path in raw.oxts.values()])
     time_s = oxts.read_times(raw.oxts_times, list(raw.oxts))

@@ -70,8 +70,8 @@ def test_lines_and_frames(tmp_path: Path, lines: list[str], frames: list[int], e
     ("lines", "problem"),
     [
         (["25.0", "25.1"], "got 2"),
-        (["25.0", "25.2", "25.1"], "line 3: time goes from .*25.2 to .*25.1"),
-        (["25.0", "what", "25.1"], "line 2: expected a time"),
+        (["25.0", "25.2", "25.1"], "line 3: time goes from .*25.2' to .*25.1'"),
+        (["25.0", "what", "25.1"], "expected times"),
     ],
 )
 def test_bad_times(tmp_path: Path, lines: list[str], problem: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
-from pipeline.kitti.raw import RawDrive, find_drives, read_calibration, read_scan
+from pipeline.kitti.raw import KittiDrive, find_drives, read_calibration, read_scan
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write_drive
 
 
@@ -19,7 +19,7 @@ def test_files_are_keyed_on_frame_numbers(tmp_path: Path) -> None:
     for junk in ("._0000000003.bin", "0000000005.bin.part", "readme.txt"):
         write(data / junk, "")
     (data / "0000000004.bin").unlink()
-    raw = RawDrive(folder)
+    raw = KittiDrive(folder)
     assert list(raw.scans) == [3, 7]
     assert list(raw.oxts) == list(raw.images(2)) == [3, 4, 7]
     assert raw.images(2)[7].name == "0000000007.png"
@@ -39,7 +39,7 @@ def test_changes_detect_a_file_that_was_extracted_again(tmp_path: Path) -> None:
     folder = write_drive(tmp_path, truth=True)
 
     def changes(by_content: bool = False) -> str:
-        return RawDrive(folder).fingerprint([2], by_content=by_content)
+        return KittiDrive(folder).fingerprint([2], by_content=by_content)
 
     first, content = changes(), changes(by_content=True)
     assert changes() == first
@@ -74,7 +74,7 @@ def test_damaged_scans(tmp_path: Path) -> None:
 @pytest.mark.real
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
     """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is only close."""
-    raw = RawDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
+    raw = KittiDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
     camera = raw.camera(2)
     assert camera.T_cam_velo is not None
     png = real_kitti / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"

@@ -8,7 +8,7 @@ import pytest
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres
 from pipeline.kitti.oxts import VF, WU, read_times
-from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.sample import motion
 from pipeline.sample.drive import Drive
 from pipeline.sample.motion import FRAMES_AFTER
@@ -20,19 +20,19 @@ SIZE = (96, 320)
 FRAMES = 8
 
 
-def render(folder: Path, name: str = NAME, seed: int = 0, frames: int = 2) -> RawDrive:
+def render(folder: Path, name: str = NAME, seed: int = 0, frames: int = 2) -> KittiDrive:
     path = folder / name[:10] / f"{name}_sync"
     Drive(name, frames=frames, size=SIZE, scan_rays=(32, 200), seed=seed).write(path)
     write_calibration(make_rig(SIZE, name[:10]), path.parent)
-    return RawDrive(path)
+    return KittiDrive(path)
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> RawDrive:
+def drive(tmp_path_factory: pytest.TempPathFactory) -> KittiDrive:
     return render(tmp_path_factory.mktemp("sample"), frames=FRAMES)
 
 
-def test_every_frame_is_complete(drive: RawDrive) -> None:
+def test_every_frame_is_complete(drive: KittiDrive) -> None:
     for files in (drive.images(2), drive.scans, drive.truth_depth, drive.truth_cls):
         assert list(files) == list(range(FRAMES))
     assert list(drive.oxts) == list(range(FRAMES + FRAMES_AFTER))
@@ -64,7 +64,7 @@ def test_oxts_continues_after_the_last_image(tmp_path: Path, monkeypatch: pytest
             assert files[number].read_bytes() == other.read_bytes()
 
 
-def test_scans_agree_with_dense_depth(drive: RawDrive) -> None:
+def test_scans_agree_with_dense_depth(drive: KittiDrive) -> None:
     camera = drive.camera(2)
     assert camera.T_cam_velo is not None
     errors = []
@@ -102,7 +102,7 @@ def test_road_is_a_plane_below_the_camera(tmp_path: Path, name: str) -> None:
         np.testing.assert_array_equal(depth[cls == classes.SKY], 0)
 
 
-def test_static_world_moves_as_oxts_measures(drive: RawDrive) -> None:
+def test_static_world_moves_as_oxts_measures(drive: KittiDrive) -> None:
     """Points of the first frame, moved by the motion in oxts, land on the last frame's surfaces."""
     camera, rig = drive.camera(2), make_rig(SIZE, NAME[:10])
     rows = [np.loadtxt(drive.oxts[frame]) for frame in (0, FRAMES - 1)]

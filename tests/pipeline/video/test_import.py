@@ -10,7 +10,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import read_pixels
 from pipeline.kitti.oxts import COLUMNS, EARTH_RADIUS_M, VF, WU, YAW, read_row, read_times
-from pipeline.kitti.raw import RawDrive, read_calibration
+from pipeline.kitti.raw import KittiDrive, read_calibration
 from pipeline.video import drive_layout as layout
 from pipeline.video.import_recording import cut
 from pipeline.video.log import MotionLog
@@ -30,11 +30,11 @@ def test_files_are_numbered(tmp_path: Path, threads: int) -> None:
     log = MotionLog(time_s, np.arange(9.0) / 7, np.zeros(9))
     layout.write_images(folder, ((int(number), images[number]) for number in np.flatnonzero(usable)), threads)
     layout.write_packets(folder, log, time_s, usable)
-    layout.write_times(folder, DRIVE[:10], usable, time_s, ("oxts", "image_02"))
+    layout.write_times(folder, DRIVE[:10], time_s, ("oxts", "image_02"))
     layout.write_calibration(folder.parent, Camera(K, SIZE))
     layout.write_horizon(folder, 20.5)
 
-    drive, numbers = RawDrive(folder), [1, 2, 3, 5, 6, 7]
+    drive, numbers = KittiDrive(folder), [1, 2, 3, 5, 6, 7]
     assert list(drive.images(2)) == list(drive.oxts) == numbers
     np.testing.assert_array_equal([read_pixels(path) for path in drive.images(2).values()], images[numbers])
     rows = [read_row(path) for path in drive.oxts.values()]

@@ -51,7 +51,7 @@ WHEEL = "frame,wheel_rad\n"
         (HEAD + "0,5,0\n0,5,5,0\n", "line 3: has 4 values, the header 3 names. .*decimal point"),
         ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
         (WHEEL + "1,-0,90\n2,-0,80\n", "line 2: has 3 values, the header 2 names. .*decimal point"),
-        (WHEEL + "1.5,0\n2,0\n", "frame = 1.5"),
+        (WHEEL + "1.5,0\n3,0\n", "frame = 1.5"),
         (WHEEL + "1,0\n1,0\n", "from 1 to 1"),
         (WHEEL + "1,0\n2,45\n", "steering_rad = 3 "),
         ("time_s,wheel_rad\n0,0\n1000,0\n", "divide milliseconds"),

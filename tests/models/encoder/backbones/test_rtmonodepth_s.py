@@ -11,7 +11,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import scan_depth
 from pipeline.camera.images import read_image
-from pipeline.kitti.raw import RawDrive, read_scan
+from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.perception.perceive import perceive
 from pipeline.perception.scores import depth_errors, eigen_crop
 from pipeline.perception.weights import load_weights
@@ -76,7 +76,7 @@ def test_published_weights_give_metric_depth_of_real_streets(real_half: Path, re
     files = {"backbone": str(folder / "encoder.pth"), "depth_head": str(folder / "depth.pth")}
     load_weights(model, "rtmonodepth-s", Weights.model_validate(files))
     for drive, most in {"2011_09_26_drive_0005": 0.13, "2011_10_03_drive_0042": 0.17}.items():
-        raw = RawDrive(real_half / drive[:10] / f"{drive}_sync")
+        raw = KittiDrive(real_half / drive[:10] / f"{drive}_sync")
         number = raw.camera_number([2, 0])
         assert number is not None
         camera = raw.camera(number)

@@ -1,57 +1,47 @@
 """Compute items ahead of their use, in threads."""
 
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-_END = object()
+_END: Any = object()
 
 
 def prefetch(items: Generator[T], ahead: int = 2) -> Generator[T]:
     """Yield the items of a generator in order; one thread computes up to `ahead` of them in advance.
 
-    This helps where an item waits for a disk or for a library that releases Python's lock, as HDF5 and torch do. Errors
-    and closing as in :func:`side_by_side`.
+    This helps where an item waits for a disk or for a library that releases Python's lock, as HDF5 and torch do.
+    Closing this generator waits for the item in progress and closes `items`.
     """
-    return side_by_side(lambda item: item, items, 1, ahead)
+    with closing(items), ThreadPoolExecutor(1, "prefetch") as pool:
+        yield from _results(iter(lambda: pool.submit(next, items, _END), None), ahead, pool)
 
 
 def side_by_side(
-    work: Callable[[T], R],
-    items: Generator[T],
-    threads: int,
-    ahead: int,
-    start: Callable[[], object] | None = None,
+    work: Callable[[T], R], items: Generator[T], threads: int, ahead: int, start: Callable[[], object] | None = None
 ) -> Generator[R]:
-    """Yield ``work(item)`` of each item, in order; `threads` threads work, and one more computes the items.
+    """Yield ``work(item)`` of each item, in order; `threads` threads work, and the caller's thread computes the items.
 
-    Besides the result at the caller, at most `ahead` items or results exist. An error in `items` or `work` is raised in
-    place of the result. Closing this generator waits for work in progress, ends the threads and closes `items`. `start`
-    is called once in each working thread.
+    At most `ahead` results exist besides the one at the caller. Closing this generator waits for work in progress and
+    closes `items`. `start` is called once in each thread.
     """
+    with closing(items), ThreadPoolExecutor(threads, "prefetch", initializer=start) as pool:
+        yield from _results((pool.submit(work, item) for item in items), ahead, pool)
 
-    def work_on(item: Future[Any]) -> Any:
-        value = item.result()
-        return value if value is _END else work(value)
 
-    def submit() -> Future[Any]:
-        return pool.submit(work_on, reader.submit(next, items, _END))
-
-    with (
-        closing(items),
-        ThreadPoolExecutor(1, "prefetch-items") as reader,
-        ThreadPoolExecutor(threads, "prefetch-work", initializer=start) as pool,
-    ):
-        ready = deque(submit() for _ in range(ahead))
-        try:
-            while (result := ready.popleft().result()) is not _END:
-                ready.append(submit())
+def _results(futures: Iterator[Future[Any]], ahead: int, pool: ThreadPoolExecutor) -> Generator[Any]:
+    ready: deque[Future[Any]] = deque()
+    try:
+        for future in futures:
+            ready.append(future)
+            if len(ready) > ahead:
+                if (result := ready.popleft().result()) is _END:
+                    return
                 yield result
-        finally:
-            # Work that waits for a cancelled item gets an error, which nothing reads.
-            reader.shutdown(cancel_futures=True)
-            pool.shutdown(cancel_futures=True)
+        yield from (future.result() for future in ready)
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -8,34 +8,6 @@ from pipeline.base.errors import InputError
 from pipeline.train import checkpoint
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    """A checkpoint of a network."""
-    path = tmp_path / "a" / "x.pt"
-    net = {"weight": torch.linspace(-1, 1, 500)}
-    checkpoint.write(path, {"kind": "thing", "net": net, "epoch": 2})
-    return path
-
-
-def test_a_checkpoint_is_read_as_written(path: Path) -> None:
-    content = checkpoint.read(path, "thing")
-    assert content["epoch"] == 2
-    assert torch.equal(content["net"]["weight"], torch.linspace(-1, 1, 500))
-    assert [file.name for file in path.parent.iterdir()] == ["x.pt"]
-
-
-def test_missing_damaged_and_other_files_are_refused(path: Path) -> None:
-    with pytest.raises(InputError, match=r"expected a checkpoint of .* other") as raised:
-        checkpoint.read(path, "other")
-    assert raised.value.where == str(path)
-    path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(InputError, match="damaged"):
-        checkpoint.read(path, "thing")
-    path.unlink()
-    with pytest.raises(InputError, match="missing"):
-        checkpoint.read(path, "thing")
-
-
 class Trap:
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -51,6 +23,19 @@ def test_code_in_a_file_does_not_run(tmp_path: Path) -> None:
     assert not (tmp_path / "sprung").exists()
 
 
+def test_missing_damaged_and_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a/x.pt"
+    with pytest.raises(InputError, match="missing"):
+        checkpoint.read(path, "thing")
+    checkpoint.write(path, {"kind": "thing", "net": {"weight": torch.linspace(-1, 1, 500)}})
+    assert torch.equal(checkpoint.read(path, "thing")["net"]["weight"], torch.linspace(-1, 1, 500))
+    with pytest.raises(InputError, match=r"expected a checkpoint of .* other"):
+        checkpoint.read(path, "other")
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(InputError, match="damaged"):
+        checkpoint.read(path, "thing")
+
+
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
@@ -58,7 +43,6 @@ def test_code_in_a_file_does_not_run(tmp_path: Path) -> None:
         ({"extra": torch.zeros(1)}, r'Unexpected key\(s\) in state_dict: "extra"'),
         ({"weight": torch.zeros(2, 9)}, r"size mismatch for weight: .*\[2, 9\]"),
         ({"bias": torch.full((2,), torch.nan)}, "bias has numbers that are not finite"),
-        ({3: torch.zeros(1)}, "tensors by name"),
         ({"bias": "two"}, "tensors by name"),
     ],
 )

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from pipeline.base import console
 from pipeline.base.params import load
-from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.runner import Job, make_drives
 from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.raw import find_drives
-from pipeline.sample.drive import Drive
+from pipeline.sample.drive import render_drive
 from pipeline.sample.rig import make_rig, write_calibration
 from pipeline.settings.ingest import Ingest
 from pipeline.settings.sample import Sample
@@ -32,12 +32,13 @@ def main(
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
     elif real := [drive for drive in splits if sources[drive] == "kitti"]:
         find_drives(raw, real)
+    render = partial(render_drive, size=settings.image_size, scan_rays=settings.scan_rays, seed=settings.seed)
     jobs = [
         Job(
             drive,
             f"{drive[:10]}/{drive}_sync",
             [str(frames[drive])],
-            partial(_render, drive=drive, frames=frames[drive], settings=settings),
+            partial(render, drive=drive, frames=frames[drive]),
         )
         for drive in sorted(frames, key=frames.__getitem__, reverse=True)  # the longest first
     ]
@@ -47,12 +48,6 @@ def main(
         for date in {drive[:10] for drive in frames}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out
-
-
-def _render(path: Path, *, drive: str, frames: int, settings: Sample) -> Summary:
-    rendered = Drive(drive, frames=frames, size=settings.image_size, scan_rays=settings.scan_rays, seed=settings.seed)
-    rendered.write(path)
-    return rendered.summary()
 
 
 if __name__ == "__main__":

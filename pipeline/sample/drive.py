@@ -26,66 +26,57 @@ _LEVEL = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER)
 WHEELBASE_M = 2.7  # for the steering angles in the log; labels have their own in params.yaml
 
 
-class Drive:
-    """One drive of the sample: road, street, light, traffic and motion."""
+def render_drive(
+    path: Path, drive: str, *, frames: int, size: tuple[int, int], scan_rays: tuple[int, int], seed: int
+) -> dict[str, Any]:
+    """Lay out the drive named `drive` (2026_01_01_drive_0001), and render `frames` frames into the new folder `path`.
 
-    def __init__(
-        self, drive: str, *, frames: int, size: tuple[int, int], scan_rays: tuple[int, int], seed: int
-    ) -> None:
-        """Lay out the drive named `drive` (2026_01_01_drive_0001) with `frames` frames.
+    Oxts files continue for some frames after the last image, for labels of the path ahead. Ground truth lies beside the
+    images: truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds).
 
-        Args:
-            size: [H, W] of the pictures.
-            scan_rays: rings and rays per ring of the scanner.
-            seed: of the sample; with the name it determines road, street, light and motion.
-        """
-        self._name, self._seed = drive, seed
-        rng = random_of(drive, seed)
-        quarter, first = theme(drive)
-        character = draw_character(rng, quarter)
-        self._journey = draw_journey(rng, frames, character, first)
-        route = self._journey.route
-        plan = draw_plan(route, rng, character)
-        self._world = World(plan, build_street(route, plan, character, rng), draw_ground_colours(rng))
-        self._light = draw_light(rng)
-        self._traffic = draw_traffic(self._journey, rng)
-        self._packets, self._timestamps = record(self._journey, drive[:10], rng)
-        rig = make_rig(size, drive[:10])
-        self._camera, self._scanner = ImageSensor(rig), Scanner(rig, scan_rays)
+    Args:
+        size: [H, W] of the pictures.
+        scan_rays: rings and rays per ring of the scanner.
+        seed: of the sample; with the name it determines road, street, light and motion.
 
-    def write(self, path: Path) -> None:
-        """Render all frames into the folder `path`, with their oxts files and timestamps.txt of all sensors.
+    Returns the number of frames, metres driven and mean squared steering angle of the road (WHEELBASE_M).
+    """
+    rng = random_of(drive, seed)
+    quarter, first = theme(drive)
+    character = draw_character(rng, quarter)
+    journey = draw_journey(rng, frames, character, first)
+    plan = draw_plan(journey.route, rng, character)
+    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
+    light, traffic = draw_light(rng), draw_traffic(journey, rng)
+    packets, timestamps = record(journey, drive[:10], rng)
+    rig = make_rig(size, drive[:10])
+    camera, scanner = ImageSensor(rig), Scanner(rig, scan_rays)
 
-        Oxts files continue for some frames after the last image, for labels of the path ahead.
-        Ground truth lies beside them: truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds).
-        """
-        images, scans, packets = (path / sensor / "data" for sensor in SENSORS)
-        depths, classes = path / "truth" / "depth", path / "truth" / "cls"
-        for folder in (images, scans, packets, depths, classes):
-            folder.mkdir(parents=True)
-        for sensor in SENSORS:
-            (path / sensor / "timestamps.txt").write_bytes(self._timestamps)
-        for number, packet in enumerate(self._packets):
-            (packets / f"{number:010d}.txt").write_bytes(packet)
-        for number in named_frames(range(len(self._journey.motion.time_s))):
-            self._world.set_traffic([vehicle.at(number) for vehicle in self._traffic if vehicle.visible[number]])
-            pose, png = self._journey.pose(number), f"{number:010d}.png"
-            rgb, depth_m, cls = self._camera.take(self._world, self._light, pose)
-            write_png(images / png, rgb, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
-            write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
-            write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
-            scan = self._scanner.take(self._world, pose, random_of(self._name, self._seed, number))
-            (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
+    images, scans, oxts = (path / sensor / "data" for sensor in SENSORS)
+    depths, classes = path / "truth" / "depth", path / "truth" / "cls"
+    for folder in (images, scans, oxts, depths, classes):
+        folder.mkdir(parents=True)
+    for sensor in SENSORS:
+        (path / sensor / "timestamps.txt").write_bytes(timestamps)
+    for number, packet in enumerate(packets):
+        (oxts / f"{number:010d}.txt").write_bytes(packet)
+    for number in named_frames(range(frames)):
+        world.set_traffic([vehicle.at(number) for vehicle in traffic if vehicle.visible[number]])
+        pose, png = journey.pose(number), f"{number:010d}.png"
+        rgb, depth_m, cls = camera.take(world, light, pose)
+        write_png(images / png, rgb, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
+        write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
+        write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
+        scan = scanner.take(world, pose, random_of(drive, seed, number))
+        (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
 
-    def summary(self) -> dict[str, Any]:
-        """Return the number of frames, metres driven and mean squared steering angle of the road (WHEELBASE_M)."""
-        motion = self._journey.motion
-        steering = np.arctan(WHEELBASE_M * self._journey.route.curvature(motion.s_m))
-        return {
-            "frames": len(motion.time_s),
-            "metres": round(float(motion.s_m[-1] - motion.s_m[0]), 1),
-            "mean_steering_squared_rad2": round(float(np.mean(steering**2)), 5),
-        }
+    s_m = journey.motion.s_m
+    steering = np.arctan(WHEELBASE_M * journey.route.curvature(s_m))
+    return {
+        "frames": frames,
+        "metres": round(float(s_m[-1] - s_m[0]), 1),
+        "mean_steering_squared_rad2": round(float(np.mean(steering**2)), 5),
+    }
 
 
 def theme(drive: str) -> tuple[str, str]:

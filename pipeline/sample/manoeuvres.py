@@ -50,7 +50,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
     for kind, start, end in ((kind, start - origin, end - origin) for kind, start, end in begun):
         if kind in ("bend", "sweep") or end > s[stop - 1]:
             continue
-        ways = crossing_arms(route, start, end, rng) if kind == "crossing" else turn_arms(route, start, end, rng)
+        ways = _crossing_arms(route, start, end, rng) if kind == "crossing" else _turn_arms(route, start, end, rng)
         arms += ways
         junctions += [(start + end) / 2] * bool(ways)
     return replace(route, junctions_m=tuple(junctions), arms=tuple(arms))
@@ -79,10 +79,10 @@ def _clear_of_itself(route: Route) -> bool:
     far = np.abs(s[:, None] - s[None]) > _APART_M
     if (np.linalg.norm(xy[:, None] - xy[None], axis=-1)[far] < _ROOM_M).any():
         return False
-    return all(arm_is_clear(arm, xy) for arm in route.arms)
+    return all(_arm_is_clear(arm, xy) for arm in route.arms)
 
 
-def crossing_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
+def _crossing_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
     """Draw open side roads on one or both sides where the ego goes straight on from s = `start` to `end`."""
     first, heading_in = route.at(start, route.centre_m)
     last, _ = route.at(end, route.centre_m)
@@ -92,7 +92,7 @@ def crossing_arms(route: Route, start: float, end: float, rng: np.random.Generat
     return [Arm((first + last) / 2, float(square + turn), False, length, half) for turn in sides]
 
 
-def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
+def _turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
     """Draw the other roads of a junction where the ego turns from s = `start` to `end`.
 
     They are closed: otherwise the image would not show which way the ego goes.
@@ -109,7 +109,7 @@ def turn_arms(route: Route, start: float, end: float, rng: np.random.Generator) 
     return [Arm(middle, heading, True, length, half) for heading in headings]
 
 
-def arm_is_clear(arm: Arm, xy: np.ndarray) -> bool:
+def _arm_is_clear(arm: Arm, xy: np.ndarray) -> bool:
     """Return whether the path xy [N,2] stays away from the arm beyond its mouth."""
     along = np.arange(14, arm.length_m)[:, None]
     points = arm.xy + along * unit(arm.heading_rad)

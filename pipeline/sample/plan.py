@@ -16,9 +16,6 @@ KERB_M = 0.12
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
 CORNER_M = 4.0  # kerb radius at junctions
 BAY_M = 2.1  # width for a parked car
-_APART_M = 60.0  # along the route; nearer points belong to the same stretch
-_NOWHERE_M = 1000.0
-_MOUTH_M, _MOUTH_RAD = 9.0, np.deg2rad(30)
 
 
 @dataclass(frozen=True)
@@ -83,30 +80,6 @@ class Plan:
         return [outline * CELL_M + self.origin for outline in thinned if len(outline) > 2]
 
 
-@dataclass(frozen=True)
-class NearbyStretches:
-    """Other stretches of the route near each of its N samples: distance to the nearest, distance to the nearest earlier
-    one, and whether the sample lies at a junction of two, bool."""
-
-    other_m: np.ndarray
-    earlier_m: np.ndarray
-    junction: np.ndarray
-
-
-def _find_nearby(route: Route) -> NearbyStretches:
-    """Compare each metre of a route with all others: recorded drives cross their track and repeat streets."""
-    every = round(1 / STEP_M)
-    s, xy, heading = route.s_m[::every], route.xy[::every], route.heading_rad[::every]
-    nearby = np.zeros((3, len(s)))
-    for i in range(len(s)):
-        to = np.linalg.norm(xy - xy[i], axis=1)
-        to[np.abs(s - s[i]) <= _APART_M] = _NOWHERE_M
-        across = np.abs(np.sin(heading - heading[i])) > np.sin(_MOUTH_RAD)
-        nearby[:, i] = to.min(), to[: i + 1].min(), (across & (to < _MOUTH_M)).any()
-    other, earlier, junction = (np.interp(route.s_m, s, row) for row in nearby)
-    return NearbyStretches(other, earlier, junction > 0)
-
-
 def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> Plan:
     """Paint the road, its arms, pavements, parking bays and markings."""
     ends = [arm.xy + arm.length_m * unit(arm.heading_rad) for arm in route.arms]
@@ -117,9 +90,8 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     every = slice(None, None, round(0.5 / STEP_M))
     s = route.s_m[every]
 
-    nearby = _find_nearby(route)
-    parking = _may_park(route, nearby, character.kerbside)
-    bays = {side: _bay_width(route, nearby, parking, rng, character) for side in (1, -1)}
+    parking = _may_park(route, character.kerbside)
+    bays = {side: _bay_width(route, parking, rng, character) for side in (1, -1)}
     left = route.at(s, route.left_m + bays[1][every])[0]
     right = route.at(s, route.right_m - bays[-1][every])[0]
     _paint_band(road, left, right, origin, 1)
@@ -136,19 +108,14 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     kind[road > 0] = ASPHALT
     paint = np.zeros_like(kind)
     if not character.kerbside:
-        _paint_markings(paint, route, nearby, bays, origin, rng)
+        _paint_markings(paint, route, bays, origin, rng)
     painted = (paint > 0) & (road > 0)
     kind[painted] = paint[painted]
     return Plan(kind, to_road, origin, bays, parking)
 
 
 def _paint_markings(
-    paint: np.ndarray,
-    route: Route,
-    nearby: NearbyStretches,
-    bays: dict[int, np.ndarray],
-    origin: np.ndarray,
-    rng: np.random.Generator,
+    paint: np.ndarray, route: Route, bays: dict[int, np.ndarray], origin: np.ndarray, rng: np.random.Generator
 ) -> None:
     """Paint bays, the line between the lanes, and in some drives lines along the edges."""
     every = slice(None, None, round(0.5 / STEP_M))
@@ -156,7 +123,6 @@ def _paint_markings(
     for sign, edge in ((1, route.left_m), (-1, route.right_m)):
         _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][every])[0], origin, BAY)
     clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
-    clear &= ~nearby.junction[every] & (nearby.earlier_m[every] > 6)  # a repeated street has its markings
     for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
         _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
     if rng.random() < 0.5:
@@ -165,23 +131,21 @@ def _paint_markings(
             _paint_line(paint, route.at(s[i : i + 2], route.left_m - 0.15)[0], origin)
 
 
-def _may_park(route: Route, nearby: NearbyStretches, kerbside: bool) -> np.ndarray:
+def _may_park(route: Route, kerbside: bool) -> np.ndarray:
     """Return bool [N]: not in sharp bends or at junctions; at kerbs closer to them than in bays."""
     bent_1pm, clearance_m = (0.085, 9.0) if kerbside else (0.055, 13.0)
-    blocked = (np.abs(route.curvature_1pm) > bent_1pm) | (nearby.other_m < 14)
+    blocked = np.abs(route.curvature_1pm) > bent_1pm
     for junction in route.junctions_m:
         blocked |= np.abs(route.s_m - junction) < clearance_m
     reach = round(2 / STEP_M)
     return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
 
 
-def _bay_width(
-    route: Route, nearby: NearbyStretches, parking: np.ndarray, rng: np.random.Generator, character: Character
-) -> np.ndarray:
+def _bay_width(route: Route, parking: np.ndarray, rng: np.random.Generator, character: Character) -> np.ndarray:
     """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
     width = np.zeros(len(route.s_m))
     if character.kerbside:
-        width[nearby.other_m >= 14] = BAY_M
+        width[:] = BAY_M
     elif rng.random() < character.bays:
         start = route.s_m[0]
         while start < route.s_m[-1]:

@@ -54,8 +54,8 @@ def draw_traffic(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
 def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
     """Return bool [F]: a vehicle at xy [F,2] is in sight.
 
-    Where a road crosses itself, the vehicle might hit the ego. It is then hidden for the entire encounter, so that it
-    neither appears nor vanishes in sight.
+    In narrow streets, a vehicle might touch the ego. It is then hidden for the entire encounter, so that it neither
+    appears nor vanishes in sight.
     """
     to = xy - journey.xy
     in_sight = np.linalg.norm(to, axis=1) < SIGHT_M

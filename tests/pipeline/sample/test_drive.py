@@ -10,7 +10,7 @@ from pipeline.camera.images import read_pixels, to_metres
 from pipeline.kitti.oxts import VF, WU, read_times
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.sample import motion
-from pipeline.sample.drive import Drive
+from pipeline.sample.drive import render_drive
 from pipeline.sample.motion import FRAMES_AFTER
 from pipeline.sample.oxts import ALTITUDE_M
 from pipeline.sample.rig import make_rig, rotation, write_calibration
@@ -22,7 +22,7 @@ FRAMES = 8
 
 def render(folder: Path, name: str = NAME, seed: int = 0, frames: int = 2) -> KittiDrive:
     path = folder / name[:10] / f"{name}_sync"
-    Drive(name, frames=frames, size=SIZE, scan_rays=(32, 200), seed=seed).write(path)
+    render_drive(path, name, frames=frames, size=SIZE, scan_rays=(32, 200), seed=seed)
     write_calibration(make_rig(SIZE, name[:10]), path.parent)
     return KittiDrive(path)
 

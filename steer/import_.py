@@ -153,7 +153,7 @@ def _next_steps(
         height = f", perception.camera_height_m: {height_m:g}" if height_m else ""
         settings = f"ingest.source: kitti, labels.source: {labels}{height}"
         yield f"next: set {settings} in params.yaml, replace ingest.drives by {first} and others, run dvc repro"
-        yield f"ingest.manifests: {{{first}: {manifests[first]}}} lets dvc repro notice that it is imported again"
+        yield f"dvc repro does not see data/raw: set ingest.manifests: {{{first}: {manifests[first]}}}, too"
         yield "Only this recording? Repeat with --split 60,20,20 --replace: then no file has to be edited"
         return
     yield f"settings: {preset}"

@@ -42,7 +42,7 @@ Calib = Annotated[Path | None, typer.Option(help="intrinsics: a KITTI calib_cam_
 Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; default: a video's own times")]
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
 CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]
-Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +); or GPX, NMEA")]
+Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +)")]
 Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")]
 SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering wheel / angle of the front wheels")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]

@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, DriveWriter, fix_hint
+from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.images import Crop, Size
 from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height, check_height
 
@@ -98,10 +97,7 @@ def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
     """
     has_K, has_lidar = "K" in file, "T_cam_velo" in file
     K, T_cam_velo = file["K"] if has_K else np.eye(3), file["T_cam_velo"] if has_lidar else None
-    image = file.dataset("image")
-    if image.ndim != 4 or image.shape[3] != 3 or image.dtype != np.uint8 or min(K[0, 0], K[1, 1], K[2, 2]) <= 0:
-        raise InputError("no camera: image or K is damaged", file.path, fix_hint(file.path, "ingest"))
-    height, width = image.shape[1:3]
+    height, width = file.shape("image")[1:3]
     camera = Camera(K, (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
     if height_m is None:
         check_height(camera.height_m)

@@ -81,11 +81,9 @@ def read_classes(path: Path, size: Size | None = None) -> np.ndarray:
 def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None) -> np.ndarray:
     pixels = read_pixels(path)
     if size and pixels.shape[:2] != size:
-        raise InputError(
-            f"image has {format_size(pixels.shape)} pixels (expected {format_size(size)}, as its calibration)",
-            path,
-            "Use the synced and rectified archives, and the calibration of the same date",
-        )
+        sizes = f"{format_size(pixels.shape)} pixels (expected {format_size(size)}, as its calibration)"
+        fix = "Use the synced and rectified archives, and the calibration of the same date"
+        raise InputError(f"image has {sizes}", path, fix)
     if pixels.dtype != dtype or (axes and pixels.ndim != axes):
         problem = f"expected {np.dtype(dtype)} pixels, got {pixels.dtype} with shape {pixels.shape}"
         raise InputError(problem, path)

@@ -41,8 +41,10 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
     time_s = dict(zip(numbers, oxts.read_times(times, numbers).tolist(), strict=True))
     images = {} if number is None else files.images(number)
     truth = {"depth": files.truth_depth, "cls": files.truth_cls}
+    if settings.on_damaged == "skip" and packets:
+        time_s = {frame: time_s[frame] for frame in packets}
     summary = ingest_drive(
-        _frames({frame: time_s[frame] for frame in packets or numbers}, camera, images, truth, scans, reader),
+        _frames(time_s, camera, images, truth, scans, reader),
         path,
         drive=drive,
         camera=camera,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -39,26 +39,26 @@ _OPTIONS = {
 
 
 class Recording(ABC):
-    """Images in order, with times: the file of times, a fixed rate, or the video's own timestamps.
+    """Images in order, with times: of the file of times, by a fixed rate, or the video's own timestamps.
 
-    ``size`` is (H, W). ``count`` is the number of images, for a video an estimate, or None. ``fps`` is the mean rate,
-    None if unknown; then frames have no times. ``times_s`` [F]: of all images, if they are known in advance.
+    ``size`` is (H, W); ``count`` the number of images, None if unknown; ``fps`` the mean rate, None if unknown: then
+    frames have no times. ``times_s`` [F]: of all images, if they are known in advance. ``straighten`` removes the
+    distortion of the lens from each image, see :func:`pipeline.video.lens.undistortion`.
     """
 
     def __init__(self, path: Path, count: int | None, times_s: np.ndarray | None, fps: float | None) -> None:
         self.path, self.count, self.times_s, self.fps = path, count, times_s, fps
-        self.straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image
-        """Removes the distortion of the lens from an image of :meth:`frames`, see :func:`lens.undistortion`."""
         self._fixed = fps is not None
+        self.straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image
         if times_s is not None and len(times_s) > 1:
             self.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
-        _, first = next(self._images(), (None, None))
+        first = next(self._images(), None)
         if first is None:
             raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
-        self.size: Size = (first.shape[0], first.shape[1])
+        height, width = first[1].shape[:2]
+        self.size: Size = (height, width)
         if min(self.size) < _SMALLEST_PX:
-            sizes = f"{format_size(self.size)} pixels (expected at least {_SMALLEST_PX} x {_SMALLEST_PX})"
-            raise InputError(f"images are too small: {sizes}", path)
+            raise InputError(f"images are too small: {width} x {height} pixels", path)
 
     @property
     def has_times(self) -> bool:
@@ -69,7 +69,7 @@ class Recording(ABC):
         self.fps, self._fixed = fps, True
 
     def frames(self) -> Iterator[Frame]:
-        """Yield number, time and image RGB uint8 [H,W,3] of the frames; a second call starts again.
+        """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
 
         Times count from the first frame, or are those of the file of times; NaN without times.
 
@@ -95,15 +95,10 @@ class Recording(ABC):
                     raise DamagedFile(f"timestamps do not increase at image {number}", self.path, "Pass --fps")
             last_s = time_s
             yield Frame(number, time_s, self.straighten(image))
-        self._check_end(number + 1, last_s)
-
-    def _check_end(self, images: int, last_s: float) -> None:
-        """Raise an error if images are missing by number and by time; one of the two may be an estimate."""
-        if self.times_s is not None and images != len(self.times_s):
-            raise InputError(f"has {images} images, but {len(self.times_s)} times", self.path)
-        least = (self.count or 0) - max(2, (self.count or 0) // 100)
-        if self.fps and self.times_s is None and images < least and last_s < (least - 1) / self.fps:
-            problem = f"ends after {images} of {self.count} frames"
+        if self.times_s is not None and number + 1 != len(self.times_s):
+            raise InputError(f"has {number + 1} images, but {len(self.times_s)} times", self.path)
+        if self.count and number + 1 < self.count - max(2, self.count // 100):  # a header's count may be inexact
+            problem = f"ends after {number + 1} of {self.count} frames"
             raise DamagedFile(problem, self.path, _CONVERT.format(name=self.path.name))
 
     @abstractmethod
@@ -122,11 +117,10 @@ class Video(Recording):
                 fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
                 raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
             # FFmpeg assumes 25 frames per second for a stream without a container.
-            rate = stream.average_rate or stream.guessed_rate
-            own_fps = None if container.format.name in _WITHOUT_TIMES or not rate else float(rate)
-            count = None if own_fps is None else stream.frames or _estimated_count(container, own_fps)
+            rate = None if container.format.name in _WITHOUT_TIMES else stream.average_rate or stream.guessed_rate
+            count = stream.frames or None
         super().__init__(path, count, times_s, fps)
-        self.fps = self.fps or own_fps
+        self.fps = self.fps or (float(rate) if rate else None)
 
     def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
         with self._opened(self.path) as container:
@@ -141,7 +135,6 @@ class Video(Recording):
         """Open a file with a video stream. Raises DamagedFile, also for errors inside of the block."""
         import av
 
-        fix = _CONVERT.format(name=path.name)
         with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
             try:
                 with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
@@ -150,23 +143,12 @@ class Video(Recording):
                     yield container
             except (av.FFmpegError, OSError) as error:
                 problem = "cannot be decoded as a video (expected a container like MP4, MOV, Matroska, AVI or MPEG)"
-                raise DamagedFile(problem, path, fix) from error
-
-
-def _estimated_count(container: "InputContainer", fps: float) -> int | None:
-    """Return the number of frames by the duration in the header; None if unknown."""
-    import av
-
-    duration = container.duration or 0
-    if "matroska" in container.format.name:  # its duration is the time of the end
-        duration -= container.start_time or 0
-    return round(duration / av.time_base * fps) or None
+                raise DamagedFile(problem, path, _CONVERT.format(name=path.name)) from error
 
 
 def _upright(frame: "VideoFrame", path: Path) -> np.ndarray:
     """Return the image RGB uint8 [H,W,3], rotated by its display matrix. Raises InputError for other matrices."""
-    image = frame.to_ndarray(format="rgb24")
-    display: Any = frame.side_data.get("DISPLAYMATRIX")
+    image, display = frame.to_ndarray(format="rgb24"), cast(Any, frame.side_data.get("DISPLAYMATRIX"))
     if display is not None:
         a, b, _, c, d, *_ = np.frombuffer(display, np.int32).tolist()
         if (a, b) != (d, -c) or (a and b):
@@ -190,7 +172,6 @@ class ImageFolder(Recording):
         if not fps and times_s is None and all(re.fullmatch("[12][0-9]{18}", stem) for stem in stems):  # ns since 1970
             times_s = np.array([(int(stem) - int(stems[0])) / 1e9 for stem in stems])
         super().__init__(path, len(stems), times_s, fps)
-        self._check_end(len(stems), math.inf)
 
     def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
         for path in self._files:

@@ -45,10 +45,9 @@ def test_order_follows_the_numbers_in_names(tmp_path: Path, names: list[str], or
     assert means == [0, 80, 160]
 
 
-@pytest.mark.parametrize("kind", ["mp4", "mkv"])
-def test_frames_and_times_of_the_container(tmp_path: Path, kind: str) -> None:
+def test_frames_and_times_of_the_container(tmp_path: Path) -> None:
     images = pictures(12)
-    video = open_recording(write_video(tmp_path / f"a.{kind}", images, fps=12.5))
+    video = open_recording(write_video(tmp_path / "a.mp4", images, fps=12.5))
     assert (video.size, video.fps, video.count) == (SIZE, 12.5, 12)
     frames = list(video.frames())
     np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(12) / 12.5, atol=1e-3)
@@ -77,12 +76,9 @@ def test_a_raw_stream_has_no_times(tmp_path: Path) -> None:
     assert [frame.time_s for frame in open_recording(path, fps=10).frames()][-1] == pytest.approx(2.9)
 
 
-def test_the_duration_counts_from_the_first_frame(tmp_path: Path) -> None:
+def test_times_count_from_the_first_frame(tmp_path: Path) -> None:
     path = write_stream(tmp_path / "a.mkv", start_s=5.0)
     assert [frame.time_s for frame in open_recording(path).frames()] == pytest.approx(np.arange(30) / 10, abs=2e-3)
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(DamagedFile):
-        list(open_recording(path).frames())
 
 
 def test_truncated_video_yields_what_it_has_and_fails(tmp_path: Path) -> None:

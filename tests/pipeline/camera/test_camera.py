@@ -1,0 +1,140 @@
+"""The pinhole camera forward and back, and what cropping and resizing do to it and to its images."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.base.errors import DamagedFile
+from pipeline.camera.camera import BELOW_HORIZON, Camera
+from pipeline.camera.geometry import back_project, depth_image, project, rays
+from pipeline.camera.images import nearest, read_image, read_pixels, resized, write_png
+
+K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
+SIZE, SMALL = (40, 64), (20, 16)
+seeds = st.integers(0, 2**32 - 1)
+sides = st.integers(16, 400)
+
+
+@given(seeds)
+def test_project_and_depth_image_undo_back_project(seed: int) -> None:
+    depth = np.random.default_rng(seed).uniform(1, 80, SIZE)
+    xyz = back_project(depth, K).reshape(-1, 3)
+    uv, z = project(xyz, K)
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    np.testing.assert_allclose(uv, np.stack([u, v], axis=-1).reshape(-1, 2), atol=1e-9)
+    np.testing.assert_allclose(z, depth.ravel())
+    np.testing.assert_allclose(depth_image(xyz, K, SIZE), depth)
+
+
+def test_a_plane_stays_a_plane() -> None:
+    """Depth where each ray meets the plane n·X = h, back-projected, lies on the plane."""
+    normal, height = np.array([0.02, -0.999, -0.04]), -1.65
+    along = rays(K, SIZE) @ normal
+    below = along < -1e-3
+    points = back_project(np.where(below, height / np.where(below, along, 1), 0), K)[below]
+    np.testing.assert_allclose(points @ normal, height, atol=1e-12)
+    assert points[:, 2].max() > 10, "the plane reaches far"
+
+
+def test_points_behind_have_no_pixel_and_the_nearest_counts() -> None:
+    uv, z = project(np.array([[0.0, 0, 5], [0, 0, 0], [1, 1, -5]]), K)
+    np.testing.assert_allclose(uv[0], K[:2, 2])
+    assert np.isnan(uv[1:]).all()
+    np.testing.assert_array_equal(z, [5, 0, -5])
+    ray, outside = rays(K, SIZE)[7, 9], rays(K, SIZE)[7, -1] + [1 / K[0, 0], 0, 0]
+    depth = depth_image(np.array([30 * ray, 4 * ray, 9 * ray, -2 * ray, 5 * outside]), K, SIZE)
+    assert (depth[7, 9], np.count_nonzero(depth)) == (4, 1)
+
+
+@given(sides, sides, seeds)
+def test_scaled_and_cropped_cameras_project_to_the_moved_position(height: int, width: int, seed: int) -> None:
+    """A pixel covers [u - 1/2, u + 1/2], so edges scale and centres do not."""
+    camera, new_size = Camera(K, SIZE, horizon=17.0), (height, width)
+    xyz = np.random.default_rng(seed).uniform([-3, -2, 5], [3, 2, 20], (100, 3))
+    old, scaled = project(xyz, K)[0], camera.scaled(new_size)
+    np.testing.assert_allclose((project(xyz, scaled.K)[0] + 0.5) / new_size[::-1], (old + 0.5) / SIZE[::-1], atol=1e-9)
+    assert (scaled.horizon + 0.5) / height == pytest.approx(17.5 / SIZE[0])
+    crop = camera.crop_to(new_size)
+    cropped = camera.cropped(crop)
+    np.testing.assert_allclose(project(xyz, cropped.K)[0], old - [crop.columns.start, crop.rows.start], atol=1e-9)
+    assert cropped.horizon == 17.0 - crop.rows.start
+    assert cropped.size == crop.pixels(np.zeros(SIZE)).shape
+    assert crop.size[0] / crop.size[1] == pytest.approx(height / width, rel=0.04 + 1 / min(crop.size))
+
+
+@pytest.mark.parametrize("horizon", [None, 12.0, 30.0, 500.0])
+def test_crops_lie_around_the_horizon_or_the_principal_point(horizon: float | None) -> None:
+    crop = Camera(K, SIZE, horizon=horizon).crop_to((16, 64))
+    middle = (crop.rows.start + crop.rows.stop - 1) / 2
+    expected = K[1, 2] if horizon is None else horizon + BELOW_HORIZON * 64
+    assert (crop.columns, crop.size) == (slice(0, 64), (16, 64))
+    assert middle == pytest.approx(min(expected, SIZE[0] - 8.5), abs=0.5)
+
+
+def ramps(dtype: type) -> np.ndarray:
+    """Return [H,W,3] whose pixels hold their own coordinates (u, v, 0)."""
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    return np.stack([u, v, 0 * u], axis=-1).astype(dtype)
+
+
+def test_pixels_move_with_the_intrinsics() -> None:
+    back = np.linalg.inv(Camera(np.eye(3), SIZE).scaled(SMALL).K)
+    v, u = np.mgrid[: SMALL[0], : SMALL[1]]
+    expected = (np.stack([u, v, np.ones_like(u)], axis=-1) @ back.T)[..., :2]
+    assert np.abs(resized(ramps(np.uint8), SMALL)[..., :2] - expected).max() <= 0.5  # rounding to uint8
+    u, v = ramps(np.uint16)[..., 0], ramps(np.uint16)[..., 1]
+    picked = nearest(1000 * v + u, SMALL)
+    where = np.stack([picked % 1000, picked // 1000], axis=-1)
+    assert np.abs(where - expected).max() <= 0.5  # an even factor has no central pixel
+    assert picked.dtype == np.uint16
+
+
+@given(seeds)
+def test_depth_and_classes_are_not_averaged(seed: int) -> None:
+    values = np.random.default_rng(seed).choice(np.array([0, 20000], np.uint16), SIZE)
+    assert set(np.unique(nearest(values, SMALL))) <= {0, 20000}
+
+
+@pytest.mark.parametrize(("shape", "dtype"), [((20, 30, 3), np.uint8), ((20, 30), np.uint8), ((20, 30), np.uint16)])
+def test_png_round_trip(tmp_path: Path, shape: tuple[int, ...], dtype: type) -> None:
+    pixels = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape, dtype)
+    write_png(tmp_path / "a.png", pixels)
+    decoded = read_pixels(tmp_path / "a.png")
+    np.testing.assert_array_equal(decoded, pixels)
+    assert decoded.dtype == dtype
+    if dtype == np.uint8:  # grey is repeated
+        image = read_image(tmp_path / "a.png", (20, 30))
+        np.testing.assert_array_equal(image, pixels if pixels.ndim == 3 else np.stack([pixels] * 3, axis=-1))
+
+
+def encoded(kind: str, pixels: np.ndarray) -> bytes:
+    return cv2.imencode(kind, pixels)[1].tobytes()
+
+
+NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "not a PNG or JPEG"),
+        (b"GIF89a", "not a PNG or JPEG"),
+        (b"\xff\xd8\xff\xd9", "decoded"),
+        (encoded(".png", NOISE)[:-20], "decoded"),
+        (encoded(".png", np.dstack([NOISE, NOISE])[..., :4]), "4 channels"),
+    ],
+)
+def test_plainly_wrong_images(tmp_path: Path, content: bytes, problem: str) -> None:
+    (tmp_path / "a").write_bytes(content)
+    with pytest.raises(DamagedFile, match=problem):
+        read_pixels(tmp_path / "a")
+
+
+def test_jpeg(tmp_path: Path) -> None:
+    smooth = np.full((32, 48, 3), (200, 100, 50), np.uint8)
+    (tmp_path / "a.jpg").write_bytes(encoded(".jpg", smooth[..., ::-1]))
+    assert np.abs(read_pixels(tmp_path / "a.jpg").astype(int) - smooth).max() < 6

@@ -1,0 +1,213 @@
+"""KITTI raw's folders, scans, calibration, packets and timestamps."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.base.errors import DamagedFile, InputError
+from pipeline.camera.geometry import depth_image, project, transform
+from pipeline.camera.images import read_pixels
+from pipeline.kitti import oxts, steering_file
+from pipeline.kitti.raw import KittiDrive, find_drives, read_calibration, read_scan
+from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write_drive
+
+
+def test_files_are_keyed_on_frame_numbers(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, frames=[3, 4, 7])
+    data = folder / "velodyne_points/data"
+    for junk in ("._0000000003.bin", "0000000005.bin.part", "readme.txt"):
+        write(data / junk, "")
+    (data / "0000000004.bin").unlink()
+    drive = KittiDrive(folder)
+    assert list(drive.scans) == [3, 7]
+    assert list(drive.oxts) == list(drive.images(2)) == [3, 4, 7]
+    assert drive.images(2)[7].name == "0000000007.png"
+    assert drive.images(0) == drive.truth_depth == {}
+
+
+def test_find_drives(tmp_path: Path) -> None:
+    write_drive(tmp_path)
+    assert list(find_drives(tmp_path, [DRIVE])) == [DRIVE]
+    with pytest.raises(InputError, match=f"2011_09_26_drive_0010.*did you mean {DRIVE}"):
+        find_drives(tmp_path, ["2011_09_26_drive_0010"])
+    with pytest.raises(InputError, match="no drives"):
+        find_drives(tmp_path / DATE, [DRIVE])
+
+
+def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, truth=True)
+
+    def fingerprint(by_content: bool = False) -> str:
+        return KittiDrive(folder).fingerprint([2], by_content=by_content)
+
+    content, hashes = fingerprint(by_content=True), {fingerprint()}
+    for name in ("image_02/data/0000000001.png", "velodyne_points/data/0000000002.bin", "../calib_velo_to_cam.txt"):
+        before = (folder / name).stat()
+        write(folder / name, (folder / name).read_bytes())
+        os.utime(folder / name, ns=(before.st_atime_ns, before.st_mtime_ns))  # as unzip does
+        hashes.add(fingerprint())
+    assert len(hashes) == 4
+    assert fingerprint(by_content=True) == content
+    write(folder / "truth/cls/0000000000.png", "other")
+    assert fingerprint(by_content=True) != content
+
+
+def test_damaged_scans(tmp_path: Path) -> None:
+    points = scan(np.random.default_rng(0), 640)
+    nan, far = points.copy(), points.copy()
+    nan[5, 1], far[5, 1] = np.nan, 1e20
+    for content, message in (
+        (b"", "cut short at 0 bytes"),
+        (points.tobytes()[:-7], "cut short at 10233 bytes"),
+        (points[:400].tobytes(), "its 400 points end at -14.7"),
+        (nan.tobytes(), "not finite"),
+        (far.tobytes(), "beyond 150 m"),
+    ):
+        write(tmp_path / "0.bin", content)
+        with pytest.raises(DamagedFile, match=message):
+            read_scan(tmp_path / "0.bin")
+
+
+@pytest.mark.real
+def test_a_real_scan_that_is_cut_is_refused(real_kitti: Path) -> None:
+    with pytest.raises(DamagedFile):
+        read_scan(next((real_kitti / "damaged").glob("*.bin")))
+
+
+@pytest.mark.real
+def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
+    """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is only close."""
+    drive = KittiDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
+    camera = drive.camera(2)
+    assert camera.T_cam_velo is not None
+    png = real_kitti / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
+    expected = read_pixels(png) / 256
+    xyz = transform(camera.T_cam_velo, read_scan(drive.scans[5])[:, :3].astype(np.float64))
+
+    def agree(shift: float) -> tuple[int, float]:
+        K = camera.K + shift * np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+        depth = depth_image(xyz, K, camera.size)
+        both = (depth > 0) & (expected > 0)
+        return int(both.sum()), float(np.median(np.abs(depth - expected)[both]))
+
+    pixels, error_m = agree(0.0)
+    assert error_m <= 0.05
+    assert pixels > 6000
+    # Integer coordinates are pixel centres: shifted by half a pixel or more, fewer points agree.
+    assert all(agree(shift)[0] < 0.8 * pixels for shift in (-1.0, -0.5, 0.5, 1.0))
+
+
+def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
+    """Second route, from KITTI's paper: y = P_rect R_rect T_velo_to_cam x, with the files' numbers."""
+    write_calibration(tmp_path, [0, 2])
+    texts = [(tmp_path / f"calib_{name}.txt").read_text() for name in ("cam_to_cam", "velo_to_cam")]
+    lines = dict(line.split(": ") for line in "".join(texts).splitlines())
+    P, R_rect, R, T = (np.array(lines[key].split(), float) for key in ("P_rect_02", "R_rect_00", "R", "T"))
+    xyz = np.random.default_rng(0).uniform([3, -5, -2], [40, 5, 2], (50, 3))
+    reference = (xyz @ R.reshape(3, 3).T + T) @ R_rect.reshape(3, 3).T
+    expected = np.column_stack([reference, np.ones(50)]) @ P.reshape(3, 4).T
+
+    camera = read_calibration(tmp_path, 2)
+    assert camera.T_cam_velo is not None
+    uv, z = project(transform(camera.T_cam_velo, xyz), camera.K)
+    np.testing.assert_allclose(z, expected[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(uv, expected[:, :2] / expected[:, 2:], rtol=1e-9)
+    assert camera.size == (48, 64)
+
+
+@pytest.mark.real
+def test_real_calibration_agrees_with_pykitti(real_kitti: Path) -> None:
+    import pykitti
+
+    reference = pykitti.raw(str(real_kitti), "2011_09_26", "0052").calib
+    camera = read_calibration(real_kitti / "2011_09_26", 2)
+    assert camera.T_cam_velo is not None
+    np.testing.assert_allclose(camera.K, reference.K_cam2, rtol=1e-12)
+    np.testing.assert_allclose(camera.T_cam_velo[:3, :3], reference.T_cam2_velo[:3, :3], atol=1e-12)
+    # pykitti leaves out P_rect's last column but for x: millimetres.
+    np.testing.assert_allclose(camera.T_cam_velo[:3, 3], reference.T_cam2_velo[:3, 3], atol=0.004)
+
+
+def test_columns_equal_pykittis() -> None:
+    from pykitti.utils import OxtsPacket
+
+    assert OxtsPacket._fields == oxts.COLUMNS
+    assert (oxts.VF, oxts.VL, oxts.WU) == (8, 9, 22)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_packets_and_times_round_trip(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    rng, path = np.random.default_rng(seed), tmp_path_factory.mktemp("oxts") / "a.txt"
+    row = rng.uniform(-1, 1, 30)
+    row[oxts.COLUMNS.index("navstat") :] = [4, 9, 4, 4, 4]
+    path.write_bytes(oxts.format_packet(row))
+    np.testing.assert_allclose(oxts.read_row(path), row, rtol=1e-12)
+    time_s = np.cumsum(rng.integers(1, 10**10, 5)) / 1e9
+    path.write_bytes(oxts.format_times(time_s, "2027_03_31", 8 * 3600))
+    np.testing.assert_allclose(oxts.read_times(path, [*range(5)]), time_s - time_s[0], atol=1e-9)
+
+
+def stamps(path: Path, seconds: list[str]) -> Path:
+    write(path, "".join(f"2011-09-26 13:02:{text}\n" if text else "\n" for text in seconds))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("lines", "frames", "expected"),
+    [
+        (["25.0", "25.1", "25.25", "25.3", "25.45"], [1, 2, 4], [0, 0.15, 0.35]),  # by number
+        (["25.0", "25.1", "25.3"], [100, 101, 103], [0, 0.1, 0.3]),  # cut out of a longer drive: by position
+        (["25.0", "", "25.2"], [0, 2], [0, 0.2]),  # the empty line belongs to no frame
+    ],
+)
+def test_lines_and_frames(tmp_path: Path, lines: list[str], frames: list[int], expected: list[float]) -> None:
+    np.testing.assert_allclose(oxts.read_times(stamps(tmp_path / "a.txt", lines), frames), expected, atol=1e-12)
+
+
+def read_three(path: Path) -> np.ndarray:
+    return oxts.read_times(path, [0, 1, 2])
+
+
+def read_camera(path: Path) -> object:
+    text = path.read_text()
+    write_calibration(path.parent)
+    calibration = path.parent / "calib_cam_to_cam.txt"
+    old, new = text.split("→")
+    assert old in calibration.read_text()
+    calibration.write_text(calibration.read_text().replace(old, new))
+    return read_calibration(path.parent, 2)
+
+
+LINE = "2011-09-26 13:02:{}\n"
+PLAINLY_WRONG: list[tuple[Callable[[Path], object], str, str]] = [
+    (oxts.read_row, "", "got 0"),
+    (oxts.read_row, "1.0 " * 29 + "1.0.0", "expected numbers"),
+    (oxts.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
+    (oxts.read_row, "1.0 " * 8 + "-1000 " + "1.0 " * 21, "vf = -1000"),
+    (read_three, LINE.format(25.0) + LINE.format(25.1), "got 2"),
+    (
+        read_three,
+        LINE.format(25.0) + LINE.format(25.2) + LINE.format(25.1),
+        "line 3: time goes from",
+    ),
+    (read_three, LINE.format(25.0) + LINE.format("what") + LINE.format(25.1), "expected times"),
+    (read_camera, "P_rect_02: 5.000000000e+01→P_rect_02: inf", "P_rect_02: expected 12 finite"),
+    (read_camera, "P_rect_02: 5.0→P_rect_02: 0.0", "implausible intrinsics"),
+    (read_camera, "R_rect_00: 9→R_rect_00: -9", "expected a rotation"),
+    (read_camera, "P_rect_02→P_rect_03", "no entry P_rect_02"),
+    (read_camera, "calib_time:→<html>\ncalib_time:", "not a calibration file"),
+    (steering_file.read, "frame,steering_rad\n3,2.5\n", "implausible steering_rad"),
+    (steering_file.read, "frame,steering_rad\n3,0\n3,0\n", "from 3 to 3"),
+]
+
+
+@pytest.mark.parametrize(("read", "text", "problem"), PLAINLY_WRONG)
+def test_plainly_wrong_files(tmp_path: Path, read: Callable[[Path], object], text: str, problem: str) -> None:
+    write(tmp_path / "a.txt", text)
+    with pytest.raises(InputError, match=problem):
+        read(tmp_path / "a.txt")

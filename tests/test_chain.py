@@ -46,7 +46,7 @@ def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(
     assert len([line for line in snippet.splitlines() if line]) <= 6
     exec(re.sub(r"\d{4}_\d\d_\d\d_drive_\d{4}", drive, re.sub(r"\[\d+(, \d+)*\]", str(frames), snippet)), names)
     with Path(f"data/evaluate/{MODEL}/predictions.csv").open() as file:
-        rows = {(row["drive"], int(row["frame"])): row["predicted_rad"] for row in csv.DictReader(file)}
+        rows = {(row["drive"], int(row["frame"])): row["predicted_steering_rad"] for row in csv.DictReader(file)}
     expected = [float(rows[drive, frame]) for frame in frames]
     assert list(names["steering_rad"]) == pytest.approx(expected, abs=1e-6)
 
@@ -124,7 +124,7 @@ def test_a_network_is_added_by_a_file_and_trained_alone(chain: Path, tmp_path: P
     network = scratch.code_block("class Height(nn.Module)").removeprefix("python\n")
     (folder / "models/steering/spatial/height.py").write_text(network)
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
-    mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "scale_m": 5.0}
+    mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "semantics": 1.0}
     scratch.edit_params(folder, models=models | {"mine": mine})
     ran = scratch.stages_run(scratch.run(folder, "dvc", "repro", "train@mine", "evaluate@mine"))
     assert ran == ["train@mine", "evaluate@mine"]

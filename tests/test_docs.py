@@ -2,13 +2,17 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
+from torch.utils.data import DataLoader
 
 from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.settings.ingest import Ingest
+from pipeline.settings.models import Entry
 from pipeline.settings.sample import Sample
+from tests import artefacts, scratch
 
 PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
     ROOT / f"docs/{name}.md" for name in ("models", "paper", "real", "results", "running")
@@ -56,3 +60,20 @@ def test_examples_name_drives_and_frames_of_the_sample() -> None:
         assert {*named} <= {*drives}
         frames = re.findall(r"--frame (\d+)|predict\(graphs, \[([\d, ]+)\]", text)
         assert all(int(number) <= last for groups in frames for part in groups if part for number in part.split(","))
+
+
+def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path: Path) -> None:
+    drives = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
+    artefacts.write_dataset(tmp_path, drives, frames=23, points=12)
+    names: dict[str, Any] = {}
+    exec(scratch.code_block("class Windows(Dataset)").removeprefix("python\n"), names)
+    dataset = names["Windows"](tmp_path / "graphs/semantic", tmp_path / "labels", [*drives])
+    batches = [*DataLoader(dataset, batch_size=None)]
+    assert len(batches) == 2 * (23 - 7)
+    entry = {"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 1.0}
+    net = Entry.model_validate(entry).build("graph")
+    for batch in batches:
+        assert batch["ptr"].shape == (9,)
+        assert batch["dt_s"].shape == (1, 8)
+        assert batch["target"].shape == batch["valid"].shape == (1, 1)
+        assert net(*net.inputs(batch)).isfinite().all()

@@ -38,7 +38,7 @@ udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACI
 	$(UDACITY)/udacity_leaderboard.csv
 
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file
-	@python -m pipeline.settings.preset "$(PRESET)" --out params.yaml
+	@python -m pipeline.settings.preset "$(PRESET)"
 
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92

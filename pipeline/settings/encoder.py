@@ -2,7 +2,6 @@
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
-from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -11,8 +10,7 @@ from pipeline.base.params import SPLITS, Count, Rate, Section, Seed, matches
 PARTS = ("backbone", "depth_head", "class_head")
 PRECOMPUTED = "precomputed"
 """The backbone that stands for a folder of PNG files, see pipeline/perception/precomputed.py."""
-WEIGHTS = Path("weights")
-"""The folder of downloaded files."""
+WEIGHTS = Path("weights")  # downloaded files
 
 
 class WeightFile(BaseModel):
@@ -20,15 +18,11 @@ class WeightFile(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    url: Annotated[str, Field(min_length=1, description="a path, or a URL of https, http or file")]
-    sha256: Annotated[
-        Annotated[str, matches("[0-9a-f]{64}", "64 digits 0-9 and a-f, as sha256sum prints them")] | None,
-        Field(description="required for a download"),
-    ] = None
-    key: Annotated[
-        Annotated[str, matches(r"\w[\w.-]*(/\w[\w.-]*)*", "a relative path of letters, digits, _, . and -")] | None,
-        Field(description="file in weights/; default: the last part of the URL"),
-    ] = None
+    url: Annotated[str, Field(min_length=1)]
+    sha256: Annotated[str, matches("[0-9a-f]{64}", "64 digits 0-9 and a-f, as sha256sum prints them")] | None = None
+    key: Annotated[str, matches(r"\w[\w.-]*(/\w[\w.-]*)*", "a relative path of letters, digits, _, . and -")] | None = (
+        None
+    )
 
     @property
     def is_url(self) -> bool:
@@ -36,20 +30,13 @@ class WeightFile(BaseModel):
 
     @property
     def path(self) -> Path:
-        """Where the file is, or will be after the download."""
+        """Where the file is, or will be after the download: weights/KEY, by default the last part of the URL."""
         return WEIGHTS / (self.key or self.url.rsplit("/", 1)[-1]) if self.is_url else Path(self.url)
 
     @model_validator(mode="before")
     @classmethod
     def _from_text(cls, value: Any) -> Any:
         return {"url": value} if isinstance(value, str) else value
-
-    @model_validator(mode="after")
-    def _is_consistent(self) -> Self:
-        urlsplit(self.url)  # raises ValueError
-        if self.key and not self.is_url:
-            raise ValueError("key is the name of a downloaded file, and url is a path: remove key")
-        return self
 
 
 class Weights(Section):
@@ -87,22 +74,14 @@ class Teacher(Section):
 
     backbone: str
     weights: Weights
-    drives: Annotated[
-        Literal["train", "all"], Field(description="drives whose images it classifies; an image needs no label")
-    ] = "train"
-
-    @model_validator(mode="after")
-    def _is_network(self) -> Self:
-        if self.backbone == PRECOMPUTED:
-            raise ValueError(f"backbone: {PRECOMPUTED} is not a network: name the backbone of a fitted encoder")
-        return self
+    drives: Literal["train", "all"] = "train"
 
 
 class Encoder(Section):
     key = "encoder"
     backbone: str
     weights: Weights | None = None
-    frozen: Annotated[bool, Field(description="keep the backbone's weights and fit the heads only")] = False
+    frozen: bool = False
     teacher: Teacher | None = None
     epochs: Annotated[int, Field(ge=0)]
     frames: Count
@@ -118,11 +97,8 @@ class Encoder(Section):
     @property
     def folder(self) -> Path | None:
         """Return the folder of a precomputed encoder; None for a network."""
-        if self.backbone != PRECOMPUTED:
-            return None
-        assert self.weights
-        assert self.weights.checkpoint
-        return self.weights.checkpoint.path
+        file = self.weights.checkpoint if self.weights and self.backbone == PRECOMPUTED else None
+        return file.path if file else None
 
     @model_validator(mode="after")
     def _has_weights(self) -> Self:

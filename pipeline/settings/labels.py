@@ -14,9 +14,7 @@ class Labels(Section):
     source: Literal["oxts", "visual", "wheel"] = "oxts"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
-    ahead_m: list[Annotated[float, Field(ge=0, le=MAX_AHEAD_M)]] = Field(
-        default=[], max_length=17, description="edges between the ranges of the path ahead; none: no such labels"
-    )
+    ahead_m: list[Annotated[float, Field(ge=0, le=MAX_AHEAD_M)]] = []
     max_stand_s: Annotated[float, Field(ge=0)] = 5.0
 
     @field_validator("ahead_m")

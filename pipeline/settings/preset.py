@@ -1,7 +1,6 @@
 """All sections of ``params.yaml`` as one type, and presets: sets of changes, ``presets/NAME.yaml``.
 
-``python -m pipeline.settings.preset NAME`` prints params.yaml with a preset's changes; ``--out params.yaml`` writes
-them into the file and keeps its comments (``make params``).
+``python -m pipeline.settings.preset NAME`` writes a preset's changes into params.yaml and keeps its comments.
 """
 
 import hashlib
@@ -60,27 +59,23 @@ def validate(content: dict[str, Any], where: Path) -> Params:
 
 def main(
     name: Annotated[str, typer.Argument(metavar="PRESET", help="a name in presets/, or a file")],
-    out: Annotated[Path | None, typer.Option(help="write to this file instead of the terminal")] = None,
+    out: Annotated[Path, typer.Option(help="the file to write")] = Path("params.yaml"),
     params: Annotated[Path, typer.Option(help="the file that the preset changes")] = Path("params.yaml"),
-) -> Path | None:
-    """Apply a preset to params.yaml. Return the path of the written file.
+) -> None:
+    """Apply a preset to params.yaml.
 
     Raises InputError if `out` is no params file, or if git calls it modified and this function did not write it.
     """
     result = text(name, params)
-    if out is None:
-        print(result, end="")
-        return None
     if out.exists():
-        content = read_yaml(out) if out.is_file() else None
-        if not (isinstance(content, dict) and content.keys() == Params.model_fields.keys()):
+        content = read(out)
+        if content.keys() != Params.model_fields.keys():
             raise InputError("expected a params file to replace", out, "Pass another path")
         if _is_modified(out) and not _presets_in(out.read_text(encoding="utf-8")):
             raise InputError("has edits that are not committed", out, f"Commit them, or undo: git checkout {out}")
     with replacing(out) as path:
         path.write_text(result, encoding="utf-8")
     print(f"wrote {out}: {_short(params)} with the changes of {_short(find(name))}")
-    return out
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:

@@ -4,18 +4,15 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.base.params import ImageSize, Section, Seed
-
-FewFrames = Annotated[int, Field(ge=1, le=100_000)]
-Rays = Annotated[int, Field(ge=1, le=10_000)]
+from pipeline.base.params import Count, ImageSize, Section, Seed
 
 
 class Frames(Section):
     """Frames per drive of each split."""
 
-    train: FewFrames
-    val: FewFrames
-    test: FewFrames
+    train: Count
+    val: Count
+    test: Count
 
 
 class Sample(Section):
@@ -23,4 +20,4 @@ class Sample(Section):
     seed: Seed
     image_size: ImageSize
     frames: Frames
-    scan_rays: Annotated[tuple[Rays, Rays], Field(strict=False, description="[rings, rays per ring] of the LiDAR")]
+    scan_rays: Annotated[tuple[Count, Count], Field(strict=False)]

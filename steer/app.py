@@ -37,7 +37,7 @@ def _add(name: str, command: Callable[..., object], after_stop: str, help: str |
     app.command(name, no_args_is_help=True, help=help)(guarded(command, after_stop))
 
 
-_UNFINISHED = "The frames so far are in .unfinished of the output folder"
+_UNFINISHED = "Repeat the command to continue"
 _NO_DRIVE = "No drive was written; repeat the command"
 _add("predict", predict.predict, _UNFINISHED, help=predict.__doc__)
 _add("measure", measure.measure, _UNFINISHED, help=measure.__doc__)

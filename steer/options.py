@@ -11,8 +11,6 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.base.errors import InputError
-
 
 def number(lowest: float, highest: float | None, help: str) -> Any:
     """Return an option for finite numbers from `lowest` to `highest`, if given. Typer's own check accepts NaN."""
@@ -32,6 +30,7 @@ Debug = Annotated[bool, typer.Option("--debug", help="show the traceback of erro
 SourcePath = Annotated[
     Path, typer.Argument(metavar="SOURCE", help="folder of a KITTI drive, folder of images, or video")
 ]
+Out = Annotated[Path | None, typer.Option(help="new or empty folder for the results; default: out/SOURCE")]
 Fov = Annotated[float | None, typer.Option(help="intrinsics: horizontal field of view, degrees")]
 K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics: in pixels")]
 Distortion = Annotated[
@@ -47,15 +46,6 @@ Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) an
 SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering wheel / angle of the front wheels")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 _PIPE_WIDTH = 200  # columns where the output is not a terminal
-
-
-def check_names(*paths: Path | None) -> None:
-    """Raise InputError for names that are not UTF-8, which JSON and some libraries cannot write."""
-    for path in paths:
-        try:
-            str(path).encode()
-        except UnicodeEncodeError:
-            raise InputError("name is not valid UTF-8", repr(os.fsencode(str(path))), "Rename it") from None
 
 
 def use_device(name: str | None) -> str | None:

@@ -28,5 +28,6 @@ def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]],
         problem[np.isin(list(rows), stands)] = PROBLEMS.index(STANDSTILL[0])
         file.put("problem", problem.astype(np.uint8))
         file.put("road_height_m", np.ones(len(rows), np.float32))
+        file.put("speed_sigma", np.full(len(rows), 0.05, np.float32))
         file.put("scale", np.full(len(rows), 1, np.float32))
         file.put("T_before", forth)

@@ -28,7 +28,7 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
         DriveReader(source, stage=variant.source.split("/")[0]) as input_file,
         DriveReader(motion, stage="motion") as measured,
     ):
-        params = measured.params | input_file.params | {"graphs": variant.model_dump()}
+        params = measured.params | input_file.params | {"graphs": variant.model_dump(exclude_unset=True)}
         with DriveWriter(path, stage="graphs", drive=input_file.drive, params=params) as file:
             if variant.kind == "image":
                 rows = np.flatnonzero(input_file["has_image"])

@@ -1,5 +1,6 @@
 """Measure the motion of a drive: data/motion/<drive>.h5."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,14 @@ UNITS = {
 }
 
 
-def measure_drive(path: Path, ingest: Path, perception: Path, *, road_scale: bool = True) -> Summary:
+def measure_drive(
+    path: Path,
+    ingest: Path,
+    perception: Path,
+    *,
+    road_scale: bool = True,
+    advance: Callable[[int], object] = lambda frames: None,
+) -> Summary:
     """Write the motion of each frame with an image since the previous frame, by visual odometry.
 
     All values are causal: they depend on a frame and earlier ones only. Where motion is not measured, ``valid`` and the
@@ -33,6 +41,7 @@ def measure_drive(path: Path, ingest: Path, perception: Path, *, road_scale: boo
         path: of the new file.
         ingest, perception: the drive's files of these stages.
         road_scale: scale depth so that the camera has its known height over the road.
+        advance: called with the number of frames that are done since the last call.
     """
     with (
         open_frames(ingest, perception) as frames,
@@ -53,6 +62,7 @@ def measure_drive(path: Path, ingest: Path, perception: Path, *, road_scale: boo
                 values |= step._asdict()
             for name, value in values.items():
                 columns[name][row] = value
+            advance(1)
         valid, road = columns["problem"] == 0, columns["road_height_m"] > 0
         filtered_mps, sigma = np.zeros((2, count), np.float32)
         measured = frames.time_s[valid], columns["speed_mps"][valid], road[valid]

@@ -1,6 +1,6 @@
 """Predict depth and classes of every image of a drive: data/perception/<drive>.h5."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import closing
 from functools import cache
 from pathlib import Path
@@ -21,7 +21,14 @@ cached_encoder = cache(open_encoder)
 """One encoder for all drives of a process."""
 
 
-def perceive_drive(path: Path, ingest: Path, encoder: Path, settings: Perception) -> Summary:
+def perceive_drive(
+    path: Path,
+    ingest: Path,
+    encoder: Path,
+    settings: Perception,
+    *,
+    advance: Callable[[int], object] = lambda frames: None,
+) -> Summary:
     """Write depth and classes of each image of a drive.
 
     Args:
@@ -29,6 +36,7 @@ def perceive_drive(path: Path, ingest: Path, encoder: Path, settings: Perception
         ingest: the drive's file of that stage.
         encoder: folder of stage encoder.
         settings: of section perception.
+        advance: called with the number of frames that are done since the last call.
     """
     predict = cached_encoder(encoder, settings.precision)
     sections = {"encoder": {"sha256": file_hash(weights_file(encoder))}, "perception": settings.model_dump()}
@@ -50,6 +58,7 @@ def perceive_drive(path: Path, ingest: Path, encoder: Path, settings: Perception
             for depth, cls in results:
                 file.append("depth_m", to_units(np.stack([*map(postprocess, depth, cls)])))
                 file.append("cls", cls)
+                advance(len(cls))
     return {"frames": len(with_image)}
 
 

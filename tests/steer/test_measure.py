@@ -3,64 +3,40 @@
 import csv
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import av
 import numpy as np
 import pytest
-import torch
-from torch import Tensor, nn
 
-from models.encoder.backbones import Backbone, Part, Parts
-from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
 from pipeline.base.errors import InputError
-from pipeline.camera import classes
+from pipeline.base.outputs import WORK
+from pipeline.base.store import DriveReader
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.live import results
-from pipeline.perception.perceive import save
+from pipeline.kitti.frames import ingest_kitti
+from pipeline.kitti.raw import KittiDrive
+from pipeline.motion.drive import measure_drive
+from pipeline.perception.drive import perceive_drive
+from pipeline.settings.perception import Perception
+from pipeline.video import chain, horizon
+from pipeline.video import measure as video_measure
+from pipeline.video.source import Clock, Lens, open_source
+from steer.import_ import import_recording
 from steer.measure import measure
 from tests import rendered_street as street
+from tests.flat_ground import write_encoder
 from tests.footage import write_folder
 from tests.kitti_drive import write
 
 YAW_RATE, SPEED = 0.2, 8.0
-LENS = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": CAMERA_HEIGHT_M}
-
-
-class Features(Backbone):
-    """Passes the image on. The encoder's runner needs a parameter to find the device."""
-
-    mean, std = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.unused = nn.Parameter(torch.zeros(1))
-
-    def forward(self, image: Tensor, rays: Tensor) -> Tensor:
-        return image
-
-
-class FlatGround(Part):
-    """A depth head that predicts flat ground, and houses 30 m away."""
-
-    down = 1  # axis of the camera
-
-    def forward(self, features: Tensor, rays: Tensor) -> Tensor:
-        return (CAMERA_HEIGHT_M / rays[:, self.down].clamp(min=1e-3)).clamp(max=30)
-
-
-class Void(Part):
-    def forward(self, features: Tensor, rays: Tensor) -> Tensor:
-        logits = torch.zeros(len(rays), classes.COUNT + 1, *rays.shape[-2:])
-        logits[:, -1] = 1
-        return logits
+LENS: dict[str, Any] = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": CAMERA_HEIGHT_M}
+ANGLE = np.arctan(2.7 * YAW_RATE / SPEED)
 
 
 @pytest.fixture
 def encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    parts = Parts(Features(), FlatGround(), Void())
-    monkeypatch.setitem(BACKBONES, "flat ground", lambda: parts)
-    save(tmp_path / "encoder", "flat ground", UnifiedEncoder("flat ground").state_dict())
-    return tmp_path / "encoder"
+    return write_encoder(tmp_path / "encoder", monkeypatch)
 
 
 def drive(count: int, start: int = 0) -> list[np.ndarray]:
@@ -79,29 +55,27 @@ def column(out: Path, name: str) -> np.ndarray:
 def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, images, log = tmp_path / "out", write_folder(tmp_path / "images", drive(30)), tmp_path / "can.csv"
     log.write_text(f"time_s,speed_mps,yaw_rate_radps\n0,{SPEED / 1.2},{YAW_RATE}\n2,{SPEED / 1.2},{YAW_RATE}\n")
-    logs = {"motion": log, "poses": "kitti", "distortion": "0,0,0,0"}
-    measure(images, out=out, encoder=encoder, as_json=True, **logs, **LENS)
+    measure(images, out=out, encoder=encoder, as_json=True, motion=log, poses="kitti", distortion="0,0,0,0", **LENS)
     result = json.loads(capsys.readouterr().out)
     assert (result["frames"], result["valid"]) == (30, 29)
     assert column(out, "valid").tolist() == [0] + 29 * [1]
     assert column(out, "yaw_rate_radps")[1:] == pytest.approx(YAW_RATE, abs=0.02)
     assert column(out, "speed_mps")[1:] == pytest.approx(SPEED, rel=0.1)
-    angle = np.arctan(2.7 * YAW_RATE / SPEED)
-    assert column(out, "measured_rad")[1:] == pytest.approx(angle, abs=0.01)
+    assert column(out, "measured_rad")[1:] == pytest.approx(ANGLE, abs=0.01)
     assert column(out, "heading_rad")[-1] == pytest.approx(2.9 * YAW_RATE, rel=0.1)
     assert column(out, "y_m")[-1] == pytest.approx(SPEED / YAW_RATE * (1 - np.cos(2.9 * YAW_RATE)), rel=0.2)  # left
     quality = json.loads((out / "quality.json").read_text())
     assert quality["road_height_m"] == pytest.approx(CAMERA_HEIGHT_M, rel=0.1)
     assert any("camera's height of 1.65 m" in remark for remark in quality["remarks"])
-    assert (quality["K"][0][0], quality["distortion"]) == (180, "0,0,0,0")
     assert quality["speed_ratio"] == pytest.approx(1.2, rel=0.1)
     assert any("times the one recorded in can.csv" in remark for remark in quality["remarks"])
     assert result["comparison"]["frames"] == 20  # to the end of the log at 2 s
     assert quality["speed_sigma"] < 0.1
     assert len((out / "poses.txt").read_text().splitlines()) == 30
-    assert (out / "track.png").read_bytes().startswith(b"\x89PNG")
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
+    files = ["motion.csv", "overlay.mp4", "poses.txt", "quality.json", "track.png"]
+    assert sorted(path.name for path in out.iterdir()) == files
 
 
 def test_a_drive_is_compared_with_its_recorded_angles(
@@ -113,22 +87,18 @@ def test_a_drive_is_compared_with_its_recorded_angles(
     write(folder / "image_02/timestamps.txt", times)
     rectified = "R_rect_00: 1 0 0 0 1 0 0 0 1\nS_rect_02: 320 96\nP_rect_02: 180 0 159.5 0 0 180 44 0 0 0 1 0\n"
     write(folder.parent / "calib_cam_to_cam.txt", rectified)
-    angle = np.arctan(2.7 * YAW_RATE / SPEED)
-    write(folder / "steering.csv", "frame,steering_rad\n" + "".join(f"{row},{angle}\n" for row in range(5, 25)))
-    measure(folder, out=tmp_path / "out", encoder=encoder, video=False, as_json=True)
-    comparison = json.loads(capsys.readouterr().out)["comparison"]
-    assert (comparison["truth"], comparison["frames"]) == ("steering.csv", 15)
+    write(folder / "steering.csv", "frame,steering_rad\n" + "".join(f"{row},{ANGLE}\n" for row in range(5, 20)))
+    (folder / "image_02/data/0000000017.png").write_bytes(b"damaged")
+    measure(folder, out=tmp_path / "out", encoder=encoder, as_json=True)
+    result = json.loads(capsys.readouterr().out)
+    comparison = result["comparison"]
+    assert (comparison["truth"], comparison["frames"]) == ("steering.csv", 13)  # 17 is damaged, 18 follows a gap
     assert comparison["measured"]["rmse_deg"] < 0.6
     assert comparison["measured"]["correlation"] is None  # the true angle is constant
-    assert comparison["zero"]["rmse_deg"] == pytest.approx(np.rad2deg(angle))
-    measure(folder, out=tmp_path / "out", encoder=encoder, video=False)
-    text = capsys.readouterr().out
-    assert "truth from steering.csv, 15 frames:\n  measured: nmse 0.0" in text
-    (folder / "steering.csv").unlink()
-    with_truth = (tmp_path / "out/track.png").read_bytes()
-    measure(folder, out=tmp_path / "out", encoder=encoder, video=False)
-    assert "truth from" not in capsys.readouterr().out
-    assert (tmp_path / "out/track.png").read_bytes() != with_truth
+    assert comparison["zero"]["rmse_deg"] == pytest.approx(np.rad2deg(ANGLE))
+    assert result["notes"] == ["1 damaged image left out"]
+    with pytest.raises(InputError, match="has its own calibration"):
+        measure(folder, out=tmp_path / "again", encoder=encoder, fov=80.0)
 
 
 def noisy(image: np.ndarray, count: int) -> list[np.ndarray]:
@@ -166,32 +136,86 @@ def test_a_cut_is_not_a_motion(tmp_path: Path, encoder: Path) -> None:
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
 
 
-def test_a_camera_on_its_side_is_refused(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FlatGround, "down", 0)
+def test_a_camera_on_its_side_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    encoder = write_encoder(tmp_path / "encoder", monkeypatch, down=0)
     roll = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     views = [street.view(pose @ roll)[0] for pose in street.arc(30, YAW_RATE, SPEED)]
-    with pytest.raises(InputError, match=r"pitch changes by 2\d degrees") as raised:
-        measure(write_folder(tmp_path / "images", views), out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    images = write_folder(tmp_path / "images", views)
+    with pytest.raises(InputError, match=r"pitch changes by \d\d degrees") as raised:
+        measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     assert "transpose" in raised.value.fix
     assert not (tmp_path / "out/motion.csv").exists()
+    rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in views[:2]])
+    with pytest.raises(InputError, match="taller than wide"):
+        measure(rotated, out=tmp_path / "other", encoder=encoder, fov=80.0)
+
+
+def test_a_users_files_are_kept(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing of an earlier run is replaced; without --out, the next folder is new."""
+    images, out = write_folder(tmp_path / "images", drive(4)), tmp_path / "kept"
+    write(out / "poses.txt", "mine")
+    with pytest.raises(InputError, match="exists already"):
+        measure(images, out=out, encoder=encoder, **LENS)
+    assert [path.name for path in out.iterdir()] == ["poses.txt"]
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        measure(images, encoder=encoder, video=False, **LENS)
+    assert sorted(path.name for path in Path("out").iterdir()) == ["images", "images-2"]
+
+
+def test_a_killed_run_continues(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images, out = write_folder(tmp_path / "images", drive(4)), tmp_path / "out"
+
+    def killed(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(chain, "measure_drive", killed)
+        with pytest.raises(KeyboardInterrupt):
+            measure(images, out=out, encoder=encoder, **LENS)
+    assert [path.name for path in out.iterdir()] == [WORK]
+    for name in ("ingest_drive", "perceive_drive"):  # are complete
+        monkeypatch.setattr(chain, name, killed)
+    with pytest.raises(InputError, match="exists already"):
+        measure(images, out=out, encoder=encoder, **{**LENS, "k": "181,181,159.5,44"})
+    measure(images, out=out, encoder=encoder, **LENS)
+    assert sorted(path.name for path in out.iterdir()) == ["motion.csv", "overlay.mp4", "quality.json", "track.png"]
+
+
+def test_an_imported_drive_has_the_same_numbers(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lens with distortion above the horizon: import and the stages measure what steer measure does."""
+    monkeypatch.setattr(horizon, "MIN_PAIRS", 1)
+    taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
+    images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
+    source = open_source(images, [2], Lens(K=K, distortion=bent), Clock(10.0), CAMERA_HEIGHT_M)
+    assert source.camera.horizon == pytest.approx(114, abs=3)
+    settings = Perception(batch=4, camera_height_m=CAMERA_HEIGHT_M)
+    chain.run_chain(source, tmp_path, video_measure.READING, settings, encoder, visible=False)
+    name = "2027_03_31_drive_0001"
+    import_recording(images, name, out=tmp_path / "raw", k=K, distortion=bent, fps=10.0)
+    imported = KittiDrive(tmp_path / f"raw/{name[:10]}/{name}_sync")
+    files = [tmp_path / f"imported/{stage}.h5" for stage in ("ingest", "perception", "motion")]
+    ingest_kitti(files[0], drive=name, folder=imported.folder, settings=video_measure.READING)
+    perceive_drive(files[1], files[0], encoder, settings)
+    measure_drive(files[2], *files[:2])
+    with DriveReader(files[2], stage="motion") as stage, DriveReader(tmp_path / "motion.h5", stage="motion") as own:
+        assert stage["valid"].tolist() == own["valid"].tolist() == [0] + 13 * [1]
+        for dataset in ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma"):
+            np.testing.assert_allclose(stage[dataset], own[dataset], rtol=1e-5)
 
 
 def test_missing_and_unsuitable_inputs_are_named(
     tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(results, "LINE_S", 0.0)
     images = write_folder(tmp_path / "images", drive(4))
     with pytest.raises(InputError, match="no encoder") as raised:
         measure(images, out=tmp_path / "out", encoder=tmp_path, **LENS)
     assert "make street" in raised.value.fix
-    rotated = write_folder(tmp_path / "rotated", [np.rot90(image) for image in drive(4)])
-    with pytest.raises(InputError, match="taller than wide"):
-        measure(rotated, out=tmp_path / "out", encoder=encoder, fov=80.0)
-    assert not (tmp_path / "out").exists()
     measure(images, out=tmp_path / "out", encoder=encoder, fov=80.0, max_frames=3, video=False)
     assert len(rows(tmp_path / "out")) == 3
-    text, progress = capsys.readouterr()
-    assert "3 of 3 frames, " in progress
-    assert "latency" not in progress  # a measurement predicts nothing
+    text = capsys.readouterr().out
     assert "assuming 10 per second" in text
     assert "pass --camera-height" in text or "typical car" in text
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**6))
+    with pytest.raises(InputError, match=r"4 frames need up to 0\.0 GB"):
+        measure(images, out=tmp_path / "full", encoder=encoder, fov=80.0)

@@ -1,1 +1,0 @@
-"""Measure motion and predict steering on a stream of frames."""

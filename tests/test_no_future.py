@@ -1,0 +1,53 @@
+"""No future in an input: frames after t change no input of a model at t."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.store import DriveReader
+from pipeline.camera.camera import Frame
+from pipeline.graphs.drive import graphs_drive
+from pipeline.graphs.lift import clouds_drive
+from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.motion.drive import measure_drive
+from pipeline.perception.drive import perceive_drive
+from pipeline.settings.clouds import Clouds
+from pipeline.settings.graphs import Accumulate, Variant
+from pipeline.settings.ingest import Reading
+from pipeline.settings.perception import Perception
+from tests import rendered_street as street
+from tests.flat_ground import write_encoder
+
+KNOWN, FRAMES = 8, 14
+READING = Reading(image_size=street.SIZE, cameras=[2], lidar=False, on_damaged="fail")
+VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2, accumulate=Accumulate(frames=3))
+
+
+def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, np.ndarray]:
+    """Return the datasets of the graph file of a drive, of the frames up to KNOWN."""
+    files = {name: folder / f"{name}.h5" for name in ("ingest", "perception", "motion", "clouds", "graphs")}
+    frames = [Frame(number, number / 10, image) for number, image in enumerate(images)]
+    ingest_drive(frames, files["ingest"], drive="drive", camera=street.CAMERA, settings=READING)
+    settings = Perception(batch=4)
+    perceive_drive(files["perception"], files["ingest"], encoder, settings)
+    measure_drive(files["motion"], files["ingest"], files["perception"])
+    clouds = Clouds(max_points=2000, max_depth_m=80.0, seed=0)
+    clouds_drive(files["clouds"], "pseudo", files["ingest"], files["perception"], clouds)
+    graphs_drive(files["graphs"], files["clouds"], files["motion"], VARIANT)
+    with DriveReader(files["graphs"], stage="graphs") as file:
+        assert file["motion_valid"][1:KNOWN].all()
+        rows = [file.rows_of(name, row) for name in file.pointers for row in range(KNOWN)]
+        known = {name: file[name][:KNOWN] for name in file.names if file.shape(name)[0] == len(images)}
+    return {**known, "points": np.concatenate([row.ravel() for row in rows])}
+
+
+def test_later_frames_change_no_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    encoder = write_encoder(tmp_path / "encoder", monkeypatch)
+    images = [street.view(pose)[0] for pose in street.arc(FRAMES, 0.2, 8.0)]
+    noise = np.random.default_rng(0).integers(0, 255, (FRAMES - KNOWN, *street.SIZE, 3), np.uint8)
+    one = inputs(tmp_path / "one", images, encoder)
+    other = inputs(tmp_path / "other", [*images[:KNOWN], *noise], encoder)
+    assert one.keys() == other.keys() > {"motion_speed_mps", "motion_yaw_rate_radps", "motion_valid", "time_s"}
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], err_msg=name)

@@ -68,7 +68,7 @@ def import_recording(
 ) -> None:
     """Write drives and print what to do next; the module's docstring is the help text."""
     from pipeline.settings.preset import PRESETS
-    from pipeline.video import drive_layout, drive_preset
+    from pipeline.video import drive_preset
     from pipeline.video.horizon import find_horizon
     from pipeline.video.import_recording import Import
     from pipeline.video.lens import pinhole, undistortion
@@ -81,8 +81,6 @@ def import_recording(
         raise InputError(f"--end {end:g} is not after --start {start:g}")
     shares = _shares(split)
     out = options.in_project(out)
-    drive_layout.drive_folder(out, drive, replace)
-    drives = drive_layout.consecutive(drive, len(shares))
     preset = PRESETS / f"{drive}.yaml" if split else None
     if preset:
         drive_preset.check_unchanged(preset)
@@ -97,7 +95,7 @@ def import_recording(
     camera = dataclasses.replace(camera, horizon=find_horizon(opened.frames(), camera) if horizon is None else horizon)
     work = Import(opened, camera, log, angles, max_gap, start, math.inf if end is None else end)
     work.check_overlap()
-    summary = work.write(out, drives, shares, replace=replace, visible=output.visible)
+    summary = work.write(out, drive, shares, replace=replace, visible=output.visible)
     labels = "oxts" if log else "wheel" if angles else "visual"
     if preset:
         drive_preset.write(preset, summary["manifests"], labels, summary["hz"], camera, camera_height)

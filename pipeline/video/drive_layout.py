@@ -22,35 +22,29 @@ CAMERA = 2  # left colour camera, the default of stage ingest
 IMAGES = f"image_{CAMERA:02d}"
 _CALIBRATION = "calib_cam_to_cam.txt"
 _NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
-_LAST_DRIVE = 9999
 _SAME_PX = 1e-6  # rounding of a calibration file's digits
 
 
-def drive_folder(out: Path, drive: str, replace: bool) -> Path:
-    """Return a drive's folder below `out`.
+def drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str, Path]:
+    """Return name → folder below `out` of `count` drives with consecutive numbers, from `drive` on.
 
-    Raises InputError for a name that is not like KITTI's; if the drive exists, unless `replace`; and if it exists and
-    is not what an earlier import wrote.
+    Raises InputError for a name that is not like KITTI's; if a drive exists, unless `replace`; and if it exists and is
+    not as an earlier import wrote it.
     """
-    try:
-        TypeAdapter(Drive).validate_python(drive)
-    except ValidationError:
-        raise InputError(f"expected a name like 2027_03_31_drive_0001, got {drive!r}", "--drive") from None
-    folder = out / drive[:10] / f"{drive}_sync"
-    if folder.exists() and not replace:
-        raise InputError("drive exists", folder, "Replace it with --replace, or pass --drive another number")
-    if folder.exists():
-        _check_unchanged(folder)
-    return folder
-
-
-def consecutive(drive: str, count: int) -> list[str]:
-    """Return `count` drives of a date, from `drive` on. Raises InputError beyond drive 9999."""
-    first = int(drive[-4:])
-    if first + count - 1 > _LAST_DRIVE:
-        problem = f"expected at most {_LAST_DRIVE - count + 1}, as the recording becomes {count} drives"
-        raise InputError(problem, "--drive")
-    return [f"{drive[:-4]}{first + number:04d}" for number in range(count)]
+    folders = {}
+    for part in range(count):
+        name = f"{drive[:-4]}{int(drive[-4:]) + part:04d}" if part else drive
+        try:
+            TypeAdapter(Drive).validate_python(name)
+        except ValidationError:
+            raise InputError(f"expected names like 2027_03_31_drive_0001, got {name!r}", "--drive") from None
+        folders[name] = out / name[:10] / f"{name}_sync"
+        if folders[name].exists() and not replace:
+            fix = "Replace it with --replace, or pass --drive another number"
+            raise InputError("drive exists", folders[name], fix)
+        if folders[name].exists():
+            _check_unchanged(folders[name])
+    return folders
 
 
 def write_manifest(folder: Path, calibration: Path) -> str:

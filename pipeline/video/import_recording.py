@@ -53,13 +53,11 @@ class Import:
                     fix=f"Change --offset by {first_s - begin_s:+.3f} to align their starts",
                 )
 
-    def write(
-        self, root: Path, drives: Sequence[str], shares: Sequence[float] = (100.0,), *, replace: bool, visible: bool
-    ) -> dict[str, Any]:
-        """Write the drives below `root`, and return counts and times; images without motion are left out.
+    def write(self, root: Path, drive: str, shares: Sequence[float], *, replace: bool, visible: bool) -> dict[str, Any]:
+        """Write drives below `root`, and return counts and times; images without motion are left out.
 
         Args:
-            drives: names, all of one date.
+            drive: name of the first; the others have the following numbers.
             shares: of the duration, one for each drive; see :func:`cut`.
             replace: replace drives of an earlier import.
             visible: show a progress bar.
@@ -67,8 +65,8 @@ class Import:
         Raises InputError if a drive exists, no image has motion or none of a drive an angle, a part of the split is too
         short, or the date has another camera.
         """
-        folders = [layout.drive_folder(root, drive, replace) for drive in drives]
-        date = folders[0].parent
+        drives = layout.drive_folders(root, drive, len(shares), replace)
+        folders, date = list(drives.values()), root / drive[:10]
         calibrated = layout.check_calibration(folders, self.camera, replace)
         with ExitStack() as stack:
             unfinished = [stack.enter_context(replacing(folder)) for folder in folders]

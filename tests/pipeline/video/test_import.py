@@ -1,51 +1,20 @@
-"""The written folder is what stage ingest reads, and packets are consistent: position, heading and velocities."""
+"""Packets of a log are consistent: position, heading and velocities; the parts of a split."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.camera.camera import Camera
-from pipeline.camera.images import read_pixels
-from pipeline.kitti.oxts import COLUMNS, EARTH_RADIUS_M, VF, WU, YAW, read_row, read_times
-from pipeline.kitti.raw import KittiDrive, read_calibration
+from pipeline.kitti.oxts import COLUMNS, EARTH_RADIUS_M, VF, WU, YAW
 from pipeline.video import drive_layout as layout
 from pipeline.video.import_recording import cut
 from pipeline.video.log import MotionLog
-from tests.footage import SIZE, pictures
 
 DRIVE = "2027_03_31_drive_0001"
 SAMPLES_S = np.arange(0, 20, 0.01)
 IMAGES_S = np.sort(np.random.default_rng(0).uniform(1, 19, 170))
 LAT, LON, VN, VE, WZ = (COLUMNS.index(name) for name in ("lat", "lon", "vn", "ve", "wz"))
-K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_files_are_numbered(tmp_path: Path, threads: int) -> None:
-    folder, images, usable = layout.drive_folder(tmp_path, DRIVE, False), pictures(9), np.arange(9) % 4 != 0
-    time_s = 1e9 + np.arange(9) * 0.125
-    log = MotionLog(time_s, np.arange(9.0) / 7, np.zeros(9))
-    layout.write_images(folder, ((int(number), images[number]) for number in np.flatnonzero(usable)), threads)
-    layout.write_packets(folder, log, time_s, usable)
-    layout.write_times(folder, DRIVE[:10], time_s, ("oxts", "image_02"))
-    layout.write_calibration(folder.parent, Camera(K, SIZE))
-    layout.write_horizon(folder, 20.5)
-
-    drive, numbers = KittiDrive(folder), [1, 2, 3, 5, 6, 7]
-    assert list(drive.images(2)) == list(drive.oxts) == numbers
-    np.testing.assert_array_equal([read_pixels(path) for path in drive.images(2).values()], images[numbers])
-    rows = [read_row(path) for path in drive.oxts.values()]
-    np.testing.assert_allclose(rows, layout.packets(log, time_s[usable]), rtol=1e-12)
-    np.testing.assert_allclose(read_times(drive.oxts_times, numbers), (np.array(numbers) - 1) * 0.125)
-    assert (folder / "image_02/timestamps.txt").read_text().splitlines()[1] == "2027-03-31 12:00:00.125000000"
-    camera = drive.camera(2)
-    assert (camera.size, camera.T_cam_velo, camera.horizon) == (SIZE, None, 20.5)
-    np.testing.assert_allclose(camera.K, K, rtol=1e-12)
-    assert layout.check_calibration([folder], camera, replace=False)
-    assert read_calibration(folder.parent, 2).horizon is None, "two recordings of a camera may have two horizons"
 
 
 @pytest.fixture(scope="module")

@@ -271,9 +271,3 @@ def test_timestamps_that_do_not_increase_need_a_rate(tmp_path: Path) -> None:
     with pytest.raises(DamagedFile, match="do not increase"):
         list(open_recording(path).frames())
     assert len(list(open_recording(path, fps=10).frames())) == 60
-
-
-def test_images_of_frames_are_straightened(tmp_path: Path) -> None:
-    recording = open_recording(write_folder(tmp_path / "a", pictures(2)), fps=4)
-    recording.straighten = lambda image: 255 - image
-    np.testing.assert_array_equal([frame.image for frame in recording.frames()], 255 - pictures(2))

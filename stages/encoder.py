@@ -9,7 +9,6 @@ from typing import Any
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import load
-from pipeline.base.resume import stage_key
 from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.encoder import PARTS, Encoder
 
@@ -44,8 +43,7 @@ def main(
     fitted_on: dict[str, Any] = {"frames_per_drive": {}, "image_size": None}
     with stage_folder("encoder", out) as stage:
         if settings.epochs:
-            hashes = [source.sha256 for source in sources]
-            curve, fitted_on = _fit(model, settings, hashes, ingest, drives, stage.kept)
+            curve, fitted_on = _fit(model, settings, ingest, drives)
         perceive.save(stage.new, settings.backbone, model.state_dict())
         parameters = sum(parameter.numel() for parameter in model.parameters())
         losses = {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")} if curve else None
@@ -62,24 +60,17 @@ def main(
     return out
 
 
-def _fit(
-    model: Any, settings: Encoder, hashes: list[str], ingest: Path, drives: dict[str, str], kept: Path
-) -> tuple[Sequence[Any], dict[str, Any]]:
+def _fit(model: Any, settings: Encoder, ingest: Path, drives: dict[str, str]) -> tuple[Sequence[Any], dict[str, Any]]:
     """Fit the parts that have a training target. Of drives outside of the training split, only images are used.
 
-    `hashes` identify the initial weights. Returns the loss curve and the frames for config.json.
+    Returns the loss curve and the frames for config.json.
     """
     import torch
 
     from pipeline.perception import fit, weights
     from pipeline.perception.examples import Examples
 
-    teacher = None
-    if settings.teacher:
-        teacher, sources = weights.load_teacher(settings.teacher)
-        hashes = [*hashes, *(source.sha256 for source in sources)]
-    files = [ingest / f"{drive}.h5" for drive in drives]
-    key = stage_key("encoder", settings.model_dump(mode="json"), [*hashes, *files])
+    teacher = weights.load_teacher(settings.teacher) if settings.teacher else None
     unlabelled = [drive for drive, split in drives.items() if split != "train"]
     with Examples(ingest, list(drives), settings.frames, teacher, unlabelled) as examples:
         targets = weights.choose(
@@ -93,7 +84,6 @@ def _fit(
             batch=settings.batch,
             learning_rate=settings.learning_rate,
             seed=settings.seed,
-            state_path=kept / f"{key}.pt",
         )
         return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
 

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Generator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,14 +11,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.perception.examples import Examples, augment
-from pipeline.train import checkpoint
 from pipeline.train.optimisation import warm_up_cosine
 from pipeline.train.prefetch import prefetch
 
-KIND = "unified encoder in fitting"
 WARM_UP = 0.15  # share of the steps with a rising learning rate
 WEIGHT_DECAY = 1e-4
 MAX_RELATIVE_ERROR = 6.0
@@ -43,27 +40,23 @@ def fit(
     batch: int,
     learning_rate: float,
     seed: int,
-    state_path: Path,
 ) -> list[EpochLoss]:
     """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits) in place; return the loss per epoch.
 
-    A child (backbone, head) whose parameters require no gradients is not changed, nor its batch statistics. The state
-    is saved to `state_path` after each epoch; if the file exists, the fit resumes from it, with an equal result. Raises
+    A child (backbone, head) whose parameters require no gradients is not changed, nor its batch statistics. Raises
     InputError if the loss is not finite.
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     parameters = [parameter for parameter in model.parameters() if parameter.requires_grad]
     optimiser = torch.optim.AdamW(parameters, weight_decay=WEIGHT_DECAY, fused=True)
-    curve = _resume(state_path, model, optimiser)
-    if curve:
-        print(f"resuming after {len(curve)} of {epochs} epochs", flush=True)
+    curve: list[EpochLoss] = []
     steps = math.ceil(len(examples) / batch)
     for part in model.children():
         part.train(any(parameter.requires_grad for parameter in part.parameters()))
-    for epoch in range(len(curve), epochs):
+    for epoch in range(epochs):
         start = time.perf_counter()
-        torch.manual_seed(seed + epoch)  # a resumed run draws the same dropout
+        torch.manual_seed(seed + epoch)
         sums = torch.zeros(2, dtype=torch.float64, device=device)  # read once per epoch: no step waits for a GPU
         batches = _batches(examples, batch, np.random.default_rng([seed, epoch]), pinned=device.type == "cuda")
         batches = prefetch(batches) if device.type == "cuda" else batches
@@ -88,8 +81,6 @@ def fit(
             f"encoder: {row.epoch} of {epochs} epochs: {losses_text}, {time.perf_counter() - start:.1f} s", flush=True
         )
         curve.append(row)
-        state = {"net": model.state_dict(), "optimiser": optimiser.state_dict(), "curve": [vars(row) for row in curve]}
-        checkpoint.write(state_path, {"kind": KIND, **state})
     model.eval()
     return curve
 
@@ -113,17 +104,6 @@ def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, 
     pixels, targets = logits.permute(0, 2, 3, 1).flatten(0, 2), true_cls.flatten()
     class_loss = F.cross_entropy(pixels, targets, ignore_index=classes.VOID, reduction="sum") / labelled
     return torch.stack([depth_loss, class_loss])
-
-
-def _resume(state_path: Path, model: nn.Module, optimiser: torch.optim.Optimizer) -> list[EpochLoss]:
-    """Load the state of an interrupted fit, if there is one; return the losses of its epochs."""
-    if not state_path.is_file():
-        return []
-    with error_context(fix=f"Delete {state_path} to start again"):
-        state = checkpoint.read(state_path, KIND)
-    model.load_state_dict(state["net"])
-    optimiser.load_state_dict(state["optimiser"])
-    return [EpochLoss(**row) for row in state["curve"]]
 
 
 def _batches(examples: Examples, batch: int, rng: np.random.Generator, *, pinned: bool) -> Generator[list[Tensor]]:

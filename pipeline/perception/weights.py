@@ -234,19 +234,19 @@ def supervision(
     raise InputError(f"no training drive has {kinds}, and encoder.weights has no {part}", "encoder", fix)
 
 
-def load_teacher(settings: Teacher) -> tuple[Classify, list[Source]]:
-    """Return the classifier of a fitted encoder, and the files of its weights. Raises InputError."""
+def load_teacher(settings: Teacher) -> Classify:
+    """Return the classifier of a fitted encoder. Raises InputError."""
     with error_context("encoder.teacher.backbone"):
         model = UnifiedEncoder(settings.backbone)
     with error_context("encoder.teacher.weights"):
         part = part_without_weights(model, settings.weights, ("backbone", "class_head"))
         if part:
             raise InputError(f"no file for the {part}", fix="Name one: a teacher is not fitted")
-        sources = load_weights(model, settings.backbone, settings.weights)
+        load_weights(model, settings.backbone, settings.weights)
     model.to("cuda" if torch.cuda.is_available() else "cpu").eval().requires_grad_(False)
 
     def classify(image: np.ndarray, camera: Camera) -> np.ndarray:
         cls: np.ndarray = perceive.perceive(model, image[None], camera)[1][0]
         return cls
 
-    return classify, sources
+    return classify

@@ -136,7 +136,7 @@ def _draw_errors(file: Path, group: Group, ingest: Path) -> Captions:
     panels = figure.subplots(rows, 2, squeeze=False).ravel()
     for panel in panels:
         panel.set_axis_off()
-    on_path = len(group.labels) > 1
+    on_path = any(group.labels.values())
     for panel, (row, image, camera) in zip(panels, shown, strict=False):
         panel.imshow(image)
         for kind in ("driven", "predicted") if on_path else ():

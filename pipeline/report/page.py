@@ -82,8 +82,10 @@ def _test_drives(group: Group, look: plots.Styles) -> Content:
     drives, count = group.worst_drives(), predictions["drive"].nunique()
     chosen = f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
     shown = [(drive, predictions[predictions["drive"] == drive]) for drive in drives]
+    angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
     content: list[str | Plot] = [
-        f"Predictions of the first seed{chosen}. Drag to zoom, double-click to reset, click the legend to hide a line.",
+        f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide "
+        "a line.",
         *(Plot(f"{drive}: {group.title} over time", plots.over_time(table, look)) for drive, table in shown),
     ]
     for column, label in group.labels.items():

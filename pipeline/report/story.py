@@ -15,7 +15,7 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
     """Return at most three sentences: the best model of the first group against the best row without learning; that
     the labels have the wrong sign; and the models that have no result here."""
     texts = []
-    if groups:
+    if groups and np.isfinite(mean_nmse(groups[0].by_error[0])):  # with a bend in the test drives
         group, best = groups[0], groups[0].by_error[0]
         texts.append(
             f"{best['model']} predicts the {group.title} with a test nmse of {mean_nmse(best):.3f} "

@@ -77,7 +77,7 @@ def steering_tables(groups: Sequence[Group], settings: Evaluate) -> list[Table]:
     tables = [Table(f"Results: {group.title}", _results(group), _RESULTS) for group in groups[:1]]
     tables += [Table(f"Results: {group.title}", _results(group)) for group in groups[1:]]
     for group in groups:
-        if len(group.labels) > 1:
+        if any(group.labels.values()):
             tables.append(Table(f"Without onsets: {group.title}", _results(group, "without_decisions")))
         tables.append(Table(f"Differences: {group.title}", _differences(group, settings), _DIFFERENCES))
         tables.append(Table(f"Uncertainty: {group.title}", _uncertainty(group), _UNCERTAINTY))

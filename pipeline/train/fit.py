@@ -130,17 +130,18 @@ class Fit:
         settings, device, net = self.settings, self.net.device, self.net
         steps, robust = self._plan(drives, epoch), self.entry.predict == "path"
         net.train()
-        errors, masses, rate = [], [], 0.0
+        progress = (epoch - 1 + np.arange(len(steps)) / len(steps)) / settings.epochs
+        rates = [settings.learning_rate * warm_up_cosine(share, WARM_UP) for share in progress.tolist()]
+        errors, masses, precision = [], [], autocast(device, settings.precision)
         # Several bars on one terminal overwrite each other.
         hidden = multiprocessing.parent_process() is not None or not sys.stderr.isatty()
         bar = tqdm(reader.batches(steps), f"epoch {epoch}", len(steps), unit="step", leave=False, disable=hidden)
         for step, batch in enumerate(bar):
-            rate = settings.learning_rate * warm_up_cosine((epoch - 1 + step / len(steps)) / settings.epochs, WARM_UP)
             for parameters in self.optimiser.param_groups:
-                parameters["lr"] = rate
+                parameters["lr"] = rates[step]
             # Copied before the forward pass: the copies do not wait for it.
             residual, weight = (batch[name].to(device, non_blocking=True) for name in ("residual", "weight"))
-            with autocast(device, settings.precision):
+            with precision:
                 predicted = net(*net.inputs(batch), pairs=settings.mirror)
             error = weighted_loss(predicted, residual, weight, robust)
             # Each span has a valid target, but all ranges of a scaled path may be unknown: then the error is 0, too.
@@ -155,7 +156,7 @@ class Fit:
             errors.append(error.detach())
             masses.append(mass)
         error_sum, mass_sum = torch.stack(errors + masses).double().view(2, -1).sum(1).tolist()
-        return error_sum / mass_sum, rate
+        return error_sum / mass_sum, rates[-1]
 
     def _resume(self, state: Mapping[str, Any]) -> None:
         self.net.load_state_dict(state["net"])

@@ -77,15 +77,6 @@ class Timeline:
             return 0
         return frames // 2 if rng is None else int(rng.integers(frames // 4, frames - frames // 4 + 1))
 
-    def rows(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Return the rows of frame `numbers`. Raises InputError for the first number that is not in the file."""
-        numbers = np.asarray(numbers)
-        unknown = numbers[~np.isin(numbers, self.frame)]
-        if len(unknown):
-            stored = f"{len(self.frame)} frames, {self.frame[0]} to {self.frame[-1]}" if len(self.frame) else "none"
-            raise InputError(f"no frame {unknown[0]} (found: {stored})", self.graphs)
-        return np.searchsorted(self.frame, numbers)
-
 
 @dataclass(frozen=True)
 class LabelledDrive(Timeline):

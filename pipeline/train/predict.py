@@ -91,7 +91,9 @@ class Trained:
         entry = self.entry
         with error_context(where=f"model {self.name}"):
             timeline = Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict, entry.scene)
-        rows = np.arange(len(timeline.frame)) if numbers is None else timeline.rows(numbers)
+        rows = np.arange(len(timeline.frame))
+        if numbers is not None:
+            rows = np.array([graphs.row_of(int(number)) for number in numbers], np.int64)
         (predicted,) = predict_drives(self.net, [timeline], entry.window, self.scale, [rows], {0: graphs})
         return Prediction(*(values[rows] for values in predicted if values is not None))
 

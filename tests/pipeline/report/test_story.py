@@ -49,7 +49,10 @@ def test_a_negative_gain_means_that_left_and_right_are_exchanged(tmp_path: Path,
     assert ("The sign of wheel_rad is inverted: left is positive." in texts) == inverted
 
 
+def test_without_a_bend_or_a_model_nothing_is_said(tmp_path: Path) -> None:
+    assert sentences([]) == sentences(examples.groups(tmp_path, metrics("straight", None))) == []
+
+
 def test_models_without_a_result_are_named() -> None:
-    assert sentences([]) == []
     (text,) = sentences([], ["net", "other"])
     assert text.startswith("No result here: net, other.")

@@ -102,7 +102,7 @@ def recorded(kitti: Path, path: Path, points: int = POINTS) -> Street:
     variant = Variant(source="clouds/lidar", points=points, k=K, keep_inter_class=KEEP_INTER_CLASS)
     graphs = (frame_graph.build(_read(scan, points), variant, drive, number) for number, scan in enumerate(scans))
     with store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": variant.model_dump()}) as file:
-        graph_file.write(file, frame, frame * 0.1, graphs, frame_graph.empty(variant))
+        graph_file.write(file, frame, frame * 0.1, graphs, frame_graph.empty_frame(variant))
     return Street(path)
 
 

@@ -9,7 +9,6 @@ from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
 from pipeline.base.stage_folder import stage_folder
 from pipeline.graphs import cloud
-from pipeline.graphs.lift import clouds_drive
 from pipeline.settings.clouds import Clouds
 
 KINDS = ("pseudo", "lidar")
@@ -32,7 +31,7 @@ def main(
         jobs = []
         for drive in splits:
             inputs = ingest / f"{drive}.h5", perception / f"{drive}.h5"
-            work = partial(clouds_drive, kind=kind, ingest=inputs[0], perception=inputs[1], settings=settings)
+            work = partial(cloud.clouds_drive, kind=kind, ingest=inputs[0], perception=inputs[1], settings=settings)
             jobs.append(Job(drive, f"{drive}.h5", inputs, work))
         with stage_folder(f"clouds@{kind}", out / kind) as folder:
             counts = make_drives(folder, jobs, settings, "{frames} frames, {points} points".format_map, workers)

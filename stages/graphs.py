@@ -12,7 +12,7 @@ from pipeline.base.params import load_entry
 from pipeline.base.runner import Job, Summary, make_drives
 from pipeline.base.stage_folder import stage_folder
 from pipeline.graphs import cloud
-from pipeline.graphs.drive import graphs_drive
+from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.settings.graphs import Variant
 
 

@@ -88,7 +88,7 @@ def write_sets(
 
 def _write(path: Path, drive: str, frame: np.ndarray, frames: Iterable[graph_file.Columns], variant: Variant) -> None:
     with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
-        graph_file.write(file, frame, frame * 0.1, frames, frame_graph.empty(variant))
+        graph_file.write(file, frame, frame * 0.1, frames, frame_graph.empty_frame(variant))
 
 
 def write_images(

@@ -6,6 +6,7 @@ model (`semantics`), so clouds always carry the class.
 
 import zlib
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.drive_frames import open_frames
 
 if TYPE_CHECKING:
     from pipeline.settings.clouds import Clouds
@@ -24,6 +26,25 @@ Cloud = tuple[np.ndarray, np.ndarray]
 STRATA_M = (10.0, 20.0, 40.0)
 """Limits of the four intervals of horizontal range from which `sampling: range` draws equal numbers of points."""
 RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and files compress better
+
+
+def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings: "Clouds") -> dict[str, int]:
+    """Write the cloud of each frame, back-projected with K⁻¹ (paper eq. 6, 7), or a scan in the camera frame.
+
+    Args:
+        path: of the new file.
+        kind: pseudo (of images) or lidar (of scans).
+        ingest, perception: the drive's files of these stages.
+        settings: of section clouds.
+    """
+    with (
+        open_frames(ingest, perception, scans=kind == "lidar") as frames,
+        DriveWriter(
+            path, stage="clouds", drive=frames.drive, params=frames.params | {"clouds": settings.model_dump()}
+        ) as file,
+    ):
+        clouds = (stored_cloud(frame, kind, frames.camera, frames.drive, settings) for frame in frames)
+        return write(file, frames.frame, frames.time_s, clouds)
 
 
 def stored_cloud(frame: Frame, kind: str, camera: Camera, drive: str, settings: "Clouds") -> Cloud:

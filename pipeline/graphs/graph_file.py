@@ -70,14 +70,6 @@ class MeasuredMotion(NamedTuple):
     valid: np.ndarray  # uint8 [G]
 
 
-class PointGraph(NamedTuple):
-    """The kNN graph of one frame: xyz float32 [P,3], cls uint8 [P], :func:`edge_pairs` int64 [E,2]."""
-
-    xyz: np.ndarray
-    cls: np.ndarray
-    edges: np.ndarray
-
-
 def write(
     file: store.DriveWriter, frame: np.ndarray, time_s: np.ndarray, frames: Iterable[Columns], empty: Columns
 ) -> Counts:
@@ -153,12 +145,15 @@ class Graphs(store.DriveReader):
         """Pointer → first row of each frame and the end, int64 [G+1]."""
         return {pointer: self[pointer] for pointer in dict.fromkeys(self.pointers.values())}
 
-    def graph(self, row: int) -> PointGraph:
-        """Return the graph of the frame at `row`. Raises InputError if the file has no kNN graphs."""
+    def graph(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return xyz float32 [P,3], cls uint8 [P] and :func:`edge_pairs` of the frame at `row`.
+
+        Raises InputError if the file has no kNN graphs.
+        """
         if self.contents.kind != "graph":
             raise InputError(f"expected kNN graphs, got {self.contents}", self.path)
         xyz, cls, degree, indices = (self.rows_of(name, row) for name in ("xyz", "cls", "degree", "indices"))
-        return PointGraph(xyz, cls, edge_pairs(degree, indices))
+        return xyz, cls, edge_pairs(degree, indices)
 
 
 def open_graphs(path: str | Path) -> Graphs:

@@ -1,7 +1,6 @@
 """Sampling and grouping of PointNet++ (paper eq. 1; Qi et al. 2017): farthest point sampling and ball query."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,20 +8,12 @@ LevelSize = tuple[int, float, int]
 """Centres, radius in metres, neighbours per centre."""
 
 
-@dataclass(frozen=True)
-class Grouping:
-    """Sampling and grouping of P points for one set abstraction.
-
-    centres: int64 [M], the sampled points.
-    neighbours: int64 [M,n], the points in the ball around each centre.
-    """
-
-    centres: np.ndarray
-    neighbours: np.ndarray
+Grouping = tuple[np.ndarray, np.ndarray]
+"""Centres int64 [M], the sampled points, and neighbours int64 [M,n], the points in the ball around each centre."""
 
 
 def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:
-    """Sample and group the points [P,3], then the resulting centres, and so on: a level for each of `sizes`."""
+    """Sample and group the points [P,3], then the resulting centres, and so on: a set abstraction for each size."""
     result = []
     # Points are stored in Morton order, so the first points of a ball would be one corner of it. In the reference the
     # order is random, hence the permutation. Later levels are in the order of farthest point sampling, in which the
@@ -30,7 +21,7 @@ def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator
     order = rng.permutation(len(xyz))
     for count, radius_m, neighbours in sizes:
         centres = farthest_points(xyz, count)
-        result.append(Grouping(centres, ball_query(xyz, centres, radius_m, neighbours, order)))
+        result.append((centres, ball_query(xyz, centres, radius_m, neighbours, order)))
         xyz = xyz[centres]
         order = np.arange(len(xyz))
     return result

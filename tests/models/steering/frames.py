@@ -31,8 +31,8 @@ def sets(count: int, seed: int = 0) -> Arrays:
     """Return a frame with two levels of neighbourhoods."""
     arrays = points(count, seed)
     levels = neighbourhoods.levels(arrays["xyz"], [(12, 8.0, 5), (4, 16.0, 6)], np.random.default_rng(seed))
-    for number, level in enumerate(levels, start=1):
-        arrays |= {f"centres_{number}": level.centres, f"neighbours_{number}": level.neighbours}
+    for number, (centres, neighbours) in enumerate(levels, start=1):
+        arrays |= {f"centres_{number}": centres, f"neighbours_{number}": neighbours}
     return arrays
 
 

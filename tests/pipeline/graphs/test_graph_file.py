@@ -32,7 +32,7 @@ def frames(variant: Variant) -> list[Columns]:
 
 def write(path: Path, variant: Variant) -> graph_file.Counts:
     with DriveWriter(path, stage="graphs", drive="drive", params={}) as file:
-        return graph_file.write(file, FRAME, TIME_S, frames(variant), frame_graph.empty(variant))
+        return graph_file.write(file, FRAME, TIME_S, frames(variant), frame_graph.empty_frame(variant))
 
 
 @pytest.mark.parametrize("variant", [KNN, SETS])
@@ -66,7 +66,7 @@ def test_motion_is_matched_by_frame_number(tmp_path: Path) -> None:
         DriveReader(tmp_path / "motion.h5", stage="motion") as motion,
         DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as writer,
     ):
-        graph_file.write(writer, FRAME, TIME_S, frames(KNN), frame_graph.empty(KNN))
+        graph_file.write(writer, FRAME, TIME_S, frames(KNN), frame_graph.empty_frame(KNN))
         graph_file.put_motion(writer, FRAME, motion)
     with open_graphs(tmp_path / "a.h5") as graphs:
         assert graphs.motion

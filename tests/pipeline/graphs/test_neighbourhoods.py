@@ -50,8 +50,10 @@ def test_balls_are_those_of_brute_force(xyz: np.ndarray, radius_m: float) -> Non
 
 
 def test_levels_build_on_each_other(xyz: np.ndarray) -> None:
-    first, second = neighbourhoods.levels(xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0))
-    centres = xyz[first.centres]
-    assert second.centres.tolist() == reference_fps(centres, 10)
+    (first, _), (second, neighbours) = neighbourhoods.levels(
+        xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0)
+    )
+    centres = xyz[first]
+    assert second.tolist() == reference_fps(centres, 10)
     order = np.arange(40)
-    assert second.neighbours.tolist() == [reference_ball(centres, int(c), 12.0, 6, order) for c in second.centres]
+    assert neighbours.tolist() == [reference_ball(centres, int(c), 12.0, 6, order) for c in second]

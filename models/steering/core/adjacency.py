@@ -26,7 +26,9 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
 
     scale = sizes.to(dtype).rsqrt()  # [N], D̃^(-1/2)
     values = scale.index_select(0, row) * scale.index_select(0, column)
-    return _csr(starts.int(), column.int(), values, nodes)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(starts.int(), column.int(), values, (nodes, nodes), check_invariants=False)
 
 
 def propagate(adjacency: Tensor, x: Tensor) -> Tensor:
@@ -47,16 +49,3 @@ class _SymmetricProduct(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
         return None, propagate(ctx.matrix, gradient)
-
-
-def csr_rows(matrix: Tensor, first: int, last: int) -> Tensor:
-    """Return rows [first, last) of a sparse CSR matrix, without copying its entries."""
-    starts = matrix.crow_indices()[first : last + 1]
-    entries = slice(*starts[[0, -1]].tolist())
-    return _csr(starts - starts[0], matrix.col_indices()[entries], matrix.values()[entries], matrix.shape[1])
-
-
-def _csr(starts: Tensor, columns: Tensor, values: Tensor, width: int) -> Tensor:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
-        return torch.sparse_csr_tensor(starts, columns, values, (len(starts) - 1, width), check_invariants=False)

@@ -66,16 +66,8 @@ class GraphNetwork(nn.Module):
         return original, mirrored
 
     def pooled(self, batch: GraphBatch, versions: int) -> Tensor:
-        """Return mean ‖ max over each frame's points after the last layer, ‖ max over each sector's: [B, S, pooled].
-
-        S `versions`, the frames and with 2 also their mirror images, share the graph: a node has S sets of channels.
-        """
-        dtype = self.read_out.weight.dtype
-        operator = self.layers[0].operator(batch, dtype)  # type: ignore[operator]
-        x = node_features(batch.xyz.to(dtype), batch.cls, self.semantics)[:, None]  # [N, 1, 25]
-        x = x * self.signs if versions == 2 else x
-        for layer in self.layers:
-            x = layer(x, operator).relu()  # [N, S, width]
+        """Return mean ‖ max over each frame's points after the last layer, ‖ max over each sector's: [B, S, pooled]."""
+        x = self.convolved(batch, versions)
         pooled = mean_max_pool(x, batch.ptr)  # [B, S, 2 width]
         if self.sectors:
             by_sector = sector_max_pool(x.flatten(1), batch.xyz, batch.ptr, self.sectors)
@@ -84,3 +76,16 @@ class GraphNetwork(nn.Module):
                 by_sector = torch.stack([by_sector[:, :, 0], by_sector[:, :, 1].flip(1)], dim=2)
             pooled = torch.cat([pooled, by_sector.transpose(1, 2).flatten(2)], dim=2)
         return pooled
+
+    def convolved(self, batch: GraphBatch, versions: int) -> Tensor:
+        """Return the output of the last layer [N, S, width].
+
+        S `versions`, the frames and with 2 also their mirror images, share the graph: a node has S sets of channels.
+        """
+        dtype = self.read_out.weight.dtype
+        operator = self.layers[0].operator(batch, dtype)  # type: ignore[operator]
+        x = node_features(batch.xyz.to(dtype), batch.cls, self.semantics)[:, None]  # [N, 1, 25]
+        x = x * self.signs if versions == 2 else x
+        for layer in self.layers:
+            x = layer(x, operator).relu()
+        return x

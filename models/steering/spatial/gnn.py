@@ -1,13 +1,17 @@
 """Graph convolution on a symmetric graph (paper eq. 3; Kipf and Welling 2017)."""
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.adjacency import normalised_adjacency, propagate
 from models.steering.core.batch import GraphBatch
-from models.steering.core.convolutions import Convolutions
+from models.steering.core.features import node_features
 from models.steering.core.graph_network import GraphNetwork, GraphOptions
 from models.steering.core.options import Sizes
+
+BLOCK = 8192  # points per block on a CPU; with 64 channels and two versions 4 MB in float32, about a core's cache
 
 
 class GCNLayer(nn.Module):
@@ -19,12 +23,8 @@ class GCNLayer(nn.Module):
         self.bias = nn.Parameter(torch.zeros(outputs))
         nn.init.xavier_uniform_(self.weight)
 
-    @staticmethod
-    def operator(batch: GraphBatch, dtype: torch.dtype) -> Tensor:
-        """Return the normalised adjacency matrix, sparse [N,N], for all layers."""
-        return normalised_adjacency(batch.degree, batch.indices, dtype)
-
     def forward(self, x: Tensor, adjacency: Tensor) -> Tensor:
+        """`adjacency`: the normalised matrix D̃^(-1/2) Ã D̃^(-1/2), sparse [N,N]."""
         inputs, outputs = self.weight.shape
         if inputs <= outputs:  # the sparse product runs on the narrower side
             return nn.functional.linear(propagate(adjacency, x.flatten(1)).view_as(x), self.weight.T, self.bias)
@@ -33,23 +33,27 @@ class GCNLayer(nn.Module):
 
 
 class GCN(GraphNetwork):
-    """Graph convolution network, tile by tile on a CPU (core/convolutions.py).
-
-    With sectors, on a GPU and in mixed precision it runs layer by layer, as the other networks on graphs.
-    """
+    """Graph convolution network; on a CPU block by block, so that temporaries stay in the cache."""
 
     def __init__(self, features: int, options: GraphOptions) -> None:
         super().__init__(GCNLayer, features, options)
 
     def pooled(self, batch: GraphBatch, versions: int) -> Tensor:
-        kind = batch.xyz.device.type
-        if self.sectors or kind != "cpu" or torch.is_autocast_enabled(kind):
-            return super().pooled(batch, versions)
-        weight, bias, *later = self.layers.parameters()
-        # Mirroring changes the sign of node features; in Â H W that equals changing the sign of rows of W.
-        wide = torch.cat([weight * signs[:, None] for signs in self.signs[:versions]], dim=1)
-        pooled: Tensor = Convolutions.apply(batch, self.semantics, wide, bias.repeat(versions), *later)  # type: ignore[no-untyped-call]
-        return pooled.view(len(pooled), 2, versions, -1).transpose(1, 2).flatten(2)
+        blocks = batch.blocks(BLOCK) if batch.xyz.device.type == "cpu" else [batch]
+        return torch.cat([GraphNetwork.pooled(self, block, versions) for block in blocks])
+
+    def convolved(self, batch: GraphBatch, versions: int) -> Tensor:
+        dtype = self.read_out.weight.dtype
+        adjacency = normalised_adjacency(batch.degree, batch.indices, dtype)
+        layers: Any = self.layers
+        first, *later = layers
+        # Versions share the first sparse product: the signs of node features are those of rows of the weight.
+        x = propagate(adjacency, node_features(batch.xyz.to(dtype), batch.cls, self.semantics))  # [N, 25]
+        weight = torch.cat([first.weight * signs[:, None] for signs in self.signs[:versions]], dim=1)
+        x = torch.addmm(first.bias.repeat(versions), x, weight).relu().view(len(x), versions, first.bias.numel())
+        for layer in later:
+            x = layer(x, adjacency).relu()  # [N, S, width]
+        return x
 
 
 class Options(GraphOptions):

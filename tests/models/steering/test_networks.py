@@ -10,10 +10,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from models.steering.core import convolutions
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
 from models.steering.core.features import node_features
-from models.steering.core.graph_network import GraphNetwork, GraphOptions
+from models.steering.core.graph_network import GraphOptions
 from models.steering.core.options import Sizes, load, names
 from models.steering.spatial import edgeconv, gatv2, gnn, polar
 from models.steering.spatial.pointnet2 import OFFSET_M
@@ -113,16 +112,31 @@ def graph_batch(counts: list[int]) -> GraphBatch:
     return batch
 
 
-@pytest.mark.parametrize("widths", [[3, 8], [9, 4]])  # the sparse product before and after the dense one
-def test_gcn_equals_pyg(widths: list[int]) -> None:
+@pytest.mark.parametrize("layers", [(30, 40), (30, 5, 12), (4,)])  # the sparse product before and after the dense one
+@pytest.mark.parametrize("block", [4, 30, 10**6])  # points: a frame each, some frames, all
+@pytest.mark.parametrize("versions", [1, 2])  # the frames; and their mirror images
+def test_gcn_equals_pyg(monkeypatch: pytest.MonkeyPatch, layers: Any, block: int, versions: int) -> None:
+    monkeypatch.setattr(gnn, "BLOCK", block)
     batch = graph_batch([20, 0, 1, 11])
     torch.manual_seed(0)
-    layer, peer = gnn.GCNLayer(*widths).double(), GCNConv(*widths).double()
-    nn.init.normal_(layer.bias)
-    peer.lin.weight.data, peer.bias.data = layer.weight.data.T.clone(), layer.bias.data.clone()
-    x = torch.randn(32, widths[0], dtype=torch.float64, requires_grad=True)
-    ours, theirs = layer(x, layer.operator(batch, x.dtype)), peer(x, batch.edge_index)
-    same_gradients(ours, theirs, [x, layer.weight, layer.bias], [x, peer.lin.weight, peer.bias])
+    net = gnn.GCN(5, GraphOptions(layers=layers, semantics=0.7)).double()
+    peers, mine, theirs = [], [], []
+    for layer in net.layers:
+        nn.init.normal_(layer.bias)
+        peers.append(GCNConv(*layer.weight.shape).double())
+        peers[-1].lin.weight.data, peers[-1].bias.data = layer.weight.data.T.clone(), layer.bias.data.clone()
+        mine, theirs = [*mine, layer.weight, layer.bias], [*theirs, peers[-1].lin.weight, peers[-1].bias]
+    expected = []
+    for side in (batch, batch.mirrored())[:versions]:
+        x = node_features(side.xyz, side.cls, 0.7)
+        for peer in peers:
+            x = peer(x, batch.edge_index).relu()
+        rows = [
+            (part.mean(0), part.amax(0)) if len(part) else x.new_zeros(2, x.shape[1])
+            for part in x.split([20, 0, 1, 11])
+        ]
+        expected.append(torch.stack([torch.cat([*pair]) for pair in rows]))
+    same_gradients(net.pooled(batch, versions), torch.stack(expected, dim=1), mine, theirs)
 
 
 @pytest.mark.parametrize("equal_rows", [False, True])
@@ -159,27 +173,6 @@ def test_gatv2_equals_pyg(outputs: int, heads: int) -> None:
     ours, theirs = layer(x, layer.operator(batch, x.dtype)), peer(x, batch.edge_index)
     mine = [x, layer.attention, layer.bias, *layer.left.parameters(), *layer.right.parameters()]
     same_gradients(ours, theirs, mine, [x, peer.att, peer.bias, *peer.lin_l.parameters(), *peer.lin_r.parameters()])
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("layers", [(8, 16), (30, 5, 12), (4,)])
-@pytest.mark.parametrize("tile", [4, 30, 10**6])  # points: several of a frame, some frames, all
-def test_tiles_equal_layers(monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, layers: Any, tile: int) -> None:
-    """Values and gradients of the graph convolutions, of the frames and of their mirror images."""
-    monkeypatch.setattr(convolutions, "TILE", tile)
-    batch = graph_batch([13, 0, 1, 30, 22, 7])
-    torch.manual_seed(0)
-    net = gnn.GCN(5, GraphOptions(layers=layers, semantics=0.7)).to(dtype)
-    for layer in net.layers:
-        nn.init.normal_(layer.bias)
-    parameters = list(net.layers.parameters())
-    tolerance = TOLERANCE if dtype == torch.float64 else {"rtol": 1e-5, "atol": 1e-5}
-    for versions in (1, 2):
-        ours, expected = net.pooled(batch, versions), GraphNetwork.pooled(net, batch, versions)
-        torch.testing.assert_close(ours, expected, **tolerance)
-        upstream = torch.randn_like(ours)
-        gradients = [torch.autograd.grad((out * upstream).sum(), parameters) for out in (ours, expected)]
-        torch.testing.assert_close(*gradients, **tolerance)
 
 
 def plain_map(frame: dict[str, Any]) -> Tensor:

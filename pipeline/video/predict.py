@@ -7,8 +7,8 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
 from pipeline.graphs import graph_file
-from pipeline.graphs.drive import graphs_drive
-from pipeline.graphs.lift import clouds_drive
+from pipeline.graphs.cloud import clouds_drive
+from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.perception.perceive import weights_file
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant

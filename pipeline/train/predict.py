@@ -5,7 +5,7 @@ from pipeline.train import predict
 
 model = predict.load("data/train/sa-gnn-ncp")
 with graph_file.open_graphs("data/graphs/semantic/2026_01_10_drive_0004.h5") as graphs:
-    steering_rad = model.predict(graphs, [20, 21, 30]).mean[:, 0]
+    steering_rad = model.predict(graphs).mean[:, 0]  # NaN without a complete window
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -71,31 +71,21 @@ class Trained:
         """Edges of the ranges of the path ahead; none for an angle."""
         return tuple(self.settings["labels"]["ahead_m"]) if self.entry.predict == "path" else ()
 
-    def predict(self, graphs: Graphs, numbers: Sequence[int] | np.ndarray | None = None) -> Prediction:
-        """Return a prediction per frame of an open graph file, in the columns `scale.names`.
+    def predict(self, graphs: Graphs) -> Prediction:
+        """Return a prediction for each frame of an open graph file, in the columns `scale.names`.
 
         The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
         ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. Each frame is
         read and encoded once, with at most WINDOWS windows at a time.
 
-        Args:
-            graphs: from :func:`graph_file.open_graphs`.
-            numbers: KITTI frame numbers, in any order; None: all frames of the file.
-        Raises:
-            InputError: the file has another kind of frames than the network was trained on, lacks the model's motion,
-                or has no such frame.
+        Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
         """
+        entry = self.entry
         if graphs.contents != self.contents:
             problem = f"model {self.name} expects {self.contents}, got {graphs.contents}"
-            raise InputError(problem, graphs.path, f"Use graphs of input: {self.entry.input}, or train the model again")
-        entry = self.entry
-        with error_context(where=f"model {self.name}"):
-            timeline = Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict, entry.scene)
-        rows = np.arange(len(timeline.frame))
-        if numbers is not None:
-            rows = np.array([graphs.row_of(int(number)) for number in numbers], np.int64)
-        (predicted,) = predict_drives(self.net, [timeline], entry.window, self.scale, [rows], {0: graphs})
-        return Prediction(*(values[rows] for values in predicted if values is not None))
+            raise InputError(problem, graphs.path, f"Use graphs of input: {entry.input}, or train the model again")
+        timeline = Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict, entry.scene)
+        return predict_drives(self.net, [timeline], entry.window, self.scale)[0]
 
 
 def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
@@ -133,19 +123,13 @@ def predict_drives(
     timelines: Sequence[Timeline],
     window: int,
     scale: Scale,
-    rows: Sequence[np.ndarray] | None = None,
-    opened: Mapping[int, Graphs] | None = None,
     read: Callable[[Sequence[windows.Span]], Iterable[Mapping[str, Any]]] | None = None,
 ) -> list[Prediction]:
-    """Return the predictions for each timeline's frames.
-
-    With `rows`, int [..] per timeline, at least for these; other frames are not encoded. `opened` as in
-    :func:`windows.batches`; `read` replaces it: a function that yields the batches of spans.
-    """
+    """Return the predictions for each timeline's frames. `read` yields the batches of spans; None: from the files."""
     import torch
 
-    spans = windows.spans(timelines, window, WINDOWS, rows)
-    batches: Any = read(spans) if read else prefetch(windows.batches(timelines, [[s] for s in spans], window, opened))
+    spans = windows.spans(timelines, window, WINDOWS)
+    batches: Any = read(spans) if read else prefetch(windows.batches(timelines, [[span] for span in spans], window))
     net.eval()
     with torch.inference_mode():
         outputs = [net(*net.inputs(batch)) for batch in batches]

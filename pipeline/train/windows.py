@@ -60,27 +60,14 @@ def random_spans(drives: Sequence[LabelledDrive], window: int, windows: int, rng
     return spans
 
 
-def spans(
-    timelines: Sequence[Timeline], window: int, windows: int, rows: Sequence[np.ndarray] | None = None
-) -> list[Span]:
-    """Return spans of at most `windows` windows that cover each complete window once, in order.
-
-    With `rows`, int [..] per timeline, only windows that end there: those that share or adjoin frames share a span, and
-    other frames are in none.
-    """
-    result: list[Span] = []
-    for number, timeline in enumerate(timelines):
-        wanted = np.arange(len(timeline.frame)) if rows is None else np.unique(rows[number])
-        shift = timeline.scene_shift()
-        for start, stop in timeline.stretches:
-            span: Span | None = None
-            for end in wanted[(wanted >= start + window - 1) & (wanted < stop)].tolist():  # a window's last frame
-                if span and end - window + 1 <= span.stop and end - (span.start + window - 1) < windows:
-                    span = result[-1] = Span(number, span.start, end + 1, shift)
-                else:
-                    span = Span(number, end - window + 1, end + 1, shift)
-                    result.append(span)
-    return result
+def spans(timelines: Sequence[Timeline], window: int, windows: int) -> list[Span]:
+    """Return spans of at most `windows` windows that cover each complete window once, in order."""
+    return [
+        Span(number, first, min(first + windows + window - 1, stop), timeline.scene_shift())
+        for number, timeline in enumerate(timelines)
+        for start, stop in timeline.stretches
+        for first in range(start, stop - window + 1, windows)
+    ]
 
 
 def batches(

@@ -64,7 +64,7 @@ def predict(
         graphs_drive(work / GRAPHS, clouds, work / MOTION, variant)
     with graph_file.open_graphs(work / GRAPHS) as graphs:
         results = Results.read(source, work, model.car, logs, look_ahead=False, frame=graphs.frame)
-        predicted = model.predict(graphs, results.table["frame"])
+        predicted = model.predict(graphs)
     if model.ahead_m:
         results.ahead_m, results.path_1pm, results.path_sigma_1pm = model.ahead_m, predicted.mean, predicted.sigma
         results.table["predicted_rad"] = np.full(len(predicted.mean), np.nan)

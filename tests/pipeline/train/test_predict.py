@@ -56,12 +56,6 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path: Path, driv
             with torch.inference_mode():
                 assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
-        by_number = dict(zip(NUMBERS.tolist(), steering_rad, strict=True))
-        for numbers in ([35, 13, 28, 40, 13], np.array([20]), []):
-            some = model.predict(graphs, numbers).mean[:, 0]
-            assert some == pytest.approx([by_number[int(n)] for n in numbers], abs=1e-6, nan_ok=True)
-        with pytest.raises(InputError, match=r"no frame 23.*10 to 40"):
-            model.predict(graphs, [20, 23, 24])
 
 
 @pytest.mark.parametrize("base", ["motion", "none"])

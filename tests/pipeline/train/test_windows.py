@@ -49,16 +49,6 @@ def test_spans_cover_each_window_once(original: Path) -> None:
         assert all(span.stop - span.start - 7 <= 5 for span in spans)
 
 
-def test_spans_for_some_frames_have_only_frames_of_their_windows(original: Path) -> None:
-    drives = read(original)
-    near, far = np.array([9, 11, 8]), np.array([22, 2])  # row 2: too early
-    spans = windows.spans(drives, 4, 100, [near, far])
-    assert [(span.drive, span.start, span.stop) for span in spans] == [(0, 5, 12), (1, 19, 23)]
-    apart = windows.spans(drives[:1], 4, 100, [np.array([4, 9])])  # rows 1-4 and 6-9
-    assert [(span.start, span.stop) for span in apart] == [(1, 5), (6, 10)]
-    assert windows.spans(drives, 4, 5, [np.arange(23)] * 2) == windows.spans(drives, 4, 5)
-
-
 def test_batch_of_two_spans_equals_single_frames(original: Path) -> None:
     drives = read(original)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]

@@ -1,4 +1,4 @@
-"""Read raw drives once and write one HDF5 file per drive, with everything that later stages need."""
+"""Read KITTI drives once and write one HDF5 file per drive, with everything that later stages need."""
 
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Read oxts, steering angles, images, LiDAR scans, calibration and dense ground truth of raw drives.
+    """Read oxts, steering angles, images, LiDAR scans, calibration and dense ground truth of drives.
 
     Returns the stage's folder.
     """

@@ -19,8 +19,8 @@ from pipeline.settings import preset
 from pipeline.video import drive_layout
 from stages import check, ingest, labels
 from steer.import_ import import_recording
-from tests.footage import SIZE, pictures, write_folder, write_video
 from tests.kitti_drive import contents, write_params
+from tests.recordings import SIZE, pictures, write_folder, write_video
 
 DRIVES = ("2027_03_31_drive_0001", "2027_03_31_drive_0002")
 FRAMES = 12

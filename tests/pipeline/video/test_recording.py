@@ -13,8 +13,8 @@ import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.video.recording import open_recording, read_times
-from tests.footage import SIZE, pictures, write_folder, write_video
 from tests.kitti_drive import write_png
+from tests.recordings import SIZE, pictures, write_folder, write_video
 
 
 def test_images_and_times(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ _KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in m
 class Accumulate(Section):
     """Merge the clouds of several consecutive frames into one, aligned by their measured motion."""
 
-    frames: Annotated[int, Field(ge=2, le=64, description="maximum number of frames, including the current one")]
+    frames: Annotated[int, Field(ge=2, le=64)]  # at most, including the current one
 
 
 class Variant(Section):
@@ -26,16 +26,11 @@ class Variant(Section):
     source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
     neighbourhood: Literal["knn", "pointnet2"] = "knn"
     points: Count | None = None
-    sampling: Annotated[
-        Literal["uniform", "range"],
-        Field(description="uniform: all points of the cloud alike | range: equal numbers from intervals of range"),
-    ] = "uniform"
-    k: Annotated[int, Field(ge=0, le=32, description="nearest neighbours; 0: points without edges")] | None = None
+    sampling: Literal["uniform", "range"] = "uniform"  # range: equal numbers of points from intervals of range
+    k: Annotated[int, Field(ge=0, le=32)] | None = None  # nearest neighbours; 0: points without edges
     keep_inter_class: Fraction = 1.0
-    crop_m: Annotated[
-        tuple[float, float, float, float] | None,
-        Field(strict=False, description="[left, near, right, far]: limits of the camera's x and z in metres"),
-    ] = None
+    # [left, near, right, far]: limits of the camera's x and z
+    crop_m: Annotated[tuple[float, float, float, float] | None, Field(strict=False)] = None
     accumulate: Accumulate | None = None
     # One value per level of PointNet++; the defaults are the published sizes (SSG). The published radii, 0.2 and 0.4,
     # are for objects in a unit sphere; a street extends about 40 m.

@@ -26,55 +26,35 @@ class Entry(Section):
     input: str
     spatial: str
     temporal: str
-    window: Annotated[int, Field(ge=1, le=256, description="frames per prediction")] = 8
-    equivariant: Annotated[bool, Field(description="make the output odd under left-right mirroring")] = False
-    learning_rate: Annotated[Rate | None, Field(description="overrides train.learning_rate")] = None
-    alpha: Annotated[float, Field(ge=0, le=100, description="per rad; weight exp(alpha |steering|) of eq. 9")] = 0.0
-    features: Annotated[int, Field(ge=1, le=1024, description="numbers per frame between the two networks")] = 32
-    predict: Annotated[
-        Literal["angle", "path"],
-        Field(description="path: the mean curvature of the path ahead, in each range of labels.ahead_m"),
-    ] = "angle"
-    horizon: Annotated[
-        int, Field(ge=0, le=10_000, description="predict the steering this number of frames after the window")
-    ] = 0
-    motion: Annotated[Literal["none", "visual"], Field(description="visual: measured motion is an input, too")] = "none"
-    base: Annotated[
-        Literal["motion", "none"],
-        Field(
-            description="angle that the output is added to: motion: the measured angle of the last frame, 0 without "
-            "motion | none: 0, for motion whose speed is uncertain. For a path, its regression on this angle"
-        ),
-    ] = "motion"
-    scene: Annotated[
-        Literal["same", "another"],
-        Field(
-            description="another: a control that gets the scene of another frame of the drive, in training a random "
-            "one, otherwise the one half a drive away"
-        ),
-    ] = "same"
-    uncertainty: Annotated[bool, Field(description="predict the standard deviation of the error, too")] = False
-    fit_to: Annotated[
-        Literal["train", "others", "both"],
-        Field(
-            description="train: the training drives | others: leave-one-out, one network per test drive, trained on "
-            "the other test drives without validation | both: leave-one-out on training and test drives"
-        ),
-    ] = "train"
-    roads: Annotated[Count | None, Field(description="use only the first n training drives; null: all")] = None
+    window: Annotated[int, Field(ge=1, le=256)] = 8  # frames per prediction
+    equivariant: bool = False  # the output is odd under left-right mirroring
+    learning_rate: Rate | None = None  # overrides train.learning_rate
+    alpha: Annotated[float, Field(ge=0, le=100)] = 0.0  # per rad; weight exp(alpha |steering|) of eq. 9
+    features: Annotated[int, Field(ge=1, le=1024)] = 32  # numbers per frame between the two networks
+    predict: Literal["angle", "path"] = (
+        "angle"  # path: mean curvature of the path ahead in the ranges of labels.ahead_m
+    )
+    horizon: Annotated[int, Field(ge=0, le=10_000)] = 0  # frames between the last input frame and the predicted angle
+    motion: Literal["none", "visual"] = "none"  # visual: measured motion is an input, too
+    # Value that the output is added to: the last frame's measured angle (0 without motion) or, for motion whose speed
+    # is uncertain, 0. For a path, its regression on this angle.
+    base: Literal["motion", "none"] = "motion"
+    # another: a control that gets the scene of another frame of the drive, in training a random one, otherwise the one
+    # half a drive away.
+    scene: Literal["same", "another"] = "same"
+    uncertainty: bool = False  # predict the standard deviation of the error, too
+    # others: leave-one-out, a network per test drive, trained on the other test drives without validation; both:
+    # leave-one-out on training and test drives.
+    fit_to: Literal["train", "others", "both"] = "train"
+    roads: Count | None = None  # use only the first n training drives; null: all
 
     @model_validator(mode="after")
-    def _check_roads(self) -> Self:
+    def _check(self) -> Self:
         if self.roads is not None and self.fit_to == "others":
             raise ValueError("roads limits the training drives, and fit_to: others uses none: remove one of the two")
-        return self
-
-    @model_validator(mode="after")
-    def _check_path(self) -> Self:
-        if self.predict == "path":
-            for key, value in {"horizon": self.horizon, "alpha": self.alpha}.items():
-                if value:
-                    raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
+        for key in ("horizon", "alpha") if self.predict == "path" else ():
+            if value := getattr(self, key):
+                raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
         return self
 
     @model_validator(mode="before")

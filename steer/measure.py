@@ -38,7 +38,6 @@ def measure(
         Literal["kitti", "tum"] | None, typer.Option(help="also write poses.txt, for evo and other tools")
     ] = None,
     video: options.Video = True,
-    device: options.Device = None,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
         "weights/street"
     ),

@@ -1,10 +1,6 @@
 """Options that several commands share, and their output: text for people, or one JSON object."""
 
 import json
-import math
-import os
-import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,15 +8,9 @@ from typing import Annotated, Any
 import typer
 
 
-def number(lowest: float, highest: float | None, help: str) -> Any:
-    """Return an option for finite numbers from `lowest` to `highest`, if given. Typer's own check accepts NaN."""
-
-    def finite(value: float | None) -> float | None:
-        if value is not None and not math.isfinite(value):
-            raise typer.BadParameter(f"{value} is not a finite number.")
-        return value
-
-    return typer.Option(min=lowest, max=highest, callback=finite, help=help)
+def number(lowest: float, highest: float, help: str) -> Any:
+    """Return an option for a number from `lowest` to `highest`."""
+    return typer.Option(min=lowest, max=highest, help=help)
 
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
@@ -45,28 +35,6 @@ Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, y
 Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")]
 SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering wheel / angle of the front wheels")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
-_PIPE_WIDTH = 200  # columns where the output is not a terminal
-
-
-def use_device(name: str | None) -> str | None:
-    """Make `name` the only device that torch finds, before any CUDA function. Raises BadParameter."""
-    if name is None:
-        return None
-    match = re.fullmatch(r"cpu|cuda(?::(\d+))?", name)
-    if not match:
-        raise typer.BadParameter(f"{name} is not cpu, cuda or cuda:N.")
-    if name == "cpu" or match[1]:
-        os.environ["CUDA_VISIBLE_DEVICES"] = match[1] or ""
-    if name != "cpu":
-        import torch
-
-        if not torch.cuda.is_available():
-            raise typer.BadParameter(f"torch finds no GPU for {name}.")
-    return name
-
-
-_DEVICE = "cpu, cuda or cuda:N; default: a GPU if torch finds one"
-Device = Annotated[str | None, typer.Option(callback=use_device, help=_DEVICE)]
 
 
 def in_project(path: Path) -> Path:
@@ -79,18 +47,15 @@ def in_project(path: Path) -> Path:
 class Output:
     """Standard output of a command."""
 
-    def __init__(self, quiet: bool = False, as_json: bool = False) -> None:
-        from rich.console import Console  # not imported for help
-
+    def __init__(self, quiet: bool, as_json: bool) -> None:
         self.visible = not (quiet or as_json)
         """Whether text and progress bars are shown."""
         self._json = as_json
-        width = None if sys.stdout.isatty() else _PIPE_WIDTH
-        self.console = Console(quiet=not self.visible, width=width, markup=False, highlight=False, emoji=False)
 
     def line(self, text: str) -> None:
         """Print a line of text."""
-        self.console.print(text, soft_wrap=True)
+        if self.visible:
+            print(text, flush=True)
 
     def result(self, content: Mapping[str, Any]) -> None:
         """Print the result as JSON, if ``--json`` is given; numbers that are not finite become null."""

@@ -35,7 +35,6 @@ def predict(
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
     video: options.Video = True,
-    device: options.Device = None,
     encoder: Annotated[
         Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
     ] = None,

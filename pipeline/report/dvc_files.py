@@ -10,8 +10,6 @@ from typing import Any
 
 import pandas as pd
 
-from pipeline.base.atomic import replacing
-from pipeline.base.errors import error_context
 from pipeline.report import perception
 from pipeline.report.results import Group
 
@@ -50,8 +48,7 @@ def load_curves(model: Path) -> dict[str, pd.DataFrame]:
     """
     curves = {}
     for path in sorted(model.rglob("curve.csv")):
-        with error_context(path, fix=f"Recreate it: dvc repro --force --single-item train@{model.name}"):
-            table = pd.read_csv(path, usecols=_LEARNING, dtype=str)
+        table = pd.read_csv(path, usecols=_LEARNING, dtype=str)
         curves[".".join([model.name, *path.relative_to(model).parts[:-1]])] = table[_LEARNING]
     return curves
 
@@ -76,6 +73,5 @@ def write_steering(predictions: pd.DataFrame, out: Path) -> None:
 
 
 def write_csv(path: Path, table: pd.DataFrame, na: str = "nan") -> None:
-    """Write a table without its index in one step. DVC draws an empty field as 0, and nan as a gap."""
-    with replacing(path) as unfinished:
-        table.to_csv(unfinished, index=False, lineterminator="\n", na_rep=na)
+    """Write a table without its index. DVC draws an empty field as 0, and nan as a gap."""
+    table.to_csv(path, index=False, lineterminator="\n", na_rep=na)

@@ -9,7 +9,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from pipeline.base.atomic import replacing
 from pipeline.report import plots
 from pipeline.report.dvc_files import load_curves
 from pipeline.report.results import Group, load_structures
@@ -73,8 +72,7 @@ def write_page(
         sections={title: content for title, content in sections.items() if content},
         plotly=Markup(get_plotlyjs()),
     )
-    with replacing(path) as unfinished:
-        unfinished.write_text(html, encoding="utf-8")
+    path.write_text(html, encoding="utf-8")
 
 
 def _test_drives(group: Group, look: plots.Styles) -> Content:

@@ -60,20 +60,19 @@ def by_curvature(models: Sequence[Row], column: str, look: Styles) -> Plot:
     In degrees for an angle, in 1/km for a curvature.
     """
     factor, unit = (180 / np.pi, "deg") if models[0]["columns"][column]["unit"] == "rad" else (1000, "1/km")
-    bins = {row["model"]: [part for part in row["test"][column]["by_curvature"] if part["frames"]] for row in models}
-    x = [_range(part) for part in bins[models[0]["model"]]]
-    heights = {name: [part["rmse"] for part in parts] for name, parts in bins.items()}
-    heights["zero"] = [part["zero"]["rmse"] for part in bins[models[0]["model"]]]
+    parts = {row["model"]: [part for part in row["test"][column]["by_curvature"] if part["frames"]] for row in models}
+    parts["zero"] = [part | part["zero"] for part in parts[models[0]["model"]]]
     bars = [
-        look[name] | {"type": "bar", "x": x, "y": [round(factor * rmse, 4) for rmse in values]}
-        for name, values in heights.items()
+        look[name]
+        | {"type": "bar", "x": [_range(part) for part in bins], "y": [round(factor * part["rmse"], 4) for part in bins]}
+        | {"text": [f"{part['frames']} frames" for part in bins], "hovertemplate": "%{y:.2f}, %{text}"}
+        for name, bins in parts.items()
     ]
     return _plot(bars, 380, xaxis=_title("|curvature| of the road in 1/m"), yaxis=_title(f"RMSE in {unit}"))
 
 
 def _range(part: Mapping[str, Any]) -> str:
-    end = f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
-    return f"{end}<br>{part['frames']} frames"
+    return f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
 
 
 def paths(predictions: pd.DataFrame, model: Row, look: Styles) -> Plot:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base import store
-from pipeline.base.errors import error_context
+from pipeline.base.params import SPLITS
 from pipeline.report import paper
 
 SHOWN_DRIVES = 6
@@ -71,7 +71,7 @@ def mean_nmse(row: Row) -> float:
 
 
 def load_groups(evaluate: Path, models: Sequence[str]) -> list[Group]:
-    """Load the results of `models` from their folders below `evaluate`. Raises InputError if a file is damaged."""
+    """Load the results of `models` from their folders below `evaluate`. Raises InputError if a file is missing."""
     loaded: dict[tuple[str, int], list[Row]] = {}
     for model in models:
         row = store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}")
@@ -98,8 +98,7 @@ def _load_predictions(folder: Path, columns: Row) -> pd.DataFrame:
     length_m = {name: 1 if part["to_m"] is None else part["to_m"] - part["from_m"] for name, part in columns.items()}
     tables = []
     for path in sorted(folder.rglob("predictions.csv")):
-        with error_context(path, f"Recreate it: dvc repro --force --single-item evaluate@{folder.name}"):
-            table = pd.read_csv(path, dtype={"drive": str, "frame": int, "time_s": float})
+        table = pd.read_csv(path, dtype={"drive": str})
         for kind in ("true", "predicted", "odometry", "sigma"):
             known = kind != "sigma" or len(columns) == 1
             values = [table.get(f"{kind}_{name}", np.nan) * length for name, length in length_m.items()]
@@ -118,7 +117,7 @@ def _baseline(name: str, model: Row) -> Row:
             | {"without_decisions": scores["without_decisions"]["baselines"].get(name)}
             for column, scores in model[split].items()
         }
-        for split in ("train", "val", "test")
+        for split in SPLITS
         if model[split]
     }
     return {"train": None, "val": None} | splits | {"model": name, "baseline": True, "columns": model["columns"]}

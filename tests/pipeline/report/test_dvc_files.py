@@ -30,6 +30,7 @@ def test_each_network_has_a_learning_curve(tmp_path: Path) -> None:
         path = tmp_path / f"net/{folder}curve.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("epoch,learning_rate,train_loss,val_nmse\n1,0.003,0.70,0.6\n2,0.001,0.5,\n")
+    (tmp_path / "out").mkdir()
     dvc_files.write_learning(tmp_path / "net", tmp_path / "out")
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == ["net.csv", "net.seed-1.csv", "net.seed-1.fold-a.csv"]

@@ -95,7 +95,7 @@ def test_the_legend_shows_the_references_and_the_best_models(tmp_path: Path) -> 
     assert shown == {"a", "b", "c", "driven", "odometry", "zero"}
     bars = plots.by_curvature(groups[0].models, "steering_rad", look)["data"]
     assert [(bar["name"], bar["x"], bar["y"]) for bar in bars][-1] == (
-        "zero", ["0 to 0.03<br>40 frames"], [round(np.rad2deg(0.1), 4)]
+        "zero", ["0 to 0.03"], [round(np.rad2deg(0.1), 4)]
     )  # fmt: skip
 
 

@@ -99,10 +99,9 @@ def import_recording(
     labels = "oxts" if log else "wheel" if angles else "visual"
     if preset:
         drive_preset.write(preset, summary["manifests"], labels, summary["hz"], camera, camera_height)
-    for line in (
-        *_lines(summary, log is not None),
-        *_next_steps(out, summary["manifests"], labels, camera_height, preset),
-    ):
+    for line in _lines(summary, log is not None):
+        output.line(line)
+    for line in _next_steps(out, summary["manifests"], labels, camera_height, preset):
         output.line(line)
     output.result(summary | {"preset": preset, "K": camera.K.tolist()})
 

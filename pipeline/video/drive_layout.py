@@ -13,7 +13,7 @@ from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import format_size, write_png
 from pipeline.kitti.calibration import write_entries
-from pipeline.kitti.oxts import GRAVITY_MPS2, format_packet, format_times, level_columns, make_rows
+from pipeline.kitti.oxts import format_packet, format_times, make_rows
 from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration
 from pipeline.train.prefetch import side_by_side
 from pipeline.video.log import MotionLog
@@ -104,34 +104,13 @@ def write_times(folder: Path, date: str, time_s: np.ndarray, sensors: Iterable[s
 
 
 def write_packets(folder: Path, log: MotionLog, time_s: np.ndarray, usable: np.ndarray) -> None:
-    """Write the packets of the `usable` images, bool [F], taken at `time_s` [F]."""
+    """Write packets of the `usable` images, bool [F], at `time_s` [F]: speed and yaw rate; the rest is unknown, 0."""
     data = folder / "oxts" / "data"
     data.mkdir(parents=True)
-    for number, row in zip(np.flatnonzero(usable), packets(log, time_s[usable]), strict=True):
+    speed_mps, yaw_rate_radps = (np.interp(time_s[usable], log.time_s, x) for x in (log.speed_mps, log.yaw_rate_radps))
+    rows = make_rows(len(speed_mps), vf=speed_mps, wu=yaw_rate_radps)
+    for number, row in zip(np.flatnonzero(usable), rows, strict=True):
         (data / f"{number:010d}.txt").write_bytes(format_packet(row))
-
-
-def packets(log: MotionLog, time_s: np.ndarray) -> np.ndarray:
-    """Return the packets [F,30] of images at `time_s` [F], ascending, within the log's times.
-
-    Rates are interpolated linearly; heading and position are their integrals from the first image. Height, roll, pitch,
-    accuracies and receiver modes are unknown and 0.
-    """
-    from scipy.integrate import cumulative_trapezoid
-
-    time_s = np.clip(time_s, log.time_s[0], log.time_s[-1])
-    between = (log.time_s > time_s[0]) & (log.time_s < time_s[-1])
-    nodes_s = np.union1d(time_s, log.time_s[between])
-    speed, yaw_rate = (np.interp(nodes_s, log.time_s, rate) for rate in (log.speed_mps, log.yaw_rate_radps))
-    heading = cumulative_trapezoid(yaw_rate, nodes_s, initial=0)
-    velocity = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    xy = cumulative_trapezoid(velocity, nodes_s, axis=0, initial=0)
-
-    at = np.searchsorted(nodes_s, time_s)
-    speed, yaw_rate = speed[at], yaw_rate[at]
-    forward, left = np.gradient(speed, time_s) if len(at) > 1 else np.zeros(1), speed * yaw_rate
-    level = level_columns(xy[at], heading[at], speed, forward, left, yaw_rate, latitude_deg=0.0, longitude_deg=0.0)
-    return make_rows(len(at), **level, ax=forward, ay=left, az=GRAVITY_MPS2)
 
 
 def check_calibration(folders: Sequence[Path], camera: Camera, replace: bool) -> bool:

@@ -47,11 +47,9 @@ class Import:
                 continue
             begin_s, end_s = log.time_s[0], log.time_s[-1]
             if first_s > end_s + ROUNDING_S or last_s < begin_s - ROUNDING_S:
-                raise InputError(
-                    f"images from {first_s:.3f} to {last_s:.3f} s and {name} from {begin_s:.3f} to {end_s:.3f} s do "
-                    "not overlap",
-                    fix=f"Change --offset by {first_s - begin_s:+.3f} to align their starts",
-                )
+                spans = f"images from {first_s:.3f} to {last_s:.3f} s, {name} from {begin_s:.3f} to {end_s:.3f} s"
+                fix = f"Change --offset by {first_s - begin_s:+.3f} to align their starts"
+                raise InputError(f"{spans} do not overlap", fix=fix)
 
     def write(self, root: Path, drive: str, shares: Sequence[float], *, replace: bool, visible: bool) -> dict[str, Any]:
         """Write drives below `root`, and return counts and times; images without motion are left out.

@@ -41,12 +41,8 @@ def _from_file(path: Path, size: Size) -> Camera:
         P, calib_size = projection(entries, number, path)
     scale = size[1] / calib_size[1]
     if abs(calib_size[0] * scale - size[0]) > max(1.0, scale):  # rounding may cost a pixel of either size
-        raise InputError(
-            f"calibration is for {format_size(calib_size)} pixels, the images have {format_size(size)}, another "
-            "aspect ratio",
-            path,
-            "Pass the calibration of the cropped images, or --K",
-        )
+        sizes = f"calibration is for {format_size(calib_size)} pixels, the images have {format_size(size)}"
+        raise InputError(f"{sizes}, another aspect ratio", path, "Pass the calibration of the cropped images, or --K")
     return Camera(P[:, :3], calib_size).scaled(size)
 
 

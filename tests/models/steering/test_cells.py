@@ -79,75 +79,6 @@ def test_lstm_equals_torch_forward_and_gradients():
     torch.testing.assert_close(ours, peers, **TOLERANCE)
 
 
-def pair(wiring):
-    """Our cell and ncps's with the same wiring and weights; yields (our parameter, theirs, which of theirs)."""
-    ours = LTC(wiring).double()
-    with torch.no_grad():
-        for parameter in (ours.input_scale, ours.input_shift, ours.output_scale, ours.output_shift):
-            parameter.normal_()
-    same = PeerWiring(wiring.units)
-    same.adjacency_matrix = wiring.internal.astype(np.int32)
-    same.build(len(wiring.sensory))
-    same.sensory_adjacency_matrix = wiring.sensory.astype(np.int32)
-    same.set_output_dim(wiring.motor)
-    peer = LTCCell(same, implicit_param_constraints=True).double()
-
-    matches = []
-    for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
-        matches += [
-            (getattr(synapses, name), getattr(peer, prefix + theirs), signs.nonzero())
-            for name, theirs in SYNAPSE.items()
-        ]
-    matches += [(getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()]
-    for parameter, theirs, which in matches:
-        theirs.data[which] = parameter.data
-    return ours, peer, matches
-
-
-@pytest.mark.parametrize("motor", [1, 2])
-def test_ltc_equals_ncps_forward_and_gradients(motor):
-    torch.manual_seed(0)
-    wiring = ncp(7, LAYOUT, motor=motor)
-    ours, peer, matches = pair(wiring)
-    x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
-    dt_s = DT_S
-
-    out, (v,) = ours(ours.project_inputs(x), dt_s)
-    state, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
-    for t in range(5):
-        motor_out, state = peer(x[:, t], state, dt_s[:, t, None] / NOMINAL_STEP_S)
-        outs.append(motor_out)
-    expected = torch.stack(outs, dim=1)
-    torch.testing.assert_close(out, expected, **TOLERANCE)
-    torch.testing.assert_close(v, state, **TOLERANCE)
-
-    upstream = torch.randn_like(out)
-    gradients = torch.autograd.grad((out * upstream).sum() + v.square().sum(), [x, *(ours_ for ours_, _, _ in matches)])
-    peers = torch.autograd.grad(
-        (expected * upstream).sum() + state.square().sum(), [x, *(theirs for _, theirs, _ in matches)]
-    )
-    torch.testing.assert_close(gradients[0], peers[0], **TOLERANCE)
-    for gradient, theirs, (_, _, which) in zip(gradients[1:], peers[1:], matches, strict=True):
-        torch.testing.assert_close(gradient, theirs[which], **TOLERANCE)
-        assert gradient.abs().max() > 1e-9
-
-
-def inputs_of_steps(windows=3, frames=4, dtype=torch.float64):
-    """v, c, fixed, slope, threshold, sums of a cell with a random wiring."""
-    cell = LTC(ncp(5, Layout(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).to(dtype)
-    units = len(cell.leak)
-    v = torch.rand(windows, units, dtype=dtype)
-    c = torch.rand(windows, frames, units, dtype=dtype) * 30 + 1
-    fixed = cell.project_inputs(torch.randn(windows, frames, 5, dtype=dtype)) + 0.1
-    return [each.detach().requires_grad_() for each in (v, c, fixed, *cell.internal.matrices())], cell.internal.place
-
-
-def test_explicit_gradients_of_the_unfolded_ltc():
-    torch.manual_seed(0)
-    inputs, place = inputs_of_steps(windows=2, frames=2)
-    assert torch.autograd.gradcheck(lambda *tensors: Unfolded.apply(*tensors, place, 3), inputs)
-
-
 class Layered(PeerWiring):
     """Our wiring as ncps describes it, with the layers inter, command and motor in this order."""
 
@@ -167,6 +98,63 @@ class Layered(PeerWiring):
         return self.layers[layer_id].tolist()
 
 
+def pair(wiring):
+    """Our cell and ncps's with the same wiring and weights; yields (our parameter, theirs, which of theirs)."""
+    ours = LTC(wiring).double()
+    with torch.no_grad():
+        for parameter in (ours.input_scale, ours.input_shift, ours.output_scale, ours.output_shift):
+            parameter.normal_()
+    peer = LTCCell(Layered(wiring), implicit_param_constraints=True).double()
+
+    matches = []
+    for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
+        matches += [
+            (getattr(synapses, name), getattr(peer, prefix + theirs), signs.nonzero())
+            for name, theirs in SYNAPSE.items()
+        ]
+    matches += [(getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()]
+    for parameter, theirs, which in matches:
+        theirs.data[which] = parameter.data
+    return ours, peer, matches
+
+
+@pytest.mark.parametrize("motor", [1, 2])
+def test_ltc_equals_ncps_forward_and_gradients(motor):
+    torch.manual_seed(0)
+    wiring = ncp(7, LAYOUT, motor=motor)
+    ours, peer, matches = pair(wiring)
+    x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
+
+    out, (v,) = ours(ours.project_inputs(x), DT_S)
+    state, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
+    for t in range(5):
+        motor_out, state = peer(x[:, t], state, DT_S[:, t, None] / NOMINAL_STEP_S)
+        outs.append(motor_out)
+    expected = torch.stack(outs, dim=1)
+    torch.testing.assert_close(out, expected, **TOLERANCE)
+    torch.testing.assert_close(v, state, **TOLERANCE)
+
+    upstream = torch.randn_like(out)
+    gradients = torch.autograd.grad((out * upstream).sum() + v.square().sum(), [x, *(ours_ for ours_, _, _ in matches)])
+    peers = torch.autograd.grad(
+        (expected * upstream).sum() + state.square().sum(), [x, *(theirs for _, theirs, _ in matches)]
+    )
+    torch.testing.assert_close(gradients[0], peers[0], **TOLERANCE)
+    for gradient, theirs, (_, _, which) in zip(gradients[1:], peers[1:], matches, strict=True):
+        torch.testing.assert_close(gradient, theirs[which], **TOLERANCE)
+        assert gradient.abs().max() > 1e-9
+
+
+def test_explicit_gradients_of_the_unfolded_ltc():
+    torch.manual_seed(0)
+    cell = LTC(ncp(5, Layout(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).double()
+    v = torch.rand(2, 8, dtype=torch.float64)
+    c = torch.rand(2, 2, 8, dtype=torch.float64) * 30 + 1
+    fixed = cell.project_inputs(torch.randn(2, 2, 5, dtype=torch.float64)) + 0.1
+    inputs = [tensor.detach().requires_grad_() for tensor in (v, c, fixed, *cell.internal.matrices())]
+    assert torch.autograd.gradcheck(lambda *tensors: Unfolded.apply(*tensors, cell.internal.place, 3), inputs)
+
+
 @pytest.mark.parametrize("motor", [1, 2])
 def test_cfc_equals_ncps_forward_and_gradients(motor):
     torch.manual_seed(0)
@@ -180,12 +168,11 @@ def test_cfc_equals_ncps_forward_and_gradients(motor):
             for head, matrix, bias in zip(HEADS, layer.weight.dense().chunk(4, 1), layer.bias.chunk(4), strict=True):
                 getattr(cell, head).weight.data, getattr(cell, head).bias.data = matrix.T.clone(), bias.clone()
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
-    dt_s = DT_S
 
-    out, state = ours(ours.project_inputs(x), dt_s)
+    out, state = ours(ours.project_inputs(x), DT_S)
     hidden, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
     for t in range(5):
-        motor_out, hidden = peer(x[:, t], hidden, dt_s[:, t, None] / NOMINAL_STEP_S)
+        motor_out, hidden = peer(x[:, t], hidden, DT_S[:, t, None] / NOMINAL_STEP_S)
         outs.append(motor_out * ours.output_scale + ours.output_shift)
     expected = torch.stack(outs, dim=1)
     torch.testing.assert_close(out, expected, **TOLERANCE)

@@ -16,11 +16,11 @@ from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Accumulate, Variant
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
-from tests import rendered_street as street
+from tests import street
 from tests.flat_ground import write_encoder
 
 KNOWN, FRAMES = 8, 14
-READING = Reading(image_size=street.SIZE, cameras=[2], lidar=False, on_damaged="fail")
+READING = Reading(image_size=street.WIDE.size, cameras=[2], lidar=False, on_damaged="fail")
 VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2, accumulate=Accumulate(frames=3))
 
 
@@ -28,7 +28,7 @@ def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, n
     """Return the datasets of the graph file of a drive, of the frames up to KNOWN."""
     files = {name: folder / f"{name}.h5" for name in ("ingest", "perception", "motion", "clouds", "graphs")}
     frames = [Frame(number, number / 10, image) for number, image in enumerate(images)]
-    ingest_drive(frames, files["ingest"], drive="drive", camera=street.CAMERA, settings=READING)
+    ingest_drive(frames, files["ingest"], drive="drive", camera=street.WIDE, settings=READING)
     settings = Perception(batch=4)
     perceive_drive(files["perception"], files["ingest"], encoder, settings)
     measure_drive(files["motion"], files["ingest"], files["perception"])
@@ -45,7 +45,7 @@ def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, n
 def test_later_frames_change_no_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     encoder = write_encoder(tmp_path / "encoder", monkeypatch)
     images = [street.view(pose)[0] for pose in street.arc(FRAMES, 0.2, 8.0)]
-    noise = np.random.default_rng(0).integers(0, 255, (FRAMES - KNOWN, *street.SIZE, 3), np.uint8)
+    noise = np.random.default_rng(0).integers(0, 255, (FRAMES - KNOWN, *street.WIDE.size, 3), np.uint8)
     one = inputs(tmp_path / "one", images, encoder)
     other = inputs(tmp_path / "other", [*images[:KNOWN], *noise], encoder)
     assert one.keys() == other.keys() > {"motion_speed_mps", "motion_yaw_rate_radps", "motion_valid", "time_s"}

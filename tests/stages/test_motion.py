@@ -14,7 +14,7 @@ from pipeline.motion.step import PROBLEMS
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from stages import motion
-from tests import rendered_street as street
+from tests import street
 
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_02_drive_0001": "val", "2026_01_03_drive_0001": "test"}
 TURNS, STANDS, BLIND = SPLITS
@@ -32,8 +32,8 @@ def write_drive(root: Path, drive: str, poses: list[np.ndarray], *, images: bool
         frames,
         root / "ingest" / f"{drive}.h5",
         drive=drive,
-        camera=Camera(street.K, street.SIZE) if images else None,
-        settings=Reading(image_size=street.SIZE, cameras=[2], lidar=True, on_damaged="fail"),
+        camera=Camera(street.WIDE.K, street.WIDE.size) if images else None,
+        settings=Reading(image_size=street.WIDE.size, cameras=[2], lidar=True, on_damaged="fail"),
         oxts=wrong,
     )
     params = {"perception": Perception(batch=1).model_dump()}
@@ -41,8 +41,10 @@ def write_drive(root: Path, drive: str, poses: list[np.ndarray], *, images: bool
         file.attrs["camera_height_m"] = 1.65
         file.put("frame", NUMBERS[: len(views)])
         file.put("time_s", NUMBERS[: len(views)] / 10)
-        file.put("depth_m", np.array([to_units(depth) for _, depth, _ in views], np.uint16).reshape(-1, *street.SIZE))
-        file.put("cls", np.array([cls for *_, cls in views], np.uint8).reshape(-1, *street.SIZE))
+        file.put(
+            "depth_m", np.array([to_units(depth) for _, depth, _ in views], np.uint16).reshape(-1, *street.WIDE.size)
+        )
+        file.put("cls", np.array([cls for *_, cls in views], np.uint8).reshape(-1, *street.WIDE.size))
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from pipeline.video import measure as video_measure
 from pipeline.video.source import Clock, Lens, open_source
 from steer.import_ import import_recording
 from steer.measure import measure
-from tests import rendered_street as street
+from tests import street
 from tests.flat_ground import write_encoder
 from tests.kitti_drive import write
 from tests.recordings import write_folder
@@ -107,7 +107,7 @@ def noisy(image: np.ndarray, count: int) -> list[np.ndarray]:
     return [np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8) for _ in range(count)]
 
 
-GREY, NIGHT = np.full((*street.SIZE, 3), 90, np.uint8), np.full((*street.SIZE, 3), 3, np.uint8)
+GREY, NIGHT = np.full((*street.WIDE.size, 3), 90, np.uint8), np.full((*street.WIDE.size, 3), 3, np.uint8)
 
 
 @pytest.mark.parametrize("kind", ["standing", "without texture", "night", "snow"])
@@ -115,7 +115,7 @@ def test_input_without_motion_gets_no_numbers(
     tmp_path: Path, encoder: Path, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stills = {"standing": drive(1)[0], "without texture": GREY, "night": NIGHT}
-    snow = np.random.default_rng(1).integers(0, 255, (12, *street.SIZE, 3), np.uint8)
+    snow = np.random.default_rng(1).integers(0, 255, (12, *street.WIDE.size, 3), np.uint8)
     images = write_folder(tmp_path / "images", noisy(stills[kind], 12) if kind in stills else snow)
     measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     for row in rows(tmp_path / "out"):

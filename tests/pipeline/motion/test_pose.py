@@ -5,7 +5,10 @@ import pytest
 
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import estimate_pose
-from tests.rendered_street import K, pose
+from tests import street
+from tests.street import pose
+
+K = street.WIDE.K
 
 POINTS = 60
 

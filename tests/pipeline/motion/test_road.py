@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.motion.road import Road
-from tests import rendered_street as street
+from tests import street
 
 _, DEPTH_M, _ = street.view(street.pose(0, 0, 0))
 USABLE = DEPTH_M > 0
@@ -17,7 +17,7 @@ def step(down_m: float, ahead_m: float) -> np.ndarray:
 
 
 def road(*steps: np.ndarray) -> Road:
-    made = Road(street.CAMERA, road_scale=True)
+    made = Road(street.WIDE, road_scale=True)
     for one in steps:
         made.add_step(one)
     return made
@@ -33,6 +33,6 @@ def test_the_slope_is_weighted_by_length() -> None:
 
 def test_scale_corrects_depth_if_the_height_is_given() -> None:
     assert road().find(DEPTH_M / 2, USABLE)[1] == pytest.approx(2, rel=0.01)
-    found, scale = Road(street.CAMERA, road_scale=False).find(DEPTH_M / 2, USABLE)
+    found, scale = Road(street.WIDE, road_scale=False).find(DEPTH_M / 2, USABLE)
     assert found.any()
     assert scale == 1

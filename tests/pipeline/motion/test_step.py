@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.motion import step
-from tests import rendered_street as street
+from tests import street
 
 
 @pytest.mark.parametrize("ahead_m", [0.0, 1.5])

@@ -8,7 +8,7 @@ import pytest
 from pipeline.camera import classes
 from pipeline.camera.camera import Frame
 from pipeline.motion import step, visual
-from tests import rendered_street as street
+from tests import street
 
 DT_S = 0.1
 
@@ -19,7 +19,7 @@ def views(*poses: np.ndarray) -> list[Frame]:
 
 
 def measured(frames: list[Frame], road_scale: bool = True) -> list[step.Step | None]:
-    odometry = visual.Odometry(street.CAMERA, road_scale=road_scale)
+    odometry = visual.Odometry(street.WIDE, road_scale=road_scale)
     return [odometry.step(frame) for frame in frames]
 
 

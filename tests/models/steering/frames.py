@@ -45,7 +45,7 @@ FRAME = {"graph": graph, "pointnet2": sets, "image": image}
 CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (33, 50)}}
 
 
-def join(frames: list[Arrays]) -> Batch:
+def join(frames: list[Arrays], device: str = "cpu") -> Batch:
     """Return frames, whose numbers count from 0 in each, as a batch."""
     batch = {}
     for name in frames[0]:
@@ -55,7 +55,7 @@ def join(frames: list[Arrays]) -> Batch:
         batch[name] = np.concatenate(parts)
         if name in POINTERS:
             batch[POINTERS[name]] = np.cumsum([0, *(len(frame[name]) for frame in frames)])
-    return from_arrays(batch)
+    return from_arrays(batch, device)
 
 
 def batch(counts: list[int], kind: str = "graph") -> Batch:

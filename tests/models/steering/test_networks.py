@@ -94,6 +94,16 @@ def test_mixed_precision_is_close(name: str, changes: dict[str, Any]) -> None:
     torch.testing.assert_close(mixed, net(batch).float(), rtol=0.1, atol=0.15)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@each_network
+@pytest.mark.parametrize("counts", [COUNTS, [12, 12, 12]])
+def test_a_gpu_computes_the_same(name: str, changes: dict[str, Any], counts: list[int]) -> None:
+    net, kind = build(name, changes)
+    parts = [frames.FRAME[kind](count, count) for count in counts]
+    expected = net(frames.join(parts))
+    torch.testing.assert_close(net.cuda()(frames.join(parts, "cuda")).cpu(), expected, **TOLERANCE)
+
+
 def same_gradients(ours: Tensor, theirs: Tensor, mine: list[Tensor], peers: list[Tensor]) -> None:
     """Compare outputs and the gradients of pairs of tensors, which may be transposed."""
     torch.testing.assert_close(ours, theirs, **TOLERANCE)

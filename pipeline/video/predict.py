@@ -64,14 +64,14 @@ def predict(
         graphs_drive(work / GRAPHS, clouds, work / MOTION, variant)
     with graph_file.open_graphs(work / GRAPHS) as graphs:
         results = Results.read(source, work, model.car, logs, look_ahead=False, frame=graphs.frame)
-        predicted = model.predict(graphs)
+        rows = np.isin(graphs.frame, results.table["frame"])  # a frame with a scan may lack an image
+        mean, sigma = (None if values is None else values[rows] for values in model.predict(graphs)[:2])
+    assert mean is not None
+    results.table["predicted_rad"] = np.full(len(mean), np.nan) if model.ahead_m else mean[:, 0]
     if model.ahead_m:
-        results.ahead_m, results.path_1pm, results.path_sigma_1pm = model.ahead_m, predicted.mean, predicted.sigma
-        results.table["predicted_rad"] = np.full(len(predicted.mean), np.nan)
-    else:
-        results.table["predicted_rad"] = predicted.mean[:, 0]
-        if predicted.sigma is not None:
-            results.table["sigma_rad"] = predicted.sigma[:, 0]
+        results.ahead_m, results.path_1pm, results.path_sigma_1pm = model.ahead_m, mean, sigma
+    elif sigma is not None:
+        results.table["sigma_rad"] = sigma[:, 0]
     new = work / "new"
     new.mkdir(exist_ok=True)
     results.write_csv(new / "steering.csv")

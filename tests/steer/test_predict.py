@@ -118,6 +118,12 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(
     assert "no frames between 3 and 5" in text
     assert "1 damaged image left out" in text
     assert "of another encoder" in text
+    predict(root / f"{trained.TEST}_sync", model=sample / "data/train/scans", out=tmp_path / "scans", video=False)
+    scanned, whole = read(tmp_path / "scans/steering.csv"), tmp_path / "whole"
+    predict(drive(sample), model=sample / "data/train/scans", out=whole, video=False)
+    expected = {row["frame"]: row["predicted_rad"] for row in read(whole / "steering.csv")}
+    assert [int(row["frame"]) for row in scanned] == sorted(predicted)  # frames 4 and 8 have only a scan
+    assert [row["predicted_rad"] for row in scanned[:4]] == [expected[row["frame"]] for row in scanned[:4]]
     for path in images.iterdir():
         path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="no frame could be read"):

@@ -15,6 +15,11 @@ from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.settings.ingest import Reading
 
+describe = (
+    "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
+    "steering angles; {left_out} images or scans without a frame, {faults} damaged files left out"
+).format_map
+
 
 def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:
     """Write the frames of a drive: those with an oxts packet or, in a drive without oxts, those with an image.
@@ -54,23 +59,10 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
         steering_rad=steering_file.read(files.steering) if files.steering else None,
         attributes={"camera": -1 if number is None else number},
     )
-    left_out = {*images, *scans} - {*numbers}
+    without = {*images, *scans} - {*numbers}
     damaged = {kind: len(errors) for kind, errors in reader.damaged.items()}
-    return summary | {"camera": number, "left_out": len(left_out), "damaged": damaged}
-
-
-def describe(summary: Summary) -> str:
-    """Return the text for a drive's line in the log."""
-    text = "{frames} frames, {image} images, {lidar} scans".format_map(summary)
-    if summary["image"]:
-        text += f", camera {summary['camera']}"
-    if summary["depth"] or summary["cls"]:
-        text += ", ground truth: {depth} depth, {cls} classes".format_map(summary)
-    if summary["steering"]:
-        text += f", {summary['steering']} steering angles"
-    if summary["left_out"]:
-        text += f", {summary['left_out']} without an {'oxts packet' if summary['oxts'] else 'image'} left out"
-    return text + "".join(f", {number} damaged {kind} left out" for kind, number in summary["damaged"].items())
+    faults = {"left_out": len(without), "damaged": damaged, "faults": sum(damaged.values())}
+    return summary | {"camera": number, **faults}
 
 
 def _frames(

@@ -146,6 +146,22 @@ def test_all_damaged_files_of_a_drive_are_listed_at_once(tmp_path: Path) -> None
     assert all(str(folder / name) in str(raised.value) for name in (SCAN, IMAGE, PACKET))
 
 
+@pytest.mark.parametrize(
+    ("missing", "problem"),
+    [
+        ("../calib_velo_to_cam.txt", "drive has scans"),
+        ("oxts/data", "no oxts packets"),
+        ("oxts/timestamps.txt", "file is missing"),
+    ],
+)
+def test_plainly_incomplete_drives(tmp_path: Path, missing: str, problem: str) -> None:
+    write_drive(tmp_path / "raw", OTHER)
+    path = write_drive(tmp_path / "raw") / missing
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with pytest.raises(InputError, match=problem):
+        run(tmp_path)
+
+
 def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
     sample = "2026_01_01_drive_0001"
     write_drive(tmp_path / "raw", DRIVE)

@@ -130,6 +130,17 @@ def anamorphic(path: Path) -> None:
         file.mux(stream.encode())
 
 
+def cut(path: Path) -> None:
+    """Write a video with its header at the start, and cut its end off."""
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as file:
+        stream = file.add_stream("mjpeg", rate=10)
+        stream.height, stream.width, stream.pix_fmt = *SIZE, "yuvj420p"
+        for image in pictures(40):
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        file.mux(stream.encode())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
 def twice(path: Path) -> None:
     for kind in ("png", "jpg"):
         write_png(path / f"1.{kind}", pictures(1)[0])
@@ -145,6 +156,7 @@ PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("flipped.mp4", lambda path: show(path, 1, 0, 0, -1), "mirrors"),
     ("turned.mp4", lambda path: show(path, 0.7071, 0.7071, -0.7071, 0.7071), "no multiple of 90 degrees"),
     ("avchd.mp4", anamorphic, "not square"),
+    ("cut.mp4", cut, "ends after 19 of 40 frames"),
     ("exif", lambda path: orient(path / "1.png"), "EXIF orientation"),
     ("twice", twice, "several images 1"),
     ("sizes", sizes, "image 1 has 64 x 40 pixels .*64 x 48"),

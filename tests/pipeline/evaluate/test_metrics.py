@@ -1,5 +1,6 @@
-"""Metrics of a split: counted frames, drives, baselines."""
+"""Metrics of a split: counted frames, drives, baselines; errors and their intervals."""
 
+import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 
 from pipeline.base.params import load
-from pipeline.evaluate import metrics
+from pipeline.evaluate import errors, metrics
+from pipeline.kitti import oxts
+from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.scale import Prediction, Scale
@@ -102,3 +105,149 @@ def test_odometry_needs_motion_in_all_drives_and_other_labels(
         ahead = np.concatenate([drive.target[5:] - gain * drive.target[:25] for drive in (first, second)])
         assert found[name]["mse"] == pytest.approx(np.mean(ahead**2), rel=1e-4)
     assert list(baselines(0)) == without + ["odometry", "regression"] * (source == "oxts")
+
+
+def test_scores_by_hand() -> None:
+    result = errors.scores(np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1]))
+    assert result["frames"] == 3
+    assert result["mse"] == pytest.approx((0 + 0.04 + 0.01) / 3)
+    assert result["nmse"] == pytest.approx(0.05 / 0.06)
+    assert result["mae"] == pytest.approx(0.1)
+    assert result["rmse"] == pytest.approx(np.sqrt(0.05 / 3))
+    assert set(errors.scores(np.empty(0), np.empty(0)).values()) == {0, None}
+
+
+def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> list[float]:
+    """Return the interval for errors [N] or [S,N] in rad."""
+    general = {"curvature_bins_1pm": [0.1], "path": "bicycle", "seed": 0}
+    settings = Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, **general)
+    return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings)
+
+
+def test_zero_prediction_has_nmse_one_and_a_degenerate_interval() -> None:
+    steering = np.sin(np.arange(300) / 20)
+    low, high = interval(steering, steering, np.zeros(300), 50, 200)
+    assert errors.scores(steering, np.zeros(300))["nmse"] == low == high == 1.0
+
+
+def test_interval_has_its_coverage() -> None:
+    """Errors are correlated over 10 frames; the interval contains the true ratio in most repetitions."""
+    hits = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        noise = np.convolve(rng.normal(size=620), np.ones(10) / np.sqrt(10), "valid")[:600]
+        steering = np.convolve(rng.normal(size=620), np.ones(10) / np.sqrt(10), "valid")[:600]
+        low, high = interval(steering, 0.5 * noise, np.zeros(600), 50, 400)
+        hits += low <= 0.25 <= high
+    assert 24 <= hits <= 30
+
+
+def test_scores_over_seeds_are_means() -> None:
+    rng = np.random.default_rng(0)
+    steering, drive = rng.normal(size=400), np.repeat([0, 1], 200)
+    seeds = steering + rng.normal(size=(3, 400)) * np.array([[0.3], [0.5], [0.7]])
+    alone = [errors.scores(steering, one_seed) for one_seed in seeds]
+    both = errors.scores(steering, seeds)
+    assert both["frames"] == 400
+    for key in ("mse", "nmse", "mae"):
+        assert both[key] == pytest.approx(np.mean([scores[key] for scores in alone]))
+    # An error whose square is the seeds' mean square, frame by frame, has the same interval.
+    typical = np.sqrt(((seeds - steering) ** 2).mean(axis=0))
+    both = interval(steering, seeds - steering, drive, 50, 300)
+    assert both == pytest.approx(interval(steering, typical, drive, 50, 300))
+
+
+def test_interval_draws_drives_and_circular_blocks_within_them() -> None:
+    steering = np.concatenate([np.full(20, 0.1), np.full(20, 0.3)])
+    error = np.concatenate([np.full(20, 0.1), np.zeros(20)])
+    drive = np.repeat([0, 1], 20)
+    low, high = interval(steering, error, drive, block=20, samples=500)
+    # Two drives are drawn, each complete: error ratios 1, 0.1 (one of each) and 0.
+    assert (low, high) == (0.0, pytest.approx(1.0))
+    assert interval(steering, error, drive, block=500, samples=500) == [low, high]
+    # All of the error is in the last row: blocks that do not wrap around would rarely contain it.
+    steering, drive = np.full(60, 0.1), np.zeros(60)
+    error = np.zeros(60)
+    error[-1] = 0.1
+    low, high = interval(steering, error, drive, block=20, samples=2000)
+    assert (low, high) == (0.0, pytest.approx(3 / 60))
+
+
+@pytest.mark.slow
+@pytest.mark.real
+def test_the_interval_covers_on_the_angles_of_kitti(real_kitti: Path, tmp_path: Path) -> None:
+    """20 random drives of 93 frames, the angle a second ahead predicted by regression: 95 % nominal, 90 % asked."""
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    drives = [ahead for path in sorted(tmp_path.glob("*/*_sync/oxts/data")) if (ahead := a_second_ahead(path)).size]
+    assert len(drives) > 50
+    now, later = np.concatenate(drives, axis=1)
+    coefficient = now @ later / (now @ now)
+    rng = np.random.default_rng(0)
+    samples = [draw(drives, coefficient, rng) for _ in range(2000)]
+    expected = sum(error @ error for _, error, _ in samples) / sum(steering @ steering for steering, _, _ in samples)
+    covered = [low <= expected <= high for low, high in (interval(*case, 50, 300) for case in samples[:200])]
+    assert np.mean(covered) >= 0.9
+
+
+def a_second_ahead(packets: Path) -> np.ndarray:
+    """Return the valid angles of a drive and those ten frames later, [2,N]; [2,0] for a short drive."""
+    rows = np.array([oxts.read_row(path) for path in sorted(packets.iterdir())])
+    rule = {"wheelbase_m": 2.7, "min_speed_mps": 1.0}
+    angle, valid = label.steering_labels(rows[:, oxts.WU], rows[:, oxts.VF], **rule)
+    both = valid[:-10] & valid[10:]
+    return np.stack([angle[:-10][both], angle[10:][both]]) if both.sum() >= 20 else np.empty((2, 0))
+
+
+def draw(drives: list[np.ndarray], coefficient: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Return angles, errors of the regression and drive numbers of 20 random pieces of 93 frames."""
+    pieces = []
+    for number in range(20):
+        drive = drives[rng.integers(len(drives))]
+        start = rng.integers(max(1, drive.shape[1] - 92))
+        now, later = drive[:, start : start + 93]
+        pieces.append(np.stack([later, coefficient * now - later, np.full(len(now), number)]))
+    return tuple(np.concatenate(pieces, axis=1))
+
+
+def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
+    rng = np.random.default_rng(0)
+    steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)
+    hard = np.repeat(rng.uniform(0, 1, 12), 50)  # both err on the same roads
+    one, other = (hard * rng.normal(size=(2, 600)) * size for size in (0.5, 0.55))
+    settings = Evaluate(
+        bootstrap_block_frames=50, bootstrap_samples=500, curvature_bins_1pm=[0.1], path="bicycle", seed=0
+    )
+    difference = (one**2 - other**2).mean(axis=0)
+    low, high = errors.interval(difference, steering, drive, settings)
+    alone = interval(steering, one, drive, 50, 500)
+    assert high - low < 0.5 * (alone[1] - alone[0])
+    assert errors.interval(0 * difference, steering, drive, settings) == [0.0, 0.0]
+
+
+def test_a_single_block_has_no_interval() -> None:
+    steering, drive = np.linspace(0.1, 0.2, 51), np.zeros(51)
+    error = np.linspace(0, 0.1, 51)
+    assert interval(steering[:50], error[:50], drive[:50], block=50, samples=50) is None
+    low, high = interval(steering, error, drive, block=50, samples=50)
+    assert low < high
+    low, high = interval(steering[:50], error[:50], np.repeat([0, 1], 25), block=50, samples=50)
+    assert low < high
+    assert errors.interval_text([0.25, 0.5]) == "0.250 to 0.500"
+    for unknown in (None, (None, None), (np.nan, np.nan)):
+        assert errors.interval_text(unknown) == "too short for an interval"
+
+
+def test_scores_of_normal_errors_with_known_sigma() -> None:
+    rng = np.random.default_rng(0)
+    sigma = rng.choice([0.01, 0.01, 0.04], size=(2, 50_000))
+    steering = np.zeros(50_000)
+    found = errors.uncertainty(steering, steering + sigma * rng.standard_normal(sigma.shape), sigma, 1.96 * sigma)
+    assert found["coverage_68"] == pytest.approx(0.6827, abs=0.01)
+    assert found["coverage_95"] == pytest.approx(0.95, abs=0.01)
+    entropy = np.log(2 * np.pi * np.e) / 2
+    assert found["nll"] == pytest.approx(np.mean(np.log([0.01, 0.01, 0.04])) + entropy, abs=0.01)
+    assert found["nll_constant"] == pytest.approx(
+        np.log(np.sqrt(np.mean([0.01**2, 0.01**2, 0.04**2]))) + entropy, abs=0.01
+    )
+    assert found["mae_certain"] == pytest.approx(np.sqrt(2 / np.pi) * 0.01, rel=0.02)

@@ -1,4 +1,4 @@
-"""Predictions of a trained model by frame number, and refused files."""
+"""Predictions of a trained model, refused checkpoints, and the runs of a model."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ import torch
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
-from pipeline.train import checkpoint, predict, windows
+from pipeline.train import checkpoint, predict, runs, windows
+from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.labelled_drive import Timeline
 from tests import artefacts
 
@@ -96,3 +97,114 @@ def test_a_missing_model_names_those_near_it(tmp_path: Path, drive: Path) -> Non
     for missing in ("train", "train/nott"):
         with pytest.raises(InputError, match=r"best\.pt is missing.*train/net"):
             predict.load(tmp_path / missing)
+
+
+class Trap:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, tuple[str, str]]:
+        return (open, (str(self.path), "w"))
+
+
+def test_code_in_a_file_does_not_run(tmp_path: Path) -> None:
+    torch.save({"kind": "thing", "trap": Trap(tmp_path / "sprung")}, tmp_path / "x.pt")
+    with pytest.raises(InputError, match="more than tensors"):
+        checkpoint.read(tmp_path / "x.pt", "thing")
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_missing_damaged_and_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a/x.pt"
+    with pytest.raises(InputError, match="missing"):
+        checkpoint.read(path, "thing")
+    checkpoint.write(path, {"kind": "thing", "net": {"weight": torch.linspace(-1, 1, 500)}})
+    assert torch.equal(checkpoint.read(path, "thing")["net"]["weight"], torch.linspace(-1, 1, 500))
+    with pytest.raises(InputError, match=r"expected a checkpoint of .* other"):
+        checkpoint.read(path, "other")
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(InputError, match="damaged"):
+        checkpoint.read(path, "thing")
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"bias": None}, r'Missing key\(s\) in state_dict: "bias"'),
+        ({"extra": torch.zeros(1)}, r'Unexpected key\(s\) in state_dict: "extra"'),
+        ({"weight": torch.zeros(2, 9)}, r"size mismatch for weight: .*\[2, 9\]"),
+        ({"bias": torch.full((2,), torch.nan)}, "bias has numbers that are not finite"),
+        ({"bias": "two"}, "tensors by name"),
+    ],
+)
+def test_a_state_must_match_exactly(change: dict[Any, object], fault: str) -> None:
+    net = torch.nn.Linear(3, 2)
+    state = {name: tensor + 1 for name, tensor in net.state_dict().items()}
+    checkpoint.load_state(torch.nn.Linear(3, 2), state, Path("x.pt"))
+    changed = {name: value for name, value in {**state, **change}.items() if value is not None}
+    with pytest.raises(InputError, match=fault) as raised:
+        checkpoint.load_state(net, changed, Path("x.pt"))
+    assert "\n" not in str(raised.value)
+
+
+def test_content_from_a_file_is_written_with_the_same_bytes(tmp_path: Path) -> None:
+    net = torch.nn.Sequential(torch.nn.Linear(3, 2), torch.nn.Linear(2, 1))
+    optimiser = torch.optim.AdamW([{"params": [p], "weight_decay": 0.1} for p in net.parameters()], lr=0.1)
+    net(torch.ones(1, 3)).sum().backward()
+    optimiser.step()
+    content = {"kind": "thing", "lr": 0.1, "weight_decay": [("lr", None)], "optimiser": optimiser.state_dict()}
+    checkpoint.write(tmp_path / "new.pt", content)
+    read = checkpoint.read(tmp_path / "new.pt", "thing")
+    optimiser.load_state_dict(read["optimiser"])
+    checkpoint.write(tmp_path / "again.pt", {**read, "optimiser": optimiser.state_dict()})
+    checkpoint.write(tmp_path / "mixed.pt", {**content, "optimiser": optimiser.state_dict()})
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+
+
+SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
+NOTHING = float("nan")
+
+
+def test_without_folds_the_first_seed_has_the_models_folder() -> None:
+    result = runs.runs(Path("data/train/gnn"), [3, 0], runs.folds(SPLITS, "train", None))
+    assert [(run.seed, str(run.folder), str(run)) for run in result] == [
+        (3, "data/train/gnn", "seed 3"),
+        (0, "data/train/gnn/seed-0", "seed 0"),
+    ]
+    assert {run.fold for run in result} == {runs.Fold(None, ("a", "b"), ("v",), ("x", "y", "z"))}
+
+
+@pytest.mark.parametrize(("fit_to", "left"), [("others", ()), ("both", ("a", "b"))])
+def test_leave_one_out(fit_to: str, left: tuple[str, ...]) -> None:
+    folds = runs.folds(SPLITS, fit_to, None)
+    assert [fold.name for fold in folds] == ["x", "y", "z"]
+    val = ("v",) if fit_to == "both" else ()
+    assert folds[1] == runs.Fold("y", (*left, "x", "z"), val, ("y",))
+    result = runs.runs(Path("data/train/gnn"), [0, 5], folds)
+    assert [str(run.folder) for run in result[2:4]] == ["data/train/gnn/fold-z", "data/train/gnn/seed-5/fold-x"]
+    assert str(result[2]) == "seed 0 without z"
+
+
+def test_roads_are_the_first_training_drives() -> None:
+    assert runs.folds(SPLITS, "train", 1)[0].train == ("a",)
+    assert runs.folds(SPLITS, "both", 2)[0].train == ("a", "b", "y", "z")
+    with pytest.raises(InputError, match="2 training drives"):
+        runs.folds(SPLITS, "train", 3)
+    with pytest.raises(InputError, match="two test drives"):
+        runs.folds({"a": "test"}, "others", None)
+
+
+@pytest.mark.parametrize(
+    ("nmse", "selected", "patience"),
+    [
+        ((0.9, 0.3, 0.8, 0.5, 0.4, 0.41, 0.7), 6, 1),  # the least mean of three, not the lucky second
+        ((0.9, 0.8, NOTHING), 2, 1),
+        ((NOTHING, NOTHING), 2, 0),  # without validation the last
+        ((), 0, 0),
+    ],
+)
+def test_the_kept_epoch(nmse: tuple[float, ...], selected: int, patience: int) -> None:
+    curve = [Epoch(number, 0.1, 0.1, error) for number, error in enumerate(nmse, start=1)]
+    assert selected_epoch(curve) == selected
+    assert out_of_patience(curve, patience)
+    assert not out_of_patience(curve, patience + 1)

@@ -1,39 +1,182 @@
-from collections.abc import Iterator
+"""Running and fitting the encoder: examples of the fit, its loss, saved weights, threads."""
 
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import h5py
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from models.encoder.unified_encoder import UnifiedEncoder
-from pipeline.perception.examples import Examples
+from pipeline.base.errors import InputError
+from pipeline.camera import classes
+from pipeline.camera.camera import Camera
+from pipeline.camera.geometry import rays
+from pipeline.perception import examples as module
+from pipeline.perception.examples import Example, Examples, mirrored, relit, spread
 from pipeline.perception.fit import depth_and_class_loss, fit
+from pipeline.perception.perceive import load, passes, perceive, read, save
 from tests import street
 
-DRIVE = "2026_01_01_drive_0001"
+DENSE, LIDAR, BARE, BLIND, GREY = DRIVES = [f"2026_01_01_drive_000{number}" for number in range(1, 6)]
 
 
 @pytest.fixture(scope="module")
-def examples(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Examples]:
+def ingest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ingest")
-    street.write_drive(folder, DRIVE, 6)
-    with Examples(folder, [DRIVE], 6) as examples:
-        yield examples
+    street.write_drive(folder, DENSE, 4)
+    street.write_drive(folder, LIDAR, 8, dense=False, lidar=True)
+    street.write_drive(folder, BARE, 3, dense=False)
+    street.write_drive(folder, BLIND, 3, lidar=True, images=False)
+    street.write_drive(folder, GREY, 3, dense=False)
+    with h5py.File(folder / f"{GREY}.h5", "r+") as file:
+        file["image"][:] = file["image"][..., :1]  # still camera 2, like a grey video that was imported
+    return folder
 
 
-def test_a_fit_lowers_both_losses(examples: Examples) -> None:
+def all_car(image: np.ndarray, camera: Camera) -> np.ndarray:
+    return np.full(image.shape[:2], classes.CAR, np.uint8)
+
+
+@pytest.mark.parametrize(("drives", "teacher"), [([BARE, BLIND], None), ([GREY], all_car)])
+def test_drives_without_targets_are_refused(ingest: Path, drives: list[str], teacher: object) -> None:
+    with pytest.raises(InputError, match="no frame of the training drives"):
+        Examples(ingest, drives, 10, teacher)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("drives", "expected"), [([DENSE, BLIND], {"depth", "cls"}), ([DENSE, LIDAR], {"depth", "cls", "lidar"})]
+)
+def test_ground_truth_belongs_to_frames_with_an_image(ingest: Path, drives: list[str], expected: set[str]) -> None:
+    with Examples(ingest, drives, 6) as examples:
+        assert examples.ground_truth == expected
+    with Examples(ingest, drives, 6, all_car, unlabelled=drives) as examples:
+        assert not examples.ground_truth
+        assert not examples[0].depth_m.any()
+        assert (examples[0].cls == classes.CAR).all()
+
+
+@given(count=st.integers(1, 3000), wanted=st.integers(1, 3000))
+def test_spread_is_even_and_without_repeats(count: int, wanted: int) -> None:
+    rows = spread(count, wanted)
+    assert len(rows) == min(count, wanted)
+    steps = np.diff(rows)
+    assert not len(steps) or 1 <= steps.min() <= steps.max() <= steps.min() + 1
+
+
+def test_a_teacher_classifies_each_colour_frame_without_labels_once(ingest: Path) -> None:
+    inputs = []
+
+    def teacher(image: np.ndarray, camera: Camera) -> np.ndarray:
+        inputs.append(image)
+        return all_car(image, camera)
+
+    with Examples(ingest, [DENSE, BARE, GREY], 9, teacher) as examples:
+        assert examples.grey == module.GREY_OF_TEACHER > module.GREY
+        assert examples.frames_per_drive == {DENSE: 4, BARE: 3, GREY: 0}
+        for _ in range(2):
+            cls = [examples[i].cls for i in range(7)]
+    np.testing.assert_array_equal(inputs, [street.scene(frame)[0] for frame in range(3)])
+    assert (np.array(cls[4:]) == classes.CAR).all()
+    np.testing.assert_array_equal(cls[1], street.scene(1)[2])
+
+
+@pytest.fixture
+def example() -> Example:
+    image, depth, cls = street.scene(3)
+    return Example(image, street.CAMERA, depth.astype(np.float32), cls)
+
+
+def test_mirroring_negates_the_rays_and_is_its_own_inverse(example: Example) -> None:
+    mirror = mirrored(example)
+    x, y, _ = np.moveaxis(rays(street.K, street.SIZE), -1, 0)
+    mirror_x, mirror_y, _ = np.moveaxis(rays(mirror.camera.K, street.SIZE), -1, 0)
+    np.testing.assert_allclose(mirror_x, -x[:, ::-1], atol=1e-12)
+    np.testing.assert_allclose(mirror_y, y)
+    np.testing.assert_array_equal(mirror.depth_m, example.depth_m[:, ::-1])
+    back = mirrored(mirror)
+    np.testing.assert_allclose(back.camera.K, street.K)
+    for name in ("image", "depth_m", "cls"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(example, name))
+
+
+@pytest.mark.parametrize(("grey", "expected"), [(0.0, 0), (0.5, 32), (1.0, 64)])
+def test_a_share_of_the_images_loses_its_colour(example: Example, grey: float, expected: int) -> None:
+    rng = np.random.default_rng(0)
+    results = [relit(example, rng, grey) for _ in range(64)]
+    assert sum(not np.ptp(result.image, axis=-1).any() for result in results) == pytest.approx(expected, abs=10 * grey)
+    assert all(result.cls is example.cls for result in results)
+
+
+def test_a_fit_lowers_both_losses(ingest: Path) -> None:
     torch.manual_seed(0)
-    model = UnifiedEncoder("small")
-    curve = fit(model, examples, epochs=4, batch=3, learning_rate=0.003, seed=0)
+    with Examples(ingest, [DENSE], 4) as examples:
+        curve = fit(UnifiedEncoder("small"), examples, epochs=6, batch=2, learning_rate=0.003, seed=0)
     assert curve[-1].depth < 0.9 * curve[0].depth
     assert curve[-1].classes < 0.9 * curve[0].classes
-    assert [row.epoch for row in curve] == [1, 2, 3, 4]
+    assert [row.epoch for row in curve] == [1, 2, 3, 4, 5, 6]
 
 
 def test_the_loss_ignores_unknown_pixels_and_matches_hand_values() -> None:
-    depth = torch.tensor([[[2.0, 8.0, 5.0]]])
-    true_depth = torch.tensor([[[4.0, 8.0, 0.0]]])
     logits = torch.zeros(1, 19, 1, 3)
     logits[0, 3, 0, 0] = 50.0
-    true_cls = torch.tensor([[[3, 255, 7]]])
-    loss = depth_and_class_loss(depth, logits, true_depth, true_cls)
+    depth, true_depth = torch.tensor([[[2.0, 8.0, 5.0]]]), torch.tensor([[[4.0, 8.0, 0.0]]])
+    loss = depth_and_class_loss(depth, logits, true_depth, torch.tensor([[[3, 255, 7]]]))
     np.testing.assert_allclose(loss, [(np.log(2) / 2 + 0.5 / 2) / 2, np.log(19) / 2], rtol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def model() -> UnifiedEncoder:
+    torch.manual_seed(1)
+    return UnifiedEncoder("small").eval()
+
+
+def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(model: UnifiedEncoder, tmp_path: Path) -> None:
+    save(tmp_path, "small", model.state_dict())
+    assert read(tmp_path / "encoder.pt").backbone == "small"
+    loaded = load(tmp_path)
+    assert not loaded.training
+    for name, tensor in model.state_dict().items():
+        assert torch.equal(tensor, loaded.state_dict()[name].cpu()), name
+    save(tmp_path / "other", "small", loaded.state_dict())  # it runs with channels last
+    assert (tmp_path / "other/encoder.pt").read_bytes() == (tmp_path / "encoder.pt").read_bytes()
+
+
+def test_batched_equals_single(model: UnifiedEncoder) -> None:
+    images = np.stack([street.scene(frame)[0] for frame in range(3)])
+    depth, cls = perceive(model, images, street.CAMERA)
+    for i in range(3):
+        one_depth, one_cls = perceive(model, images[i : i + 1], street.CAMERA)
+        np.testing.assert_allclose(one_depth[0], depth[i], rtol=1e-5)
+        assert (one_cls[0] != cls[i]).mean() < 1e-3  # ties
+    assert (depth.dtype, cls.dtype) == (np.float32, np.uint8)
+
+
+@pytest.fixture
+def set_threads() -> Iterator[Callable[[int], None]]:
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+def test_passes_give_the_same_bits_for_any_number_of_threads(
+    set_threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STEER_WORKERS", "5")
+    matrices = np.random.default_rng(0).standard_normal((6, 300, 300), np.float32)
+    results = []
+    for threads in (1, 2, 5):
+        set_threads(threads)
+
+        def forward(matrix: np.ndarray) -> np.ndarray:
+            assert torch.get_num_threads() == 1
+            product: np.ndarray = (torch.from_numpy(matrix) @ torch.from_numpy(matrix)).sum(0).numpy()
+            return product
+
+        results.append(np.stack(list(passes(forward, (matrix for matrix in matrices)))))
+        assert torch.get_num_threads() == threads
+    np.testing.assert_array_equal(results[0], results[1])
+    np.testing.assert_array_equal(results[0], results[2])

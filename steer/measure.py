@@ -58,7 +58,7 @@ def measure(
     encoder = options.in_project(encoder)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    lens, clock, logs = Lens(calib, fov, k, distortion), Clock(fps, times), Logs(wheel, steering_ratio, motion)
+    lens, clock, logs = Lens(calib, fov, k, distortion), Clock(fps, times), Logs.read(wheel, steering_ratio, motion)
     opened = open_source(source, video_measure.CAMERAS, lens, clock, camera_height, max_frames)
     key = opened.key(encoder=encoder, distortion=distortion)
     out = claim(out, opened.name, key)

@@ -54,7 +54,7 @@ def predict(
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
     model = options.in_project(TRAINED / model if named else model)
     trained, encoder = load(model), encoder or _encoder_beside(model)
-    lens, clock, logs = Lens(calib, fov, k, distortion), Clock(fps, times), Logs(wheel, steering_ratio, motion)
+    lens, clock, logs = Lens(calib, fov, k, distortion), Clock(fps, times), Logs.read(wheel, steering_ratio, motion)
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
     opened = open_source(source, video_predict.reading(trained).cameras, lens, clock, height_m)
     key = opened.key(encoder=encoder, distortion=distortion, settings=trained.settings)

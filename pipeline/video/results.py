@@ -52,12 +52,14 @@ class Results:
         agree with the motion, with their median error `residual` in px. Arguments as of :func:`read_course`; `frame`:
         numbers of the frames in the results, if their motion is in the files; None: all.
 
-        Raises InputError if there is no frame, or a log is unusable.
+        Raises InputError if there is no frame, or a log has angles of frames that the recording lacks.
         """
         with DriveReader(work / MOTION, stage="motion") as motion, DriveReader(work / INGEST, stage="ingest") as raw:
             rows = np.flatnonzero(np.isin(motion.frame, motion.frame if frame is None else frame))
             if not len(rows):
                 raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
+            if logs.wheel and source.complete:
+                logs.wheel.check_frames(int(raw.frame[-1]))
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.height_known)
             truth = read_truth(raw, motion.frame[rows], logs, car)
             valid, codes = motion["valid"], motion["problem"][rows]

@@ -49,6 +49,7 @@ class Source:
     count: int | None  # number of frames, if known
     fps: float | None  # None: a KITTI drive, whose times are read with its frames
     notes: list[str]  # for the user
+    complete: bool = True  # False: only the first frames
     drive: KittiDrive | None = None  # None: a video, or a folder of images
 
     def key(self, **settings: Any) -> str:
@@ -109,7 +110,7 @@ def _open_drive(path: Path, drive: KittiDrive, cameras: Sequence[int]) -> Source
                 continue  # as stage ingest does with on_damaged: skip
 
     name = drive.folder.name.removesuffix("_sync")
-    return Source(path, name, camera, True, frames, len(images), None, [], drive)
+    return Source(path, name, camera, True, frames, len(images), None, [], drive=drive)
 
 
 def _open_recording(path: Path, lens: Lens, clock: Clock, max_frames: int | None) -> Source:
@@ -134,4 +135,5 @@ def _open_recording(path: Path, lens: Lens, clock: Clock, max_frames: int | None
     def frames() -> Iterator[Frame]:
         return islice(recording.frames(), max_frames)
 
-    return Source(path, path.stem, camera, False, frames, count, recording.fps or DEFAULT_FPS, notes)
+    fps = recording.fps or DEFAULT_FPS
+    return Source(path, path.stem, camera, False, frames, count, fps, notes, complete=not max_frames)

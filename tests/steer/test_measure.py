@@ -211,8 +211,13 @@ def test_missing_and_unsuitable_inputs_are_named(
     with pytest.raises(InputError, match="no encoder") as raised:
         measure(images, out=tmp_path / "out", encoder=tmp_path, **LENS)
     assert "make street" in raised.value.fix
-    measure(images, out=tmp_path / "out", encoder=encoder, fov=80.0, max_frames=3, video=False)
-    assert len(rows(tmp_path / "out")) == 3
+    wheel = tmp_path / "wheel.csv"
+    wheel.write_text("frame,wheel_rad\n0,0.1\n4,0.2\n")
+    log: dict[str, Any] = {"wheel": wheel, "steering_ratio": 10.0}
+    with pytest.raises(InputError, match=r"wheel\.csv: has frame 4, but the last image is 3"):
+        measure(images, out=tmp_path / "out", encoder=encoder, fov=80.0, video=False, **log)
+    measure(images, out=tmp_path / "first", encoder=encoder, fov=80.0, max_frames=3, video=False, **log)
+    assert len(rows(tmp_path / "first")) == 3
     text = capsys.readouterr().out
     assert "assuming 10 per second" in text
     assert "pass --camera-height" in text or "typical car" in text

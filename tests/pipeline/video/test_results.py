@@ -91,11 +91,11 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(
     files = [tmp_path / name for name in ("wheel.csv", "motion.csv")]
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
-    logs = Logs(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
+    logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
         truth = read_truth(raw, raw.frame, logs, CAR)
-        with pytest.raises(InputError, match="--steering-ratio"):
-            read_truth(raw, raw.frame, Logs(files[0]), CAR)
+    with pytest.raises(InputError, match="--steering-ratio"):
+        Logs.read(files[0], None, None)
     np.testing.assert_allclose(truth.driven_rad, expected_rad)
     np.testing.assert_allclose(truth.driven_mps, [np.nan, 12.5, 17.5, np.nan] if motion else [np.nan] * 4)
     names = [name for name, log in (("wheel.csv", wheel), ("motion.csv", motion)) if log]

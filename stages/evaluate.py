@@ -37,7 +37,8 @@ def main(
         check_name(name)
     settings = load(Evaluate, params)
     with stage_folder(f"evaluate@{name}", out / name) as folder:
-        first = predict.load(next(iter(sorted((train / name).glob("fold-*"))), train / name))
+        best = next(iter(sorted((train / name).glob("fold-*/best.pt"))), train / name / "best.pt")
+        first = predict.load(best.parent)
         entry, variant = first.entry, graphs / first.entry.input
         folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
         folds = runs.drop_untestable(folds, variant, labels, entry)

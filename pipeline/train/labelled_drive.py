@@ -167,27 +167,17 @@ def read_drive(
             raise InputError(f"no label for frame {missing[0]} of {graphs}", labels, "Make both again: dvc repro")
         here = np.array([row_of[int(number)] for number in file.frame], np.int64)
         then = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
-        steering_rad, valid, section = truth["steering_rad"], truth["valid"].astype(bool), truth.params["labels"]
-        car, measured = label.Car(section["wheelbase_m"], section["min_speed_mps"]), file.motion
-        if motion != "none" and measured and not measured.valid.any() and valid[here].any():
+        section, measured = truth.params["labels"], file.motion
+        car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
+        if motion != "none" and measured and not measured.valid.any() and truth["valid"][here].any():
             fix = f"Remove {name} from ingest.drives, or set motion: none"
             raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
-        if predict == "path":
-            edges_m, path_1pm = _read_path(truth)
-            target = curvature_1pm = path_1pm[here]
-            target_valid, persistence = np.isfinite(target), None
-        else:
-            edges_m, known = (), then >= 0
-            target, curvature_1pm = (
-                np.where(known, values[then], np.nan)[:, None] for values in (steering_rad, truth["curvature_1pm"])
-            )
-            target_valid = np.asarray(known & valid[then])[:, None]
-            persistence = _hold(steering_rad[here], valid[here], including=horizon > 0)[:, None]
+        targets = _path(truth, here) if predict == "path" else _angle(truth, here, then, including=horizon > 0)
         odometry = None
-        if measured and (horizon or edges_m or section.get("source") != "visual"):
+        if measured and (horizon or predict == "path" or section.get("source") != "visual"):
             usable = label.is_usable(measured.speed_mps, measured.valid, car.min_speed_mps)
             held = np.where(np.logical_or.accumulate(usable), _measured(measured, car, predict), np.nan)
-            odometry = np.repeat(held[:, None], target.shape[1], axis=1)
+            odometry = np.repeat(held[:, None], targets["target"].shape[1], axis=1)
         return LabelledDrive(
             **vars(Timeline.read(file, car, motion, base, predict, scene)),
             name=name,
@@ -195,12 +185,8 @@ def read_drive(
             labels=labels,
             horizon=horizon,
             car=car,
-            ahead_m=edges_m,
-            target=target,
-            valid=target_valid,
-            curvature_1pm=curvature_1pm,
+            **targets,
             speed_mps=truth["speed_mps"][here],
-            persistence=persistence,
             odometry=odometry,
             settings=file.params | truth.params,
         )
@@ -212,20 +198,32 @@ def _measured(motion: MeasuredMotion, car: label.Car, predict: str) -> np.ndarra
     return np.tan(angle_rad) / car.wheelbase_m if predict == "path" else angle_rad
 
 
-def _read_path(labels: store.DriveReader) -> tuple[tuple[float, ...], np.ndarray]:
-    """Return the edges of the ranges, and the path ahead of all frames [F,R], NaN where it is not valid."""
+def _path(labels: store.DriveReader, here: np.ndarray) -> dict[str, Any]:
+    """Return the fields of a LabelledDrive with the path ahead of the rows `here` [G] of its labels."""
     if "ahead_1pm" not in labels:
         fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
         raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels.path, fix)
-    path_1pm = np.where(labels["ahead_valid"].astype(bool), labels["ahead_1pm"], np.nan)
-    return tuple(labels.params["labels"]["ahead_m"]), path_1pm
+    path_1pm = np.where(labels["ahead_valid"].astype(bool), labels["ahead_1pm"], np.nan)[here]
+    fields = {"target": path_1pm, "valid": np.isfinite(path_1pm), "curvature_1pm": path_1pm, "persistence": None}
+    return fields | {"ahead_m": tuple(labels.params["labels"]["ahead_m"])}
 
 
-def _hold(steering_rad: np.ndarray, valid: np.ndarray, including: bool) -> np.ndarray:
-    """Return the last valid label before each frame [F] of a drive, or up to it if `including`; 0 without one."""
-    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    last = last if including else np.concatenate([[-1], last])[: len(valid)]
-    return np.where(last >= 0, steering_rad[last], 0.0)
+def _angle(labels: store.DriveReader, here: np.ndarray, then: np.ndarray, including: bool) -> dict[str, Any]:
+    """Return the fields of a LabelledDrive with the angle in the rows `then` [G] of its labels, -1 without a row.
+
+    Persistence is the last valid label before each row `here` [G], or up to it if `including`; 0 without one.
+    """
+    steering_rad, valid = labels["steering_rad"], labels["valid"].astype(bool)
+    known, usable = then >= 0, valid[here]
+    last = np.maximum.accumulate(np.where(usable, np.arange(len(here)), -1))
+    last = last if including else np.concatenate([[-1], last])[: len(here)]
+    columns = {
+        "target": np.where(known, steering_rad[then], np.nan),
+        "valid": known & valid[then],
+        "curvature_1pm": np.where(known, labels["curvature_1pm"][then], np.nan),
+        "persistence": np.where(last >= 0, steering_rad[here][last], 0.0),
+    }
+    return {name: values[:, None] for name, values in columns.items()} | {"ahead_m": ()}
 
 
 def consecutive(frame: np.ndarray) -> tuple[tuple[int, int], ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.camera.images import Size, resized
 from pipeline.report.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.video.results import Results
-from pipeline.video.source import Source
+from pipeline.video.source import DEFAULT_FPS, Source
 
 # A path ends at this multiple of the distance of the nearest visible road, within limits: a narrow lens sees no nearer
 # road than 11 m.
@@ -20,12 +20,9 @@ Colour = tuple[int, int, int]
 
 def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: float) -> None:
     """Write an H.264 video of the results on the complete images of `source`."""
-    overlay, rows = (
-        _Overlay(source, results, wheelbase_m),
-        {int(n): row for row, n in enumerate(results.table["frame"])},
-    )
-    time_s = results.table["time_s"]
-    fps = source.fps or (len(time_s) - 1) / (time_s[-1] - time_s[0]) if len(time_s) > 1 else 10.0
+    overlay, steps_s = _Overlay(source, results, wheelbase_m), np.diff(results.table["time_s"])
+    rows = {number: row for row, number in enumerate(results.table["frame"].tolist())}
+    fps = source.fps or (1 / steps_s.mean() if len(steps_s) else DEFAULT_FPS)
     with av.open(str(path), "w", format="mp4") as file:
         stream = file.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.height, stream.width = overlay.size

@@ -4,7 +4,9 @@ import csv
 import json
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from dvc.repo import Repo
@@ -41,14 +43,16 @@ def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(
     chain: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(chain)
-    drive, frames, names = "2026_01_03_drive_0001", [7, 8, 12], dict[str, list[float]]()
+    drive, names = "2026_01_03_drive_0001", dict[str, Any]()
     snippet = scratch.code_block("predict.load(").removeprefix("python\n")
     assert len([line for line in snippet.splitlines() if line]) <= 6
-    exec(re.sub(r"\d{4}_\d\d_\d\d_drive_\d{4}", drive, re.sub(r"\[\d+(, \d+)*\]", str(frames), snippet)), names)
+    exec(re.sub(r"\d{4}_\d\d_\d\d_drive_\d{4}", drive, snippet), names)
     with Path(f"data/evaluate/{MODEL}/predictions.csv").open() as file:
-        rows = {(row["drive"], int(row["frame"])): row["predicted_steering_rad"] for row in csv.DictReader(file)}
-    expected = [float(rows[drive, frame]) for frame in frames]
-    assert list(names["steering_rad"]) == pytest.approx(expected, abs=1e-6)
+        expected = [
+            float(row["predicted_steering_rad"] or "nan") for row in csv.DictReader(file) if row["drive"] == drive
+        ]
+    assert np.isfinite(expected).any()
+    np.testing.assert_allclose(names["steering_rad"], expected, atol=1e-6)
 
 
 EDITS: list[tuple[str, set[str]]] = [  # a file or a setting, and the stages that run again; more: test_dvc_yaml.py

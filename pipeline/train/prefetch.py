@@ -1,7 +1,7 @@
 """Compute items ahead of their use, in threads."""
 
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from typing import Any, TypeVar
@@ -18,7 +18,13 @@ def prefetch(items: Generator[T], ahead: int = 2) -> Generator[T]:
     Closing this generator waits for the item in progress and closes `items`.
     """
     with closing(items), ThreadPoolExecutor(1, "prefetch") as pool:
-        yield from _results(iter(lambda: pool.submit(next, items, _END), None), ahead, pool)
+        ready = deque(pool.submit(next, items, _END) for _ in range(ahead))
+        try:
+            while (result := ready.popleft().result()) is not _END:
+                ready.append(pool.submit(next, items, _END))
+                yield result
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def side_by_side(
@@ -30,18 +36,12 @@ def side_by_side(
     closes `items`. `start` is called once in each thread.
     """
     with closing(items), ThreadPoolExecutor(threads, "prefetch", initializer=start) as pool:
-        yield from _results((pool.submit(work, item) for item in items), ahead, pool)
-
-
-def _results(futures: Iterator[Future[Any]], ahead: int, pool: ThreadPoolExecutor) -> Generator[Any]:
-    ready: deque[Future[Any]] = deque()
-    try:
-        for future in futures:
-            ready.append(future)
-            if len(ready) > ahead:
-                if (result := ready.popleft().result()) is _END:
-                    return
-                yield result
-        yield from (future.result() for future in ready)
-    finally:
-        pool.shutdown(cancel_futures=True)
+        ready: deque[Future[R]] = deque()
+        try:
+            for item in items:
+                ready.append(pool.submit(work, item))
+                if len(ready) > ahead:
+                    yield ready.popleft().result()
+            yield from (future.result() for future in ready)
+        finally:
+            pool.shutdown(cancel_futures=True)

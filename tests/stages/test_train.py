@@ -158,3 +158,20 @@ def test_drives_without_a_path_are_refused(tmp_path: Path, frames: int, edges_m:
         run_train(tmp_path)
     assert "\n" not in str(raised.value)
     assert not (tmp_path / "train/net").exists()
+
+
+@pytest.mark.parametrize(
+    ("scale", "entry", "problem"),
+    [(0.0, {}, "every valid label of 2026.* is 0"), (1.0, {"motion": "visual"}, "motion is not measured in any frame")],
+)
+def test_drives_that_teach_nothing_are_refused(
+    tmp_path: Path, scale: float, entry: dict[str, object], problem: str
+) -> None:
+    artefacts.write_dataset(tmp_path, SPLITS, frames=20, points=20)
+    for drive in SPLITS:
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{drive}.h5", np.zeros(20), np.zeros(20, bool))
+        with h5py.File(tmp_path / f"labels/{drive}.h5", "a") as file:
+            file["steering_rad"][:] *= scale
+    write_params(tmp_path, entry, epochs=1)
+    with pytest.raises(InputError, match=problem):
+        run_train(tmp_path)

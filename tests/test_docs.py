@@ -1,17 +1,20 @@
-"""Test the Markdown pages: their number, size and width, and links to files and headings that exist."""
+"""Test the Markdown pages: their number, size and width, and that links and names lead to something that exists."""
 
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 from torch.utils.data import DataLoader
 
 from pipeline.base.params import load
 from pipeline.base.resume import ROOT
+from pipeline.settings import preset
 from pipeline.settings.ingest import Ingest
 from pipeline.settings.models import Entry
 from pipeline.settings.sample import Sample
+from steer.app import app
 from tests import artefacts, scratch
 
 PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
@@ -19,6 +22,12 @@ PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
 ]
 TEXTS = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "docs/log.md"]
 LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
+CODE = re.compile(r"```(?:\w*\n)?(.*?)```|`([^`]+)`", re.DOTALL)
+SECTIONS = {key: getattr(section.annotation, "model_fields", {}) for key, section in preset.Params.model_fields.items()}
+PLACEHOLDERS = {"models/steering/spatial/height.py", "models/steering/spatial/NAME.py", "presets/NAME.yaml"}
+PLACEHOLDERS |= {"presets/2027_03_31_drive_0001.yaml"}
+OTHERS = {"--force", "--single-item", "--wait-for-lock", "--pull", "--downstream", "--allow-missing"}  # of DVC
+OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
 
 
 def headings(page: Path) -> set[str]:
@@ -47,7 +56,31 @@ def test_prose_has_at_most_110_columns(page: Path) -> None:
 def test_there_are_seven_short_pages() -> None:
     assert {*(ROOT / "docs").glob("*.md")} == {*PAGES[2:], ROOT / "docs/log.md"}
     assert sum(len(page.read_text().splitlines()) for page in PAGES) <= 850
-    assert len(PAGES[0].read_text().splitlines()) <= 120
+    readme = PAGES[0].read_text()
+    assert len(readme.splitlines()) <= 120
+    assert [path.name for path in (ROOT / "pipeline").glob("[!_]*/") if f"{path.name}/" not in readme] == []
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT)))
+def test_names_exist(page: Path) -> None:
+    """Paths of the repository, settings, targets of make, and the commands and options of steer."""
+    code = "\n".join(block or span for block, span in CODE.findall(page.read_text()))
+    paths = re.findall(r"\b(?:pipeline|models|stages|tests|steer|presets|docs)/[\w/]+\.\w+", code)
+    assert [path for path in paths if not (ROOT / path).exists() and path not in PLACEHOLDERS] == []
+
+    spans = " ".join(span for _, span in CODE.findall(page.read_text()))
+    settings = [(section, key) for section, key in re.findall(r"\b([a-z]+)\.([a-z_]+)\b", spans) if section in SECTIONS]
+    assert [f"{section}.{key}" for section, key in settings if key not in SECTIONS[section] and key != "pt"] == []
+
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    targets += [path.stem for path in (ROOT / "presets").glob("*.yaml")]
+    assert {*re.findall(r"(?:^|&& )make ([a-z]\w*)", code, re.MULTILINE)} <= {*targets}
+
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    assert {*re.findall(r"\bsteer ([a-z]+)", code)} <= {*commands}
+    options = {name for command in commands.values() for option in command.params for name in option.opts}
+    options |= {name for command in commands.values() for option in command.params for name in option.secondary_opts}
+    assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options | OTHERS
 
 
 def test_examples_name_drives_and_frames_of_the_sample() -> None:

@@ -102,7 +102,7 @@ def test_what_a_stage_imports_is_covered(name: str) -> None:
         assert all(_files(dep) & imported for dep in _code(name)), "a dep that is not used"
 
 
-@pytest.mark.parametrize(("file", "stages"), EDITS.items(), ids=str)
+@pytest.mark.parametrize(("file", "stages"), EDITS.items(), ids=EDITS.keys())
 def test_an_edit_runs_these_stages_again(file: str, stages: set[str]) -> None:
     assert {name for name in STAGES if Path(file) in _covered(name)} == stages
 

@@ -33,7 +33,7 @@ def test_every_stage_runs_once_in_order(chain: Path) -> None:
 
 def test_the_table_has_the_numbers_of_evaluate_and_scores(chain: Path) -> None:
     table = (chain / "data/report/table.md").read_text()
-    nmse = json.loads((chain / f"data/evaluate/{MODEL}/metrics.json").read_text())["test"]["nmse"]
+    nmse = json.loads((chain / f"data/evaluate/{MODEL}/metrics.json").read_text())["test"]["steering_rad"]["nmse"]
     accuracy = json.loads((chain / "data/scores/metrics.json").read_text())["test"]["classes"]["pixel_accuracy"]
     assert any(f"{nmse:.3f}" in row for row in table.splitlines() if row.startswith(f"| {MODEL}"))
     assert f"{accuracy:.3f}" in table

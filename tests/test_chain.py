@@ -123,6 +123,18 @@ def test_bytes_do_not_depend_on_workers(chain: Path, tmp_path: Path) -> None:
     assert scratch.outputs(folder, *stages) == scratch.outputs(chain, *stages)
 
 
+def test_a_new_drive_costs_one_drive_per_stage(chain: Path, tmp_path: Path) -> None:
+    folder = scratch.duplicate(chain, tmp_path / "copy")
+    ingest = yaml.safe_load((folder / "params.yaml").read_text())["ingest"]
+    ingest["drives"]["val"] = ["2026_01_02_drive_0001..0002"]
+    scratch.edit_params(folder, ingest=ingest)
+    output = scratch.run(folder, "dvc", "repro", "graphs", "labels", "scores")
+    ran = [stage for stage in scratch.stages_run(output) if stage not in ("check", "encoder")]
+    assert {stage.split("@")[0] for stage in ran} == {*STAGES[:9]} - {"encoder"}
+    kept = re.findall(r"(\d+) of (\d+) drives kept from earlier runs", output)
+    assert kept == [("4", "5")] * (len(ran) + 1)  # stage clouds makes them of images and of scans
+
+
 def test_a_network_is_added_by_a_file_and_trained_alone(chain: Path, tmp_path: Path) -> None:
     folder = scratch.duplicate(chain, tmp_path / "copy")
     network = scratch.code_block("class Height(nn.Module)").removeprefix("python\n")

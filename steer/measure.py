@@ -9,7 +9,7 @@ steer measure data/sample/2026_01_10/2026_01_10_drive_0004_sync --encoder data/e
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -34,9 +34,6 @@ def measure(
     wheel: options.Wheel = None,
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
-    poses: Annotated[
-        Literal["kitti", "tum"] | None, typer.Option(help="also write poses.txt, for evo and other tools")
-    ] = None,
     video: options.Video = True,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
         "weights/street"
@@ -46,29 +43,22 @@ def measure(
     debug: options.Debug = False,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
-    from pipeline.base.outputs import WORK, claim
     from pipeline.labels.label import Car
     from pipeline.perception.perceive import FILE
     from pipeline.video import measure as video_measure
-    from pipeline.video.chain import publish
-    from pipeline.video.source import Clock, Lens, open_source
-    from pipeline.video.truth import Logs
+    from pipeline.video.results import Logs
+    from pipeline.video.source import open_source
 
-    output, car = options.Output(quiet, as_json), Car(wheelbase, MIN_SPEED_MPS)
+    output, logs = options.Output(quiet, as_json), Logs.read(wheel, steering_ratio, motion)
     encoder = options.in_project(encoder)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    lens, clock, logs = Lens(calib, fov, k, distortion), Clock(fps, times), Logs.read(wheel, steering_ratio, motion)
-    opened = open_source(source, video_measure.CAMERAS, lens, clock, camera_height, max_frames)
-    key = opened.key(encoder=encoder, distortion=distortion)
-    out = claim(out, opened.name, key)
-    work = out / WORK / key
+    how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
+    opened = open_source(source, video_measure.CAMERAS, camera_height, max_frames=max_frames, **how)
     show = {"video": video, "visible": output.visible}
-    results, quality = video_measure.measure(opened, work, encoder, car, logs, poses, **show)
+    results, quality, files = video_measure.measure(opened, out, encoder, Car(wheelbase, MIN_SPEED_MPS), logs, **show)
     comparison = results.compare("measured")
-    for line in (*opened.notes, *results.lines(comparison), *quality["remarks"]):
+    for line in (*opened.notes, *results.lines(comparison), *quality["remarks"], ", ".join(map(str, files))):
         output.line(line)
-    files = publish(work, out)
-    output.line(", ".join(map(str, files)))
     content = {"source": opened.name, **results.summary(), "notes": opened.notes, "quality": quality}
     output.result({**content, "comparison": comparison, "files": files})

@@ -10,7 +10,7 @@ steer predict street.mp4 --fov 65 --model data/train/motion
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -43,33 +43,26 @@ def predict(
     debug: options.Debug = False,
 ) -> None:
     """Write the predicted angles and print their errors; the module's docstring is the help text."""
-    from pipeline.base.outputs import WORK, claim
     from pipeline.train.predict import load
     from pipeline.video import predict as video_predict
-    from pipeline.video.chain import publish
-    from pipeline.video.source import Clock, Lens, open_source
-    from pipeline.video.truth import Logs
+    from pipeline.video.results import Logs
+    from pipeline.video.source import open_source
 
-    output = options.Output(quiet, as_json)
+    output, logs = options.Output(quiet, as_json), Logs.read(wheel, steering_ratio, motion)
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
     model = options.in_project(TRAINED / model if named else model)
     trained, encoder = load(model), encoder or _encoder_beside(model)
-    lens, clock, logs = Lens(calib, fov, k, distortion), Clock(fps, times), Logs.read(wheel, steering_ratio, motion)
+    how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
-    opened = open_source(source, video_predict.reading(trained).cameras, lens, clock, height_m)
-    key = opened.key(encoder=encoder, distortion=distortion, settings=trained.settings)
-    out = claim(out, opened.name, key)
-    work = out / WORK / key
-    results = video_predict.predict(trained, opened, work, encoder, logs, video=video, visible=output.visible)
-    horizon = trained.entry.horizon
+    opened = open_source(source, video_predict.reading(trained).cameras, height_m, **how)
+    show = {"video": video, "visible": output.visible}
+    results, files = video_predict.predict(trained, opened, out, encoder, logs, **show)
+    horizon, summary = trained.entry.horizon, results.summary()
     comparison = results.compare("predicted", horizon)
-    for line in (*opened.notes, *results.lines(comparison)):
-        output.line(line)
-    summary = results.summary()
     ahead = f", each {horizon} frames ahead" if horizon else ""
-    output.line(f"{trained.name}: {{predicted}} predictions for {{frames}} frames{ahead}".format_map(summary))
-    files = publish(work, out)
-    output.line(", ".join(map(str, files)))
+    counts = f"{trained.name}: {{predicted}} predictions for {{frames}} frames{ahead}".format_map(summary)
+    for line in (*opened.notes, *results.lines(comparison), counts, ", ".join(map(str, files))):
+        output.line(line)
     about = {"model": trained.name, "source": opened.name, "horizon": horizon, **summary}
     output.result({**about, "notes": opened.notes, "comparison": comparison, "files": files})
 

@@ -9,7 +9,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.drive_frames import open_frames
 from pipeline.motion.speed import LEAST_NOISE, filter_speed
-from pipeline.motion.step import PROBLEMS, StepClock, rates
+from pipeline.motion.step import PROBLEMS, durations, rates
 from pipeline.motion.visual import Odometry
 
 UNITS = {
@@ -47,15 +47,15 @@ def measure_drive(
         open_frames(ingest, perception) as frames,
         DriveWriter(path, stage="motion", drive=frames.drive, params=frames.params) as file,
     ):
-        count, odometry, clock = len(frames.frame), Odometry(frames.camera, road_scale=road_scale), StepClock()
+        count, odometry = len(frames.frame), Odometry(frames.camera, road_scale=road_scale)
         columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
         columns |= {
             "scale": np.ones(count, np.float32),
             "T_before": np.tile(np.eye(4, dtype=np.float32), (count, 1, 1)),
         }
         columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
-        for row, frame in enumerate(frames):
-            step, duration_s = odometry.step(frame), clock.duration(frame.number, frame.time_s)
+        for row, (frame, duration_s) in enumerate(zip(frames, durations(frames.frame, frames.time_s), strict=True)):
+            step = odometry.step(frame)
             values = {"problem": PROBLEMS.index(odometry.problem), "road_height_m": odometry.road.frame_height_m}
             if step:
                 values |= dict(zip(("yaw_rate_radps", "speed_mps"), rates(step.T_before, duration_s), strict=True))

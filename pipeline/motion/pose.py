@@ -53,6 +53,8 @@ def estimate_pose(
         depth_sigma: relative standard deviation of each point's depth [N].
         T_before_last: the T_now_before [4,4] of the previous step, a second initial value; None: unknown.
     """
+    import cv2
+
     if len(xyz) < MIN_POINTS:
         return None
     starts = [T for T in (_ransac(xyz, uv, K), T_before_last) if T is not None]
@@ -60,12 +62,15 @@ def estimate_pose(
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.cost)
-    similar = T_before_last is not None and _similar(best.T, T_before_last)
-    inliers = best.squared_distance < INLIER_SIGMAS**2
+    similar, inliers = False, best.squared_distance < INLIER_SIGMAS**2
+    if T_before_last is not None:
+        turned_rad = np.linalg.norm(cv2.Rodrigues(best.T[:3, :3] @ T_before_last[:3, :3].T)[0])
+        moved_m = np.linalg.norm(best.T[:3, 3] - T_before_last[:3, 3])
+        similar = bool(turned_rad < np.radians(SIMILAR_DEG) and moved_m < SIMILAR_M)
     if inliers.sum() < max(MIN_POINTS, (MIN_INLIERS_SIMILAR if similar else MIN_INLIERS) * len(xyz)):
         return None
-    focal = _focal_step(best.T, xyz, uv, K, best.error, best.weight * inliers[:, None, None], best.jacobian)
-    return Pose(best.T, inliers, float(np.median(np.linalg.norm(best.error[inliers], axis=-1))), *focal)
+    residual_px = float(np.median(np.linalg.norm(best.error[inliers], axis=-1)))
+    return Pose(best.T, inliers, residual_px, *_focal_step(best, inliers, xyz, uv, K))
 
 
 def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
@@ -80,13 +85,6 @@ def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
     return T
-
-
-def _similar(T: np.ndarray, other: np.ndarray) -> bool:
-    import cv2
-
-    turned_rad = np.linalg.norm(cv2.Rodrigues(T[:3, :3] @ other[:3, :3].T)[0])
-    return bool(turned_rad < np.radians(SIMILAR_DEG) and np.linalg.norm(T[:3, 3] - other[:3, 3]) < SIMILAR_M)
 
 
 class _Fit(NamedTuple):
@@ -125,28 +123,20 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
     return _Fit(T, cost, squared_distance, error, weight, jacobian)
 
 
-def _focal_step(
-    T: np.ndarray,
-    xyz: np.ndarray,
-    uv: np.ndarray,
-    K: np.ndarray,
-    error: np.ndarray,
-    weight: np.ndarray,
-    jacobian: np.ndarray,
-) -> tuple[float, float]:
+def _focal_step(fit: _Fit, inliers: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> tuple[float, float]:
     """Return gradient and information of the logarithm of the focal length, with the pose eliminated.
 
-    Arguments as of :func:`estimate_pose` and results of :func:`_linearise`. Only turns contain information: a rotation
-    moves pixels at the image's edge by more than those at its centre, the more so the shorter the focal length is.
+    Arguments as of :func:`estimate_pose`. Only turns contain information: a rotation moves pixels at the image's edge
+    by more than those at its centre, the more so the shorter the focal length is.
     """
     small = 1e-4
     wider = K.copy()
     wider[[0, 1], [0, 1]] *= 1 + small
     pixels = project(xyz, K)[0]
     rays = np.linalg.solve(wider, np.column_stack([pixels, np.ones(len(pixels))]).T).T
-    by_focal = (_linearise(T, rays * xyz[:, 2:], uv, wider, np.ones(len(xyz)))[0] - error) / small  # [N,2]
-    columns = np.concatenate([jacobian, by_focal[:, :, None], error[:, :, None]], axis=2)  # [N,2,8]
-    normal = np.einsum("nia,nij,njb->ab", columns, weight, columns)
+    by_focal = (_linearise(fit.T, rays * xyz[:, 2:], uv, wider, np.ones(len(xyz)))[0] - fit.error) / small  # [N,2]
+    columns = np.concatenate([fit.jacobian, by_focal[:, :, None], fit.error[:, :, None]], axis=2)  # [N,2,8]
+    normal = np.einsum("nia,nij,njb->ab", columns, fit.weight * inliers[:, None, None], columns)
     reduced = normal[6:, 6:] - normal[6:, :6] @ np.linalg.lstsq(normal[:6, :6], normal[:6, 6:], rcond=None)[0]
     return float(reduced[0, 1]), float(reduced[0, 0])
 

@@ -4,7 +4,6 @@
 the previous frame. Its translation is the camera's new position in the previous frame.
 """
 
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -35,11 +34,6 @@ class Step(NamedTuple):
     scale: float = 1.0  # factor that was applied to depth
 
 
-def is_standstill(T_before: np.ndarray) -> bool:
-    """Return whether a step [4,4] is too short to differ from standstill."""
-    return bool(np.linalg.norm(T_before[:3, 3]) < STANDSTILL_M)
-
-
 def plausible(T_before: np.ndarray) -> bool:
     """Return whether a car can make this step [4,4]: along the camera's axis, not sideways, without a jump."""
     right, down, forward = T_before[:3, 3]
@@ -62,24 +56,16 @@ def rates(T_before: np.ndarray, duration_s: float) -> tuple[float, float]:
     return float(-rotation[1] / duration_s), float(halfway[:, 2] @ T_before[:3, 3] / duration_s)
 
 
-class StepClock:
-    """Durations of steps from noisy time stamps.
+def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """Return the seconds per frame of the step to each frame number [F] at noisy times [F]; NaN for the first.
 
     KITTI's times are those of the oxts packet nearest to an image, on a grid of 10 ms, so a difference between
     neighbours has an error of a tenth. A step's duration is therefore the mean over recent steps of similar duration;
     later times are not used.
     """
-
-    def __init__(self) -> None:
-        self._recent: deque[float] = deque(maxlen=RECENT)
-        self._last: tuple[int, float] | None = None
-
-    def duration(self, number: int, time_s: float) -> float:
-        """Return the seconds per frame of the step to frame `number`; NaN for the first frame."""
-        last, self._last = self._last, (number, time_s)
-        if last is None:
-            return float("nan")
-        duration_s = (time_s - last[1]) / (number - last[0])
-        self._recent.append(duration_s)
-        recent = np.array(self._recent)
-        return float(recent[(recent < duration_s * SIMILAR) & (recent > duration_s / SIMILAR)].mean())
+    steps_s = np.diff(time_s) / np.diff(frame)
+    result = np.full(len(frame), np.nan)
+    for row, step_s in enumerate(steps_s):
+        recent = steps_s[max(0, row + 1 - RECENT) : row + 1]
+        result[row + 1] = recent[(recent < step_s * SIMILAR) & (recent > step_s / SIMILAR)].mean()
+    return result

@@ -7,7 +7,7 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
-from pipeline.motion.step import STANDSTILL, Step, is_standstill, plausible
+from pipeline.motion.step import STANDSTILL, STANDSTILL_M, Step, plausible
 from pipeline.motion.tracks import Corners, track
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
@@ -73,7 +73,7 @@ class Odometry:
             self.problem = "no common motion of the scene"
             return None
         T_before = np.linalg.inv(pose.T_now_before)
-        if is_standstill(T_before):
+        if np.linalg.norm(T_before[:3, 3]) < STANDSTILL_M:
             self.problem = STANDSTILL[1]
             return None
         if not plausible(T_before):

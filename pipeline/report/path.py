@@ -43,7 +43,7 @@ def follow(curvature_1pm: np.ndarray, step_m: float) -> tuple[np.ndarray, np.nda
     return np.append(0, np.cumsum(step_m * np.exp(1j * halfway_rad))), heading_rad
 
 
-def path_steps(path_1pm: Sequence[float], ahead_m: Sequence[float], step_m: float) -> np.ndarray:
+def path_steps(path_1pm: Sequence[float] | np.ndarray, ahead_m: Sequence[float], step_m: float) -> np.ndarray:
     """Return the curvature of each step [N] of a path with the mean curvature `path_1pm` [R] in ranges of edges [R+1].
 
     Before the first edge, the path has the curvature of the first range.

@@ -12,12 +12,9 @@ from pipeline.base.store import DriveReader
 from pipeline.labels.label import Car
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
-from pipeline.video.chain import MOTION, run_chain
-from pipeline.video.overlay import write_overlay
-from pipeline.video.results import Results
-from pipeline.video.source import ROTATE, Source
-from pipeline.video.track import PoseFormat, draw_track, pose_lines
-from pipeline.video.truth import Logs
+from pipeline.video.pictures import draw_track, write_overlay
+from pipeline.video.results import Logs, Results
+from pipeline.video.source import MOTION, ROTATE, Source, publish, run_chain, work_folder
 
 CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
 READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
@@ -30,45 +27,33 @@ MAX_PITCH_RAD, MAX_STEP_PITCH_RAD, PITCH_S = math.radians(20.0), math.radians(3.
 
 
 def measure(
-    source: Source,
-    work: Path,
-    encoder: Path,
-    car: Car,
-    logs: Logs,
-    poses: PoseFormat | None,
-    *,
-    video: bool,
-    visible: bool,
-) -> tuple[Results, dict[str, Any]]:
-    """Write motion.csv, track.png, quality.json, poses.txt and overlay.mp4 to ``work/new``; return results and quality.
+    source: Source, out: Path | None, encoder: Path, car: Car, logs: Logs, *, video: bool, visible: bool
+) -> tuple[Results, dict[str, Any], list[Path]]:
+    """Write motion.csv, track.png, quality.json and overlay.mp4; return results, quality and files.
 
     Args:
         source: frames.
-        work: folder for results and for the chain's files.
+        out: new or empty folder; None: out/NAME.
         encoder: folder of an encoder.
         car: for the steering angle.
         logs: of what was driven.
-        poses: format of poses.txt; None: not written.
         video: write overlay.mp4.
         visible: show a progress bar.
     Raises:
-        InputError: no frame can be read, the images seem to be rotated, or a log is unusable.
+        InputError: `out` is not free, no frame can be read, the images seem to be rotated, or a log is unusable.
     """
+    work = work_folder(out, source, encoder=encoder)
     run_chain(source, work, READING, Perception(batch=4), encoder, visible=visible)
     results = Results.read(source, work, car, logs, look_ahead=True)
     with DriveReader(work / MOTION, stage="motion") as motion:
         _refuse_rotated(motion, source.path)
         quality = _quality(motion, results, source)
-    new = work / "new"
-    new.mkdir(exist_ok=True)
-    results.write_csv(new / "motion.csv")
-    store.write_json(new / "quality.json", quality)
-    draw_track(new / "track.png", results)
-    if poses:
-        (new / "poses.txt").write_text("".join(f"{line}\n" for line in pose_lines(results, poses)), encoding="ascii")
+    results.write_csv(work / "new/motion.csv")
+    store.write_json(work / "new/quality.json", quality)
+    draw_track(work / "new/track.png", results)
     if video:
-        write_overlay(new / "overlay.mp4", source, results, car.wheelbase_m)
-    return results, quality
+        write_overlay(work / "new/overlay.mp4", source, results, car.wheelbase_m)
+    return results, quality, publish(work)
 
 
 def _refuse_rotated(motion: DriveReader, path: Path) -> None:

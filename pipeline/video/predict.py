@@ -15,12 +15,9 @@ from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import SAMPLE, Reading
 from pipeline.settings.perception import Perception
 from pipeline.train.predict import Trained
-from pipeline.video.chain import INGEST, MOTION, PERCEPTION, run_chain
-from pipeline.video.overlay import write_overlay
-from pipeline.video.results import Results
-from pipeline.video.source import Source
-from pipeline.video.track import draw_track
-from pipeline.video.truth import Logs
+from pipeline.video.pictures import draw_track, write_overlay
+from pipeline.video.results import Logs, Results
+from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, publish, run_chain, work_folder
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
 TOLERANCE = 0.2  # relative, of the frame rate
@@ -34,20 +31,16 @@ def reading(model: Trained) -> Reading:
 
 
 def predict(
-    model: Trained, source: Source, work: Path, encoder: Path, logs: Logs, *, video: bool, visible: bool
-) -> Results:
-    """Write steering.csv, track.png and overlay.mp4 to ``work/new``.
+    model: Trained, source: Source, out: Path | None, encoder: Path, logs: Logs, *, video: bool, visible: bool
+) -> tuple[Results, list[Path]]:
+    """Write steering.csv, track.png and overlay.mp4; return results and files.
 
     Args:
         model: from :func:`pipeline.train.predict.load`.
-        source: frames.
-        work: folder for results and for the chain's files.
-        encoder: folder of an encoder.
-        logs: of what was driven.
-        video: write overlay.mp4.
-        visible: show a progress bar.
+        source, out, encoder, logs, video, visible: as of :func:`pipeline.video.measure.measure`.
     Raises:
-        InputError: the source lacks an input of the model, no frame can be read, or a log is unusable.
+        InputError: the source lacks an input of the model, `out` is not free, no frame can be read, or a log is
+            unusable.
     """
     settings = model.settings
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
@@ -55,6 +48,7 @@ def predict(
     if lidar and not (source.drive and source.drive.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
     source.notes.extend(f"warning: model {model.name}: {text}" for text in _differences(model, source, encoder))
+    work = work_folder(out, source, encoder=encoder, settings=settings)
     run_chain(source, work, reading(model), perception, encoder, visible=visible)
     clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
     if not clouds.exists():
@@ -72,13 +66,11 @@ def predict(
         results.ahead_m, results.path_1pm, results.path_sigma_1pm = model.ahead_m, mean, sigma
     elif sigma is not None:
         results.table["sigma_rad"] = sigma[:, 0]
-    new = work / "new"
-    new.mkdir(exist_ok=True)
-    results.write_csv(new / "steering.csv")
-    draw_track(new / "track.png", results)
+    results.write_csv(work / "new/steering.csv")
+    draw_track(work / "new/track.png", results)
     if video:
-        write_overlay(new / "overlay.mp4", source, results, model.car.wheelbase_m)
-    return results
+        write_overlay(work / "new/overlay.mp4", source, results, model.car.wheelbase_m)
+    return results, publish(work)
 
 
 def _differences(model: Trained, source: Source, encoder: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""Results of a run, frame by frame: a CSV file, and errors of angles where the driven ones are known."""
+"""Results of a run, frame by frame: the car's course, what was driven, a CSV file, and errors of angles."""
 
 import csv
 import math
@@ -7,27 +7,143 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
-from pipeline.labels.label import Car
-from pipeline.motion.step import PROBLEMS
+from pipeline.labels import sources
+from pipeline.labels.label import Car, steering_angle, steering_labels
+from pipeline.labels.means import YAW_NOISE_RADPS, Rates, means
+from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.evaluate import Evaluate
-from pipeline.video.chain import INGEST, MOTION
-from pipeline.video.course import read_course
-from pipeline.video.source import Source
-from pipeline.video.truth import Logs, Truth, read_truth
+from pipeline.video.log import MotionLog, WheelLog, check_ratio, read_motion, read_wheel
+from pipeline.video.source import INGEST, MOTION, Source
 
+BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
+HEIGHT_SCALE = 0.2  # relative standard deviation of the speed if the camera's height over the road is unknown
+MAX_GAP_S = 2.0  # between samples of a log that are interpolated, as by steer import
 BLOCK_S = 5.0  # errors of nearer frames are correlated
 INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
 BOOTSTRAP = Evaluate(
     bootstrap_samples=2000, bootstrap_block_frames=1, curvature_bins_1pm=[1.0], path="bicycle", seed=0
 )  # for the interval of nmse
 DIGITS = {"driven_rad": 9, "residual": 3}  # others: 6
+
+
+class Logs(NamedTuple):
+    """A log of the front wheels' angles, one of the car's motion, and the names of their files."""
+
+    wheel: WheelLog | None = None
+    motion: MotionLog | None = None
+    name: str = ""
+
+    @classmethod
+    def read(cls, wheel: Path | None, steering_ratio: float | None, motion: Path | None) -> "Logs":
+        """Read a log of the steering wheel's angles, its ratio to the front wheels', and a log of the motion.
+
+        Raises InputError for unusable logs.
+        """
+        check_ratio(wheel, steering_ratio)
+        name = " and ".join(path.name for path in (wheel, motion) if path)
+        angles = read_wheel(wheel, steering_ratio) if wheel and steering_ratio else None
+        return cls(angles, read_motion(motion) if motion else None, name)
+
+
+class Truth(NamedTuple):
+    """Driven angles and speeds of F frames, NaN where unknown, where they are from, and the column of the angles."""
+
+    name: str  # empty: unknown
+    column: str
+    driven_rad: np.ndarray  # [F] of the front wheels, left positive
+    driven_mps: np.ndarray  # [F]
+
+
+def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
+    """Return the truth for frame numbers [F] of an ingest file; logs, if there are any, replace what the file has.
+
+    With both logs, the angle is the wheel's.
+    """
+    rows, unknown = np.searchsorted(ingest.frame, frame), np.full(len(frame), np.nan)
+    recorded, time_s = sources.recorded(ingest), ingest.time_s[rows]
+    if not logs.name and recorded:
+        labels = sources.read(recorded[0], ingest, None, car).at(rows)
+        name, column = {"oxts": ("oxts", "wu"), "wheel": ("steering.csv", "steering_rad")}[recorded[0]]
+        return Truth(name, column, np.where(labels.valid, labels.steering_rad, np.nan), labels.speed_mps)
+    column, driven_rad, driven_mps = "yaw_rate_radps", unknown, unknown
+    if logs.motion:
+        driven_mps, yaw_rate_radps = logs.motion.at(time_s, MAX_GAP_S)
+        angles, valid = steering_labels(yaw_rate_radps, driven_mps, **vars(car))
+        driven_rad = np.where(valid, angles, np.nan)
+    if logs.wheel:
+        column, driven_rad = "wheel_rad", logs.wheel.at(frame, time_s, MAX_GAP_S)
+    return Truth(logs.name, column, driven_rad, driven_mps)
+
+
+class Course(NamedTuple):
+    """Measured motion of F frames, left and forward positive, and poses relative to the first; NaN if not measured.
+
+    All arrays [F]. Curvature and angle are also NaN below the minimum speed.
+    """
+
+    speed_mps: np.ndarray
+    yaw_rate_radps: np.ndarray
+    curvature_1pm: np.ndarray
+    measured_rad: np.ndarray
+    x_m: np.ndarray  # ahead
+    y_m: np.ndarray  # to the left
+    heading_rad: np.ndarray
+    speed_sigma: np.ndarray  # relative
+    measured_sigma_rad: np.ndarray
+
+
+def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> Course:
+    """Return the course by a file of stage motion.
+
+    Args:
+        motion: the file.
+        car: for the steering angle.
+        look_ahead: rates are means over neighbouring frames, later ones included; False: the causal rates.
+        height_known: of the camera over the road.
+    """
+    valid, time_s = motion["valid"].astype(bool), motion.time_s
+    names = ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma", "road_height_m")
+    yaw, speed, filtered, sigma, road_m = (motion[name][valid].astype(np.float64) for name in names)
+    rates = Rates(yaw, filtered, np.full(len(yaw), YAW_NOISE_RADPS), sigma)
+    if look_ahead:
+        rates = means(time_s[valid], yaw, speed, road_m > 0)
+    columns = np.full((4, len(time_s)), np.nan)
+    columns[:, valid] = rates
+    yaw_rate, speed_mps, yaw_sigma, speed_sigma = columns
+    speed_sigma = np.hypot(speed_sigma, 0.0 if height_known else HEIGHT_SCALE)
+
+    stands = np.isin(motion["problem"], [PROBLEMS.index(problem) for problem in STANDSTILL])
+    pose = _track(time_s, valid, stands, yaw_rate, speed_mps)
+    fast = np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = np.where(fast, yaw_rate / speed_mps, np.nan)
+        angle = np.where(fast, steering_angle(yaw_rate, speed_mps, car.wheelbase_m), np.nan)
+        curvature_sigma = np.hypot(yaw_sigma / speed_mps, curvature * speed_sigma)
+    angle_sigma = car.wheelbase_m * np.cos(angle) ** 2 * curvature_sigma
+    x_m, y_m, heading_rad = np.where(valid, pose, np.nan)
+    return Course(speed_mps, yaw_rate, curvature, angle, x_m, y_m, heading_rad, speed_sigma, angle_sigma)
+
+
+def _track(
+    time_s: np.ndarray, valid: np.ndarray, stands: np.ndarray, yaw_rate: np.ndarray, speed_mps: np.ndarray
+) -> np.ndarray:
+    """Return x, y and heading [3,F] by integrating rates; in gaps, the last motion goes on for BRIDGED_S."""
+    rows = np.arange(len(time_s))
+    last, stood = (np.maximum.accumulate(np.where(mask, rows, -1)) for mask in (valid, stands))
+    moves = (last >= 0) & (stood <= last) & (time_s - time_s[last] <= BRIDGED_S)
+    step_s = np.diff(time_s, prepend=time_s[:1])
+    turned = np.where(moves, yaw_rate[last], 0.0) * step_s
+    heading = np.cumsum(turned)
+    step = np.where(moves, speed_mps[last], 0.0) * step_s * np.exp(1j * (heading - turned / 2))
+    place = np.cumsum(step)
+    return np.stack([place.real, place.imag, heading])
 
 
 @dataclass

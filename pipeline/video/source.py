@@ -1,40 +1,36 @@
-"""Open what `steer measure` and `steer predict` read: a KITTI drive, a video, or a folder of images."""
+"""Open a KITTI drive, a video or a folder of images, and run the stages' functions on its frames."""
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.outputs import WORK, claim
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import format_size, read_image
-from pipeline.camera.mount import check_height
+from pipeline.kitti.frames import ingest_kitti
+from pipeline.kitti.ingest_file import ingest_drive
 from pipeline.kitti.raw import KittiDrive
+from pipeline.motion.drive import measure_drive
+from pipeline.perception.drive import perceive_drive
+from pipeline.settings.ingest import Reading
+from pipeline.settings.perception import Perception
 from pipeline.video.horizon import find_horizon
 from pipeline.video.lens import pinhole, undistortion
 from pipeline.video.recording import open_recording
 
 DEFAULT_FPS = 10.0  # KITTI's
 ROTATE = "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
-
-
-class Lens(NamedTuple):
-    """One of three ways to give intrinsics, see :func:`pipeline.video.lens.pinhole`; distortion of the lens."""
-
-    calib: Path | None = None
-    fov_deg: float | None = None
-    K: str | None = None
-    distortion: str | None = None  # see :func:`pipeline.video.lens.undistortion`
-
-
-class Clock(NamedTuple):
-    """One of two ways to give the images' times: images per second, or a file with a time in seconds per image."""
-
-    fps: float | None = None
-    times: Path | None = None
+INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"
+BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1
 
 
 @dataclass(frozen=True)
@@ -44,56 +40,49 @@ class Source:
     path: Path
     name: str  # random draws depend on it
     camera: Camera  # of complete images; height_m is KITTI's unless height_known
-    height_known: bool  # of the camera over the road
     frames: Callable[[], Iterator[Frame]]  # complete, rectified images; again with each call
     count: int | None  # number of frames, if known
-    fps: float | None  # None: a KITTI drive, whose times are read with its frames
-    notes: list[str]  # for the user
+    fps: float | None = None  # None: a KITTI drive, whose times are read with its frames
+    height_known: bool = True  # of the camera over the road
     complete: bool = True  # False: only the first frames
     drive: KittiDrive | None = None  # None: a video, or a folder of images
-
-    def key(self, **settings: Any) -> str:
-        """Return a hash of the source and of the settings of a run."""
-        stat = self.path.stat()
-        camera = [self.camera.K.tolist(), self.camera.size, self.camera.height_m, self.camera.horizon, self.count]
-        identity = [str(self.path.resolve()), stat.st_size, stat.st_mtime_ns, camera, self.fps, settings]
-        return hashlib.sha256(json.dumps(identity, default=str).encode()).hexdigest()[:16]
+    notes: list[str] = field(default_factory=list)  # for the user
 
 
 def open_source(
     path: Path,
     cameras: Sequence[int],
-    lens: Lens,
-    clock: Clock,
     height_m: float | None = None,
+    *,
     max_frames: int | None = None,
+    fps: float | None = None,
+    times: Path | None = None,
+    distortion: str | None = None,
+    **lens: Any,
 ) -> Source:
     """Open a KITTI drive's folder, a folder of images, or a video.
 
     Args:
         path: file or folder.
         cameras: of a KITTI drive; the first one with images is used.
-        lens: intrinsics, if it is not a KITTI drive.
-        clock: times, if it is not a KITTI drive.
         height_m: of the camera over the road; None: from a KITTI drive's calibration, else unknown.
-        max_frames: of a video or a folder of images, use only the first ones; None: all.
+        max_frames, fps, times, distortion, lens: of other recordings: use only the first frames; see
+            :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
     Raises:
         InputError: it is none of them, lacks a calibration, or cannot be read.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     if drive and any(drive.images(camera) for camera in cameras):
-        if lens != Lens() or clock != Clock() or max_frames:
+        if any((max_frames, fps, times, distortion, *lens.values())):
             fix = "Remove --calib, --fov, --K, --distortion, --fps, --times and --max-frames"
             raise InputError("a KITTI drive has its own calibration, times and frames", path, fix)
         source = _open_drive(path, drive, cameras)
     elif drive and (drive.oxts or drive.scans):
         raise InputError(f"no images of camera {' or '.join(map(str, cameras))}", path, "Extract image_02 of the drive")
     else:
-        source = _open_recording(path, lens, clock, max_frames)
+        source = _open_recording(path, max_frames, fps, times, distortion, lens)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
-    if source.height_known:
-        check_height(source.camera.height_m)
     return source
 
 
@@ -109,31 +98,111 @@ def _open_drive(path: Path, drive: KittiDrive, cameras: Sequence[int]) -> Source
             except DamagedFile:
                 continue  # as stage ingest does with on_damaged: skip
 
-    name = drive.folder.name.removesuffix("_sync")
-    return Source(path, name, camera, True, frames, len(images), None, [], drive=drive)
+    return Source(path, drive.folder.name.removesuffix("_sync"), camera, frames, len(images), drive=drive)
 
 
-def _open_recording(path: Path, lens: Lens, clock: Clock, max_frames: int | None) -> Source:
-    recording, notes = open_recording(path, clock.fps, clock.times), []
+def _open_recording(
+    path: Path,
+    max_frames: int | None,
+    fps: float | None,
+    times: Path | None,
+    distortion: str | None,
+    lens: dict[str, Any],
+) -> Source:
+    recording, notes = open_recording(path, fps, times), []
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, ROTATE)
-    camera = pinhole(recording.size, calib=lens.calib, fov_deg=lens.fov_deg, K=lens.K)
-    if lens.distortion:
-        recording.straighten = undistortion(camera, lens.distortion)
+    camera = pinhole(recording.size, **lens)
+    if distortion:
+        recording.straighten = undistortion(camera, distortion)
     if not recording.has_times:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
         recording.set_rate(DEFAULT_FPS)
     horizon = find_horizon(recording.frames(), camera)
-    if horizon is None:
-        notes.append("horizon: not found, since too few images show a drive; assuming a level camera")
-    else:
-        notes.append(f"horizon: row {horizon:.0f} of {recording.size[0]}")
-    count = min(max_frames, recording.count or max_frames) if max_frames else recording.count
-    camera = replace(camera, horizon=horizon)
+    found = "not found, since too few images show a drive; assuming a level camera"
+    notes.append(f"horizon: {found if horizon is None else f'row {horizon:.0f} of {recording.size[0]}'}")
+    return Source(
+        path,
+        path.stem,
+        replace(camera, horizon=horizon),
+        lambda: islice(recording.frames(), max_frames),
+        min(max_frames, recording.count or max_frames) if max_frames else recording.count,
+        recording.fps,
+        height_known=False,
+        complete=not max_frames,
+        notes=notes,
+    )
+
+
+def work_folder(out: Path | None, source: Source, **settings: Any) -> Path:
+    """Return the folder OUT/.work/KEY for the files of a run; the same run finds those of a killed one.
+
+    `out`: None: out/NAME. Raises InputError if it is not free.
+    """
+    stat, camera = source.path.stat(), source.camera
+    identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.K.tolist(), vars(camera), source.count]
+    key = hashlib.sha256(json.dumps([*identity, source.fps, settings], default=str).encode()).hexdigest()[:16]
+    work = claim(out, source.name, key) / WORK / key
+    (work / "new").mkdir(parents=True, exist_ok=True)
+    return work
+
+
+def publish(work: Path) -> list[Path]:
+    """Move the results from ``work/new`` to the output folder, remove ``.work``, and return their paths."""
+    files = [path.replace(work.parents[1] / path.name) for path in sorted((work / "new").iterdir())]
+    shutil.rmtree(work.parent)
+    return files
+
+
+def run_chain(
+    source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path, *, visible: bool
+) -> None:
+    """Write ingest.h5, perception.h5 and motion.h5 to the folder `work`; files of an earlier run are kept.
+
+    Args:
+        source: frames are stored at ``reading.image_size``.
+        work: folder.
+        reading: settings of ingest.
+        perception: settings; the camera's height is that of the source.
+        encoder: folder of an encoder.
+        visible: show a progress bar.
+    Raises:
+        InputError: no frame can be read, or the disk is too small.
+    """
+    crop, size = source.camera.crop_to(reading.image_size), reading.image_size
+    if crop.size != source.camera.size:
+        rows, columns = crop
+        part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"
+        source.notes.append(f"images are cropped to {part}, the shape of the training images")
+    needed, free = (source.count or 0) * size[0] * size[1] * BYTES_PER_PIXEL, shutil.disk_usage(work).free
+    if needed > free:
+        problem = f"{source.count} frames need up to {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
+        raise InputError(problem, work, "Pass an --out on another disk")
+    perception = perception.model_copy(update={"camera_height_m": source.camera.height_m})
+    ingest, perceived, known = work / INGEST, work / PERCEPTION, source.height_known
+    jobs: dict[str, Any] = {
+        INGEST: partial(_ingest, source=source, reading=reading),
+        PERCEPTION: partial(perceive_drive, ingest=ingest, encoder=encoder, settings=perception),
+        MOTION: partial(measure_drive, ingest=ingest, perception=perceived, road_scale=known),
+    }
+    with tqdm(total=source.count, unit=" frames", disable=None if visible else True) as bar:
+        for name, job in jobs.items():
+            bar.reset()
+            bar.set_description(name.removesuffix(".h5"))
+            if not (work / name).exists():
+                bar.total = job(work / name, advance=bar.update)["frames"]
+
+
+def _ingest(path: Path, *, source: Source, reading: Reading, advance: Callable[[int], object]) -> dict[str, Any]:
+    if source.drive:
+        summary = ingest_kitti(path, drive=source.name, folder=source.drive.folder, settings=reading)
+        source.notes.extend(f"{number} damaged {kind} left out" for kind, number in summary["damaged"].items())
+        return summary
 
     def frames() -> Iterator[Frame]:
-        return islice(recording.frames(), max_frames)
+        for frame in source.frames():
+            yield frame
+            advance(1)
 
-    fps = recording.fps or DEFAULT_FPS
-    return Source(path, path.stem, camera, False, frames, count, fps, notes, complete=not max_frames)
+    return ingest_drive(frames(), path, drive=source.name, camera=source.camera, settings=reading)

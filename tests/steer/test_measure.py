@@ -19,9 +19,8 @@ from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.drive import perceive_drive
 from pipeline.settings.perception import Perception
-from pipeline.video import chain, horizon
-from pipeline.video import measure as video_measure
-from pipeline.video.source import Clock, Lens, open_source
+from pipeline.video import horizon, source
+from pipeline.video.measure import READING
 from steer.import_ import import_recording
 from steer.measure import measure
 from tests import street
@@ -55,7 +54,7 @@ def column(out: Path, name: str) -> np.ndarray:
 def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, images, log = tmp_path / "out", write_folder(tmp_path / "images", drive(30)), tmp_path / "can.csv"
     log.write_text(f"time_s,speed_mps,yaw_rate_radps\n0,{SPEED / 1.2},{YAW_RATE}\n2,{SPEED / 1.2},{YAW_RATE}\n")
-    measure(images, out=out, encoder=encoder, as_json=True, motion=log, poses="kitti", distortion="0,0,0,0", **LENS)
+    measure(images, out=out, encoder=encoder, as_json=True, motion=log, distortion="0,0,0,0", **LENS)
     result = json.loads(capsys.readouterr().out)
     assert (result["frames"], result["valid"]) == (30, 29)
     assert column(out, "valid").tolist() == [0] + 29 * [1]
@@ -71,10 +70,9 @@ def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsy
     assert any("times the one recorded in can.csv" in remark for remark in quality["remarks"])
     assert result["comparison"]["frames"] == 20  # to the end of the log at 2 s
     assert quality["speed_sigma"] < 0.1
-    assert len((out / "poses.txt").read_text().splitlines()) == 30
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
-    files = ["motion.csv", "overlay.mp4", "poses.txt", "quality.json", "track.png"]
+    files = ["motion.csv", "overlay.mp4", "quality.json", "track.png"]
     assert sorted(path.name for path in out.iterdir()) == files
 
 
@@ -170,12 +168,12 @@ def test_a_killed_run_continues(tmp_path: Path, encoder: Path, monkeypatch: pyte
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(chain, "measure_drive", killed)
+        patch.setattr(source, "measure_drive", killed)
         with pytest.raises(KeyboardInterrupt):
             measure(images, out=out, encoder=encoder, **LENS)
     assert [path.name for path in out.iterdir()] == [WORK]
     for name in ("ingest_drive", "perceive_drive"):  # are complete
-        monkeypatch.setattr(chain, name, killed)
+        monkeypatch.setattr(source, name, killed)
     with pytest.raises(InputError, match="exists already"):
         measure(images, out=out, encoder=encoder, **{**LENS, "k": "181,181,159.5,44"})
     measure(images, out=out, encoder=encoder, **LENS)
@@ -187,15 +185,15 @@ def test_an_imported_drive_has_the_same_numbers(tmp_path: Path, encoder: Path, m
     monkeypatch.setattr(horizon, "MIN_PAIRS", 1)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
-    source = open_source(images, [2], Lens(K=K, distortion=bent), Clock(10.0), CAMERA_HEIGHT_M)
-    assert source.camera.horizon == pytest.approx(114, abs=3)
+    opened = source.open_source(images, [2], CAMERA_HEIGHT_M, K=K, distortion=bent, fps=10.0)
+    assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4, camera_height_m=CAMERA_HEIGHT_M)
-    chain.run_chain(source, tmp_path, video_measure.READING, settings, encoder, visible=False)
+    source.run_chain(opened, tmp_path, READING, settings, encoder, visible=False)
     name = "2027_03_31_drive_0001"
     import_recording(images, name, out=tmp_path / "raw", k=K, distortion=bent, fps=10.0)
     imported = KittiDrive(tmp_path / f"raw/{name[:10]}/{name}_sync")
     files = [tmp_path / f"imported/{stage}.h5" for stage in ("ingest", "perception", "motion")]
-    ingest_kitti(files[0], drive=name, folder=imported.folder, settings=video_measure.READING)
+    ingest_kitti(files[0], drive=name, folder=imported.folder, settings=READING)
     perceive_drive(files[1], files[0], encoder, settings)
     measure_drive(files[2], *files[:2])
     with DriveReader(files[2], stage="motion") as stage, DriveReader(tmp_path / "motion.h5", stage="motion") as own:

@@ -26,16 +26,14 @@ def test_sideways_steps_and_jumps_are_not_plausible(translation: tuple[float, fl
     assert step.plausible(T) == expected
 
 
-def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    clock = step.StepClock()
-    return np.array([clock.duration(*pair) for pair in zip(frame.tolist(), time_s.tolist(), strict=True)])
-
-
-def test_durations_equal_the_mean_of_recent_similar_steps() -> None:
-    time_s = np.cumsum(np.random.default_rng(0).uniform(0.05, 0.2, 60))
-    steps = np.diff(time_s)
-    expected = []
-    for row, own in enumerate(steps):
-        recent = steps[max(0, row + 1 - step.RECENT) : row + 1]
-        expected.append(recent[(recent < own * step.SIMILAR) & (recent > own / step.SIMILAR)].mean())
-    np.testing.assert_allclose(durations(np.arange(60), time_s)[1:], expected, rtol=1e-12)
+def test_durations_average_jitter_of_the_past_and_follow_another_rate() -> None:
+    """As KITTI's times, on a grid of 10 ms; then every fourth frame is missing, then the rate is halved."""
+    frame = np.concatenate([np.arange(60), 60 + 4 * np.arange(20), 140 + np.arange(20)])
+    exact_s = np.interp(frame, [0, 140, 160], [0, 140 * 0.1037, 140 * 0.1037 + 20 * 0.2074])
+    time_s = np.round(exact_s, 2)
+    found = step.durations(frame, time_s)
+    assert np.isnan(found[0])
+    assert found[20:80] == pytest.approx(0.1037, rel=0.01)
+    assert found[82:] == pytest.approx(0.2074, rel=0.02)
+    assert np.abs(np.diff(time_s)[20:59] / 0.1037 - 1).max() > 0.03  # single differences are worse
+    np.testing.assert_array_equal(step.durations(frame[:50], time_s[:50])[1:], found[1:50])

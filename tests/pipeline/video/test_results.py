@@ -6,7 +6,6 @@ from typing import Any
 import av
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
@@ -16,12 +15,9 @@ from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.ingest import Reading
-from pipeline.video.course import read_course
-from pipeline.video.overlay import write_overlay
-from pipeline.video.results import Results
+from pipeline.video.pictures import draw_track, write_overlay
+from pipeline.video.results import Logs, Results, Truth, read_course, read_truth
 from pipeline.video.source import Source
-from pipeline.video.track import draw_track, pose_lines
-from pipeline.video.truth import Logs, Truth, read_truth
 from tests.motion_files import write_motion
 
 CAR, COUNT = Car(2.7, 1.0), 11
@@ -41,20 +37,6 @@ def quarter() -> Results:
     table["driven_rad"] = np.full(COUNT, 0.1)
     truth = Truth("log.csv", "wheel_rad", table["driven_rad"], np.full(COUNT, np.nan))
     return Results("drive", table, ["" if ok else PROBLEMS[4] for ok in valid], truth)
-
-
-def test_poses_by_the_definitions_of_kitti_and_tum() -> None:
-    T = np.array([line.split() for line in pose_lines(quarter(), "kitti")], float).reshape(-1, 3, 4)
-    assert len(T) == COUNT
-    np.testing.assert_array_equal(T[0], np.eye(4)[:3])
-    np.testing.assert_array_equal(T[5], T[4])  # not measured
-    np.testing.assert_allclose(T[10, :, 3], [-RADIUS_M, 0, RADIUS_M], atol=1e-6)  # to the left, and ahead
-    np.testing.assert_allclose(T[10, :, :3] @ [0, 0, 1], [-1, 0, 0], atol=1e-6)  # now looks to the left
-    tum = np.array([line.split() for line in pose_lines(quarter(), "tum")], float)
-    measured = [1, 2, 3, 4, 6, 7, 8, 9, 10]
-    np.testing.assert_allclose(tum[:, 0], np.array(measured) / 10)
-    np.testing.assert_allclose(tum[:, 1:4], T[measured, :, 3], atol=1e-6)
-    np.testing.assert_allclose(Rotation.from_quat(tum[:, 4:]).as_matrix(), T[measured, :, :3], atol=1e-6)
 
 
 def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> None:
@@ -165,7 +147,7 @@ def test_path_and_legend_are_inside_the_picture(
         results.path_sigma_1pm = np.full((COUNT, 2), 0.02)
     camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size, 1.5)
     frames = [Frame(number, number / 10, black) for number in range(COUNT + 1)]  # the last one has no result
-    source = Source(tmp_path, "drive", camera, True, lambda: iter(frames), None, 10.0, [])
+    source = Source(tmp_path, "drive", camera, lambda: iter(frames), None, 10.0)
     write_overlay(tmp_path / "a.mp4", source, results, 2.7)
     with av.open(str(tmp_path / "a.mp4")) as file:
         images = [picture.to_ndarray(format="rgb24") for picture in file.decode(video=0)]

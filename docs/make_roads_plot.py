@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pipeline.report import figure_file
+from pipeline.report import street_view
 
 DOCS = Path(__file__).parent
 STEPS = 1200  # epochs × roads of the study; networks with more steps are single points
@@ -42,7 +42,7 @@ def main() -> None:
     axes.set(xlabel="training roads of 60 frames", ylabel="validation nmse", ylim=(0, None))
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right center", frameon=False, fontsize="small")
-    figure_file.save(figure, DOCS / "roads.png", dpi=100)
+    street_view.save(figure, DOCS / "roads.png", dpi=100)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pipeline.base.params import SPLITS, check_name, load
 from pipeline.base.stage_folder import stage_folder
 from pipeline.evaluate.errors import interval_text
 from pipeline.evaluate.metrics import Case, columns, inputs, metrics
-from pipeline.evaluate.predictions import write_predictions, write_structure
+from pipeline.evaluate.predictions import write_predictions
 from pipeline.graphs import graph_file
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train import predict, runs
@@ -27,7 +27,7 @@ def main(
     out: Annotated[Path, typer.Option(help="the model's results go to a folder in it")] = Path("data/evaluate"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write metrics.json and, for the test drives, predictions.csv and structure.json.
+    """Write metrics.json and, for the test drives, predictions.csv.
 
     Metrics are means over the seeds and ignore invalid frames. Predictions of further seeds go to folders seed-<n>.
     With folds, each test drive is evaluated with the network that was not fitted to it, and each other drive with the
@@ -61,7 +61,6 @@ def main(
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
         for number, place in enumerate(runs.folders(folder.new, first.seeds).values()):
             write_predictions(place / "predictions.csv", cases["test"], number)
-        write_structure(folder.new / "structure.json", tested)
     print(f"{name}: test nmse {', '.join(_summary(*column) for column in result['test'].items())}")
     return out / name
 

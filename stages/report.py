@@ -39,14 +39,11 @@ def main(
     with stage_folder("report", out, shared=True) as folder:
         new = folder.new
         (new / "table.md").write_text(f"{text}\n", encoding="utf-8")
-        dvc_files.write_csv(new / "table.csv", tables.csv_rows(groups), na="")
         store.write_json(new / "metrics.json", dvc_files.metrics(groups, scores))
-        for name in ("learning", "steering", "figures"):  # DVC expects each output, even an empty one
+        for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (new / name).mkdir()
         for model in evaluated:
             dvc_files.write_learning(data / "train" / model, new / "learning")
-        for group in groups:
-            dvc_files.write_steering(group.predictions, new / "steering")
         captions = draw(new / "figures", groups, data)
         write_page(new / "index.html", story, groups, steering, perceived, captions, data)
     print(text)

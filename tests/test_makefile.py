@@ -20,7 +20,7 @@ case "$1" in
 init) mkdir .dvc ;;
 repro)
   mkdir -p data/report && touch data/report/index.html && ls stages > dvc.lock
-  echo "| $(basename "$PWD") |" | tee data/report/table.csv > data/report/table.md ;;
+  echo "| $(basename "$PWD") |" > data/report/table.md ;;
 esac
 """
 PYTHON = """#!/bin/sh

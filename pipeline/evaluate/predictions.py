@@ -1,4 +1,4 @@
-"""Write predictions.csv, the columns of the test drives frame by frame, and structure.json, the graph of one frame."""
+"""Write predictions.csv: the columns of the test drives frame by frame."""
 
 import csv
 from collections.abc import Iterable, Iterator, Sequence
@@ -7,13 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base import store
 from pipeline.base.atomic import replacing
 from pipeline.evaluate.metrics import Case
-from pipeline.graphs import graph_file
-from pipeline.train.labelled_drive import LabelledDrive
-
-MAX_POINTS = 5000  # more points slow a browser down
 
 
 def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
@@ -54,33 +49,3 @@ def _columns(case: Case, seed: int) -> dict[str, Iterable[Any]]:
 def _text(values: np.ndarray, digits: int) -> Iterator[str]:
     """Return numbers with `digits` decimals, NaN as an empty text."""
     return ("" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
-
-
-def write_structure(path: Path, drives: Sequence[LabelledDrive]) -> None:
-    """Write drive → frame, points, xyz_m [[x,y,z],…], cls [P], edges [[a,b],…] with a < b, where the drive bends most.
-
-    Only kNN graphs are written. Points beyond the nearest MAX_POINTS are left out; `points` counts all.
-    """
-    written = {}
-    for drive in drives:
-        with graph_file.open_graphs(drive.graphs) as graphs:
-            if graphs.contents.kind == "graph" and len(drive.frame):
-                bend = np.where(drive.valid, np.abs(drive.target), -1.0).max(axis=1)
-                written[drive.name] = _graph(graphs, int(bend.argmax()))
-    store.write_json(path, written)
-
-
-def _graph(graphs: graph_file.Graphs, row: int) -> dict[str, Any]:
-    xyz, cls, edges = graphs.graph(row)
-    nearest = np.sort(np.argsort(np.linalg.norm(xyz, axis=1), kind="stable")[:MAX_POINTS])
-    number = np.full(len(xyz), -1)
-    number[nearest] = np.arange(len(nearest))
-    edges = number[edges]  # `nearest` is ascending, so the smaller end stays first
-    edges = edges[(edges >= 0).all(axis=1)]
-    return {
-        "frame": int(graphs.frame[row]),
-        "points": len(xyz),
-        "xyz_m": [[round(float(value), 3) for value in point] for point in xyz[nearest]],
-        "cls": cls[nearest].tolist(),
-        "edges": edges.tolist(),
-    }

@@ -21,7 +21,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.base.params import FrameKind
 
 Arrays = dict[str, np.ndarray]
@@ -144,16 +143,6 @@ class Graphs(store.DriveReader):
     def starts(self) -> Arrays:
         """Pointer → first row of each frame and the end, int64 [G+1]."""
         return {pointer: self[pointer] for pointer in dict.fromkeys(self.pointers.values())}
-
-    def graph(self, row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return xyz float32 [P,3], cls uint8 [P] and :func:`edge_pairs` of the frame at `row`.
-
-        Raises InputError if the file has no kNN graphs.
-        """
-        if self.contents.kind != "graph":
-            raise InputError(f"expected kNN graphs, got {self.contents}", self.path)
-        xyz, cls, degree, indices = (self.rows_of(name, row) for name in ("xyz", "cls", "degree", "indices"))
-        return xyz, cls, edge_pairs(degree, indices)
 
 
 def open_graphs(path: str | Path) -> Graphs:

@@ -1,4 +1,4 @@
-"""Write the files of DVC's own views: metrics.json for `dvc metrics`, learning/ and steering/ for `dvc plots`.
+"""Write the files of DVC's own views: metrics.json for `dvc metrics`, learning/ for `dvc plots`.
 
 The first seed of a model has file ``<model>.csv``, further seeds ``<model>.seed-<n>.csv``; networks of folds have
 ``<model>.fold-<drive>.csv`` and ``<model>.seed-<n>.fold-<drive>.csv``.
@@ -54,24 +54,9 @@ def load_curves(model: Path) -> dict[str, pd.DataFrame]:
 
 
 def write_learning(model: Path, out: Path) -> None:
-    """Write the learning curve of each network in a model's folder of stage train to folder `out`."""
-    for name, curve in load_curves(model).items():
-        write_csv(out / f"{name}.csv", curve)
+    """Write the learning curve of each network in a model's folder of stage train to folder `out`.
 
-
-def write_steering(predictions: pd.DataFrame, out: Path) -> None:
-    """Write true and predicted steering on the test drives to folder `out`, one file per model and seed.
-
-    Column ``row`` counts on from drive to drive.
+    DVC draws an empty field as 0, and nan as a gap.
     """
-    for (model, run), table in predictions.groupby(["model", "run"]):
-        columns = {"driven_deg": "true_deg", "predicted_deg": "predicted_deg"}
-        angles = {name: table[column].map("{:.4f}".format) for name, column in columns.items()}
-        written = table[["drive", "frame"]].assign(time_s=table["time_s"].map("{:.6f}".format), **angles)
-        written.insert(0, "row", range(len(table)))
-        write_csv(out / f"{'.'.join(filter(None, [model, run]))}.csv", written)
-
-
-def write_csv(path: Path, table: pd.DataFrame, na: str = "nan") -> None:
-    """Write a table without its index. DVC draws an empty field as 0, and nan as a gap."""
-    table.to_csv(path, index=False, lineterminator="\n", na_rep=na)
+    for name, curve in load_curves(model).items():
+        curve.to_csv(out / f"{name}.csv", index=False, lineterminator="\n", na_rep="nan")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pipeline.base import store
 from pipeline.camera.camera import read_camera
 from pipeline.graphs import graph, graph_file
-from pipeline.report import figure_file, street_view
+from pipeline.report import street_view
 from pipeline.report.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.report.results import Group, Row
 
@@ -95,7 +95,7 @@ def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.Dat
     panel.margins(x=0)
     panel.legend(frameon=False)
     street_view.class_legend(figure, view.all_classes(), columns=10)
-    figure_file.save(figure, path)
+    street_view.save(figure, path)
 
 
 def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
@@ -146,7 +146,7 @@ def _draw_errors(file: Path, group: Group, ingest: Path) -> Captions:
         text = f"driven {row['true_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
         title = f"{row['drive']}, frame {row['frame']}: {text}, share {row['share']:.0%}"
         panel.set_title(title, fontsize="small", loc="left")
-    figure_file.save(figure, file.with_suffix(".png"))
+    street_view.save(figure, file.with_suffix(".png"))
     about = "paths (red: driven, green: predicted) and the angles by which they turn" if on_path else "angles"
     caption = (
         f"Largest errors of {model['model']}, {group.title}, first seed: the last image of its input, {about} (left "

@@ -11,7 +11,7 @@ from plotly.offline import get_plotlyjs
 
 from pipeline.report import plots
 from pipeline.report.dvc_files import load_curves
-from pipeline.report.results import Group, load_structures
+from pipeline.report.results import Group
 from pipeline.report.tables import Table
 
 
@@ -57,7 +57,6 @@ def write_page(
         "Results": tables[: len(groups)],
         **{f"Test drives: {group.title}": _test_drives(group, look) for group in groups},
         "Largest errors": [*pictures.values()],
-        "Graphs in 3D": _graphs(groups, data / "evaluate"),
         "Learning curves": _learning(groups, look, data / "train"),
         "Models in detail": tables[len(groups) :],
         "Depth, classes and motion": perception,
@@ -89,30 +88,7 @@ def _test_drives(group: Group, look: plots.Styles) -> Content:
     for column, label in group.labels.items():
         caption = f"Error by curvature of the road{label and f', {label} ahead'}, mean over seeds"
         content.append(Plot(caption, plots.by_curvature(group.models, column, look)))
-    drift = {row["model"]: row["test"][next(iter(group.labels))].get("drift_m_per_100m") for row in group.models}
-    if any(drift.values()):
-        texts = ", ".join(f"{model} {metres:.1f} m" for model, metres in drift.items() if metres is not None)
-        content.append(
-            "Paths from measured speed and predicted steering (Figure 5 of the paper); a path restarts from the driven "
-            f"one at each dot, at its start and at the onset of a turn. Drift per 100 m: {texts}."
-        )
-        content += [Plot(f"{drive}: paths", plots.paths(table, group.models[0], look)) for drive, table in shown]
     return content
-
-
-def _graphs(groups: Sequence[Group], evaluate: Path) -> Content:
-    """Return the graphs of the best model that has some, on the drives that are drawn one by one."""
-    models = [(group, row) for group in groups for row in group.by_error if row["variant"].get("k")]
-    if not models:
-        return []
-    group, row = models[0]
-    structures = load_structures(evaluate / row["model"])
-    graphs = {drive: structures[drive] for drive in group.worst_drives() if drive in structures}
-    text = (
-        f"Input of {row['model']} where each of these drives bends most. The legend shows and hides classes and edges."
-    )
-    captions = [f"{drive}, frame {graph['frame']}: {graph['points']:,} points" for drive, graph in graphs.items()]
-    return [text, *map(Plot, captions, (plots.graph_3d(graph, row["variant"]["k"]) for graph in graphs.values()))]
 
 
 def _learning(groups: Sequence[Group], look: plots.Styles, train: Path) -> Content:

@@ -7,9 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.camera import classes
-from pipeline.evaluate.paths import Track, segments
-from pipeline.graphs import graph, graph_file
 from pipeline.report.results import Group, Row
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
@@ -75,38 +72,6 @@ def _range(part: Mapping[str, Any]) -> str:
     return f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
 
 
-def paths(predictions: pd.DataFrame, model: Row, look: Styles) -> Plot:
-    """Plot the path of one drive from measured speed and driven angle, and from each model's angle. Dots are restarts.
-
-    `model`: one of the models, for the wheelbase and the formula.
-    """
-    truth = predictions.drop_duplicates("frame").sort_values("frame")
-    track = Track(
-        time_s=truth["elapsed_s"].to_numpy(),
-        speed_mps=truth["speed_mps"].to_numpy(),
-        steering_rad=np.nan_to_num(truth["true_steering_rad"].to_numpy()),
-        onsets=np.flatnonzero(truth["onset"]),
-        wheelbase_m=model["wheelbase_m"],
-        formula=model["path_formula"],
-    )
-    traces = [look["driven"] | _path([track.path(track.steering_rad, 0, len(truth))]) | {"line": {"width": 3}}]
-    for name, rows in predictions.groupby("model", sort=False):
-        angles = rows.set_index("frame")["predicted_steering_rad"].reindex(truth["frame"]).to_numpy()
-        pieces = [track.path(angles, first, last) for first, last in segments(track, angles)]
-        starts = [size for piece in pieces for size in (7, *[0] * len(piece))]
-        marker = look[name]["marker"] | {"size": starts, "line": {"width": 0}}
-        traces.append(look[name] | _path(pieces) | {"mode": "lines+markers", "marker": marker, "hoverinfo": "skip"})
-    y = _title("ahead of the start in m") | {"scaleanchor": "x"}
-    return _plot(traces, 420, xaxis=_title("right of the start in m"), yaxis=y)
-
-
-def _path(pieces: Sequence[np.ndarray]) -> dict[str, Any]:
-    """Return the coordinates of positions [N,2] (ahead, left), with a gap after each piece."""
-    gaps = [np.append(piece, [[np.nan, np.nan]], axis=0) for piece in pieces]
-    table = pd.DataFrame(np.concatenate([*gaps, np.empty((0, 2))]), columns=["ahead", "left"])
-    return _points(table.assign(right=-table["left"]), "right", "ahead") | {"mode": "lines"}
-
-
 def learning(curves: Mapping[str, pd.DataFrame], look: Styles) -> Plot:
     """Plot training loss (dotted) and validation nmse of networks: name → epoch, train_loss, val_nmse."""
     traces = []
@@ -118,39 +83,9 @@ def learning(curves: Mapping[str, pd.DataFrame], look: Styles) -> Plot:
     return _plot(traces, 400, xaxis=_title("epoch"), yaxis=error)
 
 
-def graph_3d(structure: Mapping[str, Any], k: int) -> Plot:
-    """Plot one drive's entry of structure.json: points in the colours of their classes, edges before and after pruning.
-
-    Axes: right, ahead, up, in metres of the camera frame; `k` nearest neighbours before pruning.
-    """
-    xyz, cls = np.array(structure["xyz_m"], np.float32).reshape(-1, 3), np.array(structure["cls"], np.uint8)
-    place = pd.DataFrame(np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1), columns=[*"xyz"]).astype(float).round(3)
-    traces: list[dict[str, Any]] = []
-    for number in np.unique(cls):
-        name = classes.NAMES[number] if number < classes.COUNT else "void"
-        red, green, blue = classes.COLOURS[number] if number < classes.COUNT else (0, 0, 0)
-        marker = {"size": 3, "color": f"rgb({red},{green},{blue})"}
-        traces.append(_points(place[cls == number], *"xyz") | {"name": name, "mode": "markers", "marker": marker})
-    pruned = np.array(structure["edges"], np.int64).reshape(-1, 2)
-    edges = {"edges": pruned}
-    if (cls != classes.VOID).any():
-        built = graph.build(xyz, cls, k, 1.0, np.random.default_rng(0))
-        before = graph_file.edge_pairs(built.degree, built.indices)
-        edges = {"edges before pruning": before, "edges after pruning": pruned}
-    lines = {"mode": "lines", "line": {"color": "rgba(90,100,115,0.55)", "width": 1.5}, "hoverinfo": "skip"}
-    for name, pairs in edges.items():
-        ends = np.insert(pairs, 2, len(place), axis=1).ravel()  # a row without a point: a gap after each edge
-        shown = {"name": name, "visible": True if pairs is pruned else "legendonly"}
-        traces.append(_points(place.reindex(ends), *"xyz") | lines | shown)
-    camera = {"eye": {"x": 0.0, "y": -2.0, "z": 1.1}, "center": {"x": 0, "y": -0.15, "z": -0.2}}
-    axes = {f"{axis}axis": _title(f"{name}, m") for axis, name in zip("xyz", ("right", "ahead", "up"), strict=True)}
-    scene = {"aspectmode": "data", "camera": camera, **axes}
-    return _plot([trace | {"type": "scatter3d"} for trace in traces], 520, scene=scene)
-
-
 def _points(rows: pd.DataFrame, *columns: str) -> dict[str, list[float | None]]:
-    """Return the coordinates of a trace: x, y and z from `columns`; None, which Plotly draws as a gap, for NaN."""
-    values = {axis: rows[column].round(4).tolist() for axis, column in zip("xyz", columns, strict=False)}
+    """Return the coordinates of a trace: x and y from `columns`; None, which Plotly draws as a gap, for NaN."""
+    values = {axis: rows[column].round(4).tolist() for axis, column in zip("xy", columns, strict=True)}
     return {axis: [None if np.isnan(value) else value for value in column] for axis, column in values.items()}
 
 

@@ -121,9 +121,3 @@ def _baseline(name: str, model: Row) -> Row:
         if model[split]
     }
     return {"train": None, "val": None} | splits | {"model": name, "baseline": True, "columns": model["columns"]}
-
-
-def load_structures(folder: Path) -> dict[str, Any]:
-    """Load the graphs in a model's structure.json: drive → graph; none if there is no file."""
-    path = folder / "structure.json"
-    return store.read_json(path, stage=f"evaluate@{folder.name}") if path.is_file() else {}

@@ -1,6 +1,7 @@
 """Draw a frame: its image, depth and classes beside its cloud or graph from above (the paper's Figures 1 and 2)."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from pipeline.base.atomic import replacing
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres
@@ -133,3 +135,9 @@ def sheet(title: str, view: View) -> Figure:
     class_legend(figure, view.all_classes(), columns=8)
     figure.suptitle(title)
     return figure
+
+
+def save(figure: Figure, path: Path, dpi: int = 110) -> None:
+    """Write `figure` to a PNG file in one step, without a version number: the same figure gives the same bytes."""
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished, format="png", dpi=dpi, metadata={"Software": "semantic-steering"})

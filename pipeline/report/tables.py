@@ -18,10 +18,11 @@ _WIDTH = 110  # characters per line of a note
 _RESULTS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
     "in parentheses the 95 % interval for other roads (block bootstrap), given these networks. no onsets: without the "
-    "frames around the onset of a turn, where the driver's choice is unknown. edges: directed kNN edges per frame "
-    "after pruning, as in the paper. Baselines: zero and train_mean predict a constant; persistence repeats the last "
-    "true angle, which no model gets; odometry repeats the present measured motion; regression multiplies it by its "
-    "regression coefficient on the training drives."
+    "frames around the onset of a turn, where the driver's choice is unknown. drift: of a path of measured speed and "
+    "predicted angles, in m per 100 m (Figure 5 of the paper). edges: directed kNN edges per frame after pruning, as "
+    "in the paper. Baselines: zero and train_mean predict a constant; persistence repeats the last true angle, which "
+    "no model gets; odometry repeats the present measured motion; regression multiplies it by its regression "
+    "coefficient on the training drives."
 )
 _PAPER = (
     "MSE in rad². paper: its Table 2, for models with the settings of one of its networks. With the paper's own label, "
@@ -104,6 +105,8 @@ def _results(group: Group, part: str = "") -> list[dict[str, str]]:
             if not part and not label:
                 cells["MAE deg"] = number(np.rad2deg(scores["mae"]) if scores["mae"] is not None else None, ".2f")
                 cells["no onsets"] = number((scores["without_decisions"] or {}).get("nmse"), ".3f")
+                if scores.get("drift_m_per_100m") is not None:
+                    cells["drift"] = f"{scores['drift_m_per_100m']:.1f}"
         if not part:
             cells["parameters"] = number(row.get("parameters"), ",d")
             cells["edges"] = number(row.get("edges_per_frame"), ",.0f")
@@ -192,19 +195,3 @@ def _model(row: Row) -> dict[str, str]:
         **{name: number(entry.get(name)) for name in names},
         "fit": f"{entry['fit_to']}{roads}",
     }
-
-
-def csv_rows(groups: Sequence[Group]) -> pd.DataFrame:
-    """Return a row of table.csv for each column of each model and baseline: settings and sizes, and the errors of each
-    split in the column's unit."""
-    rows = []
-    columns = [(row, column) for group in groups for row in group.rows for column in group.labels]
-    for row, column in columns:
-        cells = {"model": row["model"], "column": column, "parameters": row.get("parameters")}
-        cells |= {key: value for key, value in row.get("entry", {}).items() if np.isscalar(value)}
-        for split in SPLITS:
-            scores = (row[split] or {}).get(column, {})
-            bounds = dict(zip(("nmse_low", "nmse_high"), scores.get("nmse_ci95") or (), strict=False))
-            cells |= {f"{split}_{key}": value for key, value in (scores | bounds).items() if np.isscalar(value)}
-        rows.append(cells)
-    return pd.DataFrame(rows, dtype=object)

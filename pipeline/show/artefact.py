@@ -6,7 +6,7 @@ from typing import Any
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.report import figure_file, street_view
+from pipeline.report import street_view
 
 Content = dict[str, Any]
 
@@ -55,7 +55,7 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
     if view and out:
         if not view.images() and view.xyz is None:
             raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
-        figure_file.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
+        street_view.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
     return numbers
 
 

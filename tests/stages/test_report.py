@@ -33,7 +33,7 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
         made.append({str(path.relative_to(tmp_path / "report")): path.read_bytes() for path in files})
     assert made[0] == made[1]
     assert {*made[0]} >= {
-        "index.html", "table.md", "table.csv", "metrics.json", "steering/sa-gnn-ncp.csv", "steering/scene.csv",
+        "index.html", "table.md", "metrics.json",
     }  # fmt: skip
     assert text.startswith("sa-gnn-ncp predicts the steering angle with")
     assert text.index("No result here: absent.") < text.index("## Results: steering angle") < text.index("## Depth")
@@ -46,5 +46,5 @@ def test_without_results_all_outputs_exist(tmp_path: Path) -> None:
     for _ in range(2):
         assert run(tmp_path, "lonely").startswith("No result here: lonely.")
         folders = {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()}
-        assert folders == {"learning", "steering", "figures"}
+        assert folders == {"learning", "figures"}
         assert json.loads((tmp_path / "report/metrics.json").read_text()) == {}

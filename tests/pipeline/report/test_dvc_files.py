@@ -34,5 +34,4 @@ def test_each_network_has_a_learning_curve(tmp_path: Path) -> None:
     dvc_files.write_learning(tmp_path / "net", tmp_path / "out")
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == ["net.csv", "net.seed-1.csv", "net.seed-1.fold-a.csv"]
-    # DVC would draw an empty field as 0.
     assert (tmp_path / "out/net.csv").read_text() == "epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"

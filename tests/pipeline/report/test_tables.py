@@ -34,6 +34,7 @@ def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
         "model": "pointnet2-lstm", "nmse": "0.200 ± 0.030 (0.100 to 0.300)", "MAE deg": "2.05", "no onsets": "0.100",
         "parameters": "1,408,259", "edges": "5,160",
     }  # fmt: skip
+    assert build(tmp_path, metrics("net"))["Results: steering angle"].rows[0]["drift"] == "3.0"
     assert (rows["*odometry*"]["nmse"], rows["*odometry*"]["parameters"]) == ("0.040", tables.NONE)
 
 
@@ -86,14 +87,6 @@ def test_a_predicted_uncertainty_has_a_row(tmp_path: Path) -> None:
     content["test"]["steering_rad"] |= {"uncertainty": known, "mae": 0.04}
     (row,) = build(tmp_path, content)["Uncertainty: steering angle"].rows
     assert [*row.values()] == ["net", "-2.000", "-1.500", "70.0%", "94.0%", "50%"]
-
-
-def test_table_csv_has_a_row_per_column_and_no_settings_of_baselines(tmp_path: Path) -> None:
-    table = tables.csv_rows(examples.groups(tmp_path, metrics("path", predict="path"))).set_index(["model", "column"])
-    assert len(table) == 4 * 2
-    row = table.loc[("path", "path_5-10m_1pm")]
-    assert (row["spatial"], row["test_nmse"], row["test_nmse_low"], row["train_nmse"]) == ("gnn", 0.2, 0.1, 0.1)
-    assert np.isnan(table.loc[("zero", "path_5-10m_1pm"), "spatial"])
 
 
 def test_perception_has_a_row_per_split_with_ground_truth() -> None:

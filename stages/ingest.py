@@ -8,7 +8,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
 from pipeline.base.stage_folder import stage_folder
-from pipeline.kitti.frames import describe, ingest_kitti
+from pipeline.kitti.ingest import describe, ingest_kitti
 from pipeline.kitti.raw import KittiDrive, find_drives
 from pipeline.settings.ingest import Ingest
 

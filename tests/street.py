@@ -12,7 +12,7 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import back_project, rays
 from pipeline.camera.images import to_units
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.settings.ingest import Reading
 

@@ -9,7 +9,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
-from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.kitti.ingest import ingest_drive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.drive import perceive_drive
 from pipeline.settings.clouds import Clouds

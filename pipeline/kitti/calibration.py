@@ -10,7 +10,6 @@ from pipeline.base.errors import InputError
 from pipeline.camera.images import Size
 
 _FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
-_TOLERANCE = 1e-3  # of a rotation written as text
 
 
 def read_entries(path: Path) -> dict[str, np.ndarray]:
@@ -33,14 +32,6 @@ def matrix(entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...],
     if values.size != np.prod(shape) or not np.isfinite(values).all():
         raise InputError(f"{name}: expected {np.prod(shape)} finite numbers, got {values}", path)
     return values.reshape(shape)
-
-
-def rotation(entries: Mapping[str, np.ndarray], name: str, path: Path) -> np.ndarray:
-    """Return entry `name` [3,3]. Raises InputError if it is not a rotation."""
-    R = matrix(entries, name, (3, 3), path)
-    if np.abs(R @ R.T - np.eye(3)).max() > _TOLERANCE or np.linalg.det(R) < 0:
-        raise InputError(f"{name}: expected a rotation matrix, got rows that are not orthonormal", path)
-    return R
 
 
 def projection(entries: Mapping[str, np.ndarray], number: int, path: Path) -> tuple[np.ndarray, Size]:

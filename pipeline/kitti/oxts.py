@@ -1,11 +1,12 @@
-"""KITTI's inertial and GNSS packets ("oxts"): column definitions, reading and writing of packets and timestamps."""
+"""Recorded motion of a drive: KITTI's inertial and GNSS packets ("oxts"), timestamps, and steering angles."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.files import check_increase, check_limit, read_columns
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -23,6 +24,9 @@ LIMITS = {  # largest plausible magnitudes of a car: degrees, rad, m/s, rad/s (K
 _LIMITS = np.array([LIMITS.get(name, np.inf) for name in COLUMNS])
 GRAVITY_MPS2 = 9.81
 EARTH_RADIUS_M = 6378137.0
+STEERING = "steering.csv"  # in a drive's folder: recorded angles, which KITTI itself lacks
+STEERING_COLUMNS = ("frame", "steering_rad")
+LIMIT_RAD = 1.2  # of front wheels; angles of a steering wheel, 15 times as large, exceed it in a tight bend
 
 
 def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
@@ -37,16 +41,10 @@ def level_columns(
     xy_m: np.ndarray, heading_rad: np.ndarray, speed_mps: np.ndarray, forward_mps2: np.ndarray, left_mps2: np.ndarray,
     yaw_rate_radps: np.ndarray, latitude_deg: float, longitude_deg: float,
 ) -> dict[str, np.ndarray | float]:  # fmt: skip
-    """Return the columns for a car that moves in the plane without side slip.
+    """Return the columns of F rows for a car that moves in the plane without side slip.
 
-    Latitude and longitude follow from the tangent plane at the first row's latitude, which agrees with KITTI's Mercator
-    formula to millimetres over a drive.
-
-    Args:
-        xy_m: east and north, [F,2].
-        heading_rad: counter-clockwise from east, [F].
-        speed_mps, forward_mps2, left_mps2, yaw_rate_radps: forward speed, accelerations, yaw rate left +, all [F].
-        latitude_deg, longitude_deg: of the first row.
+    `xy_m` [F,2]: east and north; `heading_rad`: counter-clockwise from east; latitude and longitude of the first row.
+    Others follow from the tangent plane there, which agrees with KITTI's Mercator formula to millimetres over a drive.
     """
     east_m, north_m = (xy_m - xy_m[0]).T
     return {
@@ -128,3 +126,34 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         problem = f"time goes from {texts[at - 1]!r} to {texts[at]!r} (expected an increase)"
         raise InputError(problem, f"{path} line {numbers[at] + 1}", extract)
     return time_s
+
+
+def read_steering(path: Path) -> dict[int, float]:
+    """Return frame number → angle of the front wheels in rad, left positive.
+
+    Raises InputError for a missing column, frame numbers that do not increase, or an implausible angle.
+    """
+    expected = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
+    frame, steering_rad = read_columns(path, STEERING_COLUMNS, (), expected).values()
+    check_frames(frame, path)
+    check_angles(steering_rad, path)
+    return dict(zip(frame.astype(np.int64).tolist(), steering_rad.tolist(), strict=True))
+
+
+def check_frames(frame: np.ndarray, path: Path) -> None:
+    """Raise InputError if frame numbers [N] are not integers, or do not increase."""
+    check_increase("frame", frame, 1, path)
+    if (wrong := (frame != np.rint(frame)) | (frame < 0)).any():
+        raise InputError(f"frame = {frame[np.argmax(wrong)]:g} (expected integers from 0)", path)
+
+
+def check_angles(steering_rad: np.ndarray, path: Path) -> None:
+    """Raise InputError if one of the angles [N] is not finite or exceeds LIMIT_RAD."""
+    fix = "Divide angles of the steering wheel by the steering ratio"
+    check_limit("steering_rad", steering_rad, LIMIT_RAD, path, fix)
+
+
+def write_steering(path: Path, steering_rad: Mapping[int, float]) -> None:
+    """Write frame number → angle in rad."""
+    rows = (f"{frame},{angle:.9g}\n" for frame, angle in steering_rad.items())
+    path.write_text(",".join(STEERING_COLUMNS) + "\n" + "".join(rows), encoding="ascii")

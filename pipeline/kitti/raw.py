@@ -16,8 +16,8 @@ from pipeline.base.errors import DamagedFile, InputError, closest, error_context
 from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
 from pipeline.camera.mount import camera_height
-from pipeline.kitti import steering_file
-from pipeline.kitti.calibration import matrix, projection, read_entries, rotation
+from pipeline.kitti.calibration import matrix, projection, read_entries
+from pipeline.kitti.oxts import STEERING
 
 HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
 MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
@@ -63,7 +63,7 @@ class KittiDrive:
     @property
     def steering(self) -> Path | None:
         """Recorded steering angles, which KITTI itself lacks; None without."""
-        path = self.folder / steering_file.FILE
+        path = self.folder / STEERING
         return path if path.is_file() else None
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
@@ -90,7 +90,7 @@ class KittiDrive:
         times = dict.fromkeys(self.timeline(camera)[1] for camera in cameras)
         frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, *images]
         single = [*times, *sorted(self.calibration.glob("calib_*.txt"))]
-        single += [self.folder / name for name in (steering_file.FILE, HORIZON)]
+        single += [self.folder / name for name in (STEERING, HORIZON)]
         digest = hashlib.sha256()
         for path in [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]:
             stat = path.stat()
@@ -155,9 +155,9 @@ def read_calibration(folder: Path, number: int) -> Camera:
         # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this camera. All three
         # components count: with x alone (as in pykitti) depths are off by t_z, 3 mm.
         shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
-        rectify = _rigid(rotation(entries, "R_rect_00", path), np.zeros(3))
+        rectify = _rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
         entries = read_entries(velo)
-        T_cam_velo = shift @ rectify @ _rigid(rotation(entries, "R", velo), matrix(entries, "T", (3,), velo))
+        T_cam_velo = shift @ rectify @ _rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
         return Camera(K, size, camera_height(T_cam_velo), T_cam_velo)
 
 

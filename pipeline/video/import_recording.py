@@ -16,7 +16,7 @@ from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
 from pipeline.camera.camera import Camera
-from pipeline.kitti import steering_file
+from pipeline.kitti.oxts import STEERING, write_steering
 from pipeline.video import drive_layout as layout
 from pipeline.video.log import ROUNDING_S, MotionLog, WheelLog
 from pipeline.video.recording import Recording
@@ -110,7 +110,7 @@ class Import:
         if not known:
             problem = f"no image of {folder.name} has an angle"
             raise InputError(problem, "--wheel", "Check its times or frames, or raise --max-gap")
-        steering_file.write(folder / steering_file.FILE, {number: float(steering_rad[number]) for number in known})
+        write_steering(folder / STEERING, {number: float(steering_rad[number]) for number in known})
         return len(known)
 
     def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -7,8 +7,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.files import check_limit, read_columns
-from pipeline.kitti.oxts import LIMITS
-from pipeline.kitti.steering_file import check_angles, check_frames
+from pipeline.kitti.oxts import LIMITS, check_angles, check_frames
 from pipeline.video.recording import check_times
 
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it

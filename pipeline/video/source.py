@@ -16,8 +16,7 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.outputs import WORK, claim
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import format_size, read_image
-from pipeline.kitti.frames import ingest_kitti
-from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.kitti.ingest import ingest_drive, ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.drive import perceive_drive

@@ -12,7 +12,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index, write_index
 from pipeline.camera.camera import Frame
-from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.settings.ingest import Reading
 from stages import ingest, labels

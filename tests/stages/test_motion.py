@@ -8,7 +8,7 @@ import pytest
 from pipeline.base import store
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import to_units
-from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.ingest import Reading

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.camera.camera import Frame
-from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.settings.ingest import Reading

@@ -11,8 +11,7 @@ import yaml
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.kitti import steering_file
-from pipeline.kitti.oxts import read_times
+from pipeline.kitti.oxts import read_steering, read_times
 from pipeline.kitti.raw import MANIFEST, KittiDrive
 from pipeline.labels.label import steering_labels
 from pipeline.settings import preset
@@ -87,7 +86,7 @@ def test_angles_of_the_wheel_are_interpolated_or_by_frame(tmp_path: Path, video:
         log.write_text(text)
         drive = take(video, log, motion=None, wheel=log, steering_ratio=10.0, replace=True)
         assert drive.steering
-        assert steering_file.read(drive.steering) == pytest.approx(expected)
+        assert read_steering(drive.steering) == pytest.approx(expected)
 
 
 def test_start_and_end_leave_out_images(log: Path, video: Path) -> None:
@@ -132,7 +131,7 @@ def test_a_split_recording_has_a_preset_that_check_accepts(
         assert list(drive.oxts) == (list(drive.images(2)) if labels == "oxts" else [])
         assert (drive.steering is not None) == (labels == "wheel")
         if drive.steering:
-            assert list(steering_file.read(drive.steering)) == list(drive.images(2))
+            assert list(read_steering(drive.steering)) == list(drive.images(2))
 
     (path,) = presets.iterdir()
     content = preset.merged(str(path))

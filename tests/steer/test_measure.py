@@ -14,7 +14,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.outputs import WORK
 from pipeline.base.store import DriveReader
 from pipeline.camera.mount import CAMERA_HEIGHT_M
-from pipeline.kitti.frames import ingest_kitti
+from pipeline.kitti.ingest import ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.drive import perceive_drive

@@ -10,7 +10,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, Frame
-from pipeline.kitti.ingest_file import ingest_drive
+from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.step import PROBLEMS

@@ -1,0 +1,196 @@
+"""Write the ingest file, data/ingest/<drive>.h5: everything that later stages need of a recording.
+
+Each row belongs to a frame number. Missing data has the fill value, and ``has_<name>`` is 0.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.runner import Summary
+from pipeline.base.store import DriveWriter
+from pipeline.camera.camera import Camera, Frame, write_camera
+from pipeline.camera.classes import VOID
+from pipeline.camera.images import (
+    Crop,
+    Size,
+    nearest,
+    read_classes,
+    read_depth,
+    read_image,
+    resized,
+    to_metres,
+    to_units,
+)
+from pipeline.kitti import oxts as packets
+from pipeline.kitti.raw import KittiDrive, read_scan
+from pipeline.settings.ingest import Reading
+
+Files = Mapping[int, Path]
+UNITS = {"image": "RGB", "depth": "1/256 m, 0 = none", "cls": f"trainId, {VOID} = void"}
+describe = (
+    "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
+    "steering angles; {left_out} images or scans without a frame, {faults} damaged files left out"
+).format_map
+
+
+def ingest_drive(
+    frames: Iterable[Frame],
+    path: Path,
+    *,
+    drive: str,
+    camera: Camera | None,
+    settings: Reading,
+    truth: Sequence[str] = (),
+    oxts: Mapping[int, np.ndarray] | None = None,
+    steering_rad: Mapping[int, float] | None = None,
+    number: int = -1,
+) -> Summary:
+    """Write the ingest file of a recording and return the number of frames, images, scans, …
+
+    Args:
+        frames: in order, with complete images, depth and classes of the camera's size; read once.
+        path: of the file.
+        drive: name of the recording.
+        camera: of complete images; None: a recording without images and scans.
+        settings: stored in the file. Images are cropped around the horizon and resized to its ``image_size``.
+        truth: datasets of ground truth that the file has, of "depth" and "cls".
+        oxts: frame number → packet [30]; if given, of each frame.
+        steering_rad: frame number → recorded angle of the front wheels.
+        number: of the camera, stored in the file.
+
+    Raises InputError if there are no frames.
+    """
+    size, recorded = settings.image_size, steering_rad or {}
+    crop = camera.crop_to(size) if camera else None
+    numbers, times_s, points = list[int](), list[float](), list[int]()
+    has: dict[str, list[bool]] = {name: [] for name in UNITS}
+    with DriveWriter(path, stage="ingest", drive=drive, params={"ingest": settings.model_dump(mode="json")}) as file:
+        file.attrs["camera"] = number
+        for frame in frames:
+            numbers.append(frame.number)
+            times_s.append(frame.time_s)
+            depth = None if frame.depth_m is None else to_units(frame.depth_m)
+            for name, pixels in {"image": frame.image, "depth": depth, "cls": frame.cls}.items():
+                has[name].append(pixels is not None)
+                if name == "image" or name in truth:
+                    file.append(name, _row(name, pixels, crop, size)[None], UNITS[name])
+            scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
+            file.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
+            points.append(len(scan))
+        if not numbers:
+            raise InputError("recording has no frames", drive)
+        file.put("frame", np.array(numbers, np.int32))
+        file.put("time_s", np.array(times_s), "s")
+        _put_motion(file, numbers, oxts or {}, recorded)
+        if camera and crop:
+            write_camera(file, camera.cropped(crop).scaled(size))
+        file.put_pointers("lidar_ptr", points, "rows of lidar")
+        has["lidar"] = [count > 0 for count in points]
+        for name, present in has.items():
+            file.put(f"has_{name}", np.array(present, np.uint8))
+    counts = {name: sum(present) for name, present in has.items()}
+    steering = sum(number in recorded for number in numbers)
+    return {"frames": len(numbers), "oxts": len(numbers) if oxts else 0, "steering": steering, **counts}
+
+
+def _row(name: str, pixels: np.ndarray | None, crop: Crop | None, size: Size) -> np.ndarray:
+    """Return the row of dataset `name` [H,W,…] for the pixels of a complete image, if there are any."""
+    if pixels is not None and crop is not None:
+        return (resized if name == "image" else nearest)(crop.pixels(pixels), size)
+    if name == "image":
+        return np.zeros((*size, 3), np.uint8)
+    return np.zeros(size, np.uint16) if name == "depth" else np.full(size, VOID, np.uint8)
+
+
+def _put_motion(
+    file: DriveWriter, numbers: Sequence[int], oxts: Mapping[int, np.ndarray], steering_rad: Mapping[int, float]
+) -> None:
+    """Write packets and recorded angles of the frames, if there are any."""
+    if oxts:
+        file.put("oxts", np.array([oxts[number] for number in numbers]), "as KITTI's oxts/dataformat.txt")
+    if steering_rad:
+        file.put("steering_rad", np.array([steering_rad.get(number, 0.0) for number in numbers]), "rad, left positive")
+        file.put("has_steering", np.array([number in steering_rad for number in numbers], np.uint8))
+
+
+def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:
+    """Write the frames of a KITTI drive: those with an oxts packet or, in a drive without oxts, those with an image.
+
+    Raises InputError if packets, times or the calibration are missing; DamagedFile that lists all damaged files.
+    """
+    files, skip = KittiDrive(folder), settings.on_damaged == "skip"
+    number = files.camera_number(settings.cameras)
+    camera = None if number is None else files.camera(number)
+    scans = files.scans if settings.lidar else {}
+    if scans and (camera is None or camera.T_cam_velo is None):
+        problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
+        fix = "Extract the date's calibration archive, or set ingest.lidar: false"
+        raise InputError(problem, files.calibration, fix)
+    reader, (numbers, times) = _Reader(tolerant=skip), files.timeline(number)
+    read = {frame: reader.read("oxts", packets.read_row, files.oxts, frame) for frame in numbers}
+    oxts = {frame: row for frame, row in read.items() if row is not None}
+    if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()) or (skip and files.oxts and not oxts):
+        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
+        raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
+    # Lines of timestamps.txt correspond to existing files, including damaged ones.
+    time_s = dict(zip(numbers, packets.read_times(times, numbers).tolist(), strict=True))
+    images = {} if number is None else files.images(number)
+    truth = {"depth": files.truth_depth, "cls": files.truth_cls} if camera else {}
+    frames = {frame: time_s[frame] for frame in (oxts if skip and oxts else numbers)}
+    summary = ingest_drive(
+        reader.frames(frames, camera, images, truth, scans),
+        path,
+        drive=drive,
+        camera=camera,
+        settings=settings,
+        truth=[name for name, paths in truth.items() if paths],
+        oxts=oxts,
+        steering_rad=packets.read_steering(files.steering) if files.steering else None,
+        number=-1 if number is None else number,
+    )
+    damaged = {kind: len(errors) for kind, errors in reader.damaged.items()}
+    left_out = len({*images, *scans} - {*numbers})
+    return summary | {"camera": number, "left_out": left_out, "damaged": damaged, "faults": sum(damaged.values())}
+
+
+class _Reader:
+    """Read files of single frames, and collect the errors of damaged ones by kind; these count as missing."""
+
+    def __init__(self, tolerant: bool) -> None:
+        self._tolerant = tolerant
+        self.damaged: dict[str, list[DamagedFile]] = {}
+
+    def read(self, kind: str, read: Callable[[Path], np.ndarray], files: Files, number: int) -> np.ndarray | None:
+        """Return the content of a frame's file; None if there is none or it is damaged."""
+        try:
+            return read(files[number]) if number in files else None
+        except DamagedFile as error:
+            self.damaged.setdefault(kind, []).append(error)
+            return None
+
+    def frames(
+        self,
+        time_s: Mapping[int, float],
+        camera: Camera | None,
+        images: Files,
+        truth: Mapping[str, Files],
+        scans: Files,
+    ) -> Iterator[Frame]:
+        """Yield the frames of `time_s`, number → seconds. Raises DamagedFile at the end, unless tolerant."""
+        for number, seconds in time_s.items():
+            frame = Frame(number, seconds, scan=self.read("lidar", read_scan, scans, number))
+            if camera:
+                frame.image = self.read("image", partial(read_image, size=camera.size), images, number)
+                depth = self.read("depth", partial(read_depth, size=camera.size), truth["depth"], number)
+                frame.depth_m = None if depth is None else to_metres(depth)
+                frame.cls = self.read("cls", partial(read_classes, size=camera.size), truth["cls"], number)
+            yield frame
+        errors = [error for errors in self.damaged.values() for error in errors]
+        if errors and not self._tolerant:
+            faults = "; ".join(f"{error.where}: {error.problem}" for error in errors)
+            fix = "Extract them again, or set ingest.on_damaged: skip to leave them out"
+            raise DamagedFile(faults, f"{len(errors)} damaged files", fix)

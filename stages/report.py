@@ -39,7 +39,7 @@ def main(
     with stage_folder("report", out, shared=True) as folder:
         new = folder.new
         (new / "table.md").write_text(f"{text}\n", encoding="utf-8")
-        store.write_json(new / "metrics.json", dvc_files.metrics(groups, scores))
+        store.write_json(new / "metrics.json", dvc_files.metrics(groups))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (new / name).mkdir()
         for model in evaluated:

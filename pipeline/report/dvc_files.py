@@ -10,19 +10,17 @@ from typing import Any
 
 import pandas as pd
 
-from pipeline.report import perception
 from pipeline.report.results import Group
 
 _LEARNING = ["epoch", "train_loss", "val_nmse"]
 
 
-def metrics(groups: Sequence[Group], scores: dict[str, Any] | None) -> dict[str, float]:
+def metrics(groups: Sequence[Group]) -> dict[str, float]:
     """Return all metrics under flat names; values that do not exist are left out, and DVC shows a gap.
 
     - ``<model>.nmse`` and its 95 % interval ``nmse_low`` to ``nmse_high``; of a range of the path ahead
       ``<model>.nmse_5-10m`` and so on
     - ``odometry-angle-<horizon>`` and ``odometry-path-<horizon>``: the same of odometry
-    - those of :func:`perception.metrics`, of the metrics.json of stage `scores`
 
     Names of the other splits start with ``train_`` or ``val_``.
     """
@@ -37,7 +35,6 @@ def metrics(groups: Sequence[Group], scores: dict[str, Any] | None) -> dict[str,
                 values |= {f"{name}.{nmse}": test["nmse"], f"{name}.{nmse}_low": low, f"{name}.{nmse}_high": high}
                 for split in ("train", "val"):
                     values[f"{name}.{split}_{nmse}"] = row[split] and row[split][column]["nmse"]
-    values |= perception.metrics(scores) if scores else {}
     return {name: value for name, value in values.items() if value is not None}
 
 

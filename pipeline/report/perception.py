@@ -1,4 +1,4 @@
-"""Build tables and metrics of depth, classes and motion from the metrics.json of stage scores."""
+"""Build tables of depth, classes and motion from the metrics.json of stage scores."""
 
 from itertools import product
 from typing import Any
@@ -17,23 +17,6 @@ _MOTION = (
     "wheel: recorded steering angles; rows named …-wheel are compared with these angles. "
     "nmse: of the steering angle from the last measurement, from a drive's first measured frame on."
 )
-
-
-def metrics(scores: dict[str, Any]) -> dict[str, float | None]:
-    """Return the metrics of depth, classes and motion under the names of :func:`pipeline.report.dvc_files.metrics`."""
-    values: dict[str, float | None] = {}
-    for split in SPLITS:
-        prefix = "" if split == "test" else f"{split}_"
-        if classes := scores[split]["classes"]:
-            values[f"encoder.{prefix}miou"] = classes["mean_iou"]
-        for truth in ("dense", "lidar"):
-            if depth := scores[split][f"depth_{truth}"]:
-                values[f"encoder.{prefix}abs_rel_{truth}"] = depth["abs_rel"]
-        for kind, splits in scores["motion"].items():
-            if motion := splits[split]:
-                names = ("nmse", "yaw_rmse_degps", "speed_ratio", "valid")
-                values |= {f"motion.{kind}.{prefix}{name}": motion[name] for name in names}
-    return values
 
 
 def tables(scores: dict[str, Any]) -> list[Table]:

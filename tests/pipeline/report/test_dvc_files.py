@@ -12,7 +12,7 @@ def test_metrics_have_flat_names_and_no_missing_values(tmp_path: Path) -> None:
     groups = examples.groups(
         tmp_path, net, metrics("straight", None), metrics("path", odometry={"odometry": 0.4}, predict="path")
     )
-    found = dvc_files.metrics(groups, None)
+    found = dvc_files.metrics(groups)
     of_net = {"nmse": 0.2, "nmse_low": 0.1, "nmse_high": 0.2 * 1.5, "train_nmse": 0.1, "val_nmse": 0.15}
     assert {name: value for name, value in found.items() if name.startswith("net")} == {
         f"net.{name}": value for name, value in of_net.items()

@@ -1,5 +1,6 @@
-"""Convert a recording with its logs to drives in KITTI raw's layout."""
+"""Convert a recording with its logs to drives in KITTI raw's layout: images, packets, angles, and a manifest."""
 
+import json
 import math
 import shutil
 import sys
@@ -10,18 +11,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 from tqdm import tqdm
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
+from pipeline.base.params import Drive
+from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
-from pipeline.kitti.oxts import STEERING, write_steering
-from pipeline.video import drive_layout as layout
+from pipeline.camera.images import write_png
+from pipeline.kitti.calibration import write_entries
+from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering
+from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration
+from pipeline.train.prefetch import side_by_side
 from pipeline.video.log import ROUNDING_S, MotionLog, WheelLog
 from pipeline.video.recording import Recording
 
+CAMERA = 2  # left colour camera, the default of stage ingest
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
+_CALIBRATION = "calib_cam_to_cam.txt"
+_NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
+_SAME_PX = 1e-6  # rounding of a calibration file's digits
 
 
 @dataclass(frozen=True)
@@ -63,20 +74,18 @@ class Import:
         Raises InputError if a drive exists, no image has motion or none of a drive an angle, a part of the split is too
         short, or the date has another camera.
         """
-        drives = layout.drive_folders(root, drive, len(shares), replace)
+        drives = _drive_folders(root, drive, len(shares), replace)
         folders, date = list(drives.values()), root / drive[:10]
-        calibrated = layout.check_calibration(folders, self.camera, replace)
+        calibrated = _is_calibrated(folders, self.camera, replace)
         with ExitStack() as stack:
             unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
             time_s, usable = self._write_images(unfinished[0], visible)
             parts = cut(usable, time_s, shares)
-            layout.distribute_images(unfinished, parts)
+            _distribute_images(unfinished, parts)
             angles = [self._write_logs(folder, time_s, part) for folder, part in zip(unfinished, parts, strict=True)]
             if not calibrated:
-                layout.write_calibration(date, self.camera)
-            for folder in unfinished:
-                layout.write_horizon(folder, self.camera.horizon)
-            manifests = [layout.write_manifest(folder, date) for folder in unfinished]
+                _write_calibration(date, self.camera)
+            manifests = [_write_manifest(folder, date) for folder in unfinished]
             for folder in folders:
                 shutil.rmtree(folder, ignore_errors=True)  # the earlier import
         written_s = time_s[np.logical_or.reduce(parts)]
@@ -85,7 +94,6 @@ class Import:
             "folders": list(map(str, folders)),
             "manifests": dict(zip(drives, manifests, strict=True)),
             "images": len(time_s),
-            "frames": len(written_s),
             "size": list(self.recording.size),
             "horizon": self.camera.horizon,
             "first_s": float(written_s[0]),
@@ -95,45 +103,56 @@ class Import:
         }
 
     def _write_logs(self, folder: Path, time_s: np.ndarray, usable: np.ndarray) -> int:
-        """Write times, packets and angles of a drive's `usable` images, bool [F], taken at `time_s` [F].
+        """Write horizon, times, packets and angles of a drive's `usable` images, bool [F], taken at `time_s` [F].
 
-        Returns the number of angles.
+        Packets hold speed and yaw rate; the rest is unknown, 0. Returns the number of angles.
         """
+        if self.camera.horizon is not None:
+            write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([self.camera.horizon])})
+        times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
+        (_images(folder).parent / "timestamps.txt").write_bytes(times)
+        numbers = np.flatnonzero(usable)
         if self.motion:
-            layout.write_packets(folder, self.motion, time_s, usable)
-        sensors = (layout.IMAGES, "oxts") if self.motion else (layout.IMAGES,)
-        layout.write_times(folder, folder.name[:10], time_s, sensors)
+            (folder / "oxts" / "data").mkdir(parents=True)
+            (folder / "oxts" / "timestamps.txt").write_bytes(times)
+            speed_mps, yaw_rate_radps = self.motion.at(time_s[usable], self.max_gap_s)
+            for number, row in zip(numbers, make_rows(len(numbers), vf=speed_mps, wu=yaw_rate_radps), strict=True):
+                (folder / "oxts" / "data" / f"{number:010d}.txt").write_bytes(format_packet(row))
         if self.wheel is None:
             return 0
-        steering_rad = self.wheel.at(np.arange(len(time_s)), time_s, self.max_gap_s)
-        known = np.flatnonzero(usable & np.isfinite(steering_rad)).tolist()
-        if not known:
+        steering_rad = self.wheel.at(numbers, time_s[usable], self.max_gap_s)
+        known = np.isfinite(steering_rad)
+        if not known.any():
             problem = f"no image of {folder.name} has an angle"
             raise InputError(problem, "--wheel", "Check its times or frames, or raise --max-gap")
-        write_steering(folder / STEERING, {number: float(steering_rad[number]) for number in known})
-        return len(known)
+        write_steering(folder / STEERING, dict(zip(numbers[known].tolist(), steering_rad[known].tolist(), strict=True)))
+        return int(known.sum())
 
     def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Write the usable images; return the times of all images up to the end, and the mask of usable ones.
+        """Write the usable images as PNG files, encoded by threads; a few images are in memory.
 
-        Usable are images from start to end with motion, if there is a log of it.
+        Usable are images from start to end with motion, if there is a log of it. Returns the times of all images up to
+        the end, and the mask of usable ones.
         """
         all_s: list[float] = []
         hidden = not (visible and sys.stderr.isatty())
         frames = tqdm(self.recording.frames(), total=self.recording.count, unit=" images", disable=hidden)
 
-        def images() -> Generator[tuple[int, np.ndarray]]:
+        def images() -> Generator[tuple[Path, np.ndarray]]:
             for frame in frames:
                 if all_s and frame.time_s - all_s[0] > self.end_s - ROUNDING_S:
                     return
                 all_s.append(frame.time_s)
                 assert frame.image is not None
                 if self._usable(np.array([frame.time_s]), all_s[0])[0]:
-                    yield frame.number, frame.image
+                    yield _images(folder) / f"{frame.number:010d}.png", frame.image
             if self.wheel:
                 self.wheel.check_frames(len(all_s) - 1)
 
-        layout.write_images(folder, images(), threads=default_workers())
+        _images(folder).mkdir(parents=True)
+        threads = default_workers()
+        for _ in side_by_side(lambda image: write_png(*image), images(), threads, ahead=2 * threads):
+            pass
         time_s = np.array(all_s)
         usable = self._usable(time_s, all_s[0])
         if not usable.any():
@@ -165,3 +184,78 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
         fix = f"Pass a longer recording, or other shares: {GAP_S:g} s are left out between parts"
         raise InputError(problem, "--split", fix)
     return parts
+
+
+def _images(folder: Path) -> Path:
+    return folder / f"image_{CAMERA:02d}" / "data"
+
+
+def _distribute_images(folders: Sequence[Path], parts: Sequence[np.ndarray]) -> None:
+    """Move the images of the first drive's folder to the drive of their part, masks bool [F]; delete those of none."""
+    for folder in folders[1:]:
+        _images(folder).mkdir(parents=True)
+    for path in _images(folders[0]).iterdir():
+        homes = [folder for folder, part in zip(folders, parts, strict=True) if part[int(path.stem)]]
+        if not homes:
+            path.unlink()
+        elif homes[0] != folders[0]:
+            path.rename(_images(homes[0]) / path.name)
+
+
+def _drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str, Path]:
+    """Return name → folder below `out` of `count` drives with consecutive numbers, from `drive` on.
+
+    Raises InputError for a name that is not like KITTI's; if a drive exists, unless `replace`; and if it exists and is
+    not as an earlier import wrote it.
+    """
+    folders = {}
+    for part in range(count):
+        name = f"{drive[:-4]}{int(drive[-4:]) + part:04d}" if part else drive
+        try:
+            TypeAdapter(Drive).validate_python(name)
+        except ValidationError:
+            raise InputError(f"expected names like 2027_03_31_drive_0001, got {name!r}", "--drive") from None
+        folder = folders[name] = out / name[:10] / f"{name}_sync"
+        if folder.exists() and not replace:
+            raise InputError("drive exists", folder, "Replace it with --replace, or pass --drive another number")
+        written = json.loads((folder / MANIFEST).read_text())["files"] if (folder / MANIFEST).is_file() else {}
+        found = _hashes(folder)
+        if others := sorted(name for name in {*written, *found} if written.get(name) != found.get(name)):
+            problem = f"{others[0]} is not as steer import wrote it ({len(others)} such files)"
+            raise InputError(problem, folder, "Move the folder away, or pass --drive another number")
+    return folders
+
+
+def _write_manifest(folder: Path, date: Path) -> str:
+    """Write the hashes of a drive's files and of its date's calibration; return the hash of that file."""
+    content = {"calibration": file_hash(date / _CALIBRATION), "files": _hashes(folder)}
+    (folder / MANIFEST).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="ascii")
+    return file_hash(folder / MANIFEST)
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    files = [path for path in sorted(folder.rglob("*")) if not path.is_dir() and path.name != MANIFEST]
+    return {path.relative_to(folder).as_posix(): file_hash(path) for path in files}
+
+
+def _is_calibrated(folders: Sequence[Path], camera: Camera, replace: bool) -> bool:
+    """Return whether the date folder of the drives at `folders` already has this calibration.
+
+    Raises InputError if it has the calibration of another camera; with `replace`, only if other drives share it.
+    """
+    date = folders[0].parent
+    if not (date / _CALIBRATION).is_file():
+        return False
+    stored = read_calibration(date, CAMERA)
+    if stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
+        return True
+    if replace and not [drive for drive in date.glob("*_sync") if drive not in folders]:
+        return False
+    fix = "Pass --drive another date: all drives of a date share the calibration"
+    raise InputError("date has the calibration of another camera", date, fix)
+
+
+def _write_calibration(date: Path, camera: Camera) -> None:
+    P = np.column_stack([camera.K, np.zeros(3)])
+    entries = {f"S_rect_{CAMERA:02d}": np.array(camera.size[::-1], float), f"P_rect_{CAMERA:02d}": P}
+    write_entries(date / _CALIBRATION, {"R_rect_00": np.eye(3), **entries})

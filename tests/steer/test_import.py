@@ -15,7 +15,7 @@ from pipeline.kitti.oxts import read_steering, read_times
 from pipeline.kitti.raw import MANIFEST, KittiDrive
 from pipeline.labels.label import steering_labels
 from pipeline.settings import preset
-from pipeline.video import drive_layout
+from pipeline.video import import_recording as module
 from stages import check, ingest, labels
 from steer.import_ import import_recording
 from tests.kitti_drive import contents, write_params
@@ -281,7 +281,7 @@ def test_a_kill_keeps_what_was_there(log: Path, video: Path, monkeypatch: pytest
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(drive_layout, "write_packets", interrupt)
+    monkeypatch.setattr(module, "format_packet", interrupt)
     for name in DRIVES:
         with pytest.raises(KeyboardInterrupt):
             take(video, log, name, replace=True)

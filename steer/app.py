@@ -1,9 +1,6 @@
 """The command `steer`. Large imports are inside functions, so that help is quick."""
 
 from collections.abc import Callable
-from typing import Annotated
-
-import typer
 
 from pipeline.base.console import App, guarded
 from steer import import_, measure, predict, show
@@ -15,22 +12,6 @@ app = App(
     context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,  # rich's help takes twice the time
 )
-
-
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        from importlib.metadata import version
-
-        typer.echo(f"steer {version('semantic-steering')}")
-        raise typer.Exit
-
-
-@app.callback()
-def _options(
-    version: Annotated[
-        bool, typer.Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
-    ] = False,
-) -> None: ...
 
 
 def _add(name: str, command: Callable[..., object], after_stop: str, help: str | None = None) -> None:

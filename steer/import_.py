@@ -80,7 +80,6 @@ def import_recording(
     if end is not None and end <= start:
         raise InputError(f"--end {end:g} is not after --start {start:g}")
     shares = _shares(split)
-    out = options.in_project(out)
     preset = PRESETS / f"{drive}.yaml" if split else None
     if preset:
         drive_preset.check_unchanged(preset)

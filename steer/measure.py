@@ -50,7 +50,6 @@ def measure(
     from pipeline.video.source import open_source
 
     output, logs = options.Output(quiet, as_json), Logs.read(wheel, steering_ratio, motion)
-    encoder = options.in_project(encoder)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}

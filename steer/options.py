@@ -37,13 +37,6 @@ SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering whe
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 
 
-def in_project(path: Path) -> Path:
-    """Return `path`, or if it does not exist, the same path in the folder of the project around the working folder."""
-    here = Path.cwd()
-    root = next((folder for folder in (here, *here.parents) if (folder / "dvc.yaml").is_file()), here)
-    return path if path.exists() or root == here else root / path
-
-
 class Output:
     """Standard output of a command."""
 

@@ -50,7 +50,7 @@ def predict(
 
     output, logs = options.Output(quiet, as_json), Logs.read(wheel, steering_ratio, motion)
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
-    model = options.in_project(TRAINED / model if named else model)
+    model = TRAINED / model if named else model
     trained, encoder = load(model), encoder or _encoder_beside(model)
     how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]

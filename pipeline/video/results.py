@@ -82,25 +82,11 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
     return Truth(logs.name, column, driven_rad, driven_mps)
 
 
-class Course(NamedTuple):
-    """Measured motion of F frames, left and forward positive, and poses relative to the first; NaN if not measured.
+def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> dict[str, np.ndarray]:
+    """Return the course by a file of stage motion: column → [F], left and forward positive, NaN if not measured.
 
-    All arrays [F]. Curvature and angle are also NaN below the minimum speed.
-    """
-
-    speed_mps: np.ndarray
-    yaw_rate_radps: np.ndarray
-    curvature_1pm: np.ndarray
-    measured_rad: np.ndarray
-    x_m: np.ndarray  # ahead
-    y_m: np.ndarray  # to the left
-    heading_rad: np.ndarray
-    speed_sigma: np.ndarray  # relative
-    measured_sigma_rad: np.ndarray
-
-
-def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> Course:
-    """Return the course by a file of stage motion.
+    x and y are the position ahead and to the left of the first frame. ``speed_sigma`` and ``measured_sigma_rad`` are
+    standard deviations, that of the speed relative. Curvature and angle are also NaN below the minimum speed.
 
     Args:
         motion: the file.
@@ -121,14 +107,21 @@ def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known
 
     stands = np.isin(motion["problem"], [PROBLEMS.index(problem) for problem in STANDSTILL])
     pose = _track(time_s, valid, stands, yaw_rate, speed_mps)
-    fast = np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps
-    with np.errstate(divide="ignore", invalid="ignore"):
-        curvature = np.where(fast, yaw_rate / speed_mps, np.nan)
-        angle = np.where(fast, steering_angle(yaw_rate, speed_mps, car.wheelbase_m), np.nan)
-        curvature_sigma = np.hypot(yaw_sigma / speed_mps, curvature * speed_sigma)
-    angle_sigma = car.wheelbase_m * np.cos(angle) ** 2 * curvature_sigma
+    fast_mps = np.where(np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps, speed_mps, np.nan)
+    curvature, angle = yaw_rate / fast_mps, steering_angle(yaw_rate, fast_mps, car.wheelbase_m)
+    angle_sigma = np.hypot(yaw_sigma / fast_mps, curvature * speed_sigma) * car.wheelbase_m * np.cos(angle) ** 2
     x_m, y_m, heading_rad = np.where(valid, pose, np.nan)
-    return Course(speed_mps, yaw_rate, curvature, angle, x_m, y_m, heading_rad, speed_sigma, angle_sigma)
+    return {
+        "speed_mps": speed_mps,
+        "yaw_rate_radps": yaw_rate,
+        "curvature_1pm": curvature,
+        "measured_rad": angle,
+        "x_m": x_m,
+        "y_m": y_m,
+        "heading_rad": heading_rad,
+        "speed_sigma": speed_sigma,
+        "measured_sigma_rad": angle_sigma,
+    }
 
 
 def _track(
@@ -162,11 +155,11 @@ class Results:
     def read(
         cls, source: Source, work: Path, car: Car, logs: Logs, *, look_ahead: bool, frame: np.ndarray | None = None
     ) -> "Results":
-        """Return the measured motion of the files that :func:`pipeline.video.chain.run_chain` wrote to `work`.
+        """Return the measured motion of the files that :func:`pipeline.video.source.run_chain` wrote to `work`.
 
-        Columns: frame, time_s, driven_rad, valid, those of :class:`pipeline.video.course.Course`, and the points that
-        agree with the motion, with their median error `residual` in px. Arguments as of :func:`read_course`; `frame`:
-        numbers of the frames in the results, if their motion is in the files; None: all.
+        Columns: frame, time_s, driven_rad, valid, those of :func:`read_course`, and the points that agree with the
+        motion, with their median error `residual` in px. `frame`: numbers of the frames in the results, if their motion
+        is in the files; None: all.
 
         Raises InputError if there is no frame, or a log has angles of frames that the recording lacks.
         """
@@ -180,7 +173,7 @@ class Results:
             truth = read_truth(raw, motion.frame[rows], logs, car)
             valid, codes = motion["valid"], motion["problem"][rows]
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
-            measured = {"valid": valid, **course._asdict(), "points": points, "residual": residual}
+            measured = {"valid": valid, **course, "points": points, "residual": residual}
             table = {"frame": motion.frame[rows], "time_s": motion.time_s[rows], "driven_rad": truth.driven_rad}
         table |= {name: values[rows] for name, values in measured.items()}
         return cls(source.name, table, [PROBLEMS[code] for code in codes], truth)
@@ -199,24 +192,32 @@ class Results:
 
     def summary(self) -> dict[str, int]:
         """Return the numbers of frames, of those with measured motion, and of predictions."""
-        predicted = (
-            self.table.get("predicted_rad", np.full(1, np.nan)) if self.path_1pm is None else self.path_1pm[:, 0]
-        )
-        valid = int(self.table["valid"].sum())
-        return {"frames": len(self.problems), "valid": valid, "predicted": int(np.isfinite(predicted).sum())}
+        angles = self.table.get("predicted_rad", np.full(1, np.nan))
+        predicted = int(np.isfinite(angles if self.path_1pm is None else self.path_1pm[:, 0]).sum())
+        return {"frames": len(self.problems), "valid": int(self.table["valid"].sum()), "predicted": predicted}
 
     def lines(self, comparison: Mapping[str, Any] | None) -> Iterator[str]:
         """Yield text for the user: gaps, why motion could not be measured, and the result of :meth:`compare`."""
         frame = self.table["frame"].tolist()
-        yield from (
-            f"no frames between {before} and {after}" for before, after in pairwise(frame) if after > before + 1
-        )
+        for before, after in pairwise(frame):
+            if after > before + 1:
+                yield f"no frames between {before} and {after}"
         counts = Counter(problem for problem in self.problems if problem).most_common()
         reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
         measured = f"motion measured in {int(self.table['valid'].sum())} of {len(frame)} frames"
         yield f"{measured}; not measured: {reasons}" if reasons else measured
-        if comparison:
-            yield from _comparison_lines(comparison, self.truth)
+        if comparison is None:
+            return
+        ahead = f", {comparison['horizon']} frames ahead" if comparison["horizon"] else ""
+        yield f"truth from {comparison['truth']}, {comparison['frames']} frames{ahead}:"
+        for name in ("predicted", "measured", "zero"):
+            if row := comparison.get(name):
+                nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
+                text = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
+                yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{text}"
+        correlation = comparison.get("measured", {}).get("correlation")
+        if correlation is not None and correlation < INVERTED:
+            yield f"the sign of {self.truth.column} is inverted: left is positive"
 
     def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the driven ones `horizon` frames later; None without common frames.
@@ -259,17 +260,3 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
         "rmse_deg": math.degrees(math.sqrt(error.mean())),
         "correlation": float(np.corrcoef(target_rad, angle_rad)[0, 1]) if varies else None,
     }
-
-
-def _comparison_lines(comparison: Mapping[str, Any], truth: Truth) -> Iterator[str]:
-    """Yield text for the user of :meth:`Results.compare`."""
-    ahead = f", {comparison['horizon']} frames ahead" if comparison["horizon"] else ""
-    yield f"truth from {comparison['truth']}, {comparison['frames']} frames{ahead}:"
-    for name in ("predicted", "measured", "zero"):
-        if row := comparison.get(name):
-            nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
-            correlation = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
-            yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{correlation}"
-    measured = comparison.get("measured")
-    if measured and measured["correlation"] is not None and measured["correlation"] < INVERTED:
-        yield f"the sign of {truth.column} is inverted: left is positive"

@@ -8,7 +8,6 @@ import pytest
 from typer.testing import CliRunner
 
 from pipeline.base.resume import ROOT
-from steer import options
 from steer.app import app
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
@@ -41,22 +40,6 @@ def test_numbers_out_of_range_are_refused(command: str) -> None:
     result = CliRunner().invoke(app, command.split())
     assert result.exit_code == 2
     assert f"Invalid value for '{command.split()[-2]}'" in result.output
-
-
-def test_default_paths_are_those_of_the_project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From any folder inside of it; a path that exists is taken as it is."""
-    (tmp_path / "project/data/here").mkdir(parents=True)
-    (tmp_path / "project/dvc.yaml").touch()
-    path = Path("data/raw")
-    for folder, expected in ((tmp_path, path), (tmp_path / "project", path), (tmp_path / "project/data", None)):
-        monkeypatch.chdir(folder)
-        assert options.in_project(path) == (expected or tmp_path / "project/data/raw")
-    Path("data/raw").mkdir(parents=True)
-    assert options.in_project(path) == path
-
-
-def test_version() -> None:
-    assert CliRunner().invoke(app, ["--version"]).stdout.startswith("steer 0.")
 
 
 def test_error_is_one_line_and_debug_shows_the_traceback(tmp_path: Path) -> None:

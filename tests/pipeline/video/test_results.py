@@ -44,15 +44,15 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> N
     write_motion(tmp_path, "drive", {0: (0, 0), 1: (8.0, 0.02), 2: (8.0, 0.02), 3: (0, 0), 4: (0.5, 0.0)})
     with DriveReader(tmp_path / "drive.h5", stage="motion") as motion:
         causal, unknown = (read_course(motion, CAR, look_ahead=False, height_known=known) for known in (True, False))
-    assert np.isnan(causal.speed_mps).tolist() == [True, False, False, True, False]
-    assert causal.measured_rad[1:3] == pytest.approx(np.arctan(2.7 * 0.02 / 8.0))
-    assert np.isnan(causal.measured_rad[4])  # below the minimum speed
-    assert causal.heading_rad[1:3] == pytest.approx([0.2, 0.4])
-    assert causal.x_m[1] == pytest.approx(80 * np.cos(0.1))
-    assert causal.y_m[1] == pytest.approx(80 * np.sin(0.1))
-    assert causal.heading_rad[4] == pytest.approx(0.4)
-    assert (unknown.speed_sigma[1:3] > 0.2).all()
-    assert (unknown.measured_sigma_rad[1:3] > causal.measured_sigma_rad[1:3]).all()
+    assert np.isnan(causal["speed_mps"]).tolist() == [True, False, False, True, False]
+    assert causal["measured_rad"][1:3] == pytest.approx(np.arctan(2.7 * 0.02 / 8.0))
+    assert np.isnan(causal["measured_rad"][4])  # below the minimum speed
+    assert causal["heading_rad"][1:3] == pytest.approx([0.2, 0.4])
+    assert causal["x_m"][1] == pytest.approx(80 * np.cos(0.1))
+    assert causal["y_m"][1] == pytest.approx(80 * np.sin(0.1))
+    assert causal["heading_rad"][4] == pytest.approx(0.4)
+    assert (unknown["speed_sigma"][1:3] > 0.2).all()
+    assert (unknown["measured_sigma_rad"][1:3] > causal["measured_sigma_rad"][1:3]).all()
 
 
 @pytest.mark.parametrize(

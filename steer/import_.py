@@ -98,9 +98,7 @@ def import_recording(
     labels = "oxts" if log else "wheel" if angles else "visual"
     if preset:
         drive_preset.write(preset, summary["manifests"], labels, summary["hz"], camera, camera_height)
-    for line in _lines(summary, log is not None):
-        output.line(line)
-    for line in _next_steps(out, summary["manifests"], labels, camera_height, preset):
+    for line in _lines(summary, out, labels, camera_height, preset):
         output.line(line)
     output.result(summary | {"preset": preset, "K": camera.K.tolist()})
 
@@ -118,39 +116,24 @@ def _shares(split: str | None) -> list[float]:
     return shares
 
 
-def _lines(summary: dict[str, Any], motion: bool) -> Iterator[str]:
-    """Yield the lines of the log."""
-    from pipeline.video.import_recording import GAP_S
-
-    height, width = summary["size"]
-    for (drive, frames), folder in zip(summary["drives"].items(), summary["folders"], strict=True):
-        yield f"{drive}: {frames} of {summary['images']} images, written to {folder}"
-    yield f"{width} x {height} pixels, {{first_s:.3f}} to {{last_s:.3f}} s".format_map(summary)
-    if summary["horizon"] is None:
-        yield "horizon: not found, since too few images show a drive; assuming a level camera (or pass --horizon)"
-    else:
-        yield "horizon: row {horizon:.0f}".format_map(summary)
-    if len(summary["drives"]) > 1:
-        yield f"left out: {GAP_S:g} s between the drives, as neighbouring images are almost the same"
-    if summary["steering_angles"]:
-        yield "{steering_angles} recorded steering angles".format_map(summary)
-    elif not motion:
-        yield "no recorded motion: labels will come from the motion that stage motion measures in the images"
-
-
-def _next_steps(
-    out: Path, manifests: Mapping[str, str], labels: str, height_m: float | None, preset: Path | None
+def _lines(
+    summary: Mapping[str, Any], out: Path, labels: str, height_m: float | None, preset: Path | None
 ) -> Iterator[str]:
-    """Yield the line that says how to train; with a preset, its commands can be copied."""
+    """Yield what was written, and how to train; with a preset, the commands can be copied."""
     from pipeline.base.resume import ROOT
 
-    first = next(iter(manifests))
+    for (drive, frames), folder in zip(summary["drives"].items(), summary["folders"], strict=True):
+        yield f"{drive}: {frames} of {summary['images']} images, written to {folder}"
+    row = summary["horizon"]
+    horizon = "not found, assuming a level camera (or pass --horizon)" if row is None else f"row {row:.0f}"
+    yield f"{{first_s:.3f}} to {{last_s:.3f}} s, {{steering_angles}} steering angles; horizon: {horizon}".format_map(
+        summary
+    )
+    first, manifest = next(iter(summary["manifests"].items()))
     if preset is None:
         height = f", perception.camera_height_m: {height_m:g}" if height_m else ""
-        settings = f"ingest.source: kitti, labels.source: {labels}{height}"
+        settings = f"ingest.source: kitti, ingest.manifests: {{{first}: {manifest}}}, labels.source: {labels}{height}"
         yield f"next: set {settings} in params.yaml, replace ingest.drives by {first} and others, run dvc repro"
-        yield f"dvc repro does not see data/raw: set ingest.manifests: {{{first}: {manifests[first]}}}, too"
-        yield "Only this recording? Repeat with --split 60,20,20 --replace: then no file has to be edited"
         return
     yield f"settings: {preset}"
     raw, date = ROOT / "data" / "raw", first[:10]

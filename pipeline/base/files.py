@@ -17,7 +17,9 @@ def size_of(path: Path) -> int:
     return sum(file.lstat().st_size for file in path.rglob("*") if not file.is_dir())
 
 
-def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
+def read_columns(
+    path: Path, required: Sequence[str], optional: Sequence[str], expected: str, least: int = 0
+) -> dict[str, np.ndarray]:
     """Return name → column, float64 [N], for the `required` and those of the `optional` columns that the file has.
 
     The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
@@ -46,6 +48,8 @@ def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], e
                 except (ValueError, IndexError):
                     problem = f"expected numbers in {', '.join(columns)}, got {separator.join(fields)!r}"
                     raise InputError(problem, where, "Correct or remove the line") from None
+    if len(rows) < least:
+        raise InputError(f"expected at least {least} samples, got {len(rows)}", path)
     table = np.array(rows, np.float64).reshape(-1, len(columns))
     return {name: table[:, at].copy() for at, name in enumerate(columns)}
 

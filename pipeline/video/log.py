@@ -1,7 +1,7 @@
 """Read logs of a car, its motion and the angles of its steering wheel, and interpolate them at the times of images."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,7 @@ _MOTION = "Expected a CSV file with time_s [s], speed_mps [m/s] and yaw_rate_rad
 _WHEEL = "Expected a CSV file with wheel_rad [rad, left +] and time_s [s] or frame (number of the image)"
 
 
-@dataclass(frozen=True)
-class MotionLog:
+class MotionLog(NamedTuple):
     """Samples of a car's motion, all [N], times ascending, yaw rate left positive."""
 
     time_s: np.ndarray
@@ -25,14 +24,11 @@ class MotionLog:
 
     def at(self, time_s: np.ndarray, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Return speed and yaw rate at `time_s` [F], see :func:`interpolate`."""
-        speed_mps, yaw_rate_radps = (
-            interpolate(time_s, self.time_s, rate, max_gap_s) for rate in (self.speed_mps, self.yaw_rate_radps)
-        )
-        return speed_mps, yaw_rate_radps
+        speed_mps = interpolate(time_s, self.time_s, self.speed_mps, max_gap_s)
+        return speed_mps, interpolate(time_s, self.time_s, self.yaw_rate_radps, max_gap_s)
 
 
-@dataclass(frozen=True)
-class WheelLog:
+class WheelLog(NamedTuple):
     """Angles of the front wheels in rad, left positive, with times or with numbers of images; all [N], ascending."""
 
     path: Path
@@ -72,9 +68,8 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
 
     Raises InputError if a column is missing, values are implausible, or times do not increase or are not in seconds.
     """
-    columns = read_columns(path, ("time_s", "speed_mps", "yaw_rate_radps"), (), _MOTION)
+    columns = read_columns(path, ("time_s", "speed_mps", "yaw_rate_radps"), (), _MOTION, least=2)
     time_s, speed_mps, yaw_rate_radps = columns.values()
-    _check_samples(time_s, path)
     check_times(time_s, path)
     check_limit("speed_mps", speed_mps, LIMITS["vf"], path)
     check_limit("yaw_rate_radps", yaw_rate_radps, LIMITS["wu"], path)
@@ -90,9 +85,8 @@ def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> Whee
 
     Raises InputError as :func:`read_motion` does.
     """
-    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), _WHEEL)
+    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), _WHEEL, least=2)
     steering_rad, frame, time_s = columns["wheel_rad"] / steering_ratio, columns.get("frame"), columns.get("time_s")
-    _check_samples(steering_rad, path)
     check_angles(steering_rad, path)
     if time_s is not None:
         check_times(time_s, path)
@@ -108,8 +102,3 @@ def check_ratio(wheel: Path | None, steering_ratio: float | None) -> None:
     if (wheel is None) != (steering_ratio is None):
         fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
-
-
-def _check_samples(samples: np.ndarray, path: Path) -> None:
-    if len(samples) < 2:
-        raise InputError(f"expected at least 2 samples, got {len(samples)}", path)

@@ -1,4 +1,4 @@
-"""Compare all models: data/report/{index.html, table.md, table.csv, metrics.json, …}."""
+"""Compare all models: data/report/{index.html, table.md, metrics.json, …}."""
 
 from pathlib import Path
 from textwrap import fill

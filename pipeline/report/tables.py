@@ -1,4 +1,4 @@
-"""Build the tables of models and baselines as text, for table.md and for the page, and the rows of table.csv."""
+"""Build the tables of models and baselines as text, for table.md and for the page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

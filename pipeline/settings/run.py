@@ -33,7 +33,7 @@ def main(name: str) -> None:
             for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
                 if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
                     raise typer.Exit(status)
-            for source, suffix in (("index.html", "html"), ("table.csv", "csv"), ("table.md", "md")):
+            for source, suffix in (("index.html", "html"), ("table.md", "md")):
                 shutil.copyfile(run / "data/report" / source, report / f"{name}.{suffix}")
     except Timeout as error:
         raise InputError(f"another make {name} is running", run, "Wait until it ends") from error

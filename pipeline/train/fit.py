@@ -33,7 +33,7 @@ MOTION_DROPOUT = 0.5
 """Share of the spans whose motion is hidden from a network that predicts ahead.
 
 Motion alone is a good first guess, and a network that always has it learns to use the scene late or never. In these
-spans it has to predict from the scene alone. docs/results.md has the effect.
+spans it has to predict from the scene alone. docs/log.md has the effect.
 """
 
 

@@ -85,5 +85,5 @@ def compare(
 
 if __name__ == "__main__":
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(guarded(compare, "Repeat the command"))
+    app.command()(guarded(compare))
     app()

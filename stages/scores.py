@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import console, store
-from pipeline.base.errors import named_frames
 from pipeline.base.params import SPLITS, load
 from pipeline.base.runner import Job, Summary, make_drives
 from pipeline.base.stage_folder import stage_folder
@@ -76,7 +75,7 @@ def _score_drive(
     ):
         count = len(perceived.frame)
         camera = read_camera(source, float(perceived.attrs["camera_height_m"]))
-        for row, number in enumerate(named_frames(perceived.frame)):
+        for row, number in enumerate(perceived.frame):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
     report, motion = scores.report(), score_motion([drive])

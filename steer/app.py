@@ -1,11 +1,11 @@
 """The command `steer`. Large imports are inside functions, so that help is quick."""
 
-from collections.abc import Callable
+import typer
 
-from pipeline.base.console import App, guarded
+from pipeline.base.console import guarded
 from steer import import_, measure, predict, show
 
-app = App(
+app = typer.Typer(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -14,16 +14,10 @@ app = App(
 )
 
 
-def _add(name: str, command: Callable[..., object], after_stop: str, help: str | None = None) -> None:
-    app.command(name, no_args_is_help=True, help=help)(guarded(command, after_stop))
-
-
-_UNFINISHED = "Repeat the command to continue"
-_NO_DRIVE = "No drive was written; repeat the command"
-_add("predict", predict.predict, _UNFINISHED, help=predict.__doc__)
-_add("measure", measure.measure, _UNFINISHED, help=measure.__doc__)
-_add("import", import_.import_recording, _NO_DRIVE, help=import_.__doc__)
-_add("show", show.show, "Nothing was written")
+app.command("predict", no_args_is_help=True, help=predict.__doc__)(guarded(predict.predict))
+app.command("measure", no_args_is_help=True, help=measure.__doc__)(guarded(measure.measure))
+app.command("import", no_args_is_help=True, help=import_.__doc__)(guarded(import_.import_recording))
+app.command("show", no_args_is_help=True)(guarded(show.show))
 
 if __name__ == "__main__":
     app(prog_name="steer")

@@ -1,6 +1,6 @@
 """Errors shown to the user as one line, without a traceback."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
@@ -36,25 +36,6 @@ def error_context(where: object = "", fix: str = "") -> Iterator[None]:
         inner = error if isinstance(error, InputError) else InputError(str(error))
         places = [str(place) for place in (where, inner.where) if str(place)]
         raise kind(inner.problem, ": ".join(places), inner.fix or fix) from error
-
-
-_frame: int | None = None
-
-
-def named_frames(numbers: Iterable[int]) -> Iterator[int]:
-    """Yield frame numbers. An error before the next one is requested names the frame, see :func:`take_frame`."""
-    global _frame
-    for number in numbers:
-        _frame = int(number)
-        yield number
-    _frame = None
-
-
-def take_frame() -> int | None:
-    """Return the frame that :func:`named_frames` yielded last, once; None outside of it."""
-    global _frame
-    frame, _frame = _frame, None
-    return frame
 
 
 def closest(name: str, options: Sequence[str]) -> str:

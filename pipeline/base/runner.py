@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from tqdm import tqdm
 
 from pipeline.base.atomic import replacing
-from pipeline.base.errors import InputError, error_context, take_frame
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import executor
 from pipeline.base.files import size_of
 from pipeline.base.resume import stage_key
@@ -122,7 +122,7 @@ def _input_bytes(job: Job) -> int:
 
 
 def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, float]:
-    """Make one drive, and its summary beside it; an error names the drive and, where known, the frame."""
+    """Make one drive, and its summary beside it; an error names the drive."""
     drive, path, work = task
     start = time.perf_counter()
     try:
@@ -130,12 +130,10 @@ def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, f
             tmp.mkdir()
             summary = work(tmp / path.name)
             (tmp / "summary.json").write_text(json.dumps(summary))
+    except InputError:
+        with error_context(drive):
+            raise
     except Exception as error:
-        frame = take_frame()
-        where = drive if frame is None else f"{drive} frame {frame}"
-        if isinstance(error, InputError):
-            with error_context(where):
-                raise
-        error.add_note(f"while processing {where}")
+        error.add_note(f"while processing {drive}")
         raise
     return summary, time.perf_counter() - start

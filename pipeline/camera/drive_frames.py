@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import named_frames
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame, read_camera
 from pipeline.camera.images import to_metres
@@ -28,7 +27,7 @@ class DriveFrames:
         """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""
         image_row = {int(number): row for row, number in enumerate(self._perception.frame)}
         ingest_row = {int(number): row for row, number in enumerate(self._ingest.frame)}
-        for number, time_s in zip(named_frames(self.frame.tolist()), self.time_s.tolist(), strict=True):
+        for number, time_s in zip(self.frame.tolist(), self.time_s.tolist(), strict=True):
             frame, raw_row, row = Frame(number, time_s), ingest_row[number], image_row.get(number)
             if row is not None:
                 frame.cls = self._perception.row("cls", row)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import named_frames
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.graphs import graph, graph_file, neighbourhoods
@@ -46,7 +45,7 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
 
 
 def _images(raw: DriveReader, rows: np.ndarray) -> Iterator[Columns]:
-    for row, _ in zip(rows.tolist(), named_frames(raw.frame[rows]), strict=True):
+    for row in rows.tolist():
         yield {"image": Column(raw.rows("image", row, row + 1), "RGB", "ptr")}
 
 
@@ -54,7 +53,7 @@ def _points(clouds: DriveReader, motion: DriveReader, variant: Variant) -> Itera
     """Yield the graph of each cloud, combined with previous ones if the variant accumulates."""
     accumulator = Accumulator(variant.accumulate.frames) if variant.accumulate else None
     T_before = read_steps(motion, variant.source) if accumulator else {}
-    for row, number in enumerate(named_frames(clouds.frame.tolist())):
+    for row, number in enumerate(clouds.frame.tolist()):
         points: Cloud = clouds.rows_of("xyz", row), clouds.rows_of("cls", row)
         if accumulator:
             points = accumulator.add(number, points, T_before.get(number))

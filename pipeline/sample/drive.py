@@ -7,7 +7,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.base.errors import named_frames
 from pipeline.camera.images import to_units, write_png
 from pipeline.sample.light import draw_ground_colours, draw_light
 from pipeline.sample.manoeuvres import DECK
@@ -60,7 +59,7 @@ def render_drive(
         (path / sensor / "timestamps.txt").write_bytes(timestamps)
     for number, packet in enumerate(packets):
         (oxts / f"{number:010d}.txt").write_bytes(packet)
-    for number in named_frames(range(frames)):
+    for number in range(frames):
         world.set_traffic([vehicle.at(number) for vehicle in traffic if vehicle.visible[number]])
         pose, png = journey.pose(number), f"{number:010d}.png"
         rgb, depth_m, cls = camera.take(world, light, pose)

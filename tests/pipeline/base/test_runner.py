@@ -49,13 +49,13 @@ def test_only_what_changed_is_made_again(folder: Path, expected: dict[str, bytes
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_an_error_names_drive_and_frame_and_keeps_finished_drives(
+def test_an_error_names_the_drive_and_keeps_finished_drives(
     folder: Path, expected: dict[str, bytes], workers: int
 ) -> None:
     trouble(folder, c="fail")
     with pytest.raises(DamagedFile) as raised:
         toy_stage.main(folder, workers=workers)
-    assert raised.value.where == "c frame 2: 0.png"
+    assert raised.value.where == "c: 0.png"
     assert outputs(folder) == {}, "the stage's folder is filled at the end"
     assert "b" in calls(folder)
     end_trouble(folder)

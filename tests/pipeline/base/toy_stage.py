@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import store
-from pipeline.base.errors import DamagedFile, named_frames
+from pipeline.base.errors import DamagedFile
 from pipeline.base.resume import ROOT
 from pipeline.base.runner import Job, make_drives
 from pipeline.base.stage_folder import stage_folder
@@ -35,7 +35,7 @@ def work(drive: str, folder: Path, k: int, path: Path) -> dict[str, Any]:
     rng = np.random.default_rng(len(drive))
     with DriveWriter(path, stage="labels", drive=drive, params={"k": k}) as file:
         file.put("frame", np.arange(FRAMES[drive], dtype=np.int32))
-        for frame in named_frames(range(FRAMES[drive])):
+        for frame in range(FRAMES[drive]):
             if frame == BAD_FRAME:
                 _trouble(folder / "trouble" / drive)
             file.append("xyz", rng.normal(size=(3000, 3)).astype(np.float32) * k)

@@ -43,9 +43,9 @@ params: setup          ## write the settings of a preset into params.yaml: make 
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92
 
-bench: setup           ## measure this project beside its alternatives, on recorded scans if there are any; ROWS="ltc load": these rows
+bench: setup           ## measure this project beside its alternatives; ROWS="ltc load": these rows
 	@rm -f benchmarks/results.json
-	STEER_KITTI="$(or $(STEER_KITTI),$(wildcard ../shared/kitti))" python -m benchmarks.bench $(ROWS) --out benchmarks/results.json
+	python -m benchmarks.bench $(ROWS) --out benchmarks/results.json
 
 lint: setup            ## check style, types and import contracts
 	ruff check . && ruff format --check . && mypy && lint-imports

@@ -1,7 +1,6 @@
 """Measure this project beside its alternatives, as a Markdown table and results.json (``make bench``).
 
-Both sides of a row run in one process with one thread, as stage train does, in turn, on the same arrays. The graphs are
-those of recorded scans if a folder of KITTI raw is given, and of the embedded sample otherwise.
+Both sides of a row run in one process with one thread, as stage train does, in turn, on the same arrays.
 """
 
 import os
@@ -17,7 +16,7 @@ import torch
 import typer
 
 from benchmarks import networks
-from benchmarks.street import Row, Street, recorded, sample
+from benchmarks.street import POINTS, Row, Street, make_street
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, closest
 from pipeline.base.outputs import check_free
@@ -34,10 +33,7 @@ ROWS = [*STREET_ROWS, "ltc"]
 
 def main(
     names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all")] = None,
-    kitti: Annotated[
-        Path | None, typer.Option(envvar="STEER_KITTI", help="KITTI raw with scans; default: measure on the sample")
-    ] = None,
-    data: Annotated[Path, typer.Option(help="the output of make demo")] = Path("data"),
+    points: Annotated[int, typer.Option(help="per frame of a random street; default: the paper's")] = POINTS,
     out: Annotated[Path | None, typer.Option(help="results as JSON")] = None,
 ) -> None:
     """Measure rows and print them as a Markdown table."""
@@ -50,7 +46,7 @@ def main(
     names, measured = names or ROWS, {}
     with tempfile.TemporaryDirectory() as folder:
         if STREET_ROWS.keys() & names:
-            street = recorded(kitti, Path(folder) / "graphs.h5") if kitti else sample(data)
+            street = make_street(Path(folder) / "graphs.h5", points)
         for name in names:
             measured[name] = STREET_ROWS[name](street) if name in STREET_ROWS else networks.ltc()
     print(f"{table(measured)}\n\n{device_name()}")

@@ -44,15 +44,9 @@ def gcn(street: Street, csr: bool) -> Row:
     )
 
 
-def edge_index(batch: GraphBatch) -> Tensor:
-    """Return a batch's graph in PyTorch Geometric's form, int64 [2,E]."""
-    node = torch.arange(len(batch.xyz), device=batch.xyz.device)
-    return torch.stack([node.repeat_interleave(batch.degree.long()), batch.indices.long()])
-
-
 def normalised(batch: GraphBatch) -> tuple[Tensor, Tensor]:
     """Return edges [2,E+N] with self-loops and their weights [E+N] by Kipf's normalisation."""
-    index, weight = gcn_norm(edge_index(batch), None, len(batch.xyz))
+    index, weight = gcn_norm(batch.edge_index, None, len(batch.xyz))
     return index, weight
 
 
@@ -198,7 +192,7 @@ def load(street: Street) -> Row:
 def save(street: Street, folder: Path, count: int) -> list[Path]:
     """Write the first `count` frames, a file each: float32 points and int64 edges, as PyG's operators need them."""
     batch, paths = street.batch(count, "cpu"), [folder / f"{number}.pt" for number in range(count)]
-    index = edge_index(batch)
+    index = batch.edge_index
     for path, start, end in zip(paths, batch.ptr[:-1], batch.ptr[1:], strict=True):
         edges = index[:, (index[0] >= start) & (index[0] < end)] - start
         # Clones: a view would save the storage of all frames.

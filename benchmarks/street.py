@@ -1,4 +1,4 @@
-"""Measure a row of the table, and provide graphs: of recorded scans, or of the sample."""
+"""Measure a row of the table, and make a street of random points."""
 
 import statistics
 import time
@@ -11,8 +11,10 @@ import torch
 
 from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.base import store
-from pipeline.base.errors import InputError
-from pipeline.graphs import cloud, frame_graph, graph_file
+from pipeline.camera.classes import BUILDING, ROAD
+from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.graphs import frame_graph, graph_file
+from pipeline.graphs.cloud import Cloud
 from pipeline.settings.graphs import Variant
 
 ROUNDS = 5
@@ -21,7 +23,6 @@ Measurement = Callable[[], float]
 """Do the work once and return the result in the unit of the row."""
 FRAMES = 31  # a span of 24 windows of 8 frames
 POINTS, K, KEEP_INTER_CLASS = 43_000, 6, 0.2  # paper, Table 1
-ROAD, STANDING = 0, (2, 8, 13, 5)  # trainIds: road; building, vegetation, car, pole
 
 
 @dataclass(frozen=True)
@@ -81,38 +82,19 @@ class Street:
         return batch
 
 
-def sample(data: Path) -> Street:
-    """Return the first training drive of the sample. Raises InputError if ``make demo`` has not written it."""
-    folder = data / "graphs/semantic"
-    if not (folder / "index.json").is_file():
-        raise InputError("no graphs of the sample", folder, "Run make demo, or name the folder with --data")
-    return Street(folder / f"{next(iter(store.read_index(folder, stage='graphs')))}.h5")
+def make_street(path: Path, points: int) -> Street:
+    """Write FRAMES graphs of random `points` on a road and on a wall on either side, in camera axes, to `path`."""
+    rng, frame = np.random.default_rng(0), np.arange(FRAMES)
+    variant = Variant(source="clouds/pseudo", points=points, k=K, keep_inter_class=KEEP_INTER_CLASS)
 
+    def cloud() -> Cloud:
+        wall = rng.random(points) < 0.5
+        x = np.where(wall, rng.choice([-8.0, 8.0], points), rng.uniform(-8, 8, points))
+        y = np.where(wall, rng.uniform(-6, CAMERA_HEIGHT_M, points), CAMERA_HEIGHT_M)
+        xyz = np.stack([x, y, rng.uniform(4, 60, points)], axis=1).astype(np.float32)
+        return xyz, np.where(wall, BUILDING, ROAD).astype(np.uint8)
 
-def recorded(kitti: Path, path: Path, points: int = POINTS) -> Street:
-    """Write graphs of `points` points to `path`, of the first FRAMES scans of a drive of KITTI raw.
-
-    Raises InputError without a drive of as many scans.
-    """
-    drives = (sorted(folder.glob("data/*.bin")) for folder in sorted(kitti.glob("*/*_sync/velodyne_points")))
-    scans = next((scans[:FRAMES] for scans in drives if len(scans) >= FRAMES), None)
-    if scans is None:
-        raise InputError(f"expected a drive with {FRAMES} scans or more", kitti, "Name KITTI raw with --kitti")
-    drive, frame = scans[0].parents[2].name.removesuffix("_sync"), np.arange(FRAMES)
-    variant = Variant(source="clouds/lidar", points=points, k=K, keep_inter_class=KEEP_INTER_CLASS)
-    graphs = (frame_graph.build(_read(scan, points), variant, drive, number) for number, scan in enumerate(scans))
-    with store.DriveWriter(path, stage="graphs", drive=drive, params={"graphs": variant.model_dump()}) as file:
+    graphs = (frame_graph.build(cloud(), variant, "street", number) for number in range(FRAMES))
+    with store.DriveWriter(path, stage="graphs", drive="street", params={"graphs": variant.model_dump()}) as file:
         graph_file.write(file, frame, frame * 0.1, graphs, frame_graph.empty_frame(variant))
     return Street(path)
-
-
-def _read(path: Path, points: int) -> cloud.Cloud:
-    """Return a scan's cloud in camera axes (x right, y down, z forward), with classes by position.
-
-    A scan has no classes, but pruning needs some: road below the car, and one class for each column of 4 m.
-    """
-    x, y, z = np.fromfile(path, np.float32).reshape(-1, 4)[:, :3].T
-    xyz = np.stack([-y, -z, x], axis=1)
-    column = np.floor(xyz[:, [0, 2]] / 4).astype(np.int64) @ np.array([7, 13])
-    cls = np.where(xyz[:, 1] > 1.4, ROAD, np.array(STANDING)[column % len(STANDING)]).astype(np.uint8)
-    return cloud.downsample((xyz, cls), points, np.random.default_rng(0))

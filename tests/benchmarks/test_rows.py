@@ -4,7 +4,6 @@ import json
 import warnings
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -15,7 +14,7 @@ with warnings.catch_warnings():
 
 from benchmarks import bench, networks
 from benchmarks import street as measuring
-from benchmarks.street import FRAMES, Street, recorded
+from benchmarks.street import Street, make_street
 from models.steering.spatial.gnn import GCN, Options
 from pipeline.base.errors import InputError
 
@@ -23,37 +22,23 @@ POINTS = 150
 
 
 @pytest.fixture(scope="module")
-def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Random scans in KITTI's layout."""
-    kitti, rng = tmp_path_factory.mktemp("kitti"), np.random.default_rng(0)
-    folder = kitti / "2011_09_26/2011_09_26_drive_0001_sync/velodyne_points/data"
-    folder.mkdir(parents=True)
-    for number in range(FRAMES + 1):
-        rng.uniform(-9, 9, (2 * POINTS, 4)).astype(np.float32).tofile(folder / f"{number:010}.bin")
-    return kitti
+def street(tmp_path_factory: pytest.TempPathFactory) -> Street:
+    return make_street(tmp_path_factory.mktemp("street") / "graphs.h5", POINTS)
 
 
-@pytest.fixture(scope="module")
-def street(kitti: Path, tmp_path_factory: pytest.TempPathFactory) -> Street:
-    return recorded(kitti, tmp_path_factory.mktemp("street") / "graphs.h5", POINTS)
-
-
-def test_all_rows_are_measured_with_one_thread_into_a_new_file(
-    kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_rows_are_measured_with_one_thread_into_a_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measuring, "ROUNDS", 1)
     monkeypatch.setattr(networks, "REPEATS", 1)
-    monkeypatch.setattr(measuring.recorded, "__defaults__", (POINTS,))
     torch.set_num_threads(2)
     out = tmp_path / "results.json"
-    bench.main(kitti=kitti, out=out)
+    bench.main(points=POINTS, out=out)
     assert torch.get_num_threads() == 1
     rows = json.loads(out.read_text())["rows"]
     assert [*rows] == bench.ROWS
     assert all(row["ours"] > 0 and row["alternative"] > 0 for row in rows.values())
     before = out.read_bytes()
     with pytest.raises(InputError, match="--out"):
-        bench.main(kitti=kitti, out=out)
+        bench.main(points=POINTS, out=out)
     assert out.read_bytes() == before
 
 
@@ -69,7 +54,7 @@ def test_frames_saved_for_pyg_hold_the_same_graph(street: Street, tmp_path: Path
     batch, start = street.batch(2), len(data[0].pos)
     torch.testing.assert_close(torch.cat([frame.pos for frame in data]), batch.xyz, rtol=0, atol=0)
     joined = torch.cat([data[0].edge_index, data[1].edge_index + start], dim=1)
-    torch.testing.assert_close(joined, networks.edge_index(batch), rtol=0, atol=0)
+    torch.testing.assert_close(joined, batch.edge_index, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("csr", [False, True])

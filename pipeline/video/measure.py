@@ -42,7 +42,7 @@ def measure(
     Raises:
         InputError: `out` is not free, no frame can be read, the images seem to be rotated, or a log is unusable.
     """
-    work = work_folder(out, source, encoder=encoder)
+    work = work_folder(out, source, encoder)
     run_chain(source, work, READING, Perception(batch=4), encoder, visible=visible)
     results = Results.read(source, work, car, logs, look_ahead=True)
     with DriveReader(work / MOTION, stage="motion") as motion:

@@ -48,7 +48,7 @@ def predict(
     if lidar and not (source.drive and source.drive.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
     source.notes.extend(f"warning: model {model.name}: {text}" for text in _differences(model, source, encoder))
-    work = work_folder(out, source, encoder=encoder, settings=settings)
+    work = work_folder(out, source, encoder, settings=settings)
     run_chain(source, work, reading(model), perception, encoder, visible=visible)
     clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
     if not clouds.exists():

@@ -14,12 +14,14 @@ from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.outputs import WORK, claim
+from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import format_size, read_image
 from pipeline.kitti.ingest import ingest_drive, ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.drive import perceive_drive
+from pipeline.perception.perceive import weights_file
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.horizon import find_horizon
@@ -45,41 +47,31 @@ class Source:
     height_known: bool = True  # of the camera over the road
     complete: bool = True  # False: only the first frames
     drive: KittiDrive | None = None  # None: a video, or a folder of images
+    how: dict[str, Any] = field(default_factory=dict)  # options that it was opened with
     notes: list[str] = field(default_factory=list)  # for the user
 
 
-def open_source(
-    path: Path,
-    cameras: Sequence[int],
-    height_m: float | None = None,
-    *,
-    max_frames: int | None = None,
-    fps: float | None = None,
-    times: Path | None = None,
-    distortion: str | None = None,
-    **lens: Any,
-) -> Source:
+def open_source(path: Path, cameras: Sequence[int], height_m: float | None = None, **how: Any) -> Source:
     """Open a KITTI drive's folder, a folder of images, or a video.
 
     Args:
         path: file or folder.
         cameras: of a KITTI drive; the first one with images is used.
         height_m: of the camera over the road; None: from a KITTI drive's calibration, else unknown.
-        max_frames, fps, times, distortion, lens: of other recordings: use only the first frames; see
-            :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
+        how: to read other recordings, see :func:`_open_recording`.
     Raises:
         InputError: it is none of them, lacks a calibration, or cannot be read.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     if drive and any(drive.images(camera) for camera in cameras):
-        if any((max_frames, fps, times, distortion, *lens.values())):
+        if any(how.values()):
             fix = "Remove --calib, --fov, --K, --distortion, --fps, --times and --max-frames"
             raise InputError("a KITTI drive has its own calibration, times and frames", path, fix)
         source = _open_drive(path, drive, cameras)
     elif drive and (drive.oxts or drive.scans):
         raise InputError(f"no images of camera {' or '.join(map(str, cameras))}", path, "Extract image_02 of the drive")
     else:
-        source = _open_recording(path, max_frames, fps, times, distortion, lens)
+        source = replace(_open_recording(path, **how), how=how)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
     return source
@@ -102,12 +94,13 @@ def _open_drive(path: Path, drive: KittiDrive, cameras: Sequence[int]) -> Source
 
 def _open_recording(
     path: Path,
-    max_frames: int | None,
-    fps: float | None,
-    times: Path | None,
-    distortion: str | None,
-    lens: dict[str, Any],
+    max_frames: int | None = None,
+    fps: float | None = None,
+    times: Path | None = None,
+    distortion: str | None = None,
+    **lens: Any,
 ) -> Source:
+    """Open the first `max_frames` frames of a recording; other arguments as of the three functions that get them."""
     recording, notes = open_recording(path, fps, times), []
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
@@ -134,14 +127,15 @@ def _open_recording(
     )
 
 
-def work_folder(out: Path | None, source: Source, **settings: Any) -> Path:
+def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any) -> Path:
     """Return the folder OUT/.work/KEY for the files of a run; the same run finds those of a killed one.
 
     `out`: None: out/NAME. Raises InputError if it is not free.
     """
     stat, camera = source.path.stat(), source.camera
-    identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.K.tolist(), vars(camera), source.count]
-    key = hashlib.sha256(json.dumps([*identity, source.fps, settings], default=str).encode()).hexdigest()[:16]
+    identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.height_m, camera.horizon, source.how]
+    content = json.dumps([*identity, file_hash(weights_file(encoder)), settings], default=str)
+    key = hashlib.sha256(content.encode()).hexdigest()[:16]
     work = claim(out, source.name, key) / WORK / key
     (work / "new").mkdir(parents=True, exist_ok=True)
     return work

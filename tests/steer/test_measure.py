@@ -175,7 +175,7 @@ def test_a_killed_run_continues(tmp_path: Path, encoder: Path, monkeypatch: pyte
     for name in ("ingest_drive", "perceive_drive"):  # are complete
         monkeypatch.setattr(source, name, killed)
     with pytest.raises(InputError, match="exists already"):
-        measure(images, out=out, encoder=encoder, **{**LENS, "k": "181,181,159.5,44"})
+        measure(images, out=out, encoder=encoder, **LENS, distortion="0.01,0,0,0")
     measure(images, out=out, encoder=encoder, **LENS)
     assert sorted(path.name for path in out.iterdir()) == ["motion.csv", "overlay.mp4", "quality.json", "track.png"]
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.motion.speed import LEAST_MPS, LEAST_NOISE, filter_speed
+from pipeline.motion.step import LEAST_MPS, LEAST_NOISE, filter_speed
 
 # Standard deviations of the means. A driver turns the wheel in a second, and a car changes its speed more slowly; a
 # speed from one pair of images has much more noise than a yaw rate.

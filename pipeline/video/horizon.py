@@ -6,7 +6,7 @@ from itertools import islice, pairwise
 import numpy as np
 
 from pipeline.camera.camera import Camera, Frame
-from pipeline.motion.tracks import Corners, track
+from pipeline.motion.visual import Corners, track
 
 WIDTH = 640  # px, of the images that are tracked
 CELL, MIN_QUALITY = 24, 2e-5

@@ -1,4 +1,4 @@
-"""Replace files and folders in one step, hold the write lock of a folder, and write HDF5 on a disk that may be full."""
+"""Replace files and folders in one step, and write HDF5 on a disk that may be full."""
 
 import io
 import tempfile
@@ -6,10 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-from filelock import FileLock, Timeout
-
-from pipeline.base.errors import InputError
 
 
 @contextmanager
@@ -26,22 +22,6 @@ def replacing(path: Path) -> Iterator[Path]:
         tmp = Path(folder) / path.name
         yield tmp
         tmp.replace(path)
-
-
-@contextmanager
-def exclusive(out: Path, kept: Path) -> Iterator[None]:
-    """Hold the write lock of the folder `out`, the file ``<kept>.lock``, and create the folder `kept`.
-
-    The system releases the lock when this process dies. Raises InputError if another process holds it.
-    """
-    kept.mkdir(parents=True, exist_ok=True)
-    try:
-        lock = FileLock(f"{kept}.lock").acquire(timeout=0)
-    except Timeout:
-        problem, fix = "another process is writing it", "Wait for that to end, then repeat the command"
-        raise InputError(problem, out, fix) from None
-    with lock:
-        yield
 
 
 class Sink(io.FileIO):

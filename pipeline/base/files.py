@@ -10,13 +10,6 @@ import numpy as np
 from pipeline.base.errors import InputError
 
 
-def size_of(path: Path) -> int:
-    """Return the bytes of a file, or of all files below a folder."""
-    if not path.is_dir():
-        return path.stat().st_size
-    return sum(file.lstat().st_size for file in path.rglob("*") if not file.is_dir())
-
-
 def read_columns(
     path: Path, required: Sequence[str], optional: Sequence[str], expected: str, least: int = 0
 ) -> dict[str, np.ndarray]:
@@ -88,8 +81,6 @@ def read_yaml(path: Path, *, comments: bool = False) -> Any:
     try:
         text = path.read_text("utf-8-sig")
         return YAML(typ="rt" if comments else "safe", pure=True).load(text)
-    except UnicodeDecodeError as error:
-        raise InputError(f"invalid UTF-8 ({error})", path) from error
     except MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
         raise InputError(f"invalid YAML: {error.problem}", f"{path}{line}") from error

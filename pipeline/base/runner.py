@@ -19,7 +19,6 @@ from tqdm import tqdm
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import executor
-from pipeline.base.files import size_of
 from pipeline.base.resume import stage_key
 from pipeline.base.stage_folder import StageFolder, link
 
@@ -75,7 +74,8 @@ def make_drives(
         for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, workers=workers):
             bar.update()
             rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
-            text = f"{drive}: {describe(summary)}, {size_of(path) / 1e6:.1f} MB, {seconds:.1f} s{rate}"
+            size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
+            text = f"{drive}: {describe(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}"
             tqdm.write(text, file=sys.stdout)
             sys.stdout.flush()
     for job in jobs:

@@ -8,7 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pipeline.base.atomic import exclusive, replacing
+from filelock import FileLock, Timeout
+
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.store import read_json, write_json
 
@@ -47,7 +49,13 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
     name, _, entry = stage.partition("@")
     root = out.parent if entry else out
     kept = root.with_name(".drives") / "-".join(filter(None, [root.name, entry and out.name]))
-    with exclusive(out, kept):
+    kept.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = FileLock(f"{kept}.lock").acquire(timeout=0)
+    except Timeout:
+        problem, fix = "another process is writing it", "Wait for that to end, then repeat the command"
+        raise InputError(problem, out, fix) from None
+    with lock:
         owner = {"stage": name, "entry": entry}
         before = _own_files(out, owner, shared)
         folder = StageFolder(name, kept / "new", kept, set())

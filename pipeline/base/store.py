@@ -23,11 +23,9 @@ from typing import Any, Self
 import h5py
 import hdf5plugin
 import numpy as np
-from pydantic import BaseModel
 
 from pipeline.base.atomic import Sink, replacing
-from pipeline.base.errors import InputError, error_context
-from pipeline.base.params import SPLITS
+from pipeline.base.errors import InputError
 
 SCHEMA = 4  # 3: Blosc2; 2: pointers were known by name; 1: gzip
 _CHUNK_ROWS = 32768  # of ragged data
@@ -36,7 +34,6 @@ _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)  # what h5py raises for damaged bytes
-PER_DRIVE = {"K": (3, 3), "T_cam_velo": (4, 4)}  # datasets without a row for each frame
 
 
 class DriveWriter:
@@ -94,17 +91,6 @@ class DriveWriter:
         dataset[start:] = rows
         self._sink.check()
 
-    def blank(self, name: str, shape: tuple[int, ...], dtype: type, unit: str = "", value: int = 0) -> None:
-        """Create a dataset [F, ...] of `value`, for :meth:`fill`. Frames that are never filled take no space."""
-        self._create(
-            name, unit, shape=shape, maxshape=(None, *shape[1:]), dtype=dtype, fillvalue=value,
-            chunks=(1, *shape[1:]), **_PIXELS,
-        )  # fmt: skip
-
-    def fill(self, name: str, index: int, array: np.ndarray) -> None:
-        """Write one frame of a dataset created by :meth:`blank`."""
-        self._datasets[name][index] = array
-
     @contextmanager
     def _open(self) -> Iterator[None]:
         with replacing(self.path) as tmp, Sink(tmp, self.path) as self._sink:
@@ -132,21 +118,21 @@ class DriveReader:
     """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
-        self.path, self._stage = path, stage or _stage_of(path)
+        self.path, self._stage = path, stage or "STAGE"
         if not path.is_file():
-            raise _missing(path, self._stage)
+            raise _fault("file is missing", path, self._stage)
         try:
             self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
             self.attrs: dict[str, Any] = dict(self._file.attrs)
             self.drive, written_by, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
             if (written_by, schema) != (stage or written_by, str(SCHEMA)):
                 problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {written_by!r}, schema {schema}"
-                raise InputError(problem, path, _other_version(self._stage))
+                raise _fault(problem, path, self._stage)
             if "_drive_" in path.stem and self.drive != path.stem:
-                raise InputError(f"contains drive {self.drive}", path, fix_hint(path, self._stage))
+                raise _fault(f"contains drive {self.drive}", path, self._stage)
             self._datasets = _datasets(self._file)
         except _H5PY_ERRORS as error:
-            raise InputError(f"damaged ({error})", path, fix_hint(path, self._stage)) from error
+            raise _fault(f"damaged ({error})", path, self._stage) from error
 
     @cached_property
     def params(self) -> dict[str, Any]:
@@ -216,8 +202,7 @@ class DriveReader:
         try:
             return self.dataset(name)[rows]
         except _H5PY_ERRORS as error:
-            problem = f"damaged in dataset {name!r} ({error})"
-            raise InputError(problem, self.path, fix_hint(self.path, self._stage)) from error
+            raise _fault(f"damaged in dataset {name!r} ({error})", self.path, self._stage) from error
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return the h5py dataset. Raises InputError if it is missing."""
@@ -251,24 +236,8 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     return datasets
 
 
-def _stage_of(path: Path) -> str:
-    """Return the stage that a file below a folder data/ belongs to, for messages; elsewhere a placeholder."""
-    folders = path.absolute().parts[:-1]
-    return folders[folders.index("data") + 1] if "data" in folders[:-1] else "STAGE"
-
-
-def fix_hint(path: Path, stage: str) -> str:
-    """Return how to replace a damaged file."""
-    return f"Delete it and fetch it: dvc pull {path}. Or make it again: dvc repro --force --single-item {stage}"
-
-
-def _missing(path: Path, stage: str) -> InputError:
-    fix = f"Make it: dvc repro {stage}. Or fetch it from another machine: dvc pull {stage}"
-    return InputError("file is missing", path, fix)
-
-
-def _other_version(stage: str) -> str:
-    return f"Make it with this code: dvc repro {stage}. Or fetch what this code made: git pull, dvc pull {stage}"
+def _fault(problem: str, path: Path, stage: str) -> InputError:
+    return InputError(problem, path, f"Make it: dvc repro {stage}. Or fetch it: git pull, dvc pull {stage}")
 
 
 def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
@@ -277,18 +246,14 @@ def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
         tmp.write_text(json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_json(path: Path, *, stage: str, form: type[BaseModel] | None = None) -> dict[str, Any]:
-    """Read a JSON object written by `stage`. Raises InputError if it is missing, invalid, or does not match `form`."""
+def read_json(path: Path, *, stage: str) -> dict[str, Any]:
+    """Read a JSON object written by `stage`. Raises InputError if it is missing or invalid."""
     if not path.is_file():
-        raise _missing(path, stage)
-    with error_context(path, fix_hint(path, stage)):
-        try:
-            content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ValueError(f"damaged ({error})") from error
-        if form:
-            form.model_validate(content)
-    return content
+        raise _fault("file is missing", path, stage)
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError) as error:
+        raise _fault(f"damaged ({error})", path, stage) from error
 
 
 def write_index(folder: Path, splits: Mapping[str, str]) -> None:
@@ -301,25 +266,12 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     path = folder / "index.json"
     index = read_json(path, stage=stage)
     if index.get("schema") != SCHEMA:
-        raise InputError(f"expected schema {SCHEMA}, got {index.get('schema')}", path, _other_version(stage))
-    drives = index.get("drives")
-    if not isinstance(drives, dict) or not all(_is_drive(name) and split in SPLITS for name, split in drives.items()):
-        raise InputError(f"expected drives with a split of {', '.join(SPLITS)}", path, fix_hint(path, stage))
-    missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
+        raise _fault(f"expected schema {SCHEMA}, got {index.get('schema')}", path, stage)
+    drives: dict[str, str] = index["drives"]
+    missing = [drive for drive in drives if Path(drive).name != drive or not (folder / f"{drive}.h5").is_file()]
     if missing:
-        raise InputError(f"no file for {', '.join(missing)} of index.json", folder, f"Fetch them: dvc pull {stage}")
+        raise _fault(f"no file for {', '.join(missing)} of index.json", folder, stage)
     return drives
-
-
-def indexed(folder: Path) -> list[str]:
-    """Return the drives in the folder's index.json; none if it is missing."""
-    index = folder / "index.json"
-    return list(read_json(index, stage="")["drives"]) if index.is_file() else []
-
-
-def _is_drive(name: str) -> bool:
-    """Return whether a file of this name is directly in the index's folder."""
-    return Path(name).name == name
 
 
 def drives_in(splits: Mapping[str, str], *names: str) -> list[str]:

@@ -2,10 +2,8 @@
 
 import hashlib
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel, model_validator
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
@@ -20,23 +18,10 @@ LAYOUT = (
 )
 
 
-class Config(BaseModel):
-    """The keys of stage encoder's config.json that later stages read."""
-
-    backbone: str
-    weights: Any
-
-    @model_validator(mode="after")
-    def _names_a_folder(self) -> Self:
-        if self.backbone == "precomputed" and not isinstance(self.weights, str):
-            raise ValueError("expected a folder in weights")
-        return self
-
-
 def named_in(encoder: Path) -> Path | None:
     """Return the folder of precomputed files that config.json in folder `encoder` names; None for a network."""
     config = encoder / FILE
-    content = store.read_json(config, stage="encoder", form=Config) if config.is_file() else {}
+    content = store.read_json(config, stage="encoder") if config.is_file() else {}
     return Path(content["weights"]) if content.get("backbone") == "precomputed" else None
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.encoder import PARTS, Encoder
 
 

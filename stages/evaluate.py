@@ -8,8 +8,8 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, check_name, load
-from pipeline.base.stage_folder import stage_folder
 from pipeline.evaluate.errors import interval_text
 from pipeline.evaluate.metrics import Case, columns, inputs, metrics
 from pipeline.evaluate.predictions import write_predictions

@@ -8,9 +8,9 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load_entry
 from pipeline.base.runner import Job, Summary, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.graphs import cloud
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.settings.graphs import Variant

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.ingest import describe, ingest_kitti
 from pipeline.kitti.raw import KittiDrive, find_drives
 from pipeline.settings.ingest import Ingest

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base import console, store
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, load
 from pipeline.base.runner import Job, Summary, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.oxts import VL
 from pipeline.labels import ahead, label, sources
 from pipeline.settings.labels import Labels

@@ -4,8 +4,8 @@ from functools import partial
 from pathlib import Path
 
 from pipeline.base import console, store
+from pipeline.base.outputs import stage_folder
 from pipeline.base.runner import Job, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.motion.drive import measure_drive
 
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain

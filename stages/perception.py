@@ -5,9 +5,9 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.executors import default_workers
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.perception import Perception
 
 

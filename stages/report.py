@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entries, load
-from pipeline.base.stage_folder import stage_folder
 from pipeline.settings.evaluate import Evaluate
 
 

@@ -4,9 +4,9 @@ from functools import partial
 from pathlib import Path
 
 from pipeline.base import console
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.kitti.raw import find_drives
 from pipeline.sample.drive import render_drive
 from pipeline.sample.rig import make_rig, write_calibration

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import console, store
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, load
 from pipeline.base.runner import Job, Summary, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources

@@ -13,8 +13,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yield a unique temporary path beside `path`, which replaces `path` when the block ends without error.
 
     The block creates a file or a folder there. A folder replaces only an empty folder. The temporary path is
-    ``.NAME.????????.tmp/NAME``, so that two processes that write the same path do not collide, the suffix still gives
-    the format, and a glob for ``*.h5`` does not match.
+    ``.NAME.????????.tmp/NAME``, so the suffix still gives the format, and a glob for ``*.h5`` does not match.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # A folder of its own, as a file from mkstemp is unreadable for other users.

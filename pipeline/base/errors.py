@@ -5,11 +5,7 @@ from contextlib import contextmanager
 
 
 class InputError(Exception):
-    """A fault in a file, a parameter or the machine, which the user can fix.
-
-    Rendered as ``<where>: <problem>. <fix>``, without the full stop after a question mark.
-    :func:`pipeline.base.console.run` prints it and exits with status 1.
-    """
+    """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``."""
 
     def __init__(self, problem: str, where: object = "", fix: str = "") -> None:
         """`where` is a file, a parameter or a drive; `fix` is a sentence or a command for the user."""

@@ -29,9 +29,8 @@ Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
 
 def default_workers() -> int:
     """Return the number of worker processes: ``STEER_WORKERS``, or else the cores that this process may use."""
-    text = os.environ.get("STEER_WORKERS", "")
-    if not text:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    text = os.environ.get("STEER_WORKERS") or str(cores)
     if not text.isdecimal() or not int(text):
         raise InputError(f"expected a number of processes (got {text!r})", "STEER_WORKERS")
     return int(text)
@@ -46,8 +45,6 @@ def executor(workers: int | None, jobs: int, threads: int | None) -> Iterator[Su
         jobs: how many there are; no more processes are started.
         threads: of each process, also if there is only one; None: the cores are divided among the processes.
     """
-    if workers is not None and workers < 1:
-        raise InputError(f"expected at least 1 process (got {workers})", "--workers")
     count = min(workers or default_workers(), jobs)
     if jobs and workers != 1 and (address := os.environ.get(SCHEDULER)):
         with _dask(address) as submit:
@@ -61,7 +58,6 @@ def executor(workers: int | None, jobs: int, threads: int | None) -> Iterator[Su
 
 @contextmanager
 def _processes(count: int, threads: int) -> Iterator[Submit]:
-    before = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
     pool = ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,))
     try:
@@ -72,8 +68,6 @@ def _processes(count: int, threads: int) -> Iterator[Submit]:
         raise
     finally:
         pool.shutdown()
-        del os.environ["OMP_NUM_THREADS"]
-        os.environ |= {} if before is None else {"OMP_NUM_THREADS": before}
 
 
 def _start_worker(threads: int) -> None:

@@ -62,27 +62,19 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path)
     wrong = ~(np.diff(values) >= least_step)
     if wrong.any():
         at = int(np.argmax(wrong))
-        raise InputError(
-            f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2} (expected an increase of "
-            f"{least_step:g} or more)",
-            path,
-            "Sort the file and remove repeated rows",
-        )
+        problem = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2}"
+        fix = "Sort the file and remove repeated rows"
+        raise InputError(f"{problem} (expected an increase of {least_step:g} or more)", path, fix)
 
 
 def read_yaml(path: Path, *, comments: bool = False) -> Any:
-    """Return the content of a YAML 1.2 file, as DVC reads it, for ruamel's writer with `comments`.
-
-    Raises InputError if it is invalid or has a key twice.
-    """
+    """Return the content of a YAML 1.2 file, with `comments` for ruamel's writer. Raises InputError."""
     from ruamel.yaml import YAML  # here, as workers read no YAML
-    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+    from ruamel.yaml.error import YAMLError
 
     try:
-        text = path.read_text("utf-8-sig")
-        return YAML(typ="rt" if comments else "safe", pure=True).load(text)
-    except MarkedYAMLError as error:
-        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise InputError(f"invalid YAML: {error.problem}", f"{path}{line}") from error
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"invalid YAML: {' '.join(str(error).split())}", path) from error
+        return YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text("utf-8-sig"))
+    except (YAMLError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"{path}:{mark.line + 1}" if mark else path
+        raise InputError(f"invalid YAML: {getattr(error, 'problem', error)}", where) from error

@@ -1,7 +1,6 @@
 """Read ``params.yaml``: each section is a typed class in ``pipeline/settings/``, and a stage loads only its own.
 
-A value out of range, an unknown key or a wrong type is an :class:`~pipeline.base.errors.InputError` with file, key,
-value and what is expected. Units are in names or descriptions.
+A fault is an InputError with file, key, value and what is expected.
 """
 
 import re
@@ -30,14 +29,12 @@ def check_name(name: Any) -> str:
     """Return a name of an entry. Raises ValueError."""
     if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
         return name
-    rule = "expected at most 100 letters A-Z and a-z, digits, _ and -, not _ or - first; quote names such as 1 or on"
-    raise ValueError(rule)
+    raise ValueError("expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on")
 
 
 Name = Annotated[str, BeforeValidator(check_name)]
 """A name that is safe as the name of a stage and of a folder, and in a shell."""
-_DRIVE = matches("[0-9]{4}_[0-9]{2}_[0-9]{2}_drive_[0-9]{4}", "a drive's name, such as 2011_09_26_drive_0052")
-Drive = Annotated[str, _DRIVE]
+Drive = Annotated[str, matches(r"\d{4}_\d\d_\d\d_drive_\d{4}", "a drive's name, such as 2011_09_26_drive_0052")]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -68,8 +65,7 @@ def load(section: type[S], path: Path) -> S:
     content = read(path)
     if section.key not in content:
         raise InputError(f"no section {section.key!r}: {closest(section.key, [*map(str, content)])}", path, _COPY)
-    with error_context(path):
-        return parse(section, content[section.key], section.key)
+    return parse(section, content[section.key], section.key, path)
 
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
@@ -77,8 +73,7 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     content = entries(mapping, path)
     if name not in content:
         raise InputError(f"{mapping} has no entry {name!r}: {closest(name, list(content))}", path)
-    with error_context(path):
-        return parse(kind, content[name], f"{mapping}.{name}")
+    return parse(kind, content[name], f"{mapping}.{name}", path)
 
 
 def entries(mapping: str, path: Path) -> dict[str, Any]:
@@ -87,7 +82,7 @@ def entries(mapping: str, path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or not content:
         raise InputError(f"section {mapping!r} is missing or empty: it needs at least one entry", path)
     for name in content:
-        with error_context(f"{path}: {mapping}: name {_shorten(name)}"):
+        with error_context(f"{path}: {mapping}: name {name!r}"):
             check_name(name)
     return content
 
@@ -102,27 +97,23 @@ def read(path: Path) -> dict[str, Any]:
     return content
 
 
-def parse(kind: type[S], value: Any, where: str) -> S:
-    """Validate `value` at the dotted key `where` as a `kind`. Raises InputError, caused by pydantic's error."""
+def parse(kind: type[S], value: Any, where: str, path: Path | None = None) -> S:
+    """Validate `value` at the dotted key `where` of the file at `path`. Raises InputError, caused by pydantic's."""
     try:
         return kind.model_validate(value)
     except ValidationError as error:
-        faults = error.errors()
-        # Report an unknown key first: it may be a missing key, misspelt.
-        first = next((fault for fault in faults if fault["type"] == "extra_forbidden"), faults[0])
+        # An unknown key first: it may be a missing key, misspelt.
+        first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
         key = ".".join(str(part) for part in (where, *first["loc"]) if part not in ("", "[key]"))
+        problem, fix = first["msg"].removeprefix("Value error, "), ""
         if first["type"] == "extra_forbidden":
             options = _keys_at(kind, first["loc"][:-1])
-            suggestion = f": {closest(str(first['loc'][-1]), options)}" if options else ""
-            raise InputError(f"unknown key{suggestion}", key) from error
-        if first["type"] == "missing":
-            raise InputError("key is missing", key, _COPY) from error
-        # The input of a rule on a section is the complete section, too long for a message.
-        got = "" if isinstance(first["input"], dict) else f" (got {_shorten(first['input'])})"
-        problem = first["msg"].removeprefix("Value error, ")
-        if first["type"] == "too_short":
-            problem = f"expected at least {first['ctx']['min_length']} entry"
-        raise InputError(f"{problem}{got}", key) from error
+            problem = f"unknown key: {closest(str(first['loc'][-1]), options)}" if options else "unknown key"
+        elif first["type"] == "missing":
+            problem, fix = "key is missing", _COPY
+        elif not isinstance(first["input"], dict):  # a complete section is too long for a message
+            problem += f" (got {first['input']!r:.80})"
+        raise InputError(problem, f"{path}: {key}" if path else key, fix) from error
 
 
 def _keys_at(annotation: Any, loc: Sequence[int | str]) -> list[str]:
@@ -130,15 +121,10 @@ def _keys_at(annotation: Any, loc: Sequence[int | str]) -> list[str]:
     for part in loc:
         if get_origin(annotation) is dict:
             annotation = get_args(annotation)[1]
-        elif isinstance(annotation, type) and issubclass(annotation, BaseModel) and part in annotation.model_fields:
-            annotation = annotation.model_fields[str(part)].annotation
+        elif part in getattr(annotation, "model_fields", ()):
+            annotation = annotation.model_fields[part].annotation
             options = [option for option in get_args(annotation) if option is not type(None)]
             annotation = options[0] if len(options) == 1 else annotation
         else:
             return []
     return list(getattr(annotation, "model_fields", ()))
-
-
-def _shorten(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:80]}…"

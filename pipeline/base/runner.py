@@ -1,4 +1,4 @@
-"""Make drives in parallel, with progress, and keep them for later runs.
+"""Make drives in parallel, and keep them for later runs.
 
 A finished drive is a folder ``data/.drives/STAGE/DRIVE-KEY`` with its result and summary.json. The key hashes
 everything that determines the drive, so a run makes only drives whose inputs, settings or code have changed.
@@ -6,7 +6,6 @@ everything that determines the drive, so a run makes only drives whose inputs, s
 
 import json
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, as_completed
@@ -14,32 +13,28 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel
-from tqdm import tqdm
 
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import executor
+from pipeline.base.outputs import StageFolder, link
 from pipeline.base.resume import stage_key
-from pipeline.base.stage_folder import StageFolder, link
 
 J = TypeVar("J")
 Summary = dict[str, Any]
 
 
 class Job(NamedTuple):
-    """One drive of a stage.
-
-    Attributes:
-        drive: its name in messages, unique in the stage.
-        target: path of its file or folder in the stage's folder.
-        inputs: files and strings. With the stage's code and settings, they determine the content.
-        work: picklable. Writes the file or folder to a path and returns a JSON-able summary.
-    """
+    """One drive of a stage."""
 
     drive: str
+    """Its name in messages, unique in the stage."""
     target: str
+    """Path of its file or folder in the stage's folder."""
     inputs: Sequence[Path | str]
+    """Files and strings. With the stage's code and settings, they determine the content."""
     work: Callable[[Path], Summary]
+    """Picklable. Writes the file or folder to a path and returns a JSON-able summary."""
 
 
 def make_drives(
@@ -54,8 +49,7 @@ def make_drives(
     Args:
         settings: a section, or JSON-able. Part of every key, so without what determines single drives only.
         describe: a drive's summary → text for the log.
-        workers: processes; None: :func:`pipeline.base.executors.default_workers`. 1: this process, otherwise the
-            workers of a Dask cluster if there is one. Never changes a result.
+        workers: processes, see :func:`pipeline.base.executors.executor`. Never changes a result.
 
     Raises the first error of a worker after the drives in progress are done.
     """
@@ -68,16 +62,13 @@ def make_drives(
     todo = [job for job in jobs if not kept[job.drive].exists()]
     if len(todo) < len(jobs):
         print(f"{len(jobs) - len(todo)} of {len(jobs)} drives kept from earlier runs", flush=True)
-    todo.sort(key=_input_bytes, reverse=True)  # the longest first, so that no process ends long after the others
+    # The longest first, so that no process ends long after the others.
+    todo.sort(key=lambda job: -sum(path.stat().st_size for path in job.inputs if isinstance(path, Path)))
     tasks = [(job.drive, kept[job.drive] / Path(job.target).name, job.work) for job in todo]
-    with tqdm(total=len(jobs), initial=len(jobs) - len(todo), unit=" drives", disable=not sys.stderr.isatty()) as bar:
-        for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, workers=workers):
-            bar.update()
-            rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
-            size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
-            text = f"{drive}: {describe(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}"
-            tqdm.write(text, file=sys.stdout)
-            sys.stdout.flush()
+    for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, workers=workers):
+        size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
+        rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
+        print(f"{drive}: {describe(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}", flush=True)
     for job in jobs:
         path, target = kept[job.drive] / Path(job.target).name, folder.new / job.target
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -85,14 +76,25 @@ def make_drives(
     return {drive: json.loads((path / "summary.json").read_text()) for drive, path in kept.items()}
 
 
+def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, float]:
+    """Make one drive, and its summary beside it; an error names the drive."""
+    drive, path, work = task
+    start = time.perf_counter()
+    try:
+        with replacing(path.parent) as tmp:
+            tmp.mkdir()
+            summary = work(tmp / path.name)
+            (tmp / "summary.json").write_text(json.dumps(summary))
+    except InputError:
+        with error_context(drive):
+            raise
+    return summary, time.perf_counter() - start
+
+
 def run_jobs(
     work: Callable[[J], Any], jobs: Sequence[J], *, workers: int | None = None, threads: int | None = None
 ) -> Iterator[tuple[J, Any]]:
-    """Yield each job with the result of ``work(job)`` as they finish, in parallel.
-
-    Args:
-        workers: as in :func:`make_drives`.
-        threads: of each process, and no job runs in this process; None: the cores are divided among the processes.
+    """Yield each job with the result of ``work(job)`` as they finish, in parallel, see :func:`executor`.
 
     Raises the first error after the jobs in progress are done; no other job is started.
     """
@@ -115,25 +117,3 @@ def run_jobs(
         raise InputError("a worker process died (out of memory?)", fix=fix) from error
     if error is not None:
         raise error
-
-
-def _input_bytes(job: Job) -> int:
-    return sum(path.stat().st_size for path in job.inputs if isinstance(path, Path))
-
-
-def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, float]:
-    """Make one drive, and its summary beside it; an error names the drive."""
-    drive, path, work = task
-    start = time.perf_counter()
-    try:
-        with replacing(path.parent) as tmp:
-            tmp.mkdir()
-            summary = work(tmp / path.name)
-            (tmp / "summary.json").write_text(json.dumps(summary))
-    except InputError:
-        with error_context(drive):
-            raise
-    except Exception as error:
-        error.add_note(f"while processing {drive}")
-        raise
-    return summary, time.perf_counter() - start

@@ -57,7 +57,7 @@ def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
         (Labels, "labels.min_speed_mps", float("nan"), "finite number"),
         (Labels, "labels.minspeed_mps", 1, r"unknown key: did you mean min_speed_mps\?"),
         (Labels, "labels.min_speed_mps", None, "key is missing"),
-        (Ingest, "ingest.cameras", [], "expected at least 1 entry"),
+        (Ingest, "ingest.cameras", [], "at least 1 item"),
         (Ingest, "ingest.drives.test", ["0001"], "expected a drive's name, such as 2011_09_26_drive_0052 .got '0001'"),
         (Train, "train.epochs", 1.5, "valid integer"),
         (Train, "train.epochs", True, "valid integer"),

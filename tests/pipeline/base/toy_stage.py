@@ -18,9 +18,9 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.base.errors import DamagedFile
+from pipeline.base.outputs import stage_folder
 from pipeline.base.resume import ROOT
 from pipeline.base.runner import Job, make_drives
-from pipeline.base.stage_folder import stage_folder
 from pipeline.base.store import DriveWriter
 from tests.kitti_drive import contents
 

@@ -3,15 +3,12 @@
 import multiprocessing
 import os
 import pickle
-import platform
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +17,6 @@ from pipeline.base.errors import InputError
 
 SCHEDULER = "STEER_SCHEDULER"
 CONNECT_S = 5
-# Packages whose versions determine the bytes of artefacts.
-LIBRARIES = ("numpy", "scipy", "torch", "opencv-python-headless", "open3d", "h5py", "hdf5plugin")
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
 _SPAWN = multiprocessing.get_context("spawn")
 Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
@@ -95,11 +90,9 @@ def _limit_threads(threads: int) -> None:
 @contextmanager
 def _dask(address: str) -> Iterator[Submit]:
     """Yield the function that submits to a cluster, which repeats the call of a worker that died up to three times."""
-    try:
-        from distributed import Client
-        from distributed.protocol.pickle import dumps
-    except ModuleNotFoundError as error:
-        raise InputError(str(error), SCHEDULER, "Install it: pip install '.[cluster]'") from error
+    from distributed import Client
+    from distributed.protocol.pickle import dumps
+
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -115,32 +108,22 @@ def _dask(address: str) -> Iterator[Submit]:
             # Bytes, so that a worker with other code can refuse before it loads them. Unlike pickle.dumps, this takes
             # functions of ``python -m stages.NAME``.
             call = dumps((function, argument))
-            future: Future[Any] = pool.submit(_call_on_worker, call, str(Path.cwd()), _environment())
+            future: Future[Any] = pool.submit(_call_on_worker, call, str(Path.cwd()), resume.code_hash())
             return future
 
         yield submit
 
 
-@cache
-def _environment() -> dict[str, str]:
-    """Return the versions of Python, libraries and code, which determine all bytes, cached at the first call."""
-    versions = {name: version(name) for name in LIBRARIES}
-    return {"Python": platform.python_version(), **versions, "code of the project": resume.code_hash()}
+def _call_on_worker(call: bytes, folder: str, code: str) -> Any:
+    """Call a pickled function on a Dask worker, in the caller's folder. Raises InputError if the worker's code differs.
 
-
-def _call_on_worker(call: bytes, folder: str, environment: dict[str, str]) -> Any:
-    """Call a pickled function on a Dask worker, in the caller's folder, and return its result.
-
-    Raises InputError if the worker's threads, code or libraries differ.
+    `code`: :func:`pipeline.base.resume.code_hash` of the caller.
     """
-    from distributed import get_worker
+    if resume.code_hash() != code:
+        from distributed import get_worker
 
-    worker = get_worker()
-    for name, expected in {"threads": "1", **environment}.items():
-        if (got := {"threads": str(worker.state.nthreads), **_environment()}[name]) != expected:
-            problem = f"{name}: got {got[:12]} in {resume.ROOT}, expected {expected[:12]}"
-            fix = "Start the worker again from this environment with --nthreads 1"
-            raise InputError(problem, f"worker {worker.address}", fix)
+        problem, fix = f"other code in {resume.ROOT}", "Update it, and start the worker again from this environment"
+        raise InputError(problem, f"worker {get_worker().address}", fix)
     os.chdir(folder)
     _limit_threads(1)
     function, argument = pickle.loads(call)

@@ -78,10 +78,8 @@ class DriveWriter:
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
             length, encoding = (1, _PIXELS) if rows.ndim >= 3 else (_CHUNK_ROWS, _POINTS)
-            self._create(
-                name, unit, shape=(0, *rows.shape[1:]), maxshape=(None, *rows.shape[1:]), dtype=rows.dtype,
-                chunks=(length, *rows.shape[1:]), **encoding,
-            )  # fmt: skip
+            options = {"maxshape": (None, *rows.shape[1:]), "chunks": (length, *rows.shape[1:]), **encoding}
+            self._create(name, unit, data=rows[:0], **options)
             for key, value in {"pointer": pointer, "refers_to": refers_to}.items():
                 if value:
                     self._datasets[name].attrs[key] = value

@@ -5,9 +5,8 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
-from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.runner import Job, make_drives
+from pipeline.base.runner import make_files
 from pipeline.graphs import cloud
 from pipeline.settings.clouds import Clouds
 
@@ -27,21 +26,13 @@ def main(
     """
     settings = load(Clouds, params)
     splits = store.read_index(ingest, stage="ingest")
+    inputs, text = {"ingest": ingest, "perception": perception}, "{frames} frames, {points} points"
     for kind in KINDS:
-        jobs = []
-        for drive in splits:
-            inputs = ingest / f"{drive}.h5", perception / f"{drive}.h5"
-            work = partial(cloud.clouds_drive, kind=kind, ingest=inputs[0], perception=inputs[1], settings=settings)
-            jobs.append(Job(drive, f"{drive}.h5", inputs, work))
-        with stage_folder(f"clouds@{kind}", out / kind) as folder:
-            counts = make_drives(folder, jobs, settings, "{frames} frames, {points} points".format_map, workers)
-            fix = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or check the inputs: steer show {perception}"
-            with error_context(f"{params}: clouds/{kind}", fix):
-                cloud.check_not_empty(counts, splits)
-            store.write_index(folder.new, splits)
-        without = [drive for drive, count in counts.items() if not count["frames"]]
-        if without:
-            print(f"{kind}: no {'scans' if kind == 'lidar' else 'images'} in {', '.join(without)}, so no clouds")
+        work = partial(cloud.clouds_drive, kind=kind, settings=settings)
+        counts = make_files(f"clouds@{kind}", out / kind, splits, inputs, work, settings, text, workers)
+        fix = f"Raise clouds.max_depth_m = {settings.max_depth_m:g}, or check the inputs: steer show {perception}"
+        with error_context(f"{params}: clouds/{kind}", fix):
+            cloud.check_not_empty(counts, splits)
     return out
 
 

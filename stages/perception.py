@@ -5,9 +5,9 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.executors import default_workers
-from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.runner import Job, make_drives
+from pipeline.base.resume import file_hash
+from pipeline.base.runner import make_files
 from pipeline.settings.perception import Perception
 
 
@@ -27,23 +27,11 @@ def main(
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
     cached_encoder(encoder, settings.precision)  # report a bad checkpoint once, not from each worker
-    jobs = [
-        Job(
-            drive,
-            f"{drive}.h5",
-            [ingest / f"{drive}.h5", weights_file(encoder)],
-            partial(perceive_drive, ingest=ingest / f"{drive}.h5", encoder=encoder, settings=settings),
-        )
-        for drive in splits
-    ]
     if torch.cuda.is_available():  # two processes keep a GPU busy: one reads and writes while the other encodes
         workers = min(2, workers or default_workers())
-    with stage_folder("perception", out) as folder:
-        summaries = make_drives(folder, jobs, settings, "{frames} frames".format_map, workers)
-        store.write_index(folder.new, splits)
-    without = [drive for drive, summary in summaries.items() if not summary["frames"]]
-    if without:
-        print(f"no images in {', '.join(without)}, so no depth and classes", flush=True)
+    work = partial(perceive_drive, encoder=encoder, settings=settings)
+    key = settings.model_dump() | {"encoder": file_hash(weights_file(encoder))}
+    make_files("perception", out, splits, {"ingest": ingest}, work, key, "{frames} frames", workers)
     return out
 
 

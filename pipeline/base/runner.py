@@ -9,6 +9,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -17,8 +18,9 @@ from pydantic import BaseModel
 from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import executor
-from pipeline.base.outputs import StageFolder, link
+from pipeline.base.outputs import StageFolder, link, stage_folder
 from pipeline.base.resume import stage_key
+from pipeline.base.store import write_index
 
 J = TypeVar("J")
 Summary = dict[str, Any]
@@ -74,6 +76,36 @@ def make_drives(
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(path, target, copy_function=link) if path.is_dir() else link(path, target)
     return {drive: json.loads((path / "summary.json").read_text()) for drive, path in kept.items()}
+
+
+def make_files(
+    stage: str,
+    out: Path,
+    splits: Mapping[str, str],
+    inputs: Mapping[str, Path],
+    work: Callable[..., Summary],
+    settings: BaseModel | Mapping[str, Any],
+    describe: str,
+    workers: int | None = None,
+) -> dict[str, Summary]:
+    """Make ``out/DRIVE.h5`` of each drive from its files in the folders of earlier stages, and the index.
+
+    Args:
+        splits: drive → split.
+        inputs: argument of `work` → folder.
+        work: is called with a path and `inputs`, see :class:`Job`. Its summary counts the ``frames``.
+        describe: format of a summary for the log; other arguments as in :func:`make_drives`.
+    """
+    jobs = []
+    for drive in splits:
+        files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}
+        jobs.append(Job(drive, f"{drive}.h5", list(files.values()), partial(work, **files)))
+    with stage_folder(stage, out) as folder:
+        summaries = make_drives(folder, jobs, settings, describe.format_map, workers)
+        write_index(folder.new, splits)
+    if without := [drive for drive, summary in summaries.items() if not summary["frames"]]:
+        print(f"{out}: no frames of {', '.join(without)}")
+    return summaries
 
 
 def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, float]:

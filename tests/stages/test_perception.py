@@ -64,7 +64,7 @@ def test_batches_and_threads_change_no_byte(folder: Path, capsys: pytest.Capture
         run(folder, "threads", batch=1)
     finally:
         torch.set_num_threads(before)
-    assert f"no images in {BLIND}" in capsys.readouterr().out
+    assert f"no frames of {BLIND}" in capsys.readouterr().out
     for drive in (DENSE, LIDAR, BLIND):
         one, four = read(folder, drive, "threads"), read(folder, drive)
         assert all((one[name] == four[name]).all() for name in one)

@@ -108,7 +108,7 @@ class Entry(Section):
         if expected != kind:
             holds = f"input: {self.input} holds {FRAMES[kind]}"
             raise ValueError(f"spatial = {self.spatial!r} expects {FRAMES[str(expected)]}, but {holds}")
-        return steering_net.build(
+        return steering_net.SteeringNet(
             spatial,
             temporal,
             options.Sizes(self.features, self.window, levels, image_size or (0, 0), outputs),

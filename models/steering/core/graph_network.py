@@ -29,9 +29,8 @@ class GraphOptions(NetworkOptions):
     kind: ClassVar[FrameKind] = "graph"
     layers: Widths = (32, 32, 64)
     semantics: Semantics
-    sectors: Annotated[int, Field(ge=0, le=63), AfterValidator(_zero_or_odd)] = (
-        0  # sectors of bearing with a maximum of their own
-    )
+    # Sectors of bearing with a maximum of their own.
+    sectors: Annotated[int, Field(ge=0, le=63), AfterValidator(_zero_or_odd)] = 0
 
 
 class GraphNetwork(nn.Module):
@@ -44,6 +43,7 @@ class GraphNetwork(nn.Module):
     """
 
     signs: Tensor
+    block = 0  # points per block of complete frames on a CPU; 0: the whole batch
 
     def __init__(self, layer: type[nn.Module], features: int, options: GraphOptions) -> None:
         super().__init__()
@@ -58,24 +58,22 @@ class GraphNetwork(nn.Module):
 
     def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
-        return torch.tanh(self.read_out(self.pooled(batch, 1)))[:, 0]  # in (-1,1), where LTC synapses are sensitive
+        return self.both(batch, 1)[0]
 
-    def both(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
-        """Return `forward` of the frames and of their mirror images, each [B,F]."""
-        original, mirrored = torch.tanh(self.read_out(self.pooled(batch, 2))).unbind(1)
-        return original, mirrored
-
-    def pooled(self, batch: GraphBatch, versions: int) -> Tensor:
-        """Return mean ‖ max over each frame's points after the last layer, ‖ max over each sector's: [B, S, pooled]."""
-        x = self.convolved(batch, versions)
-        pooled = mean_max_pool(x, batch.ptr)  # [B, S, 2 width]
-        if self.sectors:
-            by_sector = sector_max_pool(x.flatten(1), batch.xyz, batch.ptr, self.sectors)
-            by_sector = by_sector.view(-1, self.sectors, *x.shape[1:])
-            if versions == 2:  # mirroring reverses the sectors
-                by_sector = torch.stack([by_sector[:, :, 0], by_sector[:, :, 1].flip(1)], dim=2)
-            pooled = torch.cat([pooled, by_sector.transpose(1, 2).flatten(2)], dim=2)
-        return pooled
+    def both(self, batch: GraphBatch, versions: int = 2) -> tuple[Tensor, ...]:
+        """Return `forward` of the frames and, as a second version, of their mirror images, each [B,F]."""
+        pooled = []  # mean ‖ max over each frame's points, ‖ max over each sector's: [B, S, pooled]
+        for block in batch.blocks(self.block) if self.block and batch.xyz.device.type == "cpu" else [batch]:
+            x = self.convolved(block, versions)
+            pooled.append(mean_max_pool(x, block.ptr))
+            if self.sectors:
+                by_sector = sector_max_pool(x.flatten(1), block.xyz, block.ptr, self.sectors)
+                by_sector = by_sector.view(-1, self.sectors, *x.shape[1:])
+                if versions == 2:  # mirroring reverses the sectors
+                    by_sector = torch.stack([by_sector[:, :, 0], by_sector[:, :, 1].flip(1)], dim=2)
+                pooled[-1] = torch.cat([pooled[-1], by_sector.transpose(1, 2).flatten(2)], dim=2)
+        # In (-1,1), where LTC synapses are sensitive.
+        return torch.tanh(self.read_out(torch.cat(pooled))).unbind(1)
 
     def convolved(self, batch: GraphBatch, versions: int) -> Tensor:
         """Return the output of the last layer [N, S, width].

@@ -60,14 +60,10 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
         ("sensory_fanout", layout.sensory_fanout, "inter", inter),
         ("inter_fanout", layout.inter_fanout, "command", command),
         ("motor_fanin", layout.motor_fanin, "command", command),
+        ("recurrent_command_synapses", layout.recurrent_command_synapses, "command²", command**2),
     ]:
         if count > size:
             raise ValueError(f"wiring.{name} = {count}, expected at most {layer} = {size}")
-    if layout.recurrent_command_synapses > command**2:
-        raise ValueError(
-            f"wiring.recurrent_command_synapses = {layout.recurrent_command_synapses}, expected at most command² = "
-            f"{command**2}"
-        )
 
     rng = np.random.default_rng(layout.seed)
     units = motor + command + inter

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from models.steering.core import aggregate as module
-from models.steering.core.adjacency import normalised_adjacency
 from models.steering.core.aggregate import aggregate, neighbourhoods
 from models.steering.core.features import (
     FEATURE_MIRROR_SIGNS,
@@ -19,6 +18,7 @@ from models.steering.core.features import (
 )
 from models.steering.spatial.edgeconv import EdgeConvLayer, centre_plus_max
 from models.steering.spatial.gatv2 import GATv2Layer, attend
+from models.steering.spatial.gnn import normalised_adjacency
 from pipeline.camera import classes
 from tests.models.steering import frames
 

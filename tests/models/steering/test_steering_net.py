@@ -144,7 +144,7 @@ def test_mixed_precision_keeps_the_recursion_in_float32(cell: str) -> None:
 def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
     net = build()
     net.spatial = torch.nn.Sequential(net.spatial, torch.nn.Linear(8, 20).double())
-    expected = r"models/steering/spatial/gnn\.py: the spatial network returns \[6, 20\] for 6 frames, expected \[6, 8\]"
+    expected = r"models/steering/spatial/gnn\.py: the spatial network returns \[20\] per frame, expected \[8\]"
     with pytest.raises(ValueError, match=expected):
         net(batch(), WINDOWS, DT_S)
 

@@ -101,13 +101,10 @@ class Unfolded(torch.autograd.Function):
         unfolds = steps // frames
         before, after = potentials[:-1], potentials[1:]
         inverse = denominators.reciprocal()
-        shares = torch.stack(
-            [inverse, -after * inverse], dim=2
-        )  # gradients of v by numerator and denominator, [K,W,2,U]
+        shares = torch.stack([inverse, -after * inverse], dim=2)  # dv / d(numerator, denominator), [K,W,2,U]
         sigmoid_backward = torch.ops.aten.sigmoid_backward
-        by_synapse = sigmoid_backward(
-            shares.flatten(2) @ sums.T * slope.sum(0), opened
-        )  # a column of slope has 1 entry
+        # A column of slope has one entry.
+        by_synapse = sigmoid_backward(shares.flatten(2) @ sums.T * slope.sum(0), opened)
         jacobian = c.new_zeros(steps, windows, units**2).scatter_(2, place.expand_as(by_synapse), by_synapse)
         jacobian = jacobian.view(frames, unfolds, windows, units, units)  # of v after a step [.., i, :] by v before it
         inverse = inverse.view(frames, unfolds, windows, units)
@@ -147,15 +144,13 @@ class Synapses(nn.Module):
         source, target = signs.nonzero().unbind(1)
         self.register_buffer("pre", nn.functional.one_hot(source, len(signs)).T.float())  # [P,S], source
         self.register_buffer("post", nn.functional.one_hot(target, signs.shape[1]).float())  # [S,U], target
-        self.register_buffer(
-            "place", source * signs.shape[1] + target, persistent=False
-        )  # [S], in the flattened matrix
-        count = len(source)
-        self.w = nn.Parameter(inverse_softplus(uniform(count, 0.001, 1.0)))  # before softplus
-        self.sigma = nn.Parameter(uniform(count, 3.0, 8.0))
+        # [S], in the flattened matrix
+        self.register_buffer("place", source * signs.shape[1] + target, persistent=False)
+        self.w = nn.Parameter(inverse_softplus(uniform(len(source), 0.001, 1.0)))  # before softplus
+        self.sigma = nn.Parameter(uniform(len(source), 3.0, 8.0))
         # ncps draws thresholds between .3 and .8, for inputs in [0,1]. Features and potentials here are centred at 0,
         # where such synapses are nearly closed: a plain network learned turns to one side 6 epochs before the other.
-        self.mu = nn.Parameter(uniform(count, -0.25, 0.25))
+        self.mu = nn.Parameter(uniform(len(source), -0.25, 0.25))
         self.erev = nn.Parameter(signs[source, target])  # reversal potential e, starts as the sign
 
     def matrices(self) -> tuple[Tensor, Tensor, Tensor]:

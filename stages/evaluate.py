@@ -11,8 +11,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, check_name, load
 from pipeline.evaluate.errors import interval_text
-from pipeline.evaluate.metrics import Case, columns, inputs, metrics
-from pipeline.evaluate.predictions import write_predictions
+from pipeline.evaluate.metrics import Case, columns, inputs, metrics, write_predictions
 from pipeline.graphs import graph_file
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train import predict, runs
@@ -53,7 +52,6 @@ def main(
             "parameters": sum(weights.numel() for weights in first.net.parameters()),
             "wheelbase_m": tested[0].car.wheelbase_m,
             "labels": tested[0].settings["labels"].get("source"),
-            "path_formula": settings.path,
             "columns": columns(cases["test"]),
             **inputs(tested),
             **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},

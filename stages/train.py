@@ -1,4 +1,4 @@
-"""Train one model on its graph variant: data/train/<model>/{best.pt, last.pt, curve.csv}."""
+"""Train one model on its graph variant: data/train/<model>/{best.pt, curve.csv}."""
 
 import os
 from functools import partial

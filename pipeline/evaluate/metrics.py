@@ -1,13 +1,16 @@
-"""Compute the metrics of one split, column by column, as written to metrics.json."""
+"""Compute the metrics of one split, column by column, for metrics.json; and write predictions.csv."""
 
-from collections.abc import Sequence
+import csv
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.base.atomic import replacing
 from pipeline.evaluate import decisions, errors, paths
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.settings.evaluate import Evaluate
@@ -49,16 +52,12 @@ class Case:
                 values["regression"] = scale.odometry_gain * values["odometry"]
         return values
 
-    def track(self, settings: Evaluate) -> paths.Track:
-        """Return the drive's true path, of a model that predicts the angle."""
-        return paths.Track(
-            time_s=self.drive.time_s,
-            speed_mps=self.drive.speed_mps,
-            steering_rad=np.nan_to_num(self.drive.target[:, 0]),
-            onsets=np.flatnonzero(np.isin(self.drive.frame, self.turns.frame)),
-            wheelbase_m=self.drive.car.wheelbase_m,
-            formula=settings.path,
-        )
+    @property
+    def track(self) -> paths.Track:
+        """The drive's true path, of a model that predicts the angle."""
+        drive, onsets = self.drive, np.flatnonzero(np.isin(self.drive.frame, self.turns.frame))
+        steering_rad = np.nan_to_num(drive.target[:, 0])
+        return paths.Track(drive.time_s, drive.speed_mps, steering_rad, onsets, drive.car.wheelbase_m)
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
@@ -77,7 +76,7 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
         scored = np.isfinite(values["truth"][:, number]) & np.isfinite(values["predicted"][0, :, number])
         of_column = {name: array[..., scored, number] for name, array in values.items()}
         result[column] = _scores(of_column, drive[scored], names, common, settings)
-        result[column]["drift_m_per_100m"] = _drift(cases, settings)
+        result[column]["drift_m_per_100m"] = _drift(cases)
     return result
 
 
@@ -122,11 +121,11 @@ def _scores(
     }
 
 
-def _drift(cases: Sequence[Case], settings: Evaluate) -> float | None:
+def _drift(cases: Sequence[Case]) -> float | None:
     """Return the mean over seeds of :func:`paths.drift`; None with a horizon and for a path."""
     if cases[0].drive.horizon or cases[0].drive.ahead_m:
         return None
-    tracks = [case.track(settings) for case in cases]
+    tracks = [case.track for case in cases]
     by_seed = [
         paths.drift(zip(tracks, (seed.mean[:, 0] for seed in seeds), strict=True))
         for seeds in zip(*(case.predictions for case in cases), strict=True)
@@ -160,3 +159,43 @@ def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
     points, knn, edges = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
     sizes = {"points_per_frame": points, "edges_per_frame": edges, "edges_per_frame_unpruned": knn}
     return {"variant": drives[-1].settings.get("graphs", {}), **sizes}
+
+
+def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
+    """Write one row per frame with the predictions of seed number `seed`; unknown values are empty fields.
+
+    `frame`, `time_s` and `speed_mps` are those of the last input frame, `onset` is 1 where a turn begins
+    (decisions.py). For each column C of the model, `true_C` and `predicted_C` are those `horizon` frames later,
+    `odometry_C` is measured at the last input frame, and models with uncertainty have `sigma_C`.
+    """
+    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        for number, case in enumerate(cases):
+            columns = _columns(case, seed)
+            if not number:
+                rows.writerow(columns)
+            rows.writerows(zip(*columns.values(), strict=True))
+
+
+def _columns(case: Case, seed: int) -> dict[str, Iterable[Any]]:
+    drive, predicted = case.drive, case.predictions[seed]
+    columns: dict[str, Iterable[Any]] = {
+        "drive": [drive.name] * len(drive.frame),
+        "frame": drive.frame,
+        "time_s": _text(drive.time_s, 6),
+        "speed_mps": _text(drive.speed_mps, 4),
+        "onset": np.isin(drive.frame, case.turns.frame).astype(int),
+    }
+    odometry = np.full_like(drive.truth, np.nan) if drive.odometry is None else drive.odometry
+    for number, name in enumerate(drive.columns):
+        columns[f"true_{name}"] = _text(drive.truth[:, number], 9)
+        columns[f"predicted_{name}"] = _text(predicted.mean[:, number], 6)
+        columns[f"odometry_{name}"] = _text(odometry[:, number], 6)
+        if predicted.sigma is not None:
+            columns[f"sigma_{name}"] = _text(predicted.sigma[:, number], 6)
+    return columns
+
+
+def _text(values: np.ndarray, digits: int) -> Iterator[str]:
+    """Return numbers with `digits` decimals, NaN as an empty text."""
+    return ("" if np.isnan(value) else f"{value:.{digits}f}" for value in values)

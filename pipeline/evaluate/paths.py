@@ -9,17 +9,15 @@ with rates that apply until the next frame, in 12 (tests/pipeline/evaluate/test_
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.labels import label
 
 
-@dataclass(frozen=True)
-class Track:
+class Track(NamedTuple):
     """Measured motion of a drive, F frames; angles in rad, left +."""
 
     time_s: np.ndarray
@@ -27,28 +25,12 @@ class Track:
     steering_rad: np.ndarray  # recorded
     onsets: np.ndarray  # rows at which a turn begins
     wheelbase_m: float
-    formula: Literal["bicycle", "paper"] = "bicycle"  # of label.path
 
     def path(self, steering_rad: np.ndarray, first: int, last: int) -> np.ndarray:
-        """Return the positions [last - first, 2] in metres for steering angles [F], from the true pose at row `first`.
-
-        x points ahead and y to the left at the start of the drive.
-        """
-        local = self._path(steering_rad, slice(first, last))
-        heading, start = self._heading()[first], self._path(self.steering_rad)[first]
-        rotation = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
-        return local @ rotation.T + start
-
-    def _path(self, steering_rad: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+        """Return the positions [last - first, 2] in metres for steering angles [F], from the pose at row `first`."""
         # label.path applies a frame's values to the step after it; rolled, they apply to the step before it.
-        angle, speed = (np.roll(values[rows], -1) for values in (steering_rad, self.speed_mps))
-        return label.path(angle, speed, self.time_s[rows], wheelbase_m=self.wheelbase_m, model=self.formula)
-
-    def _heading(self) -> np.ndarray:
-        if self.formula == "paper":  # the angle is the heading, so no heading accumulates
-            return np.zeros(len(self.time_s))
-        rate = self.speed_mps[1:] / self.wheelbase_m * np.tan(self.steering_rad[1:])
-        return np.concatenate([[0.0], np.cumsum(rate * np.diff(self.time_s))])
+        angle, speed = (np.roll(values[first:last], -1) for values in (steering_rad, self.speed_mps))
+        return label.path(angle, speed, self.time_s[first:last], self.wheelbase_m)
 
 
 def segments(track: Track, predicted_rad: np.ndarray) -> list[tuple[int, int]]:

@@ -5,7 +5,7 @@ surface, and the yaw rate ψ̇ the corresponding ``wu``.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -112,21 +112,15 @@ def path(
     steering_rad: np.ndarray,
     speed_mps: np.ndarray,
     time_s: np.ndarray,
-    *,
     wheelbase_m: float,
-    model: Literal["bicycle", "paper"] = "bicycle",
 ) -> np.ndarray:
-    """Return the car's positions [F,2] in metres: x ahead and y to the left of its start.
+    """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ + v/L tan Θ dt.
 
-    ``bicycle`` integrates the heading, ψ ← ψ + v/L tan Θ dt. ``paper`` is the paper's formula as printed, which takes
-    the steering angle as the heading: [x, y] ← [x, y] + v dt [cos Θ, sin Θ].
+    The paper's formula as printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle as the heading.
     """
     dt = np.diff(time_s)
     steering_rad, speed_mps = steering_rad[:-1], speed_mps[:-1]
-    if model == "bicycle":
-        turned = speed_mps / wheelbase_m * np.tan(steering_rad) * dt
-        heading = np.cumsum(turned) - turned / 2  # halfway through the step: the direction of the arc's chord
-    else:
-        heading = steering_rad
+    turned = speed_mps / wheelbase_m * np.tan(steering_rad) * dt
+    heading = np.cumsum(turned) - turned / 2  # halfway through the step: the direction of the arc's chord
     steps = (speed_mps * dt)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])

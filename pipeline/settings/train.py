@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
@@ -21,10 +21,3 @@ class Train(Section):
     rescale: Annotated[float, Field(ge=1, le=2)]
     average: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "float64"] = "auto"
-
-    @field_validator("seeds")
-    @classmethod
-    def _distinct(cls, seeds: list[Seed]) -> list[int]:
-        if len(set(seeds)) < len(seeds):
-            raise ValueError("a seed is named twice")
-        return seeds

@@ -1,40 +1,73 @@
 """Fit a steering network to the training drives, with early stopping and resume."""
 
 import copy
+import csv
 import math
 import multiprocessing
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.executors import default_workers
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, predict, reading, windows
-from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
 from pipeline.train.labelled_drive import LabelledDrive
 from pipeline.train.optimisation import autocast, warm_up_cosine
-from pipeline.train.scale import Scale, nmse
+from pipeline.train.scale import Prediction, Scale, nmse
 
 if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
 WARM_UP = 0.05  # share of the steps
+SMOOTHING = 3  # epochs
 MOTION_DROPOUT = 0.5
 """Share of the spans whose motion is hidden from a network that predicts ahead.
 
 Motion alone is a good first guess, and a network that always has it learns to use the scene late or never. In these
-spans it has to predict from the scene alone. docs/log.md has the effect.
+spans it has to predict from the scene alone. docs/results.md has the effect.
 """
+
+
+class Epoch(NamedTuple):
+    """One row of curve.csv. Without validation drives, val_nmse is NaN."""
+
+    epoch: int
+    learning_rate: float
+    train_loss: float
+    val_nmse: float
+
+
+def selected_epoch(curve: Sequence[Epoch]) -> int:
+    """Return the number of the epoch whose weights are kept; the last one without validation.
+
+    It has the lowest mean of the validation errors of this epoch and the two before, since one epoch's error is noisy.
+    """
+    errors = [row.val_nmse for row in curve]
+    means = {
+        end: math.fsum(errors[max(0, end - SMOOTHING) : end]) / min(SMOOTHING, end) for end in range(1, len(curve) + 1)
+    }
+    validated = [epoch for epoch, mean in means.items() if not math.isnan(mean)]
+    return min(validated, key=means.__getitem__, default=len(curve))
+
+
+def write_curve(path: Path, curve: Sequence[Epoch]) -> None:
+    """Write curve.csv, one row per epoch; NaN becomes an empty field."""
+    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(Epoch._fields)
+        rows.writerows(["" if math.isnan(value) else f"{value:.6g}" for value in row] for row in curve)
 
 
 class Fit:
@@ -44,8 +77,8 @@ class Fit:
     `best` holds the weights of the :func:`selected_epoch`.
     """
 
-    def __init__(self, net: "SteeringNet", entry: Entry, settings: Train, seed: int) -> None:
-        self.net, self.entry, self.settings, self.seed = net, entry, settings, seed
+    def __init__(self, net: "SteeringNet", entry: Entry, settings: Train, seed: int, scale: Scale) -> None:
+        self.net, self.entry, self.settings, self.seed, self.scale = net, entry, settings, seed, scale
         self.average = copy.deepcopy(net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in net.parameters() if parameter.ndim > 1]
@@ -59,12 +92,11 @@ class Fit:
         self,
         train: Sequence[LabelledDrive],
         val: Sequence[LabelledDrive],
-        scale: Scale,
         state: Path,
         metadata: Mapping[str, Any],
         title: str,
     ) -> None:
-        """Train until the last epoch, or until validation stops improving; results are `best` and `curve`.
+        """Train until the last epoch, or until validation stops improving; results are `best`, `curve` and `scale`.
 
         After each epoch the file `state` is written, with the run's `metadata`. If it exists, training continues from
         it, to the same result. Raises InputError if the loss is not finite.
@@ -72,44 +104,44 @@ class Fit:
         if state.is_file():
             with error_context(fix=f"Delete {state} to start again"):
                 self._resume(checkpoint.read(state, predict.KIND))
-            self._log(f"{title}: continues after epoch {len(self.curve)} of {self.settings.epochs}")
+            print(f"{title}: continues after epoch {len(self.curve)} of {self.settings.epochs}", flush=True)
         epochs, patience, dtype = self.settings.epochs, self.settings.patience, next(self.net.parameters()).dtype
-        targets = partial(step_targets, scale=scale, alpha=self.entry.alpha, mirror=self.settings.mirror, dtype=dtype)
-        readers = 0 if multiprocessing.current_process().daemon else None  # Dask's workers start no processes
-        with reading.Reader([*train, *val], self.entry.window, self.net.device, targets, readers) as reader:
-            read_val = partial(reader.predictions, first=len(train))
+        targets = partial(
+            step_targets, scale=self.scale, alpha=self.entry.alpha, mirror=self.settings.mirror, dtype=dtype
+        )
+        on_gpu = self.net.device.type == "cuda"
+        # Dask's workers start no processes.
+        processes = default_workers() if on_gpu and not multiprocessing.current_process().daemon else 0
+        with reading.Reader([*train, *val], self.entry.window, targets, processes, on_gpu) as reader:
             started, before = time.perf_counter(), len(self.curve)
-            while len(self.curve) < epochs and not out_of_patience(self.curve, patience):
-                epoch = len(self.curve) + 1
+            while (done := len(self.curve)) < epochs and done - selected_epoch(self.curve) < patience:
+                epoch = done + 1
                 loss, rate = self._train(reader, train, epoch)
                 if not math.isfinite(loss):
                     problem = f"loss of epoch {epoch} is {loss}"
                     raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
-                error = nmse(val, self._predict(val, scale, read_val)) if val else math.nan
+                error = nmse(val, self._predict(reader, val, len(train))) if val else math.nan
                 self.curve.append(Epoch(epoch, rate, loss, error))
                 selected = selected_epoch(self.curve) == epoch
                 if selected:
                     self.best = copy_weights(self.average)
-                checkpoint.write(state, {**metadata, **self._state(), "kind": predict.KIND, "epoch": epoch})
+                checkpoint.write(state, {**metadata, **self._state(), "epoch": epoch})
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
                 text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if val else ""
-                self._log(f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s")
+                # One write, as runs in parallel share the output; print writes the line's end separately.
+                line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
+                print(line, end="", flush=True)
+            if self.entry.uncertainty and val:
+                self.average.load_state_dict(self.best)
+                self.scale = self.scale.calibrated(val, self._predict(reader, val, len(train)))
 
-    def calibrate(self, val: Sequence[LabelledDrive], scale: Scale) -> Scale:
-        """Return the scale with σ fitted to the errors of the best weights."""
-        self.average.load_state_dict(self.best)
-        return scale.calibrated(val, self._predict(val, scale))
+    def _predict(self, reader: reading.Reader, val: Sequence[LabelledDrive], first: int) -> list[Prediction]:
+        """Return the average's predictions for the validation drives, which the reader numbers from `first` on."""
+        spans = windows.spans(val, self.entry.window, predict.WINDOWS)
+        batches = reader.batches([reading.Step([replace(span, drive=span.drive + first)]) for span in spans])
+        return predict.predict_spans(self.average, val, spans, batches, self.scale)
 
-    def _predict(self, drives: Sequence[LabelledDrive], scale: Scale, read: Any = None) -> Any:
-        return predict.predict_drives(self.average, drives, self.entry.window, scale, read=read)
-
-    @staticmethod
-    def _log(line: str) -> None:
-        # One write: runs in parallel share the output, and print writes the line's end separately.
-        sys.stdout.write(f"{line}\n")
-        sys.stdout.flush()
-
-    def _plan(self, drives: Sequence[LabelledDrive], epoch: int) -> list[reading.TrainStep]:
+    def _plan(self, drives: Sequence[LabelledDrive], epoch: int) -> list[reading.Step]:
         """Return the steps of an epoch.
 
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
@@ -119,10 +151,10 @@ class Fit:
         spans = windows.random_spans(drives, self.entry.window, settings.span_windows, rng)
         steps = []
         for first in range(0, len(spans), settings.batch_spans):
-            group = tuple(spans[first : first + settings.batch_spans])
+            group = spans[first : first + settings.batch_spans]
             factor = (settings.rescale ** rng.uniform(-1, 1, len(group))).astype(np.float32)
             hidden = rng.random(len(group)) < MOTION_DROPOUT if hides else None
-            steps.append(reading.TrainStep(group, factor, hidden))
+            steps.append(reading.Step(group, factor, hidden))
         return steps
 
     def _train(self, reader: reading.Reader, drives: Sequence[LabelledDrive], epoch: int) -> tuple[float, float]:
@@ -170,7 +202,7 @@ class Fit:
             "average": self.average.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "best": self.best,
-            "curve": [asdict(row) for row in self.curve],
+            "curve": [row._asdict() for row in self.curve],
         }
 
 

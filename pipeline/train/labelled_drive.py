@@ -49,10 +49,7 @@ class Timeline:
         predict: str = "angle",
         scene: str = "same",
     ) -> "Timeline":
-        """Read the times of an open graph file, and the measured motion of a `car`; other arguments as in an entry.
-
-        Raises InputError if the file has no motion.
-        """
+        """Read the times of an open graph file, and the measured motion of a `car`; other arguments as in an entry."""
         from models.steering.core.recurrent import NOMINAL_STEP_S
 
         stretches = consecutive(graphs.frame)
@@ -109,10 +106,7 @@ class LabelledDrive(Timeline):
 
 
 def read_drives(graphs: Path, labels: Path, names: Sequence[str], window: int, **reading: Any) -> list[LabelledDrive]:
-    """Read the labels of drives `names` and match them with the graphs by frame number; graphs stay on disk.
-
-    `reading` are keyword arguments of :func:`read_drive`. Raises InputError as that, or a :func:`target_fault`.
-    """
+    """Read drives with further arguments of :func:`read_drive`. Raises InputError as that, or :func:`target_fault`."""
     drives = [read_drive(graphs, labels, name, **reading) for name in names]
     if names and (fault := target_fault(drives, window)):
         raise fault
@@ -151,22 +145,21 @@ def read_drive(
     predict: str = "angle",
     scene: str = "same",
 ) -> LabelledDrive:
-    """Read one drive's labels.
+    """Read a drive's labels from a folder of graphs and one of labels, matched by frame number; graphs stay on disk.
 
-    Args:
-        graphs, labels: folders of the graph variant and of the labels.
-        horizon, motion, base, predict, scene: as in a model's entry.
-    Raises:
-        InputError: a label is missing, the file has no such motion, or the car drives and no frame is measured.
+    Further arguments are as in a model's entry. Raises InputError if a label is missing, the file has no such motion,
+    or the car drives and no frame is measured.
     """
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
     with graph_file.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
-        row_of = {int(number): row for row, number in enumerate(truth.frame)}
-        missing = [int(number) for number in file.frame if int(number) not in row_of]
-        if missing:
-            raise InputError(f"no label for frame {missing[0]} of {graphs}", labels, "Make both again: dvc repro")
-        here = np.array([row_of[int(number)] for number in file.frame], np.int64)
-        then = np.array([row_of.get(int(number) + horizon, -1) for number in file.frame], np.int64)
+        row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
+        here, then = (
+            np.array([row_of.get(number + ahead, -1) for number in file.frame.tolist()], np.int64)
+            for ahead in (0, horizon)
+        )
+        if (here < 0).any():
+            problem = f"no label for frame {file.frame[here < 0][0]} of {graphs}"
+            raise InputError(problem, labels, "Make both again: dvc repro")
         section, measured = truth.params["labels"], file.motion
         car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
         if motion != "none" and measured and not measured.valid.any() and truth["valid"][here].any():

@@ -8,11 +8,11 @@ with graph_file.open_graphs("data/graphs/semantic/2026_01_10_drive_0004.h5") as 
     steering_rad = model.predict(graphs).mean[:, 0]  # NaN without a complete window
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, windows
-from pipeline.train.labelled_drive import LabelledDrive, Timeline
+from pipeline.train.labelled_drive import Timeline
 from pipeline.train.prefetch import prefetch
 from pipeline.train.scale import Prediction, Scale
 
@@ -32,18 +32,6 @@ if TYPE_CHECKING:
 
 KIND = "steering net"  # of checkpoint
 WINDOWS = 96  # per batch of predictions; limits the memory
-
-
-class Card(NamedTuple):
-    """What a model was fitted to: names of drives, and their frame rate."""
-
-    drives: list[str]
-    fps: float
-
-    @classmethod
-    def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Card":
-        steps_s = np.concatenate([np.diff(drive.time_s) for drive in drives])
-        return cls([drive.name for drive in drives], float(1 / np.median(steps_s)))
 
 
 @dataclass(frozen=True)
@@ -58,7 +46,8 @@ class Trained:
     contents: Contents  # of the graph files it was trained on
     scale: Scale
     settings: dict[str, Any]  # section → settings that made graphs and labels of its training drives
-    card: Card
+    drives: list[str]  # of training
+    fps: float  # their frame rate
     net: "SteeringNet"
 
     @property
@@ -80,12 +69,14 @@ class Trained:
 
         Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
         """
-        entry = self.entry
+        entry, window = self.entry, self.entry.window
         if graphs.contents != self.contents:
             problem = f"model {self.name} expects {self.contents}, got {graphs.contents}"
             raise InputError(problem, graphs.path, f"Use graphs of input: {entry.input}, or train the model again")
-        timeline = Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict, entry.scene)
-        return predict_drives(self.net, [timeline], entry.window, self.scale)[0]
+        drive = [Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict, entry.scene)]
+        spans = windows.spans(drive, window, WINDOWS)
+        batches = prefetch(windows.read_batch(drive, {0: graphs}, [span], window) for span in spans)
+        return predict_spans(self.net, drive, spans, batches, self.scale)[0]
 
 
 def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
@@ -108,33 +99,31 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         content = checkpoint.read(path, KIND)
         try:
             entry, contents = Entry.model_validate(content["entry"]), Contents(**content["contents"])
-            scale, card = Scale.parse(content["scale"]), Card(**content["card"])
+            scale = Scale.parse(content["scale"])
             net = entry.build(**contents.model_dump(), outputs=len(scale.names))
-            about = {key: content[key] for key in ("name", "seed", "seeds", "fold", "settings")}
+            about = {key: content[key] for key in ("name", "seed", "seeds", "fold", "settings", "drives", "fps")}
         except (AttributeError, InputError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
         checkpoint.load_state(net, content["net"], path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
-    return Trained(**about, entry=entry, contents=contents, scale=scale, card=card, net=net)
+    return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)
 
 
-def predict_drives(
+def predict_spans(
     net: "SteeringNet",
     timelines: Sequence[Timeline],
-    window: int,
+    spans: Sequence[windows.Span],
+    batches: Iterable[Mapping[str, Any]],
     scale: Scale,
-    read: Callable[[Sequence[windows.Span]], Iterable[Mapping[str, Any]]] | None = None,
 ) -> list[Prediction]:
-    """Return the predictions for each timeline's frames. `read` yields the batches of spans; None: from the files."""
+    """Return the predictions for each timeline's frames, from :func:`windows.spans` and the batch of each span."""
     import torch
 
-    spans = windows.spans(timelines, window, WINDOWS)
-    batches: Any = read(spans) if read else prefetch(windows.batches(timelines, [[span] for span in spans], window))
     net.eval()
     with torch.inference_mode():
         outputs = [net(*net.inputs(batch)) for batch in batches]
     columns = len(scale.names) * (2 if net.uncertainty else 1)
     values = [np.full((len(timeline.frame), columns), np.nan) for timeline in timelines]
     for span, output in zip(spans, outputs, strict=True):  # after the loop, which so does not wait for a GPU
-        values[span.drive][span.start + window - 1 : span.stop] = output.double().cpu().numpy().reshape(-1, columns)
+        values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy().reshape(-1, columns)
     return [scale.decode(output, timeline.base) for output, timeline in zip(values, timelines, strict=True)]

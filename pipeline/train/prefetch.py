@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from itertools import count, takewhile
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -17,14 +18,9 @@ def prefetch(items: Generator[T], ahead: int = 2) -> Generator[T]:
     This helps where an item waits for a disk or for a library that releases Python's lock, as HDF5 and torch do.
     Closing this generator waits for the item in progress and closes `items`.
     """
-    with closing(items), ThreadPoolExecutor(1, "prefetch") as pool:
-        ready = deque(pool.submit(next, items, _END) for _ in range(ahead))
-        try:
-            while (result := ready.popleft().result()) is not _END:
-                ready.append(pool.submit(next, items, _END))
-                yield result
-        finally:
-            pool.shutdown(cancel_futures=True)
+    turns = (number for number in count())
+    with closing(items), closing(side_by_side(lambda _: next(items, _END), turns, 1, ahead)) as results:
+        yield from takewhile(lambda item: item is not _END, results)
 
 
 def side_by_side(

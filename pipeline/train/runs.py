@@ -60,10 +60,7 @@ def folds(splits: Mapping[str, str], fit_to: str, roads: int | None) -> list[Fol
 def drop_untestable(folds: Sequence[Fold], graphs: Path, labels: Path, entry: Entry) -> list[Fold]:
     """Return the folds with valid test targets, and print the others. Their test drives still train other folds.
 
-    Args:
-        graphs: folder of the variant.
-    Raises:
-        InputError: no fold is left; or as :func:`read_drive`.
+    Raises InputError if no fold is left, or as :func:`read_drive`.
     """
     testable, faults = [], []
     for fold in folds:

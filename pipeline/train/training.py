@@ -1,21 +1,19 @@
-"""Train one run, from its drives to its folder: best.pt, last.pt, curve.csv."""
+"""Train one run, from its drives to its folder: best.pt, curve.csv."""
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from models.steering.core import steering_net
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import error_context
 from pipeline.base.resume import file_hash, revision, stage_key
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, fit, predict
-from pipeline.train.curve import selected_epoch, write_curve
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.runs import Run
 from pipeline.train.scale import Scale
@@ -69,6 +67,7 @@ def fit_run(run: Run, job: Job) -> None:
     }
     files = [file_hash(path) for drive in train + val for path in (drive.graphs, drive.labels)]
     state = job.kept / f"{stage_key('train', inputs, files)}.pt"
+    steps_s = np.concatenate([np.diff(drive.time_s) for drive in train])
     metadata: dict[str, Any] = {
         "kind": predict.KIND,
         "name": job.name,
@@ -76,16 +75,14 @@ def fit_run(run: Run, job: Job) -> None:
         "contents": contents.model_dump(exclude_defaults=True),
         "scale": scale.content,
         "settings": train[0].settings,
-        "card": predict.Card.from_drives(train)._asdict(),
+        "drives": [drive.name for drive in train],
+        "fps": float(1 / np.median(steps_s)),
         "parameters": steering_net.parameter_count(net),
         "revision": revision(),
         **inputs,
     }
-    fitted = fit.Fit(net, entry, settings, run.seed)
-    fitted.run(train, val, scale, state, metadata, f"{job.name} {run}")
-    if entry.uncertainty and val:
-        metadata["scale"] = fitted.calibrate(val, scale).content
-    with replacing(run.folder / "last.pt") as tmp:
-        shutil.copyfile(state, tmp)
-    checkpoint.write(run.folder / "best.pt", {**metadata, "epoch": selected_epoch(fitted.curve), "net": fitted.best})
-    write_curve(run.folder / "curve.csv", fitted.curve)
+    fitted = fit.Fit(net, entry, settings, run.seed, scale)
+    fitted.run(train, val, state, metadata, f"{job.name} {run}")
+    best = {"scale": fitted.scale.content, "epoch": fit.selected_epoch(fitted.curve), "net": fitted.best}
+    checkpoint.write(run.folder / "best.pt", metadata | best)
+    fit.write_curve(run.folder / "curve.csv", fitted.curve)

@@ -14,15 +14,13 @@ A batch is a dict of arrays: B frames as in pipeline/graphs/graph_file.py, and f
 """
 
 from collections import defaultdict
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from pipeline.graphs import graph_file
-from pipeline.graphs.graph_file import Arrays
+from pipeline.graphs.graph_file import Arrays, Graphs, collate
 from pipeline.train.labelled_drive import LabelledDrive, Timeline
 
 
@@ -70,40 +68,20 @@ def spans(timelines: Sequence[Timeline], window: int, windows: int) -> list[Span
     ]
 
 
-def batches(
-    timelines: Sequence[Timeline],
-    groups: Sequence[Sequence[Span]],
-    window: int,
-    opened: Mapping[int, graph_file.Graphs] | None = None,
-) -> Generator[Arrays]:
-    """Read each group of spans as one batch, with targets if the timelines are drives.
+def read_batch(
+    timelines: Sequence[Timeline], files: Mapping[int, Graphs], group: Sequence[Span], window: int
+) -> Arrays:
+    """Read a group of spans as one batch, with targets if the timelines are drives.
 
-    Files stay open while the iterator lives. `opened`: timeline number → its file, if already open.
+    `files`: number of a timeline → its open graph file.
     """
-    files = dict(opened or {})
-    with ExitStack() as stack:
-        for group in groups:
-            for number in {span.drive for span in group} - files.keys():
-                files[number] = stack.enter_context(graph_file.open_graphs(timelines[number].graphs))
-            scenes = [part for span in group for part in _scenes(files[span.drive], span)]
-            yield graph_file.collate(scenes) | _windows(timelines, group, window)
-
-
-def _scenes(file: graph_file.Graphs, span: Span) -> list[tuple[graph_file.Graphs, int, int]]:
-    """Return the rows of the scenes of a span's frames, in two parts if they continue at the drive's start."""
-    frames = len(file.frame)
-    first = (span.start + span.shift) % frames
-    last = first + span.stop - span.start
-    return [(file, a, b) for a, b in ((first, min(last, frames)), (0, last - frames)) if a < b]
-
-
-def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) -> Arrays:
     columns: dict[str, list[np.ndarray]] = defaultdict(list)
+    scenes = []
     before = 0  # frames of the batch before the span
     for span in group:
-        timeline = timelines[span.drive]
+        timeline, file, length = timelines[span.drive], files[span.drive], span.stop - span.start
         rows, ends = slice(span.start, span.stop), slice(span.start + window - 1, span.stop)
-        members = np.arange(span.stop - span.start - window + 1)[:, None] + np.arange(window)  # [W,T]
+        members = np.arange(length - window + 1)[:, None] + np.arange(window)  # [W,T]
         columns["windows"].append(members + before)
         columns["dt_s"].append(timeline.dt_s[rows][members])
         columns["base"].append(timeline.base[ends].astype(np.float32))
@@ -113,5 +91,9 @@ def _windows(timelines: Sequence[Timeline], group: Sequence[Span], window: int) 
             # Targets without a label have weight 0, but 0 × NaN is NaN.
             columns["target"].append(np.nan_to_num(timeline.target[ends]).astype(np.float32))
             columns["valid"].append(timeline.valid[ends])
-        before += span.stop - span.start
-    return {name: np.concatenate(parts) for name, parts in columns.items()}
+        before += length
+        frames = len(timeline.frame)
+        first = (span.start + span.shift) % frames
+        parts = (first, min(first + length, frames)), (0, first + length - frames)  # the second continues at the start
+        scenes += [(file, start, stop) for start, stop in parts if start < stop]
+    return collate(scenes) | {name: np.concatenate(parts) for name, parts in columns.items()}

@@ -75,11 +75,11 @@ def predict(
 
 def _differences(model: Trained, source: Source, encoder: Path) -> list[str]:
     """Return where a source or an encoder differs from what the model was fitted to."""
-    texts, card = [], model.card
-    if all(drive.startswith(SAMPLE) for drive in card.drives) and not source.name.startswith(SAMPLE):
+    texts = []
+    if all(drive.startswith(SAMPLE) for drive in model.drives) and not source.name.startswith(SAMPLE):
         texts.append("it was fitted to the rendered sample alone, so expect wrong angles on real streets")
-    if source.fps and abs(source.fps / card.fps - 1) > TOLERANCE:
-        texts.append(f"it was fitted to {card.fps:.1f} frames/s, got {source.fps:.1f}")
+    if source.fps and abs(source.fps / model.fps - 1) > TOLERANCE:
+        texts.append(f"it was fitted to {model.fps:.1f} frames/s, got {source.fps:.1f}")
     if file_hash(weights_file(encoder)) != model.settings["encoder"]["sha256"]:
         texts.append(f"it was fitted to depth and classes of another encoder than {encoder}")
     return texts

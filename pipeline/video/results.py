@@ -28,7 +28,7 @@ MAX_GAP_S = 2.0  # between samples of a log that are interpolated, as by steer i
 BLOCK_S = 5.0  # errors of nearer frames are correlated
 INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
 BOOTSTRAP = Evaluate(
-    bootstrap_samples=2000, bootstrap_block_frames=1, curvature_bins_1pm=[1.0], path="bicycle", seed=0
+    bootstrap_samples=2000, bootstrap_block_frames=1, curvature_bins_1pm=[1.0], seed=0
 )  # for the interval of nmse
 DIGITS = {"driven_rad": 9, "residual": 3}  # others: 6
 

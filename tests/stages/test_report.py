@@ -12,7 +12,7 @@ from tests.pipeline.report import examples
 
 
 def run(folder: Path, *models: str) -> str:
-    settings = "{bootstrap_samples: 9, bootstrap_block_frames: 5, curvature_bins_1pm: [0.1], path: bicycle, seed: 0}"
+    settings = "{bootstrap_samples: 9, bootstrap_block_frames: 5, curvature_bins_1pm: [0.1], seed: 0}"
     entries = ", ".join(f"{model}: {{}}" for model in models)
     (folder / "params.yaml").write_text(f"models: {{{entries}}}\nevaluate: {settings}\n")
     assert report.main(folder, folder / "report", folder / "params.yaml") == folder / "report"

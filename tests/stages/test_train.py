@@ -6,6 +6,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -37,7 +38,7 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder: Path) -
     errors = [float(row.split(",")[-1]) for row in rows]
     smoothed = [np.mean(errors[max(0, end - 3) : end]) for end in range(1, 9)]
     assert best["epoch"] == 1 + int(np.argmin(smoothed))
-    assert {path.name for path in trained.iterdir()} >= {"best.pt", "last.pt", "curve.csv"}
+    assert {path.name for path in trained.iterdir()} >= {"best.pt", "curve.csv"}
 
 
 @pytest.mark.parametrize("predicted", ["angle", "path"])
@@ -105,16 +106,15 @@ def test_other_networks_and_inputs(
 
 def test_mirror_trains_the_same_on_a_mirrored_data_set(folder: Path) -> None:
     write_params(folder, {"equivariant": False}, mirror=True, precision="float64", epochs=2)
-    curves = [load(run_train(folder) / "last.pt")["curve"]]
+    curves = [pd.read_csv(run_train(folder) / "curve.csv")]
     for drive in SPLITS:
         with h5py.File(folder / f"graphs/semantic/{drive}.h5", "a") as file:
             file["xyz"][:, 0] = -file["xyz"][:, 0]
         with h5py.File(folder / f"labels/{drive}.h5", "a") as file:
             file["steering_rad"][:] = -file["steering_rad"][:]
-    curves.append(load(run_train(folder) / "last.pt")["curve"])
-    losses = [[row["train_loss"] for row in curve] for curve in curves]
-    assert losses[0] == pytest.approx(losses[1], rel=1e-9)
-    assert curves[0][1]["val_nmse"] != pytest.approx(curves[1][1]["val_nmse"], rel=1e-3)  # the network is not symmetric
+    curves.append(pd.read_csv(run_train(folder) / "curve.csv"))
+    assert (curves[0]["train_loss"] == curves[1]["train_loss"]).all()  # six digits
+    assert (curves[0]["val_nmse"] != curves[1]["val_nmse"]).all()  # the network is not symmetric
 
 
 def test_mirrored_drives_give_the_mirrored_path(folder: Path) -> None:

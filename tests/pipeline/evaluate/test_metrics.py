@@ -119,7 +119,7 @@ def test_scores_by_hand() -> None:
 
 def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> list[float]:
     """Return the interval for errors [N] or [S,N] in rad."""
-    general = {"curvature_bins_1pm": [0.1], "path": "bicycle", "seed": 0}
+    general = {"curvature_bins_1pm": [0.1], "seed": 0}
     settings = Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, **general)
     return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings)
 
@@ -215,9 +215,7 @@ def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
     steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)
     hard = np.repeat(rng.uniform(0, 1, 12), 50)  # both err on the same roads
     one, other = (hard * rng.normal(size=(2, 600)) * size for size in (0.5, 0.55))
-    settings = Evaluate(
-        bootstrap_block_frames=50, bootstrap_samples=500, curvature_bins_1pm=[0.1], path="bicycle", seed=0
-    )
+    settings = Evaluate(bootstrap_block_frames=50, bootstrap_samples=500, curvature_bins_1pm=[0.1], seed=0)
     difference = (one**2 - other**2).mean(axis=0)
     low, high = errors.interval(difference, steering, drive, settings)
     alone = interval(steering, one, drive, 50, 500)

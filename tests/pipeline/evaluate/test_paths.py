@@ -23,20 +23,6 @@ def track(steering_rad: float | np.ndarray, *onsets: int) -> Track:
     return Track(TIME_S, np.full(STEPS, 10.0), angles, np.array(onsets, int), wheelbase_m=2.7)
 
 
-def test_a_path_starts_at_the_true_pose() -> None:
-    bend = track(0.1)
-    whole = bend.path(bend.steering_rad, 0, STEPS)
-    np.testing.assert_allclose(bend.path(bend.steering_rad, 40, 70), whole[40:70], atol=1e-9)
-    # A circle of radius L / tan Θ, to the left.
-    radius = 2.7 / np.tan(0.1)
-    np.testing.assert_allclose(np.hypot(whole[:, 0], whole[:, 1] - radius), radius, rtol=1e-3)
-    straight = bend.path(np.zeros(STEPS), 40, 70)
-    ahead = np.diff(straight, axis=0)
-    assert np.allclose(ahead, ahead[0])
-    turned = 40 * np.tan(0.1) / 2.7
-    np.testing.assert_allclose(ahead[0], [np.cos(turned), np.sin(turned)], atol=1e-9)
-
-
 def test_segments_end_at_onsets_and_missing_predictions() -> None:
     predicted = np.zeros(STEPS)
     predicted[:7] = predicted[50] = predicted[99] = np.nan
@@ -60,9 +46,6 @@ def test_a_step_uses_speed_and_angle_of_its_end() -> None:
     path = Track(time_s, speed, angles, none, wheelbase_m=2.7).path(angles, 0, 3)
     turned = 2.0 / 2.7 * np.tan(0.1)
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [1 + 2 * np.cos(turned / 2), 2 * np.sin(turned / 2)]])
-    # The paper's formula: the angle is the heading.
-    path = Track(time_s, speed, angles, none, wheelbase_m=2.7, formula="paper").path(angles, 0, 3)
-    np.testing.assert_allclose(path, [[0, 0], [1, 0], [1 + 2 * np.cos(0.1), 2 * np.sin(0.1)]])
 
 
 @pytest.mark.slow

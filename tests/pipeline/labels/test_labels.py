@@ -1,7 +1,6 @@
 """The steering label, paths, the path ahead of simulated drives, and errors of one source against another."""
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -43,18 +42,11 @@ def test_constant_steering_drives_a_circle(radius: float, speed: float) -> None:
     np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
 
 
-@pytest.mark.parametrize("model", ["bicycle", "paper"])
-def test_mirrored_steering_drives_the_mirrored_path(model: Literal["bicycle", "paper"]) -> None:
+def test_mirrored_steering_drives_the_mirrored_path() -> None:
     rng = np.random.default_rng(0)
     angle, speed, time_s = rng.normal(0, 0.2, 30), rng.uniform(0, 10, 30), np.cumsum(rng.uniform(0.08, 0.12, 30))
-    left, right = (label.path(sign * angle, speed, time_s, wheelbase_m=L, model=model) for sign in (1, -1))
+    left, right = (label.path(sign * angle, speed, time_s, L) for sign in (1, -1))
     np.testing.assert_allclose(left * [1, -1], right, atol=1e-12)
-
-
-def test_paper_model_is_its_formula() -> None:
-    """With constant steering the paper's path is a straight line, as the angle is the heading."""
-    xy = label.path(np.full(3, 0.2), np.array([5.0, 10, 0]), np.array([0.0, 0.1, 0.3]), wheelbase_m=L, model="paper")
-    np.testing.assert_allclose(xy, np.array([[0.0], [0.5], [2.5]]) * [np.cos(0.2), np.sin(0.2)])
 
 
 def test_measured_angle_repeats_where_motion_is_unusable() -> None:

@@ -53,7 +53,7 @@ def metrics(
         test["steering_rad"]["drift_m_per_100m"] = 3.0
     return {
         "model": model, "entry": ENTRY | entry, "seeds": [0], "parameters": 9259, "wheelbase_m": 2.71,
-        "labels": "oxts", "path_formula": "bicycle", "variant": {"k": 6, "keep_inter_class": 0.2},
+        "labels": "oxts", "variant": {"k": 6, "keep_inter_class": 0.2},
         "points_per_frame": 1000.0, "edges_per_frame": 5160.0, "edges_per_frame_unpruned": 6000.0,
         "columns": columns, "val": None,
         "train": {column: scores(nmse and nmse / 2, **odometry or {}) for column in columns},

@@ -12,7 +12,7 @@ from pipeline.settings.evaluate import Evaluate
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics
 
-SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, curvature_bins_1pm=[0.1], path="bicycle", seed=0)
+SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, curvature_bins_1pm=[0.1], seed=0)
 MOTION = {
     "drives": 2, "frames": 153, "valid": 0.99, "judged": 140, "yaw_rmse_degps": 0.16, "yaw_median_degps": 0.11,
     "speed_ratio": 0.977, "nmse": 0.0005,

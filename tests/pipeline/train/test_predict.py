@@ -11,7 +11,7 @@ from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, predict, runs, windows
-from pipeline.train.curve import Epoch, out_of_patience, selected_epoch
+from pipeline.train.fit import Epoch, selected_epoch
 from pipeline.train.labelled_drive import Timeline
 from tests import artefacts
 
@@ -28,7 +28,7 @@ def write_model(folder: Path, **entry: object) -> Path:
     scale = {"names": ["steering_rad"], "gain": [1.0], "std": [0.12], "mean": [0.01], "odometry_gain": None}
     content = {"kind": predict.KIND, "name": "net", "seed": 0, "seeds": [0], "fold": None, "scale": scale}
     content |= {"contents": {"kind": "graph"}, "entry": model.model_dump(mode="json"), "settings": artefacts.LABELS}
-    content |= {"card": {"drives": ["a"], "fps": 10.0}, "net": model.build("graph").state_dict()}
+    content |= {"drives": ["a"], "fps": 10.0, "net": model.build("graph").state_dict()}
     checkpoint.write(folder / "best.pt", content)
     return folder
 
@@ -53,7 +53,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path: Path, driv
                 assert np.isnan(steering_rad[row])
                 continue
             span = windows.Span(0, row - WINDOW + 1, row + 1)
-            (batch,) = windows.batches([timeline], [[span]], WINDOW, {0: graphs})
+            batch = windows.read_batch([timeline], {0: graphs}, [span], WINDOW)
             with torch.inference_mode():
                 assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
@@ -195,16 +195,13 @@ def test_roads_are_the_first_training_drives() -> None:
 
 
 @pytest.mark.parametrize(
-    ("nmse", "selected", "patience"),
+    ("nmse", "selected"),
     [
-        ((0.9, 0.3, 0.8, 0.5, 0.4, 0.41, 0.7), 6, 1),  # the least mean of three, not the lucky second
-        ((0.9, 0.8, NOTHING), 2, 1),
-        ((NOTHING, NOTHING), 2, 0),  # without validation the last
-        ((), 0, 0),
+        ((0.9, 0.3, 0.8, 0.5, 0.4, 0.41, 0.7), 6),  # the least mean of three, not the lucky second
+        ((0.9, 0.8, NOTHING), 2),
+        ((NOTHING, NOTHING), 2),  # without validation the last
+        ((), 0),
     ],
 )
-def test_the_kept_epoch(nmse: tuple[float, ...], selected: int, patience: int) -> None:
-    curve = [Epoch(number, 0.1, 0.1, error) for number, error in enumerate(nmse, start=1)]
-    assert selected_epoch(curve) == selected
-    assert out_of_patience(curve, patience)
-    assert not out_of_patience(curve, patience + 1)
+def test_the_kept_epoch(nmse: tuple[float, ...], selected: int) -> None:
+    assert selected_epoch([Epoch(number, 0.1, 0.1, error) for number, error in enumerate(nmse, start=1)]) == selected

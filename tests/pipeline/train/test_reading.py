@@ -2,10 +2,8 @@
 
 import threading
 import time
-from collections.abc import Generator, Iterator, Sequence
-from functools import partial
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +12,10 @@ import yaml
 
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import augment, fit, predict, windows
+from pipeline.train import fit, windows
 from pipeline.train.labelled_drive import LabelledDrive, read_drives
 from pipeline.train.prefetch import prefetch, side_by_side
-from pipeline.train.reading import Reader, TrainStep
+from pipeline.train.reading import Reader, Step, rescale
 from pipeline.train.scale import Scale
 from tests import artefacts, small_model
 
@@ -29,50 +27,19 @@ def drives(tmp_path: Path) -> list[LabelledDrive]:
     return read_drives(tmp_path / "graphs/semantic", tmp_path / "labels", list(splits), 4)
 
 
-def planned(seed: int) -> list[TrainStep]:
-    rng = np.random.default_rng(seed)
-    steps = []
-    for number in range(6):
-        runs = tuple(windows.Span(drive, start, start + 9) for drive, start in ((number % 2, number), (1, 2 * number)))
-        factor = rng.uniform(0.8, 1.2, 2).astype(np.float32)
-        steps.append(TrainStep(runs, factor))
-    return steps
-
-
-def expected_batch(drives: Sequence[LabelledDrive], step: TrainStep) -> dict[str, np.ndarray]:
-    (batch,) = windows.batches(drives, [step.spans], 4)
-    return augment.rescale(batch, np.repeat(step.factor, 9))
-
-
-def same(read: dict[str, Any], expected: dict[str, np.ndarray]) -> None:
-    assert read.keys() == expected.keys()
-    for name, tensor in read.items():
-        assert isinstance(tensor, torch.Tensor)
-        np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
-
-
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_batches_equal_the_reference(drives: list[LabelledDrive], workers: int) -> None:
-    with Reader(drives, 4, torch.device("cpu"), workers=workers) as reader:
-        for epoch in range(2):  # with the same processes
-            steps = planned(epoch)
+def test_batches_are_the_same_with_each_reader(drives: list[LabelledDrive], workers: int) -> None:
+    groups = [(windows.Span(n % 2, n, n + 9), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
+    factors = np.random.default_rng(0).uniform(0.8, 1.2, (6, 2)).astype(np.float32)
+    steps = [Step(group, factor) for group, factor in zip(groups, factors, strict=True)]
+    with Reader(drives, 4, dict) as alone, Reader(drives, 4, dict, workers) as reader:
+        for _ in range(2):  # with the same processes
             for step, batch in zip(steps, reader.batches(steps), strict=True):
-                same(batch, expected_batch(drives, step))
-
-
-@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_predictions_are_the_same_with_each_reader(drives: list[LabelledDrive], workers: int) -> None:
-    torch.manual_seed(0)
-    entry = Entry.model_validate(
-        {"input": "semantic", "spatial": "gnn", "temporal": "lstm", "window": 4, "semantics": 0.0}
-    )
-    net, scale = entry.build("graph"), Scale.from_drives(drives)
-    (expected,) = predict.predict_drives(net, drives[1:], 4, scale)
-    with Reader(drives, 4, torch.device("cpu"), workers=workers) as reader:
-        read = partial(reader.predictions, first=1)
-        (predicted,) = predict.predict_drives(net, drives[1:], 4, scale, read=read)
-    np.testing.assert_array_equal(predicted.mean, expected.mean, strict=True)
-    assert np.isfinite(predicted.mean).any()
+                arrays = {name: tensor.numpy() for name, tensor in alone[Step(step.spans)].items()}
+                expected = rescale(arrays, np.repeat(step.factor, 9))
+                assert batch.keys() == expected.keys()
+                for name, tensor in batch.items():
+                    np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
 
 
 def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[LabelledDrive], tmp_path: Path) -> None:
@@ -82,8 +49,8 @@ def test_hidden_motion_is_not_measured_and_has_no_base(drives: list[LabelledDriv
     folders = tmp_path / "graphs/semantic", tmp_path / "labels"
     moving = read_drives(*folders, names, 4, horizon=5, motion="visual")
     runs = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
-    with Reader(moving, 4, torch.device("cpu"), workers=0) as reader:
-        shown, half = reader[TrainStep(runs)], reader[TrainStep(runs, hide_motion=np.array([False, True]))]
+    with Reader(moving, 4, dict) as reader:
+        shown, half = reader[Step(runs)], reader[Step(runs, hide_motion=np.array([False, True]))]
     assert (shown["base"] != 0).all()
     assert (shown["motion"][:, 3] == 1).all()
     for name in ("motion", "base"):
@@ -102,9 +69,8 @@ def test_motion_is_hidden_from_half_of_the_runs_if_the_target_lies_ahead(
     line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
     entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
-    fitting = fit.Fit(entry.build("graph"), entry, settings, seed=0)
-    steps = fitting._plan(drives, epoch=1)
-    hidden = [step.hide_motion for step in steps if step.hide_motion is not None]
+    fitting = fit.Fit(entry.build("graph"), entry, settings, 0, Scale.from_drives(drives))
+    hidden = [step.hide_motion for step in fitting._plan(drives, epoch=1) if step.hide_motion is not None]
     assert bool(hidden) == hides
     assert not hides or 0.3 < np.concatenate(hidden).mean() < 0.7
 

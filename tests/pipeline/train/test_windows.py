@@ -1,5 +1,7 @@
 """Drives with their targets, spans of windows, batches against single frames, and their augmentation."""
 
+from collections.abc import Sequence
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, collate, open_graphs
-from pipeline.train import augment, windows
+from pipeline.train import reading, windows
 from pipeline.train.labelled_drive import LabelledDrive, consecutive, read_drives
 from tests import artefacts
 
@@ -38,6 +40,12 @@ def read(folder: Path, window: int = 8, **reading: object) -> list[LabelledDrive
     return read_drives(folder / "graphs/semantic", folder / "labels", list(DRIVES), window, **reading)
 
 
+def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: int = 8) -> Arrays:
+    with ExitStack() as stack:
+        files = {span.drive: stack.enter_context(open_graphs(drives[span.drive].graphs)) for span in group}
+        return windows.read_batch(drives, files, group, window)
+
+
 def test_consecutive_frames_end_at_a_gap() -> None:
     assert consecutive(np.array([3, 4, 5, 9, 10, 12])) == ((0, 3), (3, 5), (5, 6))
     assert consecutive(np.array([], int)) == ()
@@ -55,7 +63,7 @@ def test_spans_cover_each_window_once(original: Path) -> None:
 def test_batch_of_two_spans_equals_single_frames(original: Path) -> None:
     drives = read(original)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
-    (batch,) = windows.batches(drives, [group], 8)
+    batch = read_batch(drives, *group)
     assert batch["windows"].shape == batch["dt_s"].shape == (4 + 2, 8)
     assert batch["windows"][3:5].tolist() == [[*range(3, 11)], [*range(11, 19)]]
     frame = 0
@@ -91,7 +99,7 @@ def test_target_is_the_label_horizon_frames_ahead(folder: Path) -> None:
         assert drive.valid[row, 0] == (known and bool(valid[ahead[int(number)]]))
         assert drive.target[row, 0] == pytest.approx(steering[ahead[int(number)]] if known else np.nan, nan_ok=True)
         assert np.isnan(drive.curvature_1pm[row, 0]) != known
-    (batch,) = windows.batches([drive], [[windows.Span(0, 0, 10)]], 4)  # windows end at frames 3 to 9
+    batch = read_batch([drive], windows.Span(0, 0, 10), window=4)  # windows end at frames 3 to 9
     assert batch["target"][:, 0] == pytest.approx([0.08, 0.09, 0.0, 0.10, 0.11, 0.12, 0.13])  # no NaN, but not valid
     assert batch["valid"][:, 0].tolist() == [True, True, False, True, True, True, True]
 
@@ -108,7 +116,7 @@ def test_motion_and_base_of_a_batch(folder: Path) -> None:
     assert drives[0].base == pytest.approx(held, abs=1e-6)
     assert without[0].odometry[:, 0] == pytest.approx(np.r_[np.nan, held[1:]], abs=1e-6, nan_ok=True)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
-    (batch,), (plain,), (unbased,) = (windows.batches(each, [group], 8) for each in (drives, without, no_base))
+    batch, plain, unbased = (read_batch(read, *group) for read in (drives, without, no_base))
     assert batch["motion"].shape == (11 + 9, 4)
     assert batch["motion"].dtype == batch["base"].dtype == np.float32
     assert (batch["base"] == batch["motion"][batch["windows"][:, -1], 0]).all()
@@ -127,7 +135,7 @@ def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(or
     (drive,), (control,) = (read_drives(*folders, [name], 8, scene=scene) for scene in ("same", "another"))
     with open_graphs(drive.graphs) as graphs:
         for span, moved in zip(windows.spans([drive], 8, 5), windows.spans([control], 8, 5), strict=True):
-            (batch,), (other,) = windows.batches([drive], [[span]], 8), windows.batches([control], [[moved]], 8)
+            batch, other = read_batch([drive], span), read_batch([control], moved)
             rows = ((np.arange(span.start, span.stop) + 11) % 23).tolist()
             frames = [collate([(graphs, row, row + 1)]) for row in rows]
             assert batch.keys() == other.keys()
@@ -155,23 +163,22 @@ EDGES_M = [0.0, 5.0, 10.0, 20.0]
 TWICE = np.repeat(np.array([2.0, 1.0], np.float32), [10, 9])  # of the frames of two spans
 
 
-def read_batch(folder: Path, predict: str, write: object = artefacts.write_graphs) -> Arrays:
+def scaled_batch(folder: Path, predict: str, write: object = artefacts.write_graphs) -> Arrays:
     """Return two spans of ten and nine frames with motion, and three and two windows."""
     artefacts.write_dataset(folder, DRIVES, frames=40, points=40, write=write, ahead_m=EDGES_M)
     for name in DRIVES:
         artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 40))
     folders = folder / "graphs/semantic", folder / "labels"
     drives = read_drives(*folders, list(DRIVES), 8, motion="visual", predict=predict)
-    (batch,) = windows.batches(drives, [[windows.Span(0, 0, 10), windows.Span(1, 1, 10)]], 8)
-    return batch
+    return read_batch(drives, windows.Span(0, 0, 10), windows.Span(1, 1, 10))
 
 
 @pytest.mark.parametrize("write", [artefacts.write_graphs, artefacts.write_sets, artefacts.write_images])
 @pytest.mark.parametrize("predict", ["angle", "path"])
 def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path: Path, predict: str, write: object) -> None:
-    batch = read_batch(tmp_path, predict, write)
+    batch = scaled_batch(tmp_path, predict, write)
     path = predict == "path"
-    scaled = augment.rescale(batch, TWICE, EDGES_M if path else ())
+    scaled = reading.rescale(batch, TWICE, EDGES_M if path else ())
     if "image" in batch:  # a larger world gives the same image
         assert all((scaled[key] == batch[key]).all() for key in batch)
         return
@@ -193,7 +200,7 @@ def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_cour
     factor: float, values: list[float]
 ) -> None:
     curvature = np.array([values])
-    path, known = augment.scale_path(curvature, np.ones((1, 3), bool), EDGES_M, np.array([factor]))
+    path, known = reading.scale_path(curvature, np.ones((1, 3), bool), EDGES_M, np.array([factor]))
     step = (np.arange(20_000) + 0.5) / 1000  # distances in the scaled world, metres
     course = curvature[0, np.clip(np.searchsorted(EDGES_M, step / factor) - 1, 0, 2)] / factor
     for number, (near, far) in enumerate(pairwise(EDGES_M)):
@@ -204,6 +211,6 @@ def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_cour
 
 def test_a_range_that_overlaps_an_unknown_one_is_unknown() -> None:
     path, valid = np.full((2, 3), 0.01, np.float32), np.array([[True, True, False], [False, True, True]])
-    scaled, known = augment.scale_path(path, valid, EDGES_M, np.array([0.9, 1.25], np.float32))
+    scaled, known = reading.scale_path(path, valid, EDGES_M, np.array([0.9, 1.25], np.float32))
     assert known.tolist() == [[True, False, False], [False, False, True]]
     np.testing.assert_allclose(scaled, np.where(known, 0.01 / np.array([[0.9], [1.25]]), 0), rtol=1e-6)

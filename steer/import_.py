@@ -86,14 +86,13 @@ def import_recording(
     log = read_motion(motion, offset) if motion else None
     angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
     opened = open_recording(recording, fps, times)
-    if not opened.has_times:
+    if opened.fps is None and opened.times_s is None:
         raise InputError("images have no times", recording, "Pass --fps N, or --times FILE")
     camera = pinhole(opened.size, calib=calib, fov_deg=fov, K=k)
     if distortion:
         opened.straighten = undistortion(camera, distortion)
     camera = dataclasses.replace(camera, horizon=find_horizon(opened.frames(), camera) if horizon is None else horizon)
     work = Import(opened, camera, log, angles, max_gap, start, math.inf if end is None else end)
-    work.check_overlap()
     summary = work.write(out, drive, shares, replace=replace, visible=output.visible)
     labels = "oxts" if log else "wheel" if angles else "visual"
     if preset:

@@ -101,7 +101,7 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
     assert (run / "data/raw").resolve() == checkout / "data/raw"
     assert (run / "weights").resolve() == checkout / "weights"
     assert (checkout / "data/report/kitti.md").read_text() == "| kitti |\n"
-    assert all((checkout / f"data/report/kitti.{kind}").is_file() for kind in ("csv", "html"))
+    assert all((checkout / f"data/report/kitti.{kind}").is_file() for kind in ("md", "html"))
     assert (checkout / "params.yaml").read_text() == params
     first = ["init --quiet --no-scm", "config cache.type hardlink,copy", "cache dir ../../.dvc/cache", "repro"]
     assert (checkout / "calls").read_text().splitlines() == first

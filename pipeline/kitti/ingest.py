@@ -85,7 +85,12 @@ def ingest_drive(
             raise InputError("recording has no frames", drive)
         file.put("frame", np.array(numbers, np.int32))
         file.put("time_s", np.array(times_s), "s")
-        _put_motion(file, numbers, oxts or {}, recorded)
+        if oxts:
+            file.put("oxts", np.array([oxts[number] for number in numbers]), "as KITTI's oxts/dataformat.txt")
+        if recorded:
+            angles = [recorded.get(number, 0.0) for number in numbers]
+            file.put("steering_rad", np.array(angles), "rad, left positive")
+            file.put("has_steering", np.array([number in recorded for number in numbers], np.uint8))
         if camera and crop:
             write_camera(file, camera.cropped(crop).scaled(size))
         file.put_pointers("lidar_ptr", points, "rows of lidar")
@@ -104,17 +109,6 @@ def _row(name: str, pixels: np.ndarray | None, crop: Crop | None, size: Size) ->
     if name == "image":
         return np.zeros((*size, 3), np.uint8)
     return np.zeros(size, np.uint16) if name == "depth" else np.full(size, VOID, np.uint8)
-
-
-def _put_motion(
-    file: DriveWriter, numbers: Sequence[int], oxts: Mapping[int, np.ndarray], steering_rad: Mapping[int, float]
-) -> None:
-    """Write packets and recorded angles of the frames, if there are any."""
-    if oxts:
-        file.put("oxts", np.array([oxts[number] for number in numbers]), "as KITTI's oxts/dataformat.txt")
-    if steering_rad:
-        file.put("steering_rad", np.array([steering_rad.get(number, 0.0) for number in numbers]), "rad, left positive")
-        file.put("has_steering", np.array([number in steering_rad for number in numbers], np.uint8))
 
 
 def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:

@@ -37,31 +37,6 @@ def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
     return rows
 
 
-def level_columns(
-    xy_m: np.ndarray, heading_rad: np.ndarray, speed_mps: np.ndarray, forward_mps2: np.ndarray, left_mps2: np.ndarray,
-    yaw_rate_radps: np.ndarray, latitude_deg: float, longitude_deg: float,
-) -> dict[str, np.ndarray | float]:  # fmt: skip
-    """Return the columns of F rows for a car that moves in the plane without side slip.
-
-    `xy_m` [F,2]: east and north; `heading_rad`: counter-clockwise from east; latitude and longitude of the first row.
-    Others follow from the tangent plane there, which agrees with KITTI's Mercator formula to millimetres over a drive.
-    """
-    east_m, north_m = (xy_m - xy_m[0]).T
-    return {
-        "lat": latitude_deg + np.rad2deg(north_m / EARTH_RADIUS_M),
-        "lon": longitude_deg + np.rad2deg(east_m / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
-        "yaw": np.arctan2(np.sin(heading_rad), np.cos(heading_rad)),
-        "vn": speed_mps * np.sin(heading_rad),
-        "ve": speed_mps * np.cos(heading_rad),
-        "vf": speed_mps,
-        "af": forward_mps2,
-        "al": left_mps2,
-        "au": GRAVITY_MPS2,
-        "wz": yaw_rate_radps,
-        "wu": yaw_rate_radps,
-    }
-
-
 def format_packet(row: np.ndarray) -> bytes:
     """Return the content of a packet's file for a row [30]."""
     words = [f"{value:.13g}" for value in row[:_COUNTS]] + [f"{value:.0f}" for value in row[_COUNTS:]]
@@ -69,20 +44,13 @@ def format_packet(row: np.ndarray) -> bytes:
 
 
 def format_times(time_s: np.ndarray, date: str, start_s: float) -> bytes:
-    """Return the content of ``timestamps.txt`` for times [F] in seconds; 0 is `start_s` after midnight of `date`.
-
-    Args:
-        date: for instance 2026_01_01.
-    """
+    """Return ``timestamps.txt`` for times [F] in seconds; 0 is `start_s` after midnight of `date`, e.g. 2026_01_01."""
     stamps = np.datetime64(date.replace("_", "-"), "ns") + np.rint((start_s + time_s) * 1e9).astype("timedelta64[ns]")
     return "".join(f"{stamp}\n".replace("T", " ") for stamp in stamps).encode("ascii")
 
 
 def read_row(path: Path) -> np.ndarray:
-    """Return one packet, float64 [30] in the order of :data:`COLUMNS`. Raises DamagedFile.
-
-    pykitti's ``load_oxts_packets_and_poses`` accepts NaN and does not name the file that is short.
-    """
+    """Return one packet, float64 [30] in the order of :data:`COLUMNS`. Raises DamagedFile."""
     words = path.read_text("ascii", errors="replace").split()
     if len(words) != len(COLUMNS):
         raise DamagedFile(f"expected {len(COLUMNS)} oxts columns, got {len(words)}", path)
@@ -129,10 +97,7 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
 
 
 def read_steering(path: Path) -> dict[int, float]:
-    """Return frame number → angle of the front wheels in rad, left positive.
-
-    Raises InputError for a missing column, frame numbers that do not increase, or an implausible angle.
-    """
+    """Return frame number → angle of the front wheels in rad, left positive. Raises InputError."""
     expected = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
     frame, steering_rad = read_columns(path, STEERING_COLUMNS, (), expected).values()
     check_frames(frame, path)

@@ -6,17 +6,18 @@ four cameras.
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.atomic import replacing
 from pipeline.base.errors import DamagedFile, InputError, closest, error_context
 from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
+from pipeline.camera.images import Size
 from pipeline.camera.mount import camera_height
-from pipeline.kitti.calibration import matrix, projection, read_entries
 from pipeline.kitti.oxts import STEERING
 
 HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
@@ -24,6 +25,7 @@ MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 _LOWEST_DEG = -20.0
+_FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
 _EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
 
@@ -36,6 +38,8 @@ class KittiDrive:
         self.calibration = folder.parent
         self.oxts = _frames(folder / "oxts" / "data", ".txt")
         self.scans = _frames(folder / "velodyne_points" / "data", ".bin")
+        self.oxts_times = folder / "oxts" / "timestamps.txt"
+        self.steering = folder / STEERING if (folder / STEERING).is_file() else None  # KITTI itself has none
         # Beside KITTI's own folders, written by stage sample: dense depth and classes of camera 2.
         self.truth_depth = _frames(folder / "truth" / "depth", ".png")
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
@@ -55,16 +59,6 @@ class KittiDrive:
         if not path.is_file():
             return camera
         return replace(camera, horizon=float(matrix(read_entries(path), f"horizon_{number:02d}", (1,), path)[0]))
-
-    @property
-    def oxts_times(self) -> Path:
-        return self.folder / "oxts" / "timestamps.txt"
-
-    @property
-    def steering(self) -> Path | None:
-        """Recorded steering angles, which KITTI itself lacks; None without."""
-        path = self.folder / STEERING
-        return path if path.is_file() else None
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the frames of the drive and the file with their times: frames with an oxts packet.
@@ -165,3 +159,57 @@ def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, t
     return T
+
+
+def read_entries(path: Path) -> dict[str, np.ndarray]:
+    """Return name → numbers [n], read by ``pykitti.utils.read_calib_file``. Raises InputError."""
+    from pykitti.utils import read_calib_file  # takes a second to import
+
+    if not path.is_file():
+        raise InputError("file is missing", path)
+    try:
+        return dict(read_calib_file(path))
+    except ValueError as error:
+        raise InputError(f"is not a calibration file ({error})", path) from error
+
+
+def matrix(entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
+    """Return entry `name` of the file at `path` in this shape. Raises InputError."""
+    if name not in entries:
+        raise InputError(f"has no entry {name}", path)
+    values = entries[name]
+    if values.size != np.prod(shape) or not np.isfinite(values).all():
+        raise InputError(f"{name}: expected {np.prod(shape)} finite numbers, got {values}", path)
+    return values.reshape(shape)
+
+
+def projection(entries: Mapping[str, np.ndarray], number: int, path: Path) -> tuple[np.ndarray, Size]:
+    """Return P_rect [3,4] of a rectified camera and its image size (H, W). Raises InputError."""
+    P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
+    width, height = np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
+    check_pinhole(P[:, :3], (height, width), f"{path}: P_rect_{number:02d}")
+    return P, (height, width)
+
+
+def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
+    """Raise InputError if K [3,3] is implausible for images of `size` (H, W): focal length, centre, skew."""
+    height, width = size
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
+    if not (focal and 0 <= cx <= width and 0 <= cy <= height and np.allclose(K, pinhole, atol=1e-3)):
+        raise InputError(
+            f"implausible intrinsics: focal lengths {fx:g}, {fy:g} (expected 1 to {_FOCAL_PER_WIDTH * width:g}), "
+            f"centre {cx:g}, {cy:g} (expected within {width} x {height} pixels)",
+            where,
+        )
+
+
+def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:
+    """Write the entries in one step: text unchanged, numbers with 13 digits."""
+    lines = []
+    for name, value in entries.items():
+        text = value if isinstance(value, str) else " ".join(f"{number:.12e}" for number in value.ravel())
+        lines.append(f"{name}: {text}\n")
+    with replacing(path) as tmp:
+        tmp.write_text("".join(lines), encoding="ascii")

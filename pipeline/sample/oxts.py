@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.kitti.oxts import GRAVITY_MPS2, format_packet, format_times, level_columns, make_rows
+from pipeline.kitti.oxts import EARTH_RADIUS_M, GRAVITY_MPS2, format_packet, format_times, make_rows
 from pipeline.sample.motion import Journey
 from pipeline.sample.rig import rotation
 from pipeline.sample.route import IMU_HEIGHT_M
@@ -24,7 +24,10 @@ def record(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[
 
 
 def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np.ndarray:
-    """Return oxts packets [F,30] for a level road on which the car's body moves."""
+    """Return oxts packets [F,30] for a level road on which the car's body moves.
+
+    Places follow from the first frame's tangent plane, which agrees with KITTI's Mercator formula to millimetres.
+    """
     route, motion, body = journey.route, journey.motion, journey.body
     v, a, roll, pitch = motion.speed_mps, motion.acceleration_mps2, body.roll_rad, body.pitch_rad
     sideways = v**2 * route.curvature(motion.s_m)
@@ -35,9 +38,14 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     ax, ay, az = np.stack([R.T @ row for R, row in zip(tilts, level, strict=True)]).T
     roll_rate, pitch_rate, climb = (_rate(values, motion.time_s) for values in (roll, pitch, body.heave_m))
     roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in (roll_rate, pitch_rate))
+    (east_m, north_m), heading_rad = (journey.xy - journey.xy[0]).T, journey.heading_rad
     return make_rows(
         len(v),
-        **level_columns(journey.xy, journey.heading_rad, v, a, sideways, yaw_rate, latitude_deg, longitude_deg),
+        lat=latitude_deg + np.rad2deg(north_m / EARTH_RADIUS_M),
+        lon=longitude_deg + np.rad2deg(east_m / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
+        yaw=np.arctan2(np.sin(heading_rad), np.cos(heading_rad)),
+        vn=v * np.sin(heading_rad), ve=v * np.cos(heading_rad), vf=v,
+        af=a, al=sideways, au=GRAVITY_MPS2, wz=yaw_rate, wu=yaw_rate,
         alt=ALTITUDE_M + IMU_HEIGHT_M + body.heave_m,
         roll=roll, pitch=pitch, vu=climb,
         ax=ax, ay=ay, az=az,

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.camera.camera import Camera
 from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
-from pipeline.kitti.calibration import write_entries
+from pipeline.kitti.raw import write_entries
 from pipeline.sample.route import IMU_HEIGHT_M
 
 CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}  # of camera 0: grey left, right, colour left, right

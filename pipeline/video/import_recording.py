@@ -21,9 +21,8 @@ from pipeline.base.params import Drive
 from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import write_png
-from pipeline.kitti.calibration import write_entries
 from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering
-from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration
+from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration, write_entries
 from pipeline.train.prefetch import side_by_side
 from pipeline.video.log import ROUNDING_S, MotionLog, WheelLog
 from pipeline.video.recording import Recording
@@ -47,21 +46,6 @@ class Import:
     start_s: float = 0.0  # images before and after are left out; since the first image
     end_s: float = math.inf
 
-    def check_overlap(self) -> None:
-        """Raise InputError if the images and a log do not overlap in time."""
-        count, fps, times_s = self.recording.count, self.recording.fps, self.recording.times_s
-        first_s, last_s = 0.0, (count - 1) / fps if count and fps else math.inf  # a video may not announce its length
-        if times_s is not None:
-            first_s, last_s = float(times_s[0]), float(times_s[-1])
-        for name, log in (("motion", self.motion), ("wheel angles", self.wheel)):
-            if log is None or log.time_s is None:
-                continue
-            begin_s, end_s = log.time_s[0], log.time_s[-1]
-            if first_s > end_s + ROUNDING_S or last_s < begin_s - ROUNDING_S:
-                spans = f"images from {first_s:.3f} to {last_s:.3f} s, {name} from {begin_s:.3f} to {end_s:.3f} s"
-                fix = f"Change --offset by {first_s - begin_s:+.3f} to align their starts"
-                raise InputError(f"{spans} do not overlap", fix=fix)
-
     def write(self, root: Path, drive: str, shares: Sequence[float], *, replace: bool, visible: bool) -> dict[str, Any]:
         """Write drives below `root`, and return counts and times; images without motion are left out.
 
@@ -71,8 +55,8 @@ class Import:
             replace: replace drives of an earlier import.
             visible: show a progress bar.
 
-        Raises InputError if a drive exists, no image has motion or none of a drive an angle, a part of the split is too
-        short, or the date has another camera.
+        Raises InputError if a drive exists, no image is left or none of a drive has an angle, a part of the split is
+        too short, or the date has another camera.
         """
         drives = _drive_folders(root, drive, len(shares), replace)
         folders, date = list(drives.values()), root / drive[:10]
@@ -84,7 +68,10 @@ class Import:
             _distribute_images(unfinished, parts)
             angles = [self._write_logs(folder, time_s, part) for folder, part in zip(unfinished, parts, strict=True)]
             if not calibrated:
-                _write_calibration(date, self.camera)
+                P = np.column_stack([self.camera.K, np.zeros(3)])
+                size = np.array(self.camera.size[::-1], float)
+                entries = {"R_rect_00": np.eye(3), f"S_rect_{CAMERA:02d}": size, f"P_rect_{CAMERA:02d}": P}
+                write_entries(date / _CALIBRATION, entries)
             manifests = [_write_manifest(folder, date) for folder in unfinished]
             for folder in folders:
                 shutil.rmtree(folder, ignore_errors=True)  # the earlier import
@@ -103,9 +90,9 @@ class Import:
         }
 
     def _write_logs(self, folder: Path, time_s: np.ndarray, usable: np.ndarray) -> int:
-        """Write horizon, times, packets and angles of a drive's `usable` images, bool [F], taken at `time_s` [F].
+        """Write horizon, times, packets and angles of a drive's `usable` images [F] at `time_s` [F]; count the angles.
 
-        Packets hold speed and yaw rate; the rest is unknown, 0. Returns the number of angles.
+        Packets hold speed and yaw rate; the rest is unknown, 0.
         """
         if self.camera.horizon is not None:
             write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([self.camera.horizon])})
@@ -156,10 +143,11 @@ class Import:
         time_s = np.array(all_s)
         usable = self._usable(time_s, all_s[0])
         if not usable.any():
-            if self.start_s > time_s[-1] - time_s[0]:
-                raise InputError(f"the images end after {time_s[-1] - time_s[0]:.3f} s", "--start", "Pass less")
-            problem = f"no image lies between samples at most {self.max_gap_s:g} s apart"
-            raise InputError(problem, "--motion", "Raise --max-gap")
+            problem = f"no image from {time_s[0]:.3f} to {time_s[-1]:.3f} s is left"
+            if self.motion:
+                log_s, gap = self.motion.time_s, f"{self.max_gap_s:g} s"
+                problem += f" between samples from {log_s[0]:.3f} to {log_s[-1]:.3f} s, at most {gap} apart"
+            raise InputError(problem, fix="Change --start, --end, --offset or --max-gap")
         return time_s, usable
 
     def _usable(self, time_s: np.ndarray, first_s: float) -> np.ndarray:
@@ -253,9 +241,3 @@ def _is_calibrated(folders: Sequence[Path], camera: Camera, replace: bool) -> bo
         return False
     fix = "Pass --drive another date: all drives of a date share the calibration"
     raise InputError("date has the calibration of another camera", date, fix)
-
-
-def _write_calibration(date: Path, camera: Camera) -> None:
-    P = np.column_stack([camera.K, np.zeros(3)])
-    entries = {f"S_rect_{CAMERA:02d}": np.array(camera.size[::-1], float), f"P_rect_{CAMERA:02d}": P}
-    write_entries(date / _CALIBRATION, {"R_rect_00": np.eye(3), **entries})

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size, format_size
-from pipeline.kitti.calibration import check_pinhole, projection, read_entries
+from pipeline.kitti.raw import check_pinhole, projection, read_entries
 
 WAYS = "--calib FILE (a KITTI calib_cam_to_cam.txt), --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
 _CAMERAS = (2, 0, 3, 1)  # first match wins: rectified cameras share one K

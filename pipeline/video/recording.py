@@ -2,9 +2,10 @@
 
 import math
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -20,11 +21,8 @@ if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-LATEST_S = 4e9  # since 1970: year 2096
-LEAST_STEP_S = 1e-5  # between images, or between samples of a log
 MEDIAN_STEP_S = (0.999e-3, 2.0)  # milliseconds, taken as seconds, have steps of 10 and more
 _SUFFIXES = (".png", ".jpg", ".jpeg")
-_SMALLEST_PX = 16  # of a side
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Playlists, scripts and session descriptions can open other files and sockets. So only containers and streams of frames
 # are accepted, and no protocol: FFmpeg reads the file that is already open.
@@ -38,35 +36,21 @@ _OPTIONS = {
 }
 
 
-class Recording(ABC):
-    """Images in order, with times: of the file of times, by a fixed rate, or the video's own timestamps.
+Images = Iterator[tuple[float | None, np.ndarray]]
 
-    ``size`` is (H, W); ``count`` the number of images, None if unknown; ``fps`` the mean rate, None if unknown: then
-    frames have no times. ``times_s`` [F]: of all images, if they are known in advance. ``straighten`` removes the
-    distortion of the lens from each image, see :func:`pipeline.video.lens.undistortion`.
-    """
 
-    def __init__(self, path: Path, count: int | None, times_s: np.ndarray | None, fps: float | None) -> None:
-        self.path, self.count, self.times_s, self.fps = path, count, times_s, fps
-        self._fixed = fps is not None
-        self.straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image
-        if times_s is not None and len(times_s) > 1:
-            self.fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
-        first = next(self._images(), None)
-        if first is None:
-            raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
-        height, width = first[1].shape[:2]
-        self.size: Size = (height, width)
-        if min(self.size) < _SMALLEST_PX:
-            raise InputError(f"images are too small: {width} x {height} pixels", path)
+@dataclass
+class Recording:
+    """Images in order, with times: of the file of times, by a fixed rate, or the video's own timestamps."""
 
-    @property
-    def has_times(self) -> bool:
-        return self.times_s is not None or self.fps is not None
-
-    def set_rate(self, fps: float) -> None:
-        """Use `fps` images per second, for images without times."""
-        self.fps, self._fixed = fps, True
+    path: Path
+    images: Callable[[], Images]  # timestamp in seconds, if there is one, and RGB uint8 [H,W,3] of each image
+    size: Size
+    count: int | None  # of the images; None: unknown
+    fps: float | None  # None: frames have no times
+    times_s: np.ndarray | None  # [F] of all images, if they are known in advance
+    fixed: bool  # times follow from fps
+    straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image  # without the lens' distortion
 
     def frames(self) -> Iterator[Frame]:
         """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
@@ -77,17 +61,15 @@ class Recording(ABC):
         changes, there are more or fewer images than times, or a video's timestamps do not increase.
         """
         first_s, last_s, number = 0.0, -math.inf, -1
-        for number, (stamp_s, image) in enumerate(self._images()):
+        for number, (stamp_s, image) in enumerate(self.images()):
             if image.shape[:2] != self.size:
                 sizes = f"{format_size(image.shape)} pixels (expected {format_size(self.size)}, as the first one)"
                 raise InputError(f"image {number} has {sizes}", self.path, "Images of one recording have one size")
             if number == 0:
                 first_s = stamp_s or 0.0
             if self.times_s is not None:
-                if number >= len(self.times_s):
-                    raise InputError(f"has more images than times ({len(self.times_s)})", self.path)
-                time_s = float(self.times_s[number])
-            elif self._fixed or self.fps is None:
+                time_s = float(self.times_s[number]) if number < len(self.times_s) else math.nan
+            elif self.fixed or self.fps is None:
                 time_s = math.nan if self.fps is None else number / self.fps
             else:
                 time_s = math.nan if stamp_s is None else stamp_s - first_s
@@ -101,49 +83,68 @@ class Recording(ABC):
             problem = f"ends after {number + 1} of {self.count} frames"
             raise DamagedFile(problem, self.path, _CONVERT.format(name=self.path.name))
 
-    @abstractmethod
-    def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
-        """Yield the timestamp in seconds, if there is one, and RGB uint8 [H,W,3] of each image."""
 
+def open_recording(path: Path, fps: float | None = None, times: Path | None = None) -> Recording:
+    """Open a video file or a folder of images.
 
-class Video(Recording):
-    """A video file; raw streams, such as .h264 and .mjpeg files, have no times of their own."""
+    Args:
+        fps: images per second; replaces timestamps of a video, and timestamps in ns as names of images.
+        times: a file with the time of each image instead, see :func:`read_times`.
 
-    def __init__(self, path: Path, fps: float | None, times_s: np.ndarray | None) -> None:
-        with self._opened(path) as container:
+    Raises InputError if there are no images, they are mirrored or have pixels that are not square, or `times` cannot be
+    used; DamagedFile if the first cannot be decoded.
+    """
+    if fps and times:
+        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
+    if not path.exists():
+        raise InputError("path is missing", path, "Pass a video, or a folder of images")
+    times_s, rate, count = read_times(times) if times else None, None, None
+    if path.is_dir():
+        files = _image_files(path)
+        images, count = partial(_read, files), len(files)
+        if not fps and times_s is None and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
+            times_s = np.array([(int(file.stem) - int(files[0].stem)) / 1e9 for file in files])  # ns since 1970
+    else:
+        images = partial(_decode, path)
+        with _container(path) as container:
             stream = container.streams.video[0]
-            shape = float(stream.sample_aspect_ratio or 1)
-            if abs(shape - 1) > 0.01:
-                fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
-                raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+            shape, count = float(stream.sample_aspect_ratio or 1), stream.frames or None
             # FFmpeg assumes 25 frames per second for a stream without a container.
             rate = None if container.format.name in _WITHOUT_TIMES else stream.average_rate or stream.guessed_rate
-            count = stream.frames or None
-        super().__init__(path, count, times_s, fps)
-        self.fps = self.fps or (float(rate) if rate else None)
+        if abs(shape - 1) > 0.01:
+            fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
+            raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+    if (first := next(images(), None)) is None:
+        raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
+    fixed = fps is not None
+    if times_s is not None and len(times_s) > 1:
+        fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
+    return Recording(path, images, first[1].shape[:2], count, fps or (float(rate) if rate else None), times_s, fixed)
 
-    def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
-        with self._opened(self.path) as container:
-            stream = container.streams.video[0]
-            stream.thread_type = "AUTO"
-            for frame in container.decode(stream):
-                yield frame.time, _upright(frame, self.path)
 
-    @staticmethod
-    @contextmanager
-    def _opened(path: Path) -> Iterator["InputContainer"]:
-        """Open a file with a video stream. Raises DamagedFile, also for errors inside of the block."""
-        import av
+def _decode(path: Path) -> Images:
+    """Yield the frames of a video; raw streams, such as .h264 and .mjpeg files, have no times of their own."""
+    with _container(path) as container:
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        for frame in container.decode(stream):
+            yield frame.time, _upright(frame, path)
 
-        with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
-            try:
-                with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
-                    if not container.streams.video:
-                        raise DamagedFile("file has no video stream", path)
-                    yield container
-            except (av.FFmpegError, OSError) as error:
-                problem = "cannot be decoded as a video (expected a container like MP4, MOV, Matroska, AVI or MPEG)"
-                raise DamagedFile(problem, path, _CONVERT.format(name=path.name)) from error
+
+@contextmanager
+def _container(path: Path) -> Iterator["InputContainer"]:
+    """Open a file with a video stream. Raises DamagedFile, also for errors inside of the block."""
+    import av
+
+    with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
+        try:
+            with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
+                if not container.streams.video:
+                    raise DamagedFile("file has no video stream", path)
+                yield container
+        except (av.FFmpegError, OSError) as error:
+            problem = "cannot be decoded as a video (expected a container like MP4, MOV, Matroska, AVI or MPEG)"
+            raise DamagedFile(problem, path, _CONVERT.format(name=path.name)) from error
 
 
 def _upright(frame: "VideoFrame", path: Path) -> np.ndarray:
@@ -158,45 +159,24 @@ def _upright(frame: "VideoFrame", path: Path) -> np.ndarray:
     return np.ascontiguousarray(image)
 
 
-class ImageFolder(Recording):
-    """The PNG and JPEG files of a folder, in the order of the numbers in their names, then of the names."""
-
-    def __init__(self, path: Path, fps: float | None, times_s: np.ndarray | None) -> None:
-        images = [file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES]
-        self._files = sorted((file for file in images if not file.name.startswith("._")), key=_order)  # of macOS
-        if not self._files:
-            raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", path)
-        stems = [file.stem for file in self._files]
-        if twice := next((stem for stem, following in pairwise(stems) if stem == following), None):
-            raise InputError(f"folder has several images {twice}", path, "Keep one file for each image")
-        if not fps and times_s is None and all(re.fullmatch("[12][0-9]{18}", stem) for stem in stems):  # ns since 1970
-            times_s = np.array([(int(stem) - int(stems[0])) / 1e9 for stem in stems])
-        super().__init__(path, len(stems), times_s, fps)
-
-    def _images(self) -> Iterator[tuple[float | None, np.ndarray]]:
-        for path in self._files:
-            pixels = read_pixels(path)
-            if pixels.dtype != np.uint8:
-                raise DamagedFile(f"expected 8 bits per channel, got {pixels.dtype}", path)
-            yield None, np.repeat(pixels[..., None], 3, axis=-1) if pixels.ndim == 2 else pixels
+def _image_files(folder: Path) -> list[Path]:
+    """Return the PNG and JPEG files of a folder, in the order of the numbers in their names, then of the names."""
+    files = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.name[:2] != "._"]  # macOS
+    if not files:
+        raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", folder)
+    files.sort(key=_order)
+    for before, after in pairwise(files):
+        if before.stem == after.stem:
+            raise InputError(f"folder has several images {after.stem}", folder, "Keep one file for each image")
+    return files
 
 
-def open_recording(path: Path, fps: float | None = None, times: Path | None = None) -> Recording:
-    """Open a video file or a folder of images.
-
-    Args:
-        fps: images per second; replaces timestamps of a video, and timestamps in ns as names of images.
-        times: a file with the time of each image instead, see :func:`read_times`.
-
-    Raises InputError if there are no images, they are too small, mirrored or have pixels that are not square, or
-    `times` cannot be used; DamagedFile if the first cannot be decoded.
-    """
-    if fps and times:
-        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
-    if not path.exists():
-        raise InputError("path is missing", path, "Pass a video, or a folder of images")
-    times_s = read_times(times) if times else None
-    return (ImageFolder if path.is_dir() else Video)(path, fps, times_s)
+def _read(files: Sequence[Path]) -> Images:
+    for path in files:
+        pixels = read_pixels(path)
+        if pixels.dtype != np.uint8:
+            raise DamagedFile(f"expected 8 bits per channel, got {pixels.dtype}", path)
+        yield None, np.repeat(pixels[..., None], 3, axis=-1) if pixels.ndim == 2 else pixels
 
 
 def _order(path: Path) -> tuple[list[int | str], str]:
@@ -211,17 +191,15 @@ def read_times(path: Path) -> np.ndarray:
         times_s = np.array(path.read_text("utf-8-sig").split(), np.float64)
     except (OSError, ValueError) as error:
         raise InputError(f"expected a file with one number per line ({error})", path) from error
-    if not len(times_s):
-        raise InputError("file is empty (expected one number per line)", path)
     check_times(times_s, path)
     return times_s
 
 
 def check_times(times_s: np.ndarray, path: Path) -> None:
     """Raise InputError if times [N] of the file at `path` are implausible, not in seconds, or do not increase."""
-    check_increase("time_s", times_s, LEAST_STEP_S, path)
+    check_increase("time_s", times_s, 1e-5, path)
     lowest_s, highest_s = MEDIAN_STEP_S
     if len(times_s) > 1 and not lowest_s <= (step_s := float(np.median(np.diff(times_s)))) <= highest_s:
         problem = f"median time step is {step_s:g} (expected {lowest_s:.3f} to {highest_s:g} s)"
         raise InputError(problem, path, "Times are in seconds: divide milliseconds by 1000")
-    check_limit("time_s", times_s, LATEST_S, path)
+    check_limit("time_s", times_s, 4e9, path)  # since 1970: year 2096

@@ -108,9 +108,9 @@ def _open_recording(
     camera = pinhole(recording.size, **lens)
     if distortion:
         recording.straighten = undistortion(camera, distortion)
-    if not recording.has_times:
+    if recording.fps is None:
         notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
-        recording.set_rate(DEFAULT_FPS)
+        recording.fps, recording.fixed = DEFAULT_FPS, True
     horizon = find_horizon(recording.frames(), camera)
     found = "not found, since too few images show a drive; assuming a level camera"
     notes.append(f"horizon: {found if horizon is None else f'row {horizon:.0f} of {recording.size[0]}'}")

@@ -51,13 +51,10 @@ def test_complete_drive(tmp_path: Path) -> None:
         assert file["T_cam_velo"].shape == (4, 4)
         for name in ("image", "lidar", "depth", "cls"):
             np.testing.assert_array_equal(file[f"has_{name}"], [1, 1, 1, 1])
-        assert (file["depth"].dtype, file.shape("depth")) == (np.uint16, (4, *NEW))
-        assert (file["cls"].dtype, file.shape("cls")) == (np.uint8, (4, *NEW))
-        assert file.attrs["camera"] == 2
     assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", OTHER: "test"}
 
 
-def test_rows_go_by_frame_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_go_by_frame_number(tmp_path: Path) -> None:
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7])
     for name in ("image_02/data/0000000005.png", "velodyne_points/data/0000000003.bin", "oxts/data/0000000006.txt"):
         (folder / name).unlink()
@@ -70,24 +67,9 @@ def test_rows_go_by_frame_number(tmp_path: Path, capsys: pytest.CaptureFixture[s
         np.testing.assert_array_equal(file["image"][3], pixels(folder / "image_02/data/0000000007.png"))
         assert not file["image"][2].any()
         assert not {"depth", "cls"} & set(file.names)
-    text = capsys.readouterr().out
-    assert f"{DRIVE}: 4 frames, 3 images of camera 2, 3 scans, " in text
-    assert "1 images or scans without a frame" in text
 
 
-def test_images_of_another_shape_are_cropped_around_the_optical_axis(tmp_path: Path) -> None:
-    folder = write_drive(tmp_path / "raw", truth=True)
-    with run(tmp_path, image_size=[32, 96]) as file:
-        rows = slice(12, 33)  # 21 of 48 rows around row 22.2
-        image = cv2.imread(str(folder / "image_02/data/0000000001.png"))[rows, :, ::-1]
-        np.testing.assert_array_equal(file["image"][1], cv2.resize(image, (96, 32), interpolation=cv2.INTER_LINEAR))
-        cls = cv2.imread(str(folder / "truth/cls/0000000001.png"), cv2.IMREAD_UNCHANGED)[rows]
-        assert file["cls"][1][0, 0] == cls[0, 0]
-        K = np.array([[50, 0, 31.3], [0, 50, 22.2 - 12], [0, 0, 1]])
-        np.testing.assert_allclose(file["K"], Camera(K, (21, 64)).scaled((32, 96)).K)
-
-
-def test_drive_without_oxts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drive_without_oxts(tmp_path: Path) -> None:
     """Frames and times are those of the images; steering.csv has angles of some of them."""
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5], truth=True)
     (folder / "oxts/timestamps.txt").rename(folder / "image_02/timestamps.txt")
@@ -102,48 +84,28 @@ def test_drive_without_oxts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         np.testing.assert_array_equal(file["steering_rad"], [0, 0.1, -0.3])
         np.testing.assert_array_equal(file["has_steering"], [0, 1, 1])
         assert "oxts" not in file
-    text = capsys.readouterr().out
-    assert "2 steering angles; 1 images or scans without a frame" in text
-    assert f"no oxts: {DRIVE}" in text
 
 
 def cut(path: Path) -> None:
     write(path, path.read_bytes()[: path.stat().st_size * 6 // 10])
 
 
-IMAGE, SCAN, PACKET = (
-    f"{folder}/data/0000000001.{kind}"
-    for folder, kind in (("image_02", "png"), ("velodyne_points", "bin"), ("oxts", "txt"))
-)
-
-
-@pytest.mark.parametrize(("name", "kind"), [(SCAN, "lidar"), (IMAGE, "image"), (PACKET, "oxts")])
-def test_damaged_frame_is_an_error_or_left_out(
-    tmp_path: Path, name: str, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_files_are_listed_at_once_or_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_drive(tmp_path / "raw", truth=True)
     run(tmp_path)
     before = contents(tmp_path / "data/ingest")
-    cut(folder / name)
-    with pytest.raises(InputError) as raised:
+    names = "velodyne_points/data/0000000001.bin", "image_02/data/0000000002.png", "oxts/data/0000000003.txt"
+    for name in names:
+        cut(folder / name)
+    with pytest.raises(InputError, match="3 damaged files") as raised:
         run(tmp_path)
-    assert str(folder / name) in raised.value.problem
+    assert all(str(folder / name) in str(raised.value) for name in names)
     assert contents(tmp_path / "data/ingest") == before
     with run(tmp_path, on_damaged="skip") as file:
-        np.testing.assert_array_equal(file.frame, [0, 2, 3] if kind == "oxts" else [0, 1, 2, 3])
-        for present in ("image", "lidar", "depth", "cls"):
-            expected = [1, 0, 1, 1] if present == kind else [1] * len(file.frame)
-            np.testing.assert_array_equal(file[f"has_{present}"], expected)
-    assert "1 damaged files left out" in capsys.readouterr().out
-
-
-def test_all_damaged_files_of_a_drive_are_listed_at_once(tmp_path: Path) -> None:
-    folder = write_drive(tmp_path / "raw")
-    for name in (SCAN, IMAGE, PACKET, IMAGE.replace("1.png", "3.png")):
-        cut(folder / name)
-    with pytest.raises(InputError, match="4 damaged files") as raised:
-        run(tmp_path)
-    assert all(str(folder / name) in str(raised.value) for name in (SCAN, IMAGE, PACKET))
+        np.testing.assert_array_equal(file.frame, [0, 1, 2])
+        present = [file[f"has_{name}"].tolist() for name in ("lidar", "image", "depth")]
+        assert present == [[1, 0, 1], [1, 1, 0], [1, 1, 1]]
+    assert "3 damaged files left out" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -176,9 +138,6 @@ def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
             assert ("cls" in file) == (source == "sample")
     write_drive(tmp_path / "raw", sample)
     with pytest.raises(InputError, match="name of the sample"):
-        ingest.main(**folders, params=params, workers=1)
-    shutil.rmtree(tmp_path / "raw")
-    with pytest.raises(InputError, match="missing"):
         ingest.main(**folders, params=params, workers=1)
 
 

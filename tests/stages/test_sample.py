@@ -69,17 +69,9 @@ def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert [len(drive.images(2)) for drive in find_drives(out, DRIVES).values()] == [1, 1, 1]
 
 
-@pytest.mark.parametrize("problem", ["raw: folder is missing", f"drive {KITTI} of ingest.drives is missing"])
-def test_a_missing_real_drive_is_an_error_before_rendering(tmp_path: Path, problem: str) -> None:
-    params, raw = write_params(tmp_path / "params.yaml", source="both", val=(KITTI,)), tmp_path / "raw"
-    if KITTI in problem:
-        (raw / "2011_09_26/2011_09_26_drive_0001_sync").mkdir(parents=True)
-    with pytest.raises(InputError, match=problem) as raised:
-        sample.main(out=tmp_path / "sample", params=params, raw=raw)
-    assert "\n" not in str(raised.value)
+def test_a_missing_real_drive_is_an_error_before_rendering(tmp_path: Path) -> None:
+    params = write_params(tmp_path / "params.yaml", source="both", val=(KITTI,))
+    (tmp_path / "raw/2011_09_26/2011_09_26_drive_0001_sync").mkdir(parents=True)
+    with pytest.raises(InputError, match=f"drive {KITTI} of ingest.drives is missing"):
+        sample.main(out=tmp_path / "sample", params=params, raw=tmp_path / "raw")
     assert not (tmp_path / "sample").exists()
-
-
-def test_nothing_to_render_with_kitti(tmp_path: Path) -> None:
-    sample.main(out=tmp_path / "sample", params=write_params(tmp_path / "params.yaml", source="kitti"))
-    assert [path.name for path in (tmp_path / "sample").iterdir()] == ["index.json"]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipeline.base.errors import DamagedFile
 from pipeline.camera.camera import BELOW_HORIZON, Camera
 from pipeline.camera.geometry import back_project, depth_image, project, rays
-from pipeline.camera.images import nearest, read_image, read_pixels, resized, write_png
+from pipeline.camera.images import nearest, read_pixels, resized
 
 K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
 SIZE, SMALL = (40, 64), (20, 16)
@@ -93,24 +93,6 @@ def test_pixels_move_with_the_intrinsics() -> None:
     assert picked.dtype == np.uint16
 
 
-@given(seeds)
-def test_depth_and_classes_are_not_averaged(seed: int) -> None:
-    values = np.random.default_rng(seed).choice(np.array([0, 20000], np.uint16), SIZE)
-    assert set(np.unique(nearest(values, SMALL))) <= {0, 20000}
-
-
-@pytest.mark.parametrize(("shape", "dtype"), [((20, 30, 3), np.uint8), ((20, 30), np.uint8), ((20, 30), np.uint16)])
-def test_png_round_trip(tmp_path: Path, shape: tuple[int, ...], dtype: type) -> None:
-    pixels = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape, dtype)
-    write_png(tmp_path / "a.png", pixels)
-    decoded = read_pixels(tmp_path / "a.png")
-    np.testing.assert_array_equal(decoded, pixels)
-    assert decoded.dtype == dtype
-    if dtype == np.uint8:  # grey is repeated
-        image = read_image(tmp_path / "a.png", (20, 30))
-        np.testing.assert_array_equal(image, pixels if pixels.ndim == 3 else np.stack([pixels] * 3, axis=-1))
-
-
 def encoded(kind: str, pixels: np.ndarray) -> bytes:
     return cv2.imencode(kind, pixels)[1].tobytes()
 
@@ -132,9 +114,3 @@ def test_plainly_wrong_images(tmp_path: Path, content: bytes, problem: str) -> N
     (tmp_path / "a").write_bytes(content)
     with pytest.raises(DamagedFile, match=problem):
         read_pixels(tmp_path / "a")
-
-
-def test_jpeg(tmp_path: Path) -> None:
-    smooth = np.full((32, 48, 3), (200, 100, 50), np.uint8)
-    (tmp_path / "a.jpg").write_bytes(encoded(".jpg", smooth[..., ::-1]))
-    assert np.abs(read_pixels(tmp_path / "a.jpg").astype(int) - smooth).max() < 6

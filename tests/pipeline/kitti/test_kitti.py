@@ -13,8 +13,8 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
 from pipeline.kitti import oxts
-from pipeline.kitti.raw import KittiDrive, find_drives, read_calibration, read_scan
-from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write_drive
+from pipeline.kitti.raw import KittiDrive, read_calibration, read_scan
+from tests.kitti_drive import DATE, scan, write, write_calibration, write_drive
 
 
 def test_files_are_keyed_on_frame_numbers(tmp_path: Path) -> None:
@@ -28,15 +28,6 @@ def test_files_are_keyed_on_frame_numbers(tmp_path: Path) -> None:
     assert list(drive.oxts) == list(drive.images(2)) == [3, 4, 7]
     assert drive.images(2)[7].name == "0000000007.png"
     assert drive.images(0) == drive.truth_depth == {}
-
-
-def test_find_drives(tmp_path: Path) -> None:
-    write_drive(tmp_path)
-    assert list(find_drives(tmp_path, [DRIVE])) == [DRIVE]
-    with pytest.raises(InputError, match=f"2011_09_26_drive_0010.*did you mean {DRIVE}"):
-        find_drives(tmp_path, ["2011_09_26_drive_0010"])
-    with pytest.raises(InputError, match="no drives"):
-        find_drives(tmp_path / DATE, [DRIVE])
 
 
 def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path: Path) -> None:
@@ -62,7 +53,6 @@ def test_damaged_scans(tmp_path: Path) -> None:
     nan, far = points.copy(), points.copy()
     nan[5, 1], far[5, 1] = np.nan, 1e20
     for content, message in (
-        (b"", "cut short at 0 bytes"),
         (points.tobytes()[:-7], "cut short at 10233 bytes"),
         (points[:400].tobytes(), "its 400 points end at -14.7"),
         (nan.tobytes(), "not finite"),
@@ -71,12 +61,6 @@ def test_damaged_scans(tmp_path: Path) -> None:
         write(tmp_path / "0.bin", content)
         with pytest.raises(DamagedFile, match=message):
             read_scan(tmp_path / "0.bin")
-
-
-@pytest.mark.real
-def test_a_real_scan_that_is_cut_is_refused(real_kitti: Path) -> None:
-    with pytest.raises(DamagedFile):
-        read_scan(next((real_kitti / "damaged").glob("*.bin")))
 
 
 @pytest.mark.real
@@ -186,22 +170,12 @@ def read_camera(path: Path) -> object:
 LINE = "2011-09-26 13:02:{}\n"
 PLAINLY_WRONG: list[tuple[Callable[[Path], object], str, str]] = [
     (oxts.read_row, "", "got 0"),
-    (oxts.read_row, "1.0 " * 29 + "1.0.0", "expected numbers"),
     (oxts.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
-    (oxts.read_row, "1.0 " * 8 + "-1000 " + "1.0 " * 21, "vf = -1000"),
     (read_three, LINE.format(25.0) + LINE.format(25.1), "got 2"),
-    (
-        read_three,
-        LINE.format(25.0) + LINE.format(25.2) + LINE.format(25.1),
-        "line 3: time goes from",
-    ),
-    (read_three, LINE.format(25.0) + LINE.format("what") + LINE.format(25.1), "expected times"),
+    (read_three, LINE.format(25.0) + LINE.format(25.2) + LINE.format(25.1), "line 3: time goes from"),
     (read_camera, "P_rect_02: 5.000000000e+01→P_rect_02: inf", "P_rect_02: expected 12 finite"),
-    (read_camera, "P_rect_02: 5.0→P_rect_02: 0.0", "implausible intrinsics"),
-    (read_camera, "P_rect_02→P_rect_03", "no entry P_rect_02"),
     (read_camera, "calib_time:→<html>\ncalib_time:", "not a calibration file"),
     (oxts.read_steering, "frame,steering_rad\n3,2.5\n", "implausible steering_rad"),
-    (oxts.read_steering, "frame,steering_rad\n3,0\n3,0\n", "from 3 to 3"),
 ]
 
 

@@ -122,14 +122,6 @@ def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_
     assert valid[(time_s > 5.2) & (time_s < 10)].all()
 
 
-@pytest.mark.parametrize(("speed", "frames"), [(0.0, 15), (3.0, 15), (0.0, 0)])
-def test_a_drive_shorter_than_the_nearest_range_has_no_path(speed: float, frames: int) -> None:
-    time_s, labels, _ = drive(constant(speed), seconds=1.5)
-    curvature, valid = compute(time_s[:frames], labels.at(slice(frames)))
-    assert curvature.shape == valid.shape == (frames, 4)
-    assert not valid.any()
-
-
 @pytest.mark.parametrize("change", ["reverses", "yaw rate unknown", "speed unknown", "frame missing"])
 def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change: str) -> None:
     time_s, labels, at_m = drive(constant(9.3))

@@ -38,13 +38,9 @@ def test_the_text_is_the_merged_content_with_all_comments(name: str) -> None:
     ("text", "message"),
     [
         ("train:\n  epoch: 3\n", r"train\.epoch.*did you mean epochs"),
-        ("models:\n  a;b: {input: semantic, spatial: gnn, temporal: ncp, window: 8}\n", "letters"),
         ("models:\n  sa-gnn-ncp: null\n", "models.*at least 1"),
-        ("models:\n  '*': null\n", "models.*at least 1"),
         ("train:\n  epochs: null\n", r"train\.epochs.*missing"),
-        ("train:\n  epochs: 1\n  epochs: 2\n", "duplicate"),
         ("train:\n  epochs: '5'\n", r"train\.epochs: .*valid integer.*got '5'"),
-        ("# nothing\n", "expected sections"),
     ],
 )
 def test_a_fault_is_named_with_its_file(tmp_path: Path, text: str, message: str) -> None:
@@ -52,12 +48,6 @@ def test_a_fault_is_named_with_its_file(tmp_path: Path, text: str, message: str)
     with pytest.raises(InputError, match=message) as raised:
         preset.text(name)
     assert name in str(raised.value)
-
-
-def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
-    with pytest.raises(InputError) as raised:
-        preset.text("kiti")
-    assert ", ".join(NAMES) in raised.value.fix
 
 
 def test_a_star_removes_all_earlier_entries(tmp_path: Path) -> None:
@@ -92,12 +82,6 @@ def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path: Pat
     git("commit", "-qam", "edits")
     preset.main("table2", params, params)
     assert yaml.safe_load(params.read_text())["evaluate"]["bootstrap_samples"] == 100
-
-
-@pytest.mark.parametrize("content", ["content: 1\n", "train: 1\n"])
-def test_only_a_params_file_is_replaced(tmp_path: Path, content: str) -> None:
-    path = tmp_path / "other.yaml"
-    path.write_text(content)
+    (tmp_path / "mine.yaml").write_text("content: 1\n")
     with pytest.raises(InputError, match="expected a params file"):
-        preset.main("table2", path)
-    assert path.read_text() == content
+        preset.main("table2", tmp_path / "mine.yaml")

@@ -29,25 +29,17 @@ def test_calibration_file_as_ingest_reads_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pinhole(SIZE, calib=calib).K, camera.K)
     half = (SIZE[0] // 2, SIZE[1] // 2)
     np.testing.assert_array_equal(pinhole(half, calib=calib).K, camera.scaled(half).K)
-    with pytest.raises(InputError, match="aspect ratio"):
-        pinhole((40, 64), calib=calib)
-    for name, problem in (("calib_velo_to_cam.txt", "no entry P_rect_02"), ("nothing.txt", "missing")):
-        with pytest.raises(InputError, match=problem) as raised:
-            pinhole(SIZE, calib=tmp_path / name)
-        assert (raised.value.where, "--calib" in raised.value.fix) == (str(tmp_path / name), True)
-    write_calibration(tmp_path, [0])
-    assert pinhole(SIZE, calib=calib).K[0, 0] == 50
+    for name, size, problem in (("cam_to_cam", (40, 64), "aspect ratio"), ("velo_to_cam", SIZE, "no entry P_rect_02")):
+        with pytest.raises(InputError, match=problem):
+            pinhole(size, calib=tmp_path / f"calib_{name}.txt")
 
 
 @pytest.mark.parametrize(
     ("given", "where"),
     [
-        ({"fov_deg": 0}, "--fov"),
         ({"fov_deg": 180}, "--fov"),
-        ({"K": "1,2,3"}, "--K"),
         ({"K": "a,b,c,d"}, "--K"),
         ({"K": "50,50,65,20"}, "--K"),
-        ({"K": "0,50,20,20"}, "--K"),
         ({}, ""),
         ({"fov_deg": 90, "K": "1,1,1,1"}, ""),
     ],
@@ -79,7 +71,7 @@ def test_undistorted_images_show_each_direction_at_its_pixel() -> None:
     np.testing.assert_array_equal(same, recorded)
 
 
-@pytest.mark.parametrize("text", ["0.1", "0.1,0,0,x", "0,0,0,0,0,0", "-2,0,0,0", "0,0,0,0,-9"])
+@pytest.mark.parametrize("text", ["0.1,0,0,x", "-2,0,0,0"])
 def test_a_distortion_that_is_none(text: str) -> None:
     with pytest.raises(InputError) as raised:
         undistortion(pinhole((120, 160), K="100,100,80,60"), text)

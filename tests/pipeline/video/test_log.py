@@ -39,20 +39,13 @@ WHEEL = "frame,wheel_rad\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "no column time_s, speed_mps, yaw_rate_radps"),
-        ("time_s,v\n1,2\n", r"no column speed_mps, yaw_rate_radps \(got time_s, v\)"),
-        (HEAD + "1,5,0\n", "at least 2 samples"),
         (HEAD + "1,5,0\n2,1e6,0\n", r"speed_mps = 1e\+06 at sample 2"),
         (HEAD + "1,5,0\n3,5,0\n3,5,0\n", "from 3 to 3 at sample 3"),
-        (HEAD + "1,5,0\n2,,0\n", "line 3: expected numbers"),
-        (HEAD + "1,5\n2,5,0\n", "line 2: expected numbers"),
         (HEAD + "0,5,0\n100,5,0\n", "divide milliseconds by 1000"),
         (HEAD + "0,5,0\n1e-4,5,0\n", "in seconds"),
         (HEAD + "0,5,0\n0,5,5,0\n", "line 3: has 4 values, the header 3 names. .*decimal point"),
         ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
         (WHEEL + "1,-0,90\n2,-0,80\n", "line 2: has 3 values, the header 2 names. .*decimal point"),
-        (WHEEL + "1.5,0\n3,0\n", "frame = 1.5"),
-        (WHEEL + "1,0\n1,0\n", "from 1 to 1"),
         (WHEEL + "1,0\n2,45\n", "steering_rad = 3 "),
         ("time_s,wheel_rad\n0,0\n1000,0\n", "divide milliseconds"),
         ("wheel_rad\n0\n1\n", "neither time_s nor frame"),
@@ -63,8 +56,6 @@ def test_plainly_wrong_logs(tmp_path: Path, text: str, problem: str) -> None:
     with pytest.raises(InputError, match=problem) as raised:
         read_wheel(path, 15.0) if "wheel_rad" in text else read_motion(path)
     assert raised.value.where.startswith(str(path))
-    with pytest.raises(InputError, match="missing"):
-        read_wheel(tmp_path / "none.csv", 15.0)
 
 
 def test_times_count_before_frames(tmp_path: Path) -> None:

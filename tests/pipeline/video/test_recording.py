@@ -26,7 +26,7 @@ def test_images_and_times(tmp_path: Path) -> None:
     assert [frame.time_s for frame in frames] == [0, 0.25, 0.5, 0.75, 1]
     np.testing.assert_array_equal([frame.image for frame in frames], images)
     untimed = open_recording(tmp_path / "a")
-    assert (untimed.has_times, np.isnan(next(untimed.frames()).time_s)) == (False, True)
+    assert (untimed.fps, np.isnan(next(untimed.frames()).time_s)) == (None, True)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,6 @@ def test_images_and_times(tmp_path: Path) -> None:
     [
         (["img_10.png", "img_9.png", "img_100.png"], ["img_9", "img_10", "img_100"]),
         (["b.png", "a.png", "c.JPG", "._a.png"], ["a", "b", "c"]),
-        (["a-2_1.png", "a-1_2.png", "a-1_10.png"], ["a-1_2", "a-1_10", "a-2_1"]),
     ],
 )
 def test_order_follows_the_numbers_in_names(tmp_path: Path, names: list[str], ordered: list[str]) -> None:
@@ -55,14 +54,14 @@ def test_frames_and_times_of_the_container(tmp_path: Path) -> None:
     assert len(list(video.frames())) == 12  # a second pass
 
 
-def write_stream(path: Path, frames: int = 30, fps: int = 10, start_s: float = 0.0, codec: str = "libx264") -> Path:
-    """Write a video with PyAV, whose first frame is at `start_s`."""
+def write_stream(path: Path, frames: int = 30, fps: int = 10, codec: str = "libx264") -> Path:
+    """Write a video with PyAV."""
     with av.open(str(path), "w") as file:
         stream = file.add_stream(codec, rate=fps)
         stream.height, stream.width, stream.pix_fmt = *SIZE, "yuv420p"
         for number, image in enumerate(pictures(frames)):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-            frame.pts, frame.time_base = round((number / fps + start_s) * 1000), Fraction(1, 1000)
+            frame.pts, frame.time_base = round(number / fps * 1000), Fraction(1, 1000)
             file.mux(stream.encode(frame))
         file.mux(stream.encode())
     return path
@@ -72,13 +71,8 @@ def test_a_raw_stream_has_no_times(tmp_path: Path) -> None:
     """FFmpeg assumes 25 frames per second."""
     path = write_stream(tmp_path / "a.h264")
     video = open_recording(path)
-    assert (video.has_times, video.fps, video.count) == (False, None, None)
+    assert (video.fps, video.count) == (None, None)
     assert [frame.time_s for frame in open_recording(path, fps=10).frames()][-1] == pytest.approx(2.9)
-
-
-def test_times_count_from_the_first_frame(tmp_path: Path) -> None:
-    path = write_stream(tmp_path / "a.mkv", start_s=5.0)
-    assert [frame.time_s for frame in open_recording(path).frames()] == pytest.approx(np.arange(30) / 10, abs=2e-3)
 
 
 def test_truncated_video_yields_what_it_has_and_fails(tmp_path: Path) -> None:
@@ -153,16 +147,12 @@ def sizes(path: Path) -> None:
 
 PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("mirrored.mp4", lambda path: show(path, -1, 0, 0, 1), "mirrors"),
-    ("flipped.mp4", lambda path: show(path, 1, 0, 0, -1), "mirrors"),
     ("turned.mp4", lambda path: show(path, 0.7071, 0.7071, -0.7071, 0.7071), "no multiple of 90 degrees"),
     ("avchd.mp4", anamorphic, "not square"),
     ("cut.mp4", cut, "ends after 19 of 40 frames"),
     ("exif", lambda path: orient(path / "1.png"), "EXIF orientation"),
     ("twice", twice, "several images 1"),
     ("sizes", sizes, "image 1 has 64 x 40 pixels .*64 x 48"),
-    ("empty", Path.mkdir, "no images"),
-    ("grey16", lambda path: write_png(path / "1.png", np.zeros(SIZE, np.uint16)), "uint16"),
-    ("tiny", lambda path: write_png(path / "1.png", np.zeros((1, 1, 3), np.uint8)), "1 x 1 pixels"),
     ("text.mp4", lambda path: path.write_text("not a video"), "cannot be decoded as a video"),
     ("none.mp4", lambda path: None, "missing"),
 ]  # fmt: skip
@@ -186,12 +176,9 @@ PLAYLIST = "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{source}\n#EXT-X-ENDLI
     [
         ("a.sdp", SDP + "a=rtpmap:96 H264/90000\n"),
         ("a.m3u8", PLAYLIST.replace("{source}", "http://127.0.0.1:{port}/a.ts")),
-        ("b.m3u8", PLAYLIST.replace("{source}", "{folder}/real.mp4")),
-        ("a.ffconcat", "ffconcat version 1.0\nfile 'http://127.0.0.1:{port}/a.mp4'\n"),
         ("b.ffconcat", "ffconcat version 1.0\nfile 'real.mp4'\n"),
         ("a.mov", "RTSPtextrtsp://127.0.0.1:{port}/a\n"),
         ("b.mov", "\0\0\0\x14ftypqt  \0\0\0\0qt  " + PLAYLIST.replace("{source}", "http://127.0.0.1:{port}/a.ts")),
-        ("a.mpd", "<MPD><Period><BaseURL>http://127.0.0.1:{port}/a.mp4</BaseURL></Period></MPD>"),
     ],
 )
 def test_a_playlist_opens_no_socket_and_no_other_file(tmp_path: Path, name: str, text: str) -> None:
@@ -232,12 +219,9 @@ def test_samples_in_another_file_are_not_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "empty"),
-        ("1\n12:30\n", "one number per line"),
         ("1\n2\n2\n", "from 2 to 2"),
         ("0\n100\n200\n", "divide milliseconds by 1000"),
         ("0\n1e-4\n2e-4\n", "in seconds"),
-        ("1e12\n1000000000001\n", "implausible"),
     ],
 )
 def test_unusable_times(tmp_path: Path, text: str, problem: str) -> None:
@@ -258,18 +242,18 @@ def test_names_in_nanoseconds_are_times(tmp_path: Path) -> None:
     assert [frame.time_s for frame in open_recording(tmp_path, fps=4).frames()] == [0, 0.25, 0.5]
 
 
-@pytest.mark.parametrize("kind", ["folder", "a.mp4", "a.mjpeg"])
+@pytest.mark.parametrize("kind", ["folder", "a.mjpeg"])
 def test_times_of_a_file(tmp_path: Path, kind: str) -> None:
     """Also those of a raw stream; another number of them is refused."""
     path, times = tmp_path / kind, tmp_path / "times.txt"
     if kind == "folder":
         write_folder(path, pictures(3))
     else:
-        write_video(path, pictures(3), codec="MJPG" if kind == "a.mjpeg" else "mp4v")
+        write_video(path, pictures(3), codec="MJPG")
     times.write_text("5\n6\n7.5\n")
     recording = open_recording(path, times=times)
     assert [frame.time_s for frame in recording.frames()] == [5, 6, 7.5]
-    assert (recording.has_times, recording.fps) == (True, pytest.approx(0.8))
+    assert recording.fps == pytest.approx(0.8)
     for text in ("5\n6\n", "5\n6\n7\n8\n"):
         times.write_text(text)
         with pytest.raises(InputError, match=r"times"):

@@ -18,17 +18,19 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
-    if settings.folder:
-        with stage_folder("encoder", out) as stage:
-            _use_precomputed(settings, settings.folder, stage.new)
-        return out
-
     import torch
 
     from models.encoder.unified_encoder import UnifiedEncoder
-    from pipeline.perception import perceive
+    from pipeline.perception import perceive, precomputed
     from pipeline.perception.weights import load_weights, part_without_weights
 
+    if settings.folder:
+        files, fingerprint = precomputed.fingerprint(settings.folder)
+        config = {"weights": str(settings.folder), "files": files, "fingerprint": fingerprint}
+        with stage_folder("encoder", out) as stage:
+            store.write_json(stage.new / "config.json", settings.model_dump(mode="json") | config)
+        print(f"encoder: {files} precomputed files in {settings.folder}", flush=True)
+        return out
     splits = store.read_index(ingest, stage="ingest") if settings.epochs else {}  # fitted weights need no drive
     drives = {drive: split for drive, split in splits.items() if split in settings.splits}
     torch.manual_seed(settings.seed)
@@ -86,15 +88,6 @@ def _fit(model: Any, settings: Encoder, ingest: Path, drives: dict[str, str]) ->
             seed=settings.seed,
         )
         return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
-
-
-def _use_precomputed(settings: Encoder, folder: Path, out: Path) -> None:
-    from pipeline.perception import precomputed
-
-    files, fingerprint = precomputed.fingerprint(folder)
-    config = {"weights": str(folder), "files": files, "fingerprint": fingerprint}
-    store.write_json(out / "config.json", settings.model_dump(mode="json") | config)
-    print(f"encoder: {files} precomputed files in {folder}", flush=True)
 
 
 if __name__ == "__main__":

@@ -41,33 +41,26 @@ def main(
         if drive in drives and drives[drive].manifest() != manifest:
             fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"
             raise InputError("drive was imported again, ingest.manifests has the one before", drives[drive].folder, fix)
-    if settings.source == "both":
-        _check_names([drive for drive in splits if sources[drive] == "sample"], raw)
+    for drive in splits:
+        folder = raw / drive[:10] / f"{drive}_sync"
+        if settings.source == "both" and sources[drive] == "sample" and folder.is_dir():
+            fix = "Rename its folder to another year, or read it with ingest.source: kitti"
+            raise InputError(
+                "drive has a name of the sample, so ingest.source: both does not read it here", folder, fix
+            )
     jobs, reading = [], settings.reading()
     for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
         fingerprint = files.fingerprint(settings.cameras, by_content=sources[drive] == "sample")
         work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)
         jobs.append(Job(drive, f"{drive}.h5", [fingerprint], work))
-    with stage_folder("ingest", out) as folder:
-        summaries = make_drives(folder, jobs, reading, describe, workers)
-        store.write_index(folder.new, splits)
+    with stage_folder("ingest", out) as stage:
+        summaries = make_drives(stage, jobs, reading, describe, workers)
+        store.write_index(stage.new, splits)
     for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
         missing = [drive for drive in splits if not summaries[drive][name]]
         if missing:
             print(f"no {plural}: {'all drives' if len(missing) == len(splits) else ', '.join(missing)}")
     return out
-
-
-def _check_names(drives: list[str], raw: Path) -> None:
-    """Raise InputError if a drive named like the sample lies in `raw`, where source both would not read it."""
-    for drive in drives:
-        folder = raw / drive[:10] / f"{drive}_sync"
-        if folder.is_dir():
-            raise InputError(
-                "drive has a name of the sample, so that ingest.source: both does not read it here",
-                folder,
-                "Rename its folder to another year, or read it with ingest.source: kitti",
-            )
 
 
 if __name__ == "__main__":

@@ -34,13 +34,8 @@ def main(
         find_drives(raw, real)
     render = partial(render_drive, size=settings.image_size, scan_rays=settings.scan_rays, seed=settings.seed)
     jobs = [
-        Job(
-            drive,
-            f"{drive[:10]}/{drive}_sync",
-            [str(frames[drive])],
-            partial(render, drive=drive, frames=frames[drive]),
-        )
-        for drive in sorted(frames, key=frames.__getitem__, reverse=True)  # the longest first
+        Job(drive, f"{drive[:10]}/{drive}_sync", [str(count)], partial(render, drive=drive, frames=count))
+        for drive, count in sorted(frames.items(), key=lambda item: -item[1])  # the longest first
     ]
     text = "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²"
     with stage_folder("sample", out) as folder:

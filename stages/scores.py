@@ -36,16 +36,11 @@ def main(
     labels = load(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
     splits = store.read_index(perception, stage="perception")
-    score_motion = partial(_score_motion, ingest=ingest, motion=motion, car=car)
-    jobs = [
-        Job(
-            drive,
-            f"{drive}/metrics.json",
-            [folder / f"{drive}.h5" for folder in (ingest, perception, motion)],
-            partial(_score_drive, drive=drive, ingest=ingest, perception=perception, score_motion=score_motion),
-        )
-        for drive in splits
-    ]
+    score_motion, jobs = partial(_score_motion, ingest=ingest, motion=motion, car=car), []
+    for drive in splits:
+        inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, motion)]
+        work = partial(_score_drive, drive=drive, ingest=ingest, perception=perception, score_motion=score_motion)
+        jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
         summaries = make_drives(folder, jobs, vars(car), "{frames} frames, {line}".format_map, workers)
         motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}

@@ -132,7 +132,8 @@ def run_jobs(
     """
     with executor(workers, len(jobs), threads) as submit:
         if submit is None:
-            yield from ((job, work(job)) for job in jobs)
+            for job in jobs:
+                yield job, work(job)
             return
         futures = {submit(work, job): job for job in jobs}
         error: BaseException | None = None

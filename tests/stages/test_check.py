@@ -35,7 +35,7 @@ def run(folder: Path, content: dict[str, Any]) -> Path:
 def test_the_projects_own_files_are_valid(
     name: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No weights are read or downloaded, and all variants are used."""
+    """No weights are read or downloaded."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(weights, "fetch", None)
     (tmp_path / "weights").mkdir()
@@ -54,11 +54,6 @@ def test_weights_that_cannot_be_downloaded_are_reported_first(tmp_path: Path, mo
     with pytest.raises(InputError, match=r"encoder\.weights: depth_head: weights/.*head\.pth") as raised:
         run(tmp_path, yaml.safe_load(preset.text("kitti")))
     assert "curl" in raised.value.fix
-
-
-def test_a_variant_that_no_model_uses_is_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run(tmp_path, changed("graphs.unused", {"source": "ingest"}))
-    assert "graphs.unused" in capsys.readouterr().out
 
 
 def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None:

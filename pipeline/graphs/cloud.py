@@ -31,36 +31,30 @@ RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and
 def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings: "Clouds") -> dict[str, int]:
     """Write the cloud of each frame, back-projected with K⁻¹ (paper eq. 6, 7), or a scan in the camera frame.
 
-    Args:
-        path: of the new file.
-        kind: pseudo (of images) or lidar (of scans).
-        ingest, perception: the drive's files of these stages.
-        settings: of section clouds.
+    `kind`: pseudo (of images) or lidar (of scans); `ingest` and `perception`: the drive's files of these stages.
     """
-    with (
-        open_frames(ingest, perception, scans=kind == "lidar") as frames,
-        DriveWriter(
-            path, stage="clouds", drive=frames.drive, params=frames.params | {"clouds": settings.model_dump()}
-        ) as file,
-    ):
-        clouds = (stored_cloud(frame, kind, frames.camera, frames.drive, settings) for frame in frames)
-        return write(file, frames.frame, frames.time_s, clouds)
+    with open_frames(ingest, perception, scans=kind == "lidar") as frames:
+        params = frames.params | {"clouds": settings.model_dump()}
+        with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
+            clouds = (stored_cloud(frame, kind, frames.camera, frames.drive, settings) for frame in frames)
+            return write(file, frames.frame, frames.time_s, clouds)
 
 
 def stored_cloud(frame: Frame, kind: str, camera: Camera, drive: str, settings: "Clouds") -> Cloud:
-    """Return the cloud of a frame as stage clouds stores it.
+    """Return at most `max_points` random points of a frame with quantised coordinates, in Morton order.
 
     `kind`: pseudo, for a frame with depth and classes, or lidar, for a frame with a scan of a calibrated sensor.
     """
     if kind == "pseudo":
         assert frame.depth_m is not None
         assert frame.cls is not None
-        cloud = pseudo_cloud(frame.depth_m, frame.cls, camera.K, settings.max_depth_m)
+        xyz, cls = pseudo_cloud(frame.depth_m, frame.cls, camera.K, settings.max_depth_m)
     else:
         assert frame.scan is not None
         assert camera.T_cam_velo is not None
-        cloud = lidar_cloud(frame.scan, camera.T_cam_velo, camera.K, frame.cls)
-    return downsample(cloud, settings.max_points, frame_rng(settings.seed, drive, frame.number))
+        xyz, cls = lidar_cloud(frame.scan, camera.T_cam_velo, camera.K, frame.cls)
+    drawn = sample(len(xyz), settings.max_points, frame_rng(settings.seed, drive, frame.number))
+    return ordered((xyz[drawn], cls[drawn]))
 
 
 def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float) -> Cloud:
@@ -82,15 +76,9 @@ def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_
 
 
 def lidar_cloud(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np.ndarray | None) -> Cloud:
-    """Transform a scan into the camera frame and assign each point the class of its pixel.
+    """Transform a scan [P,≥3], velodyne x, y, z in metres, into the camera frame; void outside of the image or on sky.
 
-    Args:
-        scan: [P,≥3] velodyne x, y, z in metres, in all directions.
-        T_cam_velo: [4,4].
-        K: [3,3] intrinsics for the size of `cls`.
-        cls: [H,W] trainIds of the same frame's image, or None without an image.
-
-    Returns: xyz float32 [P,3], cls uint8 [P]; void for points outside the image or on sky pixels.
+    T_cam_velo [4,4]; K [3,3] for the size of `cls` [H,W], trainIds of the same frame's image, None without one.
     """
     xyz = geometry.transform(T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
@@ -103,13 +91,6 @@ def lidar_cloud(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np
     return xyz.astype(np.float32), labels
 
 
-def downsample(cloud: Cloud, max_points: int, rng: np.random.Generator) -> Cloud:
-    """Return at most `max_points` random points with quantised coordinates, in Morton order."""
-    xyz, cls = cloud
-    drawn = sample(len(xyz), max_points, rng)
-    return ordered((xyz[drawn], cls[drawn]))
-
-
 def ordered(cloud: Cloud) -> Cloud:
     """Return a cloud with quantised coordinates, in Morton order."""
     xyz, cls = quantise(cloud[0]), cloud[1]
@@ -118,13 +99,7 @@ def ordered(cloud: Cloud) -> Cloud:
 
 
 def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iterable[Cloud]) -> dict[str, int]:
-    """Write the clouds of a drive, data/clouds/<kind>/<drive>.h5; return its numbers of frames and points.
-
-    Args:
-        frame: KITTI frame numbers [F].
-        time_s: their times [F].
-        clouds: of each frame, see :func:`stored_cloud`.
-    """
+    """Write frame numbers [F], times [F] and clouds of a drive; return its numbers of frames and points."""
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
     file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
@@ -139,13 +114,9 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iter
 
 
 def check_not_empty(summaries: Mapping[str, Mapping[str, int]], splits: Mapping[str, str]) -> None:
-    """Raise InputError if a split has frames but no point in any of them.
+    """Raise InputError if a split has frames but no point in any of them; drives that lack images or scans may.
 
-    Single frames may be empty, and so may drives that lack images or scans.
-
-    Args:
-        summaries: drive → numbers of frames and points, as :func:`write` returns them.
-        splits: drive → its split.
+    `summaries`: drive → numbers of frames and points, as :func:`write` returns them; `splits`: drive → its split.
     """
     for split in dict.fromkeys(splits.values()):
         drives = [summary for drive, summary in summaries.items() if splits[drive] == split]
@@ -220,13 +191,7 @@ def morton_order(xyz: np.ndarray) -> np.ndarray:
 
 def _spread(x: np.ndarray) -> np.ndarray:
     """Insert two zero bits between the 21 low bits of each number."""
-    masks = {
-        32: 0x1F00000000FFFF,
-        16: 0x1F0000FF0000FF,
-        8: 0x100F00F00F00F00F,
-        4: 0x10C30C30C30C30C3,
-        2: 0x1249249249249249,
-    }
-    for shift, mask in masks.items():
+    masks = (0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249)
+    for shift, mask in zip((32, 16, 8, 4, 2), masks, strict=True):
         x = (x | (x << np.uint64(shift))) & np.uint64(mask)
     return x

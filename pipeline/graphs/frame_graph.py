@@ -7,21 +7,17 @@ import numpy as np
 
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.camera.geometry import transform
 from pipeline.graphs import graph, graph_file, neighbourhoods
-from pipeline.graphs.accumulate import Accumulator, read_steps
 from pipeline.graphs.cloud import Cloud, frame_rng, ordered, sample_points
 from pipeline.graphs.graph_file import Column, Columns
 from pipeline.settings.graphs import Variant
 
 
 def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Summary:
-    """Write the frames of a drive as a variant of graphs, and their measured motion.
+    """Write the frames of a drive as a variant of graphs, and their measured motion, to a new file.
 
-    Args:
-        path: of the new file.
-        source: the drive's clouds, or with images its file of stage ingest.
-        motion: the drive's file of that stage.
-        variant: an entry of section graphs.
+    `source`: the drive's clouds, or with images its file of stage ingest; `motion`: its file of that stage.
     """
     with (
         DriveReader(source, stage=variant.source.split("/")[0]) as input_file,
@@ -31,10 +27,8 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
         with DriveWriter(path, stage="graphs", drive=input_file.drive, params=params) as file:
             if variant.kind == "image":
                 rows = np.flatnonzero(input_file["has_image"])
-                frames, empty = (
-                    _images(input_file, rows),
-                    {"image": Column(input_file.rows("image", 0, 0), "RGB", "ptr")},
-                )
+                empty = {"image": Column(input_file.rows("image", 0, 0), "RGB", "ptr")}
+                frames = _images(input_file, rows)
             else:
                 rows = np.arange(len(input_file.frame))
                 frames, empty = _points(input_file, measured, variant), empty_frame(variant)
@@ -72,7 +66,7 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns
     """Return the points with their kNN graph and its numbers of edges, or with PointNet++'s samplings and groupings."""
     assert variant.points
     xyz, cls = cloud
-    dtype = graph.index_dtype(variant.points)
+    dtype = np.uint16 if variant.points <= 65_535 else np.uint32
     columns = {"xyz": Column(xyz, "m", "ptr"), "cls": Column(cls, "trainId", "ptr")}
     if variant.kind == "graph":
         assert variant.k is not None
@@ -95,3 +89,49 @@ def empty_frame(variant: Variant) -> Columns:
     """Return the columns of a variant of points without rows."""
     columns = connect((np.empty((0, 3), np.float32), np.empty(0, np.uint8)), variant, np.random.default_rng(0))
     return {name: column._replace(rows=column.rows[:0]) for name, column in columns.items()}
+
+
+def read_steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
+    """Return frame number → T_before_now float64 [4,4] of the valid frames of a motion file.
+
+    It has the length unit of the clouds of `source`. Visual odometry multiplies depth by ``scale``; clouds/pseudo are
+    lifted from uncorrected depth. So the step's translation is divided by the scale, and static objects coincide
+    whatever the scale of depth. clouds/lidar are in metres, as motion is.
+    """
+    valid = motion["valid"].astype(bool)
+    steps = motion["T_before"][valid].astype(np.float64)
+    if source == "clouds/pseudo":
+        steps[:, :3, 3] /= motion["scale"][valid, None]
+    return dict(zip(motion.frame[valid].tolist(), steps, strict=True))
+
+
+class Accumulator:
+    """Combines each cloud with up to `frames` - 1 previous ones.
+
+    It reaches back as long as frame numbers are consecutive and motion is valid. So it starts anew after a halt, since
+    standstill looks like unmeasured motion. Moving objects leave a trace, and objects that the car has passed
+    lie behind the camera.
+    """
+
+    def __init__(self, frames: int) -> None:
+        self._frames = frames
+        self._clouds: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
+        self._last: int | None = None
+
+    def add(self, number: int, cloud: Cloud, T_before: np.ndarray | None) -> Cloud:
+        """Return the combined cloud of the next frame, in its coordinates.
+
+        `T_before`: the step to this frame, see :func:`read_steps`; None if it was not measured.
+        """
+        if self._last is None or number != self._last + 1 or T_before is None:
+            self._clouds = []
+        else:
+            T_now_before = np.linalg.inv(T_before)
+            previous = self._clouds[1 - self._frames :]
+            self._clouds = [(T_now_before @ T_before_then, then) for T_before_then, then in previous]
+        self._clouds.append((np.eye(4), cloud))
+        self._last = number
+        return (
+            np.concatenate([transform(T_now_then, xyz) for T_now_then, (xyz, _) in self._clouds]).astype(np.float32),
+            np.concatenate([cls for _, (_, cls) in self._clouds]),
+        )

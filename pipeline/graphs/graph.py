@@ -16,7 +16,7 @@ class Graph:
     """A symmetric graph on P nodes as CSR without self-loops.
 
     degree: uint8 [P], neighbours per node.
-    indices: uint16 or uint32 [sum(degree)], concatenated neighbour lists, ascending within a node.
+    indices: int32 [sum(degree)], concatenated neighbour lists, ascending within a node.
     edges_knn, edges_kept: directed kNN edges before and after pruning, as the paper counts them (600 for 100 points).
     """
 
@@ -33,11 +33,6 @@ def build(xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng
     Raises InputError if a point has more than 255 neighbours.
     """
     return prune(undirected(nearest(xyz, k)), cls, keep_inter_class, rng)
-
-
-def index_dtype(nodes: int) -> type[np.unsignedinteger]:
-    """Return the smallest dtype for indices of `nodes` nodes."""
-    return np.uint16 if nodes <= 65_535 else np.uint32
 
 
 def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
@@ -92,7 +87,7 @@ def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.
         raise InputError(f"a point has {degree.max()} neighbours (at most 255)", fix="Set a smaller k")
     return Graph(
         degree.astype(np.uint8),
-        column[keep].astype(index_dtype(len(cls))),
+        column[keep],
         edges_knn=int(matrix.data.sum()) // 2,
         edges_kept=int(matrix.data[keep].sum()) // 2,
     )

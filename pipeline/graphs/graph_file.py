@@ -53,12 +53,11 @@ class Contents(BaseModel):
     image_size: tuple[int, int] | None = None
 
     def __str__(self) -> str:
-        """Return the contents in words."""
         if self.kind == "image":
             return "images of {} x {} pixels".format(*self.image_size or ("?", "?"))
-        if self.kind == "pointnet2":
-            return f"points with PointNet++ neighbourhoods in {self.levels} levels"
-        return "kNN graphs"
+        return (
+            "kNN graphs" if self.kind == "graph" else f"points with PointNet++ neighbourhoods in {self.levels} levels"
+        )
 
 
 class MeasuredMotion(NamedTuple):
@@ -117,10 +116,7 @@ class Graphs(store.DriveReader):
 
     @cached_property
     def counts(self) -> Arrays:
-        """Numbers per frame [G]: points, and directed kNN edges before and after pruning, as far as the file has them.
-
-        Names: points, edges_knn, edges_kept.
-        """
+        """Numbers per frame [G], as far as the file has them: points, edges_knn and edges_kept (directed)."""
         points = {"points": np.diff(self["ptr"])} if "xyz" in self else {}
         return points | {name: self[name] for name in ("edges_knn", "edges_kept") if name in self}
 

@@ -13,8 +13,8 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes, geometry
 from pipeline.camera.geometry import transform
 from pipeline.graphs import cloud, graph, neighbourhoods
-from pipeline.graphs.accumulate import Accumulator, read_steps
 from pipeline.graphs.cloud import Cloud
+from pipeline.graphs.frame_graph import Accumulator, read_steps
 
 K = np.array([[100.0, 0, 19.5], [0, 100.0, 9.5], [0, 0, 1]])
 

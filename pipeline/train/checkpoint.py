@@ -35,10 +35,7 @@ def _intern(value: Any) -> Any:
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:
-    """Read a file of :func:`write` onto the CPU.
-
-    Args:
-        kind: the expected ``content["kind"]``, for instance "steering net".
+    """Read a file of :func:`write` onto the CPU; `kind` is its ``content["kind"]``.
 
     Raises InputError if the file is missing, damaged or of another kind; callers add the fix.
     """

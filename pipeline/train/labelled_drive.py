@@ -18,13 +18,6 @@ from pipeline.graphs import graph_file
 from pipeline.graphs.graph_file import MeasuredMotion
 from pipeline.labels import label
 
-ANGLE = "steering_rad"
-
-
-def column_names(ahead_m: Sequence[float]) -> list[str]:
-    """Return the columns for the edges of the ranges of a path, or that of the angle without edges."""
-    return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(ahead_m)] or [ANGLE]
-
 
 @dataclass(frozen=True)
 class Timeline:
@@ -97,7 +90,8 @@ class LabelledDrive(Timeline):
 
     @property
     def columns(self) -> list[str]:
-        return column_names(self.ahead_m)
+        """One for each range of a path, or that of the angle."""
+        return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.ahead_m)] or ["steering_rad"]
 
     @property
     def truth(self) -> np.ndarray:

@@ -35,7 +35,7 @@ class Scale:
     odometry, are for baselines.
     """
 
-    names: list[str]  # columns, see labelled_drive.column_names
+    names: list[str]  # LabelledDrive.columns
     gain: np.ndarray  # float64 [R], as the following
     std: np.ndarray
     mean: np.ndarray
@@ -62,8 +62,8 @@ class Scale:
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
         """Return the scale of :attr:`content`. Raises TypeError or ValueError."""
-        values: dict[str, Any] = {name: value and np.array(value) for name, value in content.items()}
-        return cls(**values | {"names": content["names"]})
+        arrays: Any = {name: value and np.array(value) for name, value in content.items() if name != "names"}
+        return cls(content["names"], **arrays)
 
     @property
     def content(self) -> dict[str, Any]:

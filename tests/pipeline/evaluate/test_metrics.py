@@ -117,11 +117,13 @@ def test_scores_by_hand() -> None:
     assert set(errors.scores(np.empty(0), np.empty(0)).values()) == {0, None}
 
 
+def settings(block: int, samples: int) -> Evaluate:
+    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, curvature_bins_1pm=[0.1], seed=0)
+
+
 def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> list[float]:
     """Return the interval for errors [N] or [S,N] in rad."""
-    general = {"curvature_bins_1pm": [0.1], "seed": 0}
-    settings = Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, **general)
-    return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings)
+    return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings(block, samples))
 
 
 def test_zero_prediction_has_nmse_one_and_a_degenerate_interval() -> None:
@@ -215,12 +217,11 @@ def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
     steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)
     hard = np.repeat(rng.uniform(0, 1, 12), 50)  # both err on the same roads
     one, other = (hard * rng.normal(size=(2, 600)) * size for size in (0.5, 0.55))
-    settings = Evaluate(bootstrap_block_frames=50, bootstrap_samples=500, curvature_bins_1pm=[0.1], seed=0)
     difference = (one**2 - other**2).mean(axis=0)
-    low, high = errors.interval(difference, steering, drive, settings)
+    low, high = errors.interval(difference, steering, drive, settings(50, 500))
     alone = interval(steering, one, drive, 50, 500)
     assert high - low < 0.5 * (alone[1] - alone[0])
-    assert errors.interval(0 * difference, steering, drive, settings) == [0.0, 0.0]
+    assert errors.interval(0 * difference, steering, drive, settings(50, 500)) == [0.0, 0.0]
 
 
 def test_a_single_block_has_no_interval() -> None:

@@ -69,9 +69,8 @@ def import_recording(
     """Write drives and print what to do next; the module's docstring is the help text."""
     from pipeline.settings.preset import PRESETS
     from pipeline.video import drive_preset
-    from pipeline.video.horizon import find_horizon
     from pipeline.video.import_recording import Import
-    from pipeline.video.lens import pinhole, undistortion
+    from pipeline.video.lens import find_horizon, pinhole, undistortion
     from pipeline.video.log import check_ratio, read_motion, read_wheel
     from pipeline.video.recording import open_recording
 
@@ -124,10 +123,8 @@ def _lines(
     for (drive, frames), folder in zip(summary["drives"].items(), summary["folders"], strict=True):
         yield f"{drive}: {frames} of {summary['images']} images, written to {folder}"
     row = summary["horizon"]
-    horizon = "not found, assuming a level camera (or pass --horizon)" if row is None else f"row {row:.0f}"
-    yield f"{{first_s:.3f}} to {{last_s:.3f}} s, {{steering_angles}} steering angles; horizon: {horizon}".format_map(
-        summary
-    )
+    yield "{first_s:.3f} to {last_s:.3f} s, {steering_angles} steering angles".format_map(summary)
+    yield f"horizon: {'not found, assuming a level camera (or pass --horizon)' if row is None else f'row {row:.0f}'}"
     first, manifest = next(iter(summary["manifests"].items()))
     if preset is None:
         height = f", perception.camera_height_m: {height_m:g}" if height_m else ""

@@ -88,19 +88,10 @@ def write_params(
     path: Path, train: list[str], test: list[str], labels: dict[str, Any] | None = None, **ingest: Any
 ) -> Path:
     """Write a params file with the sections that ingest and labels read."""
-    sections = {
-        "ingest": {
-            "source": "kitti",
-            "image_size": [36, 48],
-            "cameras": [2, 0],
-            "lidar": True,
-            "on_damaged": "fail",
-            "drives": {"train": train, "val": [], "test": test},
-        }
-        | ingest,
-        "labels": {"wheelbase_m": 2.7, "min_speed_mps": 1.0} | (labels or {}),
-    }
-    path.write_text(yaml.safe_dump(sections))
+    reading = {"source": "kitti", "image_size": [36, 48], "cameras": [2, 0], "lidar": True, "on_damaged": "fail"}
+    drives = {"train": train, "val": [], "test": test}
+    car = {"wheelbase_m": 2.7, "min_speed_mps": 1.0}
+    path.write_text(yaml.safe_dump({"ingest": reading | {"drives": drives} | ingest, "labels": car | (labels or {})}))
     return path
 
 

@@ -53,10 +53,7 @@ def ingest_drive(
 
     Args:
         frames: in order, with complete images, depth and classes of the camera's size; read once.
-        path: of the file.
-        drive: name of the recording.
-        camera: of complete images; None: a recording without images and scans.
-        settings: stored in the file. Images are cropped around the horizon and resized to its ``image_size``.
+        camera: of complete images, which are cropped around the horizon; None: a recording without images and scans.
         truth: datasets of ground truth that the file has, of "depth" and "cls".
         oxts: frame number → packet [30]; if given, of each frame.
         steering_rad: frame number → recorded angle of the front wheels.

@@ -94,15 +94,10 @@ class KittiDrive:
 
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
-    """Return the named drives (for instance 2011_09_26_drive_0052) below `root`.
-
-    Raises InputError if the folder or one of the drives is missing, or if there are no drives at all.
-    """
+    """Return the named drives (such as 2011_09_26_drive_0052) below `root`. Raises InputError if one is missing."""
     if not root.is_dir():
         raise InputError("folder is missing", root, f"Link it: ln -s /path/to/kitti {root}")
     known = sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
-    if not known:
-        raise InputError("folder has no drives (expected <date>/<date>_drive_NNNN_sync, as in KITTI raw)", root)
     for drive in drives:
         if drive not in known:
             problem = f"drive {drive} of ingest.drives is missing ({closest(drive, known)})"

@@ -27,11 +27,7 @@ def path_ahead(
     It is the change of heading between two edges, divided by the arc length between them. Heading and arc length are
     integrals of yaw rate and speed (trapezoidal rule), and linear between frames. A value is valid if, from the frame
     to the far edge, all frames exist and are measured, and the car never reverses and stands for at most `max_stand_s`.
-
-    Args:
-        frame, time_s: numbers and times of the frames [F].
-        labels: speed and yaw rate of the frames; NaN is not measured.
-        edges_m: R+1 ascending distances.
+    `frame`, `time_s`: of the frames [F]; `edges_m`: R+1 ascending distances.
     """
     curvature = np.zeros((len(frame), len(edges_m) - 1))
     valid = np.zeros(curvature.shape, bool)

@@ -37,10 +37,8 @@ def errors(measured: Labels, true: Labels) -> Errors:
 def score(drives: Iterable[Errors]) -> dict[str, Any] | None:
     """Return the scores over all frames of `drives`; None without frames. Undefined values are None.
 
-    ``drives``: number with frames; ``frames``: of the source; ``valid``: share of valid labels; ``judged``:
-    frames in nmse, none for drives without a measurement; ``yaw_rmse_degps``, ``yaw_median_degps``; ``speed_ratio``:
-    median of measured / true speed; ``nmse``: MSE of the last measured steering angle / MSE of predicting zero;
-    ``correlation`` of these angles, about zero.
+    ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of measured / true speed;
+    ``nmse``: MSE of the last measured steering angle / that of predicting zero; ``correlation``: about zero.
     """
     parts = list(drives)
     joined = Errors(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None

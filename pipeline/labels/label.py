@@ -61,8 +61,7 @@ def measured_angle(
 ) -> np.ndarray:
     """Return the :func:`steering_angle` of measured motion, float64 [F] in rad.
 
-    Frames without `valid` motion, or slower than `min_speed_mps` in either direction, repeat the last usable angle;
-    before the first it is 0.
+    Where it is not usable, it repeats the last usable angle; before the first it is 0.
     """
     usable = is_usable(speed_mps, valid, min_speed_mps)
     angle = steering_angle(np.asarray(yaw_rate_radps, np.float64), np.asarray(speed_mps, np.float64), wheelbase_m)

@@ -49,11 +49,9 @@ class Weights(Section):
 
     @property
     def parts(self) -> dict[str, WeightFile]:
-        """Return part → its published file."""
         return {part: file for part in PARTS if (file := getattr(self, part))}
 
     def has(self, part: str) -> bool:
-        """Return whether a file holds the weights of `part`."""
         return self.checkpoint is not None or part in self.parts
 
     @model_validator(mode="before")
@@ -91,7 +89,6 @@ class Encoder(Section):
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Return the splits whose images the fit reads."""
         return SPLITS if self.teacher and self.teacher.drives == "all" else ("train",)
 
     @property

@@ -15,8 +15,6 @@ _KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in m
 
 
 class Accumulate(Section):
-    """Merge the clouds of several consecutive frames into one, aligned by their measured motion."""
-
     frames: Annotated[int, Field(ge=2, le=64)]  # at most, including the current one
 
 
@@ -41,7 +39,6 @@ class Variant(Section):
 
     @property
     def kind(self) -> FrameKind:
-        """Return the kind of the variant's frames."""
         if self.source == "ingest":
             return "image"
         return "pointnet2" if self.neighbourhood == "pointnet2" else "graph"

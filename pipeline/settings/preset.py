@@ -62,10 +62,7 @@ def main(
     out: Annotated[Path, typer.Option(help="the file to write")] = Path("params.yaml"),
     params: Annotated[Path, typer.Option(help="the file that the preset changes")] = Path("params.yaml"),
 ) -> None:
-    """Apply a preset to params.yaml.
-
-    Raises InputError if `out` is no params file, or if git calls it modified and this function did not write it.
-    """
+    """Apply a preset. Raises InputError if `out` is no params file, or has edits that git and this function lack."""
     result = text(name, params)
     if out.exists():
         content = read(out)
@@ -79,16 +76,10 @@ def main(
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
-    """Return the content of `params` with the changes of preset `name`.
+    """Return the content of a complete `params` file with the changes of preset `name`, of presets/ or a path.
 
     Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
-    and ``"*": null`` removes all earlier keys, so that a list of models is replaced.
-
-    Args:
-        name: of a file in presets/, or the path of another file.
-        params: a complete params file.
-
-    Raises InputError if there is no such preset, or if a key or value of either file is wrong.
+    and ``"*": null`` removes all earlier keys, so that a list of models is replaced. Raises InputError.
     """
     preset = find(name)
     content, changes = read(params), read(preset)
@@ -146,12 +137,9 @@ def _hash(written: str) -> str:
 
 
 def _is_modified(path: Path) -> bool:
-    """Return whether git tracks `path` and its content is not committed; False without git."""
+    """Return whether git tracks `path` and its content is not committed."""
     command = ["git", "status", "--porcelain", "--untracked-files=no", "--", path.name]
-    try:
-        return bool(subprocess.run(command, cwd=path.absolute().parent, capture_output=True, check=False).stdout)
-    except FileNotFoundError:
-        return False
+    return bool(subprocess.run(command, cwd=path.absolute().parent, capture_output=True, check=False).stdout)
 
 
 def _short(path: Path) -> Path:

@@ -63,13 +63,11 @@ def write(
     """Write a preset with two models, with and without measured motion as input.
 
     Args:
-        path: in presets/.
         manifests: drive for training, validation and testing → hash of its manifest.
         source: of the labels. Motion that is the label cannot be an input for the same frame, so visual labels are
-            predicted a second ahead. The scale of a wheel's angle and of measured motion may differ: base is none.
-        hz: images per second.
-        height_m: of the camera over the road, which gives measured motion its scale; None: KITTI's.
+            predicted a second, `hz` frames, ahead. A wheel's angle and measured motion may differ in scale: no base.
         camera: of the images. Depth grows with focal length / width, and so does its limit.
+        height_m: of the camera over the road, which gives measured motion its scale; None: KITTI's.
     """
     ratio = float(camera.K[0, 0]) / camera.size[1] / WIDE
     text = _TEXT.format(

@@ -160,8 +160,7 @@ class Import:
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
     """Cut the `usable` images, bool [F], taken at `time_s` [F], into consecutive parts; return a mask of each.
 
-    A part has its share of the duration, less the GAP_S that are left out between two parts. Raises InputError if a
-    part would have fewer than two images.
+    GAP_S are left out between two parts. Raises InputError if a part would have fewer than two images.
     """
     first_s, last_s = time_s[usable][[0, -1]]
     edges_s = first_s + (last_s - first_s) * np.cumsum([0.0, *shares]) / sum(shares)
@@ -193,8 +192,7 @@ def _distribute_images(folders: Sequence[Path], parts: Sequence[np.ndarray]) -> 
 def _drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str, Path]:
     """Return name → folder below `out` of `count` drives with consecutive numbers, from `drive` on.
 
-    Raises InputError for a name that is not like KITTI's; if a drive exists, unless `replace`; and if it exists and is
-    not as an earlier import wrote it.
+    Raises InputError if one exists, with `replace` only if it is not as an earlier import wrote it.
     """
     folders = {}
     for part in range(count):

@@ -1,19 +1,27 @@
-"""Intrinsics of a camera from a calibration file, a field of view or four numbers; undistortion of its images."""
+"""Intrinsics of a camera from a calibration file, a field of view or four numbers; undistortion; the horizon's row."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import InputError, error_context
-from pipeline.camera.camera import Camera
+from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import Size, format_size
 from pipeline.kitti.raw import check_pinhole, projection, read_entries
+from pipeline.motion.visual import Corners, track
 
 WAYS = "--calib FILE (a KITTI calib_cam_to_cam.txt), --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
 _CAMERAS = (2, 0, 3, 1)  # first match wins: rectified cameras share one K
 _FOV_DEG = (5.0, 170.0)
+WIDTH = 640  # px, of the images that are tracked
+CELL, MIN_QUALITY = 24, 2e-5
+MIN_TRACKS, MIN_INLIERS = 60, 0.4
+MIN_FLOW_PX = 1.0  # below, the direction of travel is noise
+RANSAC_PX = 0.7
+PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
 
 
 def pinhole(size: Size, *, calib: Path | None = None, fov_deg: float | None = None, K: str | None = None) -> Camera:
@@ -90,3 +98,40 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
         raise InputError(problem, "--distortion", "Pass the coefficients of this lens, and its --K")
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, (width, height), cv2.CV_16SC2)
     return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
+
+
+def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
+    """Return the image row of the direction of travel; None if too few images show one.
+
+    It is the median over pairs of consecutive images, spread over the first minute of a drive. The
+    row depends little on the focal length. A camera on a car travels along the road, so this is the road's horizon.
+    """
+    images = (frame.image for frame in frames if frame.image is not None)
+    pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)
+    rows = [row for before, now in pairs if (row := _row(before, now, camera)) is not None]
+    return float(np.median(rows)) if len(rows) >= MIN_PAIRS else None
+
+
+def _row(before: np.ndarray, now: np.ndarray, camera: Camera) -> float | None:
+    import cv2
+
+    small = round(camera.size[0] * WIDTH / camera.size[1]), WIDTH
+    first, second = (
+        cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), small[::-1], interpolation=cv2.INTER_AREA)
+        for image in (before, now)
+    )
+    K = camera.scaled(small).K
+    uv = Corners(np.asarray(first)).best(np.ones(small, bool), CELL, MIN_QUALITY)
+    uv_now, tracked = track(np.asarray(first), np.asarray(second), uv, uv)
+    uv, uv_now = uv[tracked].astype(np.float64), uv_now[tracked].astype(np.float64)
+    if len(uv) < MIN_TRACKS or np.median(np.abs(uv_now - uv).max(axis=1)) < MIN_FLOW_PX:
+        return None
+    essential, inliers = cv2.findEssentialMat(uv, uv_now, K, cv2.RANSAC, 0.999, RANSAC_PX)
+    if essential is None or essential.shape != (3, 3) or inliers.mean() < MIN_INLIERS:
+        return None
+    _, rotation, translation, _ = cv2.recoverPose(essential, uv, uv_now, K, mask=inliers)
+    _, down, ahead = -rotation.T @ translation[:, 0]
+    if abs(ahead) < 0.9:  # of a unit vector: not a car's motion
+        return None
+    row = K[1, 2] + K[1, 1] * down / ahead
+    return float((row + 0.5) * camera.size[0] / small[0] - 0.5)

@@ -52,10 +52,7 @@ class WheelLog(NamedTuple):
 
 
 def interpolate(time_s: np.ndarray, samples_s: np.ndarray, samples: np.ndarray, max_gap_s: float) -> np.ndarray:
-    """Interpolate `samples` [N] at `samples_s` [N], ascending, linearly at `time_s` [F].
-
-    Returns [F], NaN before the first sample, after the last, and between two samples more than `max_gap_s` apart.
-    """
+    """Interpolate samples [N] at ascending times [N] linearly at `time_s` [F]; NaN outside and in longer gaps."""
     left = np.clip(np.searchsorted(samples_s, time_s, side="right") - 1, 0, len(samples_s) - 2)
     gap_s = samples_s[left + 1] - samples_s[left]
     gap_s[(time_s == samples_s[left]) | (time_s == samples_s[left + 1])] = 0.0
@@ -77,13 +74,9 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
 
 
 def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> WheelLog:
-    """Read angles of the steering wheel from a CSV file and divide them by the steering ratio.
+    """Read a CSV file with wheel_rad, left positive, and time_s or frame, and divide by the steering ratio.
 
-    Args:
-        path: a CSV file with wheel_rad, left positive, and time_s or frame; with both, time_s counts.
-        offset_s: added to the file's times.
-
-    Raises InputError as :func:`read_motion` does.
+    With both, time_s counts. `offset_s` is added to it. Raises InputError as :func:`read_motion` does.
     """
     columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), _WHEEL, least=2)
     steering_rad, frame, time_s = columns["wheel_rad"] / steering_ratio, columns.get("frame"), columns.get("time_s")

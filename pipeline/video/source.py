@@ -24,8 +24,7 @@ from pipeline.perception.drive import perceive_drive
 from pipeline.perception.perceive import weights_file
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
-from pipeline.video.horizon import find_horizon
-from pipeline.video.lens import pinhole, undistortion
+from pipeline.video.lens import find_horizon, pinhole, undistortion
 from pipeline.video.recording import open_recording
 
 DEFAULT_FPS = 10.0  # KITTI's

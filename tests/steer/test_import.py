@@ -18,7 +18,6 @@ from pipeline.kitti.oxts import read_steering, read_times
 from pipeline.kitti.raw import MANIFEST, KittiDrive
 from pipeline.labels.label import steering_labels
 from pipeline.settings import preset
-from pipeline.video import import_recording as module
 from pipeline.video.import_recording import GAP_S, cut
 from stages import check, ingest, labels
 from steer.import_ import import_recording
@@ -267,20 +266,6 @@ def test_plainly_wrong_imports_write_nothing(
         take(**{"recording": video, "log": log, "motion": None, **options})
     assert written(log) == {}
     assert [*presets.iterdir()] == []
-
-
-def test_a_kill_keeps_what_was_there(log: Path, video: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    take(video, log)
-    before = written(log)
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module, "format_packet", interrupt)
-    for name in DRIVES:
-        with pytest.raises(KeyboardInterrupt):
-            take(video, log, name, replace=True)
-    assert written(log) == before
 
 
 @given(st.integers(0, 200), st.integers(700, 1000), st.integers(20, 60), st.integers(20, 39))

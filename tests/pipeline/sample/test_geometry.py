@@ -119,17 +119,3 @@ def test_rays_hit_road_grass_and_wall(world: World) -> None:
     np.testing.assert_array_equal(hits.cls, [classes.ROAD, classes.TERRAIN, classes.BUILDING, classes.SKY])
     np.testing.assert_allclose(hits.distance_m, [3, 3 - KERB_M, 9.5, np.inf], rtol=1e-5)
     np.testing.assert_allclose(hits.normal.T, [[0, 0, 1], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], atol=1e-6)
-
-
-def test_traffic_hides_what_is_behind_it_and_leaves_again(world: World) -> None:
-    ray = rays(([-8.0, 0, 0.7], [1, 0, 0]), ([-8.0, 3, 0.7], [0, 1, 0.01]))
-    car = shapes.car(np.random.default_rng(0))
-    world.set_traffic([car.placed((-2.0, 0.0)), car.placed((-2.0, 300.0))])
-    hits = world.cast(ray)
-    np.testing.assert_array_equal(hits.cls, [classes.CAR, classes.SKY])
-    assert 3 < hits.distance_m[0] < 5
-    under_the_car = np.array([[-2.0, 0, 0.02]], np.float32).T
-    assert not world.lit(under_the_car, np.array([0.0, 0, 1]))[0]
-    world.set_traffic([])
-    assert world.cast(ray).cls[0] == classes.BUILDING
-    assert world.lit(under_the_car, np.array([0.0, 0, 1]))[0]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import torch
@@ -41,18 +40,14 @@ class Source:
 
 
 def check_available(weights: Weights | None) -> None:
-    """Raise InputError if a file is missing and cannot be downloaded; neither read nor download any."""
+    """Raise InputError if a file is missing and cannot be downloaded."""
     for part, file in _files(weights).items():
         with error_context("" if part == ALL else part):
             _check_available(file)
 
 
 def load_weights(model: Any, backbone: str, weights: Weights | None) -> list[Source]:
-    """Load weights into a unified encoder in place; return the files.
-
-    Args:
-        model: a torch module with the children backbone, depth_head and class_head.
-        backbone: its kind, a key of ``models.encoder.unified_encoder.BACKBONES``.
+    """Load weights into a unified encoder in place; return the files. `backbone`: its kind, a key of BACKBONES.
 
     Raises InputError if a file is missing, has another hash, or does not match the network tensor by tensor.
     """
@@ -123,19 +118,13 @@ def _files(weights: Weights | None) -> dict[str, WeightFile]:
 
 
 def _check_available(file: WeightFile) -> None:
-    try:
-        exists = file.path.exists()
-    except OSError as error:  # a name that is too long, no permission
-        raise InputError(str(error.strerror), file.path) from error
-    if exists:
+    if file.path.exists():
         if not file.path.is_file():
             raise InputError("expected a regular file", file.path)
         return
     if not file.is_url:
         fix = "Make it: make street" if file.path.parent == STREET else "Put it there, or name another one"
         raise InputError("file is missing", file.path, fix)
-    if file.url.startswith("file://") and not Path(unquote(urlsplit(file.url).path)).is_file():
-        raise InputError("expected a regular file", file.url, _by_hand(file))  # a device never ends
     if not file.sha256:
         raise InputError("file is missing, and a URL without sha256 is not downloaded", file.path, _by_hand(file))
 

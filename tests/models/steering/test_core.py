@@ -34,15 +34,6 @@ def test_edge_index_has_both_directions_of_each_edge() -> None:
     assert {(b, a) for a, b in expected} == set(expected)
 
 
-@pytest.mark.parametrize("points", [1, 20, 10**6])
-def test_blocks_are_complete_frames(points: int) -> None:
-    batch: Any = frames.batch(COUNTS)
-    blocks = list(batch.blocks(points))
-    assert torch.equal(torch.cat([block.xyz for block in blocks]), batch.xyz)
-    assert torch.equal(torch.block_diag(*map(frames.dense, blocks)), frames.dense(batch))
-    assert all(len(block.xyz) <= points or len(block.ptr) == 2 for block in blocks)
-
-
 def test_classes_enter_in_proportion_to_semantics() -> None:
     batch: Any = frames.batch([40])
     none, half, full = (node_features(batch.xyz, batch.cls, weight) for weight in (0.0, 0.5, 1.0))

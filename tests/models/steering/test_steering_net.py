@@ -1,7 +1,5 @@
 """Networks of each combination: shared frames, mirroring, motion, uncertainty, paths, mixed precision."""
 
-import json
-import pickle
 from typing import Any
 
 import pytest
@@ -147,16 +145,6 @@ def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
     expected = r"models/steering/spatial/gnn\.py: the spatial network returns \[20\] per frame, expected \[8\]"
     with pytest.raises(ValueError, match=expected):
         net(batch(), WINDOWS, DT_S)
-
-
-@pytest.mark.parametrize("spatial", names("spatial"))
-def test_an_entry_is_complete_and_survives_json_and_pickle(spatial: str) -> None:
-    first = entry(spatial)
-    dumped = first.model_dump(mode="json")
-    for copy in (Entry.model_validate(json.loads(json.dumps(dumped))), pickle.loads(pickle.dumps(first))):
-        assert copy == first
-        assert copy.model_dump(mode="json") == dumped
-    assert {*load("spatial", spatial).model_fields, *load("temporal", "ncp").model_fields} <= dumped.keys()
 
 
 @pytest.mark.parametrize(

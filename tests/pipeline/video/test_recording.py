@@ -1,4 +1,4 @@
-"""Videos and folders of images: order, frames, times, and files that other programs would show otherwise."""
+"""Recordings: frames and times of videos and folders, intrinsics and distortion, logs, and plainly wrong files."""
 
 import os
 import socket
@@ -6,14 +6,20 @@ import struct
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.camera.geometry import rays
+from pipeline.kitti.raw import read_calibration
+from pipeline.video.lens import pinhole, undistortion
+from pipeline.video.log import interpolate, read_motion, read_wheel
 from pipeline.video.recording import open_recording, read_times
-from tests.kitti_drive import write_png
+from tests.kitti_drive import write_calibration, write_png
 from tests.recordings import SIZE, pictures, write_folder, write_video
 
 
@@ -257,3 +263,143 @@ def test_timestamps_that_do_not_increase_need_a_rate(tmp_path: Path) -> None:
     with pytest.raises(DamagedFile, match="do not increase"):
         list(open_recording(path).frames())
     assert len(list(open_recording(path, fps=10).frames())) == 60
+
+
+def test_field_of_view_spans_the_edges() -> None:
+    K = pinhole((480, 640), fov_deg=90).K
+    left, right = np.linalg.inv(K) @ [-0.5, 0, 1], np.linalg.inv(K) @ [639.5, 0, 1]  # half a pixel beyond the centres
+    assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
+    middle = rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
+    np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-12)
+
+
+def test_calibration_file_as_ingest_reads_it(tmp_path: Path) -> None:
+    calib = tmp_path / "calib_cam_to_cam.txt"
+    write_calibration(tmp_path)
+    camera = read_calibration(tmp_path, 2)
+    np.testing.assert_array_equal(pinhole(SIZE, calib=calib).K, camera.K)
+    half = (SIZE[0] // 2, SIZE[1] // 2)
+    np.testing.assert_array_equal(pinhole(half, calib=calib).K, camera.scaled(half).K)
+    for name, size, problem in (("cam_to_cam", (40, 64), "aspect ratio"), ("velo_to_cam", SIZE, "no entry P_rect_02")):
+        with pytest.raises(InputError, match=problem):
+            pinhole(size, calib=tmp_path / f"calib_{name}.txt")
+
+
+@pytest.mark.parametrize(
+    ("given", "where"),
+    [
+        ({"fov_deg": 180}, "--fov"),
+        ({"K": "a,b,c,d"}, "--K"),
+        ({"K": "50,50,65,20"}, "--K"),
+        ({}, ""),
+        ({"fov_deg": 90, "K": "1,1,1,1"}, ""),
+    ],
+)
+def test_plainly_wrong_intrinsics(given: dict[str, Any], where: str) -> None:
+    with pytest.raises(InputError) as raised:
+        pinhole((48, 64), **given)
+    assert raised.value.where == where
+
+
+def test_undistorted_images_show_each_direction_at_its_pixel() -> None:
+    camera = pinhole((120, 160), K="150,160,75,62")
+    coefficients = np.array([-0.25, 0.06, 0.003, -0.002, 0.01])
+    v, u = np.mgrid[:120, :160].astype(np.float64)
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+    directions = cv2.undistortPoints(pixels, camera.K, coefficients).reshape(120, 160, 2)
+
+    def colours(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.stack([128 + 150 * x, 128 + 150 * y, 128 + 80 * (x - y)], axis=-1)
+
+    recorded = np.rint(colours(directions[..., 0], directions[..., 1])).astype(np.uint8)
+    rectified = undistortion(camera, ",".join(map(str, coefficients)))(recorded)
+    expected = colours(*rays(camera.K, camera.size)[..., :2].transpose(2, 0, 1))
+    inside = rectified.any(axis=-1)
+    assert inside[10:-10, 10:-10].all()
+    assert np.abs(rectified - expected)[10:-10, 10:-10].max() < 2
+    assert np.abs(recorded - expected)[10:-10, 10:-10].max() > 5
+    same = undistortion(camera, "0,0,0,0")(recorded)
+    np.testing.assert_array_equal(same, recorded)
+
+
+@pytest.mark.parametrize("text", ["0.1,0,0,x", "-2,0,0,0"])
+def test_a_distortion_that_is_none(text: str) -> None:
+    with pytest.raises(InputError) as raised:
+        undistortion(pinhole((120, 160), K="100,100,80,60"), text)
+    assert raised.value.where == "--distortion"
+
+
+HEAD = "time_s,speed_mps,yaw_rate_radps\n"
+
+
+def log(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "can.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        HEAD + "1,5,0.1\n1.5,6,-0.2\n",
+        HEAD + "1,5,0.1,\n1.5,6,-0.2, ,\n",  # empty fields are no values
+        "yaw_rate_radps, note, time_s, speed_mps\n0.1, \"a, b\", 1, 5\n-0.2,, 1.5, 6\n\n",
+        "\ufeffspeed_mps;time_s;yaw_rate_radps\r\n5;1;0.1\r\n6;1.5;-0.2\r\n",
+    ],
+)  # fmt: skip
+def test_columns_are_found_by_name(tmp_path: Path, text: str) -> None:
+    motion = read_motion(log(tmp_path, text), offset_s=10)
+    np.testing.assert_array_equal(motion.time_s, [11, 11.5])
+    np.testing.assert_array_equal(motion.speed_mps, [5, 6])
+    np.testing.assert_array_equal(motion.yaw_rate_radps, [0.1, -0.2])
+
+
+WHEEL = "frame,wheel_rad\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (HEAD + "1,5,0\n2,1e6,0\n", r"speed_mps = 1e\+06 at sample 2"),
+        (HEAD + "1,5,0\n3,5,0\n3,5,0\n", "from 3 to 3 at sample 3"),
+        (HEAD + "0,5,0\n100,5,0\n", "divide milliseconds by 1000"),
+        (HEAD + "0,5,0\n1e-4,5,0\n", "in seconds"),
+        (HEAD + "0,5,0\n0,5,5,0\n", "line 3: has 4 values, the header 3 names. .*decimal point"),
+        ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
+        (WHEEL + "1,-0,90\n2,-0,80\n", "line 2: has 3 values, the header 2 names. .*decimal point"),
+        (WHEEL + "1,0\n2,45\n", "steering_rad = 3 "),
+        ("time_s,wheel_rad\n0,0\n1000,0\n", "divide milliseconds"),
+        ("wheel_rad\n0\n1\n", "neither time_s nor frame"),
+    ],
+)
+def test_plainly_wrong_logs(tmp_path: Path, text: str, problem: str) -> None:
+    path = log(tmp_path, text)
+    with pytest.raises(InputError, match=problem) as raised:
+        read_wheel(path, 15.0) if "wheel_rad" in text else read_motion(path)
+    assert raised.value.where.startswith(str(path))
+
+
+def test_times_count_before_frames(tmp_path: Path) -> None:
+    """A 20 Hz log of a 10 Hz video, whose column `frame` numbers the samples."""
+    angles = np.linspace(0, 3, 20)
+    rows = "".join(f"{sample},{sample / 20},{angle!r}\n" for sample, angle in enumerate(angles.tolist()))
+    wheel = read_wheel(log(tmp_path, "frame,time_s,wheel_rad\n" + rows), 10.0)
+    number = np.arange(10)
+    np.testing.assert_allclose(wheel.at(number, number / 10, 1.0), angles[::2] / 10)
+
+
+def test_frames_count_images(tmp_path: Path) -> None:
+    wheel = read_wheel(log(tmp_path, "frame;wheel_rad\n2;0.5\n4;1.5\n"), 10.0)
+    np.testing.assert_array_equal(
+        wheel.at(np.arange(6), np.arange(6) / 10, 1.0), [np.nan] * 2 + [0.05, np.nan, 0.15, np.nan]
+    )
+    wheel.check_frames(4)
+    with pytest.raises(InputError, match="has frame 4, but the last image is 3"):
+        wheel.check_frames(3)
+
+
+def test_interpolation_ends_at_gaps_and_at_the_ends() -> None:
+    samples_s = np.array([0.0, 0.5, 1.0, 4.0, 5.0])
+    time_s = np.array([-0.01, -0.0005, 0.25, 1.0, 2.0, 4.0, 4.5, 5.0 + 1e-15, 5.01])
+    expected = [np.nan, 0, 0.25, 1, np.nan, 4, 4.5, 5, np.nan]
+    np.testing.assert_allclose(interpolate(time_s, samples_s, samples_s, max_gap_s=1.0), expected)

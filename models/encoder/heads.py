@@ -44,7 +44,8 @@ class CellDepth(Part):
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:
         """Return depth [B,H,W] from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
-        return bounded_depth(full(self.layers(features), self.stride, rays)[:, 0])
+        cells = F.pixel_shuffle(self.layers(features), self.stride)[:, 0]  # cells at the edges are cropped
+        return bounded_depth(cells[..., : rays.shape[-2], : rays.shape[-1]])
 
 
 class CellClasses(Part):
@@ -67,11 +68,6 @@ class CellClasses(Part):
         pixels = cells.view(batch, height, width, self.stride, self.stride, classes.COUNT).transpose(2, 3)
         logits = pixels.reshape(batch, height * self.stride, width * self.stride, classes.COUNT).permute(0, 3, 1, 2)
         return logits[..., : rays.shape[-2], : rays.shape[-1]]
-
-
-def full(cells: Tensor, stride: int, rays: Tensor) -> Tensor:
-    """Spread cells [B,C·stride²,h,w] over their pixels, [B,C,H,W]; cells at the edges are cropped."""
-    return F.pixel_shuffle(cells, stride)[..., : rays.shape[-2], : rays.shape[-1]]
 
 
 def bounded_depth(x: Tensor) -> Tensor:

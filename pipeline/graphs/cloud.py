@@ -58,16 +58,10 @@ def stored_cloud(frame: Frame, kind: str, camera: Camera, drive: str, settings: 
 
 
 def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float) -> Cloud:
-    """Back-project the pixels of an image (paper eq. 6).
+    """Back-project the pixels of an image with depth [H,W] in metres, 0 = invalid, and trainIds [H,W] (paper eq. 6).
 
-    Args:
-        depth_m: [H,W] metres along the optical axis, 0 = invalid.
-        cls: [H,W] Cityscapes trainIds.
-        K: [3,3] intrinsics for this size.
-        max_depth_m: pixels beyond it give no point.
-
-    Returns: xyz float32 [P,3], cls uint8 [P]. Sky, void and invalid pixels give no point. If all pixels are void, as
-        of an encoder without classes, they are points.
+    Sky, void and invalid pixels, and those beyond `max_depth_m`, give no point. If all pixels are void, as of an
+    encoder without classes, they are points.
     """
     solid = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY)
     if (cls != classes.VOID).any():

@@ -44,15 +44,10 @@ def farthest_points(xyz: np.ndarray, count: int) -> np.ndarray:
 def ball_query(
     xyz: np.ndarray, centres: np.ndarray, radius_m: float, neighbours: int, order: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the first `neighbours` points of the ball of `radius_m` around each centre.
+    """Return the first `neighbours` points of the ball around each centre, int64 [M,neighbours].
 
-    Args:
-        xyz: [P,3] metres.
-        centres: int [M], which of the points.
-        order: permutation [P] in which points are searched; None: the order of the points.
-    Returns:
-        int64 [M,neighbours]. Balls with fewer points repeat the first, as in the reference; a maximum over the
-        neighbours is not affected.
+    `centres` [M] are rows of the points xyz [P,3]; `order` [P] is a permutation in which points are searched. Balls
+    with fewer points repeat the first, as in the reference; a maximum over the neighbours is not affected.
     """
     order = np.arange(len(xyz)) if order is None else order
     place = np.argsort(order)

@@ -61,13 +61,6 @@ def weights_file(folder: Path) -> Path:
     return folder / (precomputed.FILE if precomputed.named_in(folder) else FILE)
 
 
-class Saved(NamedTuple):
-    """Content of ``encoder.pt``: the backbone's name and the network's tensors by name."""
-
-    backbone: str
-    state: Mapping[str, Tensor]
-
-
 def save(folder: Path, backbone: str, state: Mapping[str, Tensor]) -> None:
     """Write ``encoder.pt`` in one step."""
     # Strides are part of the file; a contiguous clone removes channels last.
@@ -77,10 +70,10 @@ def save(folder: Path, backbone: str, state: Mapping[str, Tensor]) -> None:
     checkpoint.write(folder / FILE, {"kind": KIND, "backbone": backbone, "net": tensors})
 
 
-def read(path: Path) -> Saved:
-    """Read a file of :func:`save`. Raises InputError if it is missing, damaged, or of another kind."""
+def read(path: Path) -> tuple[str, Mapping[str, Tensor]]:
+    """Return backbone and tensors by name of a file of :func:`save`. Raises InputError if missing or damaged."""
     content = checkpoint.read(path, KIND)
-    return Saved(content["backbone"], content["net"])
+    return content["backbone"], content["net"]
 
 
 def load(folder: Path) -> UnifiedEncoder:

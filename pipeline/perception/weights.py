@@ -65,10 +65,10 @@ def load_weights(model: Any, backbone: str, weights: Weights | None) -> list[Sou
 
 def _load_checkpoint(model: Any, backbone: str, path: Path) -> None:
     with error_context(fix="A published file needs the name of its part: weights: {backbone: FILE}"):
-        saved = perceive.read(path)
-    if saved.backbone != backbone:
-        raise InputError(f"backbone is {saved.backbone!r}, expected {backbone!r}", path)
-    checkpoint.load_state(model, saved.state, path)
+        saved, state = perceive.read(path)
+    if saved != backbone:
+        raise InputError(f"backbone is {saved!r}, expected {backbone!r}", path)
+    checkpoint.load_state(model, state, path)
 
 
 def part_without_weights(model: nn.Module, weights: Weights | None, parts: Sequence[str]) -> str | None:

@@ -62,7 +62,7 @@ def curve(out: Path) -> list[dict[str, float]]:
 
 
 def state(out: Path) -> dict[str, torch.Tensor]:
-    return dict(perceive.read(out / "encoder.pt").state)
+    return dict(perceive.read(out / "encoder.pt")[1])
 
 
 @pytest.fixture(scope="module")

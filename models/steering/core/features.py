@@ -46,15 +46,9 @@ def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
 
 
 def sector_max_pool(x: Tensor, xyz: Tensor, ptr: Tensor, sectors: int) -> Tensor:
-    """Return the max over each frame's points in each bearing sector, from left to right.
+    """Return the max over each frame's points in each of S bearing sectors, from left to right: x [N,C] ≥ 0 → [B, S C].
 
-    Args:
-        x: [N,C], not negative.
-        xyz: [N,3] metres; points beside FIELD_RAD belong to the outermost sectors.
-        ptr: [B+1]
-        sectors: S, odd.
-    Returns:
-        [B, S C]; zeros for a sector without points.
+    Points beside FIELD_RAD belong to the outermost sectors; a sector without points has zeros.
     """
     sector = bearing_cell(xyz, sectors).clamp(0, sectors - 1).long()
     row = (frame_of_points(x, ptr) * sectors + sector)[:, None].expand_as(x)

@@ -25,14 +25,10 @@ class RecurrentCell(nn.Module):
         raise NotImplementedError
 
     def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
-        """Run the recursion over the frames.
+        """Run the recursion over frames `projected` [W,T,S], dt_s [W,T] seconds after the previous ones.
 
-        Args:
-            projected: [W,T,S] from `project_inputs`.
-            dt_s: [W,T] seconds since the previous frame.
-            state: from an earlier call, to continue a window; None: zero state.
-        Returns:
-            The numbers of each window and frame [W,T,R], and the state after the last frame.
+        Returns the numbers of each window and frame [W,T,R], and the state after the last frame. `state`: from an
+        earlier call, to continue a window; None: zeros.
         """
         raise NotImplementedError
 

@@ -29,15 +29,9 @@ class SetAbstraction(nn.Module):
         self.mlp = nn.Sequential(*layers)
 
     def forward(self, xyz: Tensor, f: Tensor, centres: Tensor, neighbours: Tensor) -> Tensor:
-        """Return the features of the centres.
+        """Return the features [M, widths[-1]] of the centres.
 
-        Args:
-            xyz: [P,3] metres.
-            f: [P,inputs], features of the points.
-            centres: int32 [M], rows of the points.
-            neighbours: int32 [M,n], rows of the points.
-        Returns:
-            [M, widths[-1]]
+        Points xyz [P,3] metres with features f [P,inputs]; `centres` int32 [M] and `neighbours` int32 [M,n] are rows.
         """
         offset = (xyz[neighbours] - xyz[centres][:, None]) / OFFSET_M  # [M,n,3]
         h: Tensor = self.mlp(torch.cat([offset, f[neighbours]], dim=2))  # [M,n,width]

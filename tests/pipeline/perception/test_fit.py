@@ -136,7 +136,7 @@ def model() -> UnifiedEncoder:
 
 def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(model: UnifiedEncoder, tmp_path: Path) -> None:
     save(tmp_path, "small", model.state_dict())
-    assert read(tmp_path / "encoder.pt").backbone == "small"
+    assert read(tmp_path / "encoder.pt")[0] == "small"
     loaded = load(tmp_path)
     assert not loaded.training
     for name, tensor in model.state_dict().items():

@@ -1,7 +1,6 @@
 """Files of tensors: written in one step, read without running code, loaded into a network only if all tensors match."""
 
 import io
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import shorten
@@ -12,26 +11,14 @@ from pipeline.base.errors import InputError
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
-    """Write tensors and plain values by name, in one step. Equal content gives equal bytes."""
+    """Write tensors and plain values by name, in one step."""
     import torch
 
     # Through memory: on a full disk torch's own writer raises RuntimeError, a plain file OSError with the reason.
     buffer = io.BytesIO()
-    torch.save(_intern(content), buffer)
+    torch.save(content, buffer)
     with replacing(path) as tmp:
         tmp.write_bytes(buffer.getbuffer())
-
-
-def _intern(value: Any) -> Any:
-    """Return a copy in which equal strings are one object.
-
-    pickle writes an object once and refers to it later, so content read from a file would give other bytes.
-    """
-    if isinstance(value, Mapping):
-        return {_intern(key): _intern(item) for key, item in value.items()}
-    if type(value) in (list, tuple):
-        return type(value)(map(_intern, value))
-    return sys.intern(value) if type(value) is str else value
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:

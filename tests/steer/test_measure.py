@@ -19,7 +19,7 @@ from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.drive import perceive_drive
 from pipeline.settings.perception import Perception
-from pipeline.video import horizon, source
+from pipeline.video import lens, source
 from pipeline.video.measure import READING
 from steer.import_ import import_recording
 from steer.measure import measure
@@ -182,7 +182,7 @@ def test_a_killed_run_continues(tmp_path: Path, encoder: Path, monkeypatch: pyte
 
 def test_an_imported_drive_has_the_same_numbers(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A lens with distortion above the horizon: import and the stages measure what steer measure does."""
-    monkeypatch.setattr(horizon, "MIN_PAIRS", 1)
+    monkeypatch.setattr(lens, "MIN_PAIRS", 1)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
     opened = source.open_source(images, [2], CAMERA_HEIGHT_M, K=K, distortion=bent, fps=10.0)

@@ -28,7 +28,6 @@ def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pyt
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     ((_, (process, used)),) = run_jobs(threads, [0], workers=1, threads=1)
     assert (process != os.getpid(), used) == (True, "1")
-    assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
 @pytest.fixture(scope="module")

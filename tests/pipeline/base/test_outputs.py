@@ -142,3 +142,9 @@ def test_an_empty_folder_is_free_and_a_file_is_not(tmp_path: Path) -> None:
     write(tmp_path / "old.json", "foreign")
     with pytest.raises(InputError, match="exists already"):
         check_free(tmp_path / "old.json")
+
+
+def test_a_second_writer_of_a_folder_is_refused(tmp_path: Path) -> None:
+    out = tmp_path / "data/labels"
+    with stage_folder("labels", out), pytest.raises(InputError, match="another process"), stage_folder("labels", out):
+        pass

@@ -77,6 +77,11 @@ def test_faults_name_file_key_and_value(
     assert raised.value.where.startswith(f"{path}: {key}")
 
 
+def test_a_missing_key_that_is_misspelt_is_reported_as_unknown() -> None:
+    with pytest.raises(InputError, match="did you mean max_points"):
+        params.parse(Clouds, {"max_point": 1, "max_depth_m": 80.0}, "clouds")
+
+
 @pytest.mark.parametrize(
     ("content", "problem"),
     [

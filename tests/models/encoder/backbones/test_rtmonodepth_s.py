@@ -10,7 +10,7 @@ from models.encoder.unified_encoder import UnifiedEncoder
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import scan_depth
-from pipeline.camera.images import read_image
+from pipeline.camera.images import read_image, resized
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.perception.perceive import perceive
 from pipeline.perception.scores import depth_errors, eigen_crop
@@ -83,7 +83,7 @@ def test_published_weights_give_metric_depth_of_real_streets(real_half: Path, re
         scaled = camera.scaled(SIZE)
         errors, ratios = [], []
         for frame in list(raw.scans)[::10]:
-            image = read_image(raw.images(number)[frame], camera.size, SIZE)
+            image = resized(read_image(raw.images(number)[frame], camera.size), SIZE)
             depth = perceive(model, image[None], scaled)[0][0]
             truth = scan_depth(read_scan(raw.scans[frame]), scaled)
             found = depth_errors(eigen_crop(depth), eigen_crop(truth))

@@ -32,7 +32,7 @@ def guarded(main: Callable[..., object]) -> Callable[..., None]:
                 raise
             message = str(error)
             if isinstance(error, KeyboardInterrupt):
-                message = "interrupted. Repeat the command to continue: what is complete is kept"
+                message = "interrupted. Repeat the command to continue: complete files are kept"
             elif isinstance(error, OSError) and error.strerror:
                 message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
             sys.exit(f"error: {' '.join(message.split())}")

@@ -1,6 +1,6 @@
 """Read ``params.yaml``: each section is a typed class in ``pipeline/settings/``, and a stage loads only its own.
 
-A fault is an InputError with file, key, value and what is expected.
+A fault is an InputError with file, key, value and the expected values.
 """
 
 import re

@@ -9,7 +9,7 @@ from pipeline.camera.images import Crop, Size
 from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height, check_height
 
 SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
-BELOW_HORIZON = 0.0115  # centre of a crop, as a share of the width: that of KITTI's images
+BELOW_HORIZON = 0.0115  # centre of a crop below the horizon, as a share of the width; measured on KITTI's images
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,11 +49,6 @@ def to_units(depth_m: np.ndarray) -> np.ndarray:
     return units
 
 
-def rounded_as_stored(depth_m: np.ndarray) -> np.ndarray:
-    """Return depth as a file returns it after a round trip: float64 metres, multiples of 1/256 m."""
-    return to_metres(to_units(depth_m))
-
-
 def format_size(shape: Sequence[int]) -> str:
     """Format an image shape (H, W, …) as "W x H" for messages."""
     return f"{shape[1]} x {shape[0]}"

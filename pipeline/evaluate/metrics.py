@@ -164,7 +164,7 @@ def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
 def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     """Write one row per frame with the predictions of seed number `seed`; unknown values are empty fields.
 
-    `frame`, `time_s` and `speed_mps` are those of the last input frame, `onset` is 1 where a turn begins
+    `frame`, `time_s` and `speed_mps` belong to the last input frame, `onset` is 1 where a turn begins
     (decisions.py). For each column C of the model, `true_C` and `predicted_C` are those `horizon` frames later,
     `odometry_C` is measured at the last input frame, and models with uncertainty have `sigma_C`.
     """

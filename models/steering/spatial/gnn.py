@@ -36,7 +36,7 @@ class GCN(GraphNetwork):
         propagate: Any = SymmetricProduct.apply
         layers: Any = self.layers
         first, *later = layers
-        # Versions share the first sparse product: the signs of node features are those of rows of the weight.
+        # Versions share the first sparse product: mirroring features equals mirroring rows of the weight.
         x = propagate(adjacency, node_features(batch.xyz.to(dtype), batch.cls, self.semantics))  # [N, 25]
         weight = torch.cat([first.weight * signs[:, None] for signs in self.signs[:versions]], dim=1)
         x = torch.addmm(first.bias.repeat(versions), x, weight).relu().view(len(x), versions, first.bias.numel())

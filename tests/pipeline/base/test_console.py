@@ -23,7 +23,7 @@ def raising(error: BaseException) -> Callable[[], None]:
         (InputError("wrong:\n  value", "a", "Do b"), "a: wrong: value. Do b"),
         (OSError(errno.ENOSPC, "No space left", "data/x.h5"), "data/x.h5: No space left"),
         (OSError(errno.ENOSPC, "No space left"), "No space left"),
-        (KeyboardInterrupt(), "interrupted. Repeat the command to continue: what is complete is kept"),
+        (KeyboardInterrupt(), "interrupted. Repeat the command to continue: complete files are kept"),
     ],
     ids=repr,
 )

@@ -72,17 +72,17 @@ def test_an_edit_reruns_what_dvc_yaml_promises(chain: Path, tmp_path: Path, monk
     monkeypatch.chdir(folder)  # DVC names stages relative to it
     for name, expected in EDITS:
         path = folder / (name if "/" in name else "params.yaml")
-        before = path.read_text() if path.exists() else None
+        before = path.read_bytes() if path.exists() else None
         path.parent.mkdir(exist_ok=True)
         if "/" in name:
-            path.write_text((before or "") + "\n# an edit\n")
+            path.write_bytes((before or b"") + b"\n# an edit\n")
         else:
             section, key = name.split(".")
-            params = yaml.safe_load(before or "")
+            params = yaml.safe_load(before or b"")
             scratch.edit_params(folder, **{section: params[section] | {key: params[section][key] + 1}})
         with Repo() as repo:
             assert set(repo.status()) == expected, name
-        path.write_text(before) if before else path.unlink()
+        path.write_bytes(before) if before else path.unlink()
 
 
 def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) -> None:

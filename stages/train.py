@@ -9,10 +9,9 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
-from pipeline.base.executors import SCHEDULER, default_workers
+from pipeline.base.executors import SCHEDULER, default_workers, run_jobs
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load, load_entry
-from pipeline.base.runner import run_jobs
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import runs

@@ -1,16 +1,15 @@
-"""Where jobs run: this process, local worker processes, or the workers of a Dask cluster (``STEER_SCHEDULER``)."""
+"""Run jobs in this process, in local worker processes, or on the workers of a Dask cluster (``STEER_SCHEDULER``)."""
 
 import multiprocessing
 import os
-import pickle
 import signal
-import sys
-import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Thread
+from typing import Any, TypeVar
 
 from pipeline.base import resume
 from pipeline.base.errors import InputError
@@ -19,7 +18,7 @@ SCHEDULER = "STEER_SCHEDULER"
 CONNECT_S = 5
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
 _SPAWN = multiprocessing.get_context("spawn")
-Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
+J = TypeVar("J")
 
 
 def default_workers() -> int:
@@ -31,45 +30,53 @@ def default_workers() -> int:
     return int(text)
 
 
-@contextmanager
-def executor(workers: int | None, jobs: int, threads: int | None) -> Iterator[Submit | None]:
-    """Yield a function that submits ``function(argument)`` and returns a future; None: call it in this process.
+def run_jobs(
+    work: Callable[[J], Any], jobs: Sequence[J], *, workers: int | None = None, threads: int | None = None
+) -> Iterator[tuple[J, Any]]:
+    """Yield each job with the result of ``work(job)`` as they finish.
 
     Args:
+        work: picklable.
         workers: processes; None: :func:`default_workers`. With a Dask cluster, its workers instead, unless 1.
-        jobs: how many there are; no more processes are started.
         threads: of each process, also if there is only one; None: the cores are divided among the processes.
+
+    Raises the first error after the jobs in progress are done; no other job is started.
     """
-    count = min(workers or default_workers(), jobs)
-    if jobs and workers != 1 and (address := os.environ.get(SCHEDULER)):
-        with _dask(address) as submit:
-            yield submit
-    elif count == 0 or (count == 1 and threads is None):
-        yield None
-    else:
-        with _processes(count, threads or max(1, default_workers() // count)) as submit:
-            yield submit
+    count = min(workers or default_workers(), len(jobs))
+    cluster = os.environ.get(SCHEDULER) if count and workers != 1 else None
+    if not cluster and (count == 0 or (count == 1 and threads is None)):
+        for job in jobs:
+            yield job, work(job)
+        return
+    with _cluster(cluster) if cluster else _processes(count, threads or max(1, default_workers() // count)) as pool:
+        if cluster:
+            work = partial(_call_on_worker, work, str(Path.cwd()), resume.code_hash())
+        futures = {pool.submit(work, job): job for job in jobs}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except Exception as error:
+            if isinstance(error, BrokenExecutor | CancelledError) or type(error).__name__ == "KilledWorker":  # of Dask
+                fix = "Use fewer workers (STEER_WORKERS=1) or repeat the command: finished drives are kept"
+                raise InputError("a worker process died (out of memory?)", fix=fix) from error
+            raise
+        finally:
+            for future in futures:
+                future.cancel()
 
 
-@contextmanager
-def _processes(count: int, threads: int) -> Iterator[Submit]:
+def _processes(count: int, threads: int) -> Executor:
     os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
-    pool = ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,))
-    try:
-        yield pool.submit
-    except BaseException:  # for instance Ctrl-C; otherwise the pool waits for the jobs in progress
-        for worker in multiprocessing.active_children():
-            worker.terminate()
-        raise
-    finally:
-        pool.shutdown()
+    return ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,))
 
 
 def _start_worker(threads: int) -> None:
-    """Limit a worker's threads, leave Ctrl-C to its parent, and end it when its parent ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
-    _limit_threads(threads)
+    """Limit a worker's threads. The worker ends at Ctrl-C without a traceback, and when its parent ends."""
+    import cv2
+
+    cv2.setNumThreads(threads)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    Thread(target=_exit_with_parent, daemon=True).start()
 
 
 def _exit_with_parent() -> None:
@@ -79,19 +86,10 @@ def _exit_with_parent() -> None:
     os._exit(1)
 
 
-def _limit_threads(threads: int) -> None:
-    import cv2
-
-    cv2.setNumThreads(threads)
-    if "torch" in sys.modules:  # else it reads OMP_NUM_THREADS
-        sys.modules["torch"].set_num_threads(threads)
-
-
 @contextmanager
-def _dask(address: str) -> Iterator[Submit]:
-    """Yield the function that submits to a cluster, which repeats the call of a worker that died up to three times."""
+def _cluster(address: str) -> Iterator[Executor]:
+    """Yield the workers of a cluster, which repeats the job of a worker that died up to three times."""
     from distributed import Client
-    from distributed.protocol.pickle import dumps
 
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
@@ -102,20 +100,11 @@ def _dask(address: str) -> Iterator[Submit]:
         if not client.nthreads():
             print(f"waiting for workers. Start them: dask worker {address} --nthreads 1", flush=True)
         client.wait_for_workers(1)
-        pool = client.get_executor(pure=False)
-
-        def submit(function: Callable[[Any], Any], argument: Any) -> "Future[Any]":
-            # Bytes, so that a worker with other code can refuse before it loads them. Unlike pickle.dumps, this takes
-            # functions of ``python -m stages.NAME``.
-            call = dumps((function, argument))
-            future: Future[Any] = pool.submit(_call_on_worker, call, str(Path.cwd()), resume.code_hash())
-            return future
-
-        yield submit
+        yield client.get_executor(pure=False)
 
 
-def _call_on_worker(call: bytes, folder: str, code: str) -> Any:
-    """Call a pickled function on a Dask worker, in the caller's folder. Raises InputError if the worker's code differs.
+def _call_on_worker(work: Callable[[J], Any], folder: str, code: str, job: J) -> Any:
+    """Call ``work(job)`` on a Dask worker, in the caller's folder. Raises InputError if the worker's code differs.
 
     `code`: :func:`pipeline.base.resume.code_hash` of the caller.
     """
@@ -124,7 +113,8 @@ def _call_on_worker(call: bytes, folder: str, code: str) -> Any:
 
         problem, fix = f"other code in {resume.ROOT}", "Update it, and start the worker again from this environment"
         raise InputError(problem, f"worker {get_worker().address}", fix)
+    import cv2
+
+    cv2.setNumThreads(1)
     os.chdir(folder)
-    _limit_threads(1)
-    function, argument = pickle.loads(call)
-    return function(argument)
+    return work(job)

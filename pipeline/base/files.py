@@ -1,13 +1,30 @@
-"""Read untrusted input files: columns of numbers from CSV files, and YAML."""
+"""Replace files in one step; read untrusted input files: columns of numbers from CSV files, and YAML."""
 
 import csv
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a unique temporary path beside `path`, which replaces `path` when the block ends without error.
+
+    The block creates a file or a folder there. A folder replaces only an empty folder. The temporary path is
+    ``.NAME.????????.tmp/NAME``, so the suffix still gives the format, and a glob for ``*.h5`` does not match.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # A folder of its own, as a file from mkstemp is unreadable for other users.
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as folder:
+        tmp = Path(folder) / path.name
+        yield tmp
+        tmp.replace(path)
 
 
 def read_columns(

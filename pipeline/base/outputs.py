@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from filelock import FileLock, Timeout
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
+from pipeline.base.files import replacing
 from pipeline.base.store import read_json, write_json
 
 INDEX = "index.json"

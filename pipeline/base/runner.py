@@ -7,22 +7,20 @@ everything that determines the drive, so a run makes only drives whose inputs, s
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, as_completed
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.executors import executor
+from pipeline.base.executors import run_jobs
+from pipeline.base.files import replacing
 from pipeline.base.outputs import StageFolder, link, stage_folder
 from pipeline.base.resume import stage_key
 from pipeline.base.store import write_index
 
-J = TypeVar("J")
 Summary = dict[str, Any]
 
 
@@ -51,7 +49,7 @@ def make_drives(
     Args:
         settings: a section, or JSON-able. Part of every key, so without what determines single drives only.
         describe: a drive's summary → text for the log.
-        workers: processes, see :func:`pipeline.base.executors.executor`. Never changes a result.
+        workers: processes, see :func:`run_jobs`. Never changes a result.
 
     Raises the first error of a worker after the drives in progress are done.
     """
@@ -121,32 +119,3 @@ def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, f
         with error_context(drive):
             raise
     return summary, time.perf_counter() - start
-
-
-def run_jobs(
-    work: Callable[[J], Any], jobs: Sequence[J], *, workers: int | None = None, threads: int | None = None
-) -> Iterator[tuple[J, Any]]:
-    """Yield each job with the result of ``work(job)`` as they finish, in parallel, see :func:`executor`.
-
-    Raises the first error after the jobs in progress are done; no other job is started.
-    """
-    with executor(workers, len(jobs), threads) as submit:
-        if submit is None:
-            for job in jobs:
-                yield job, work(job)
-            return
-        futures = {submit(work, job): job for job in jobs}
-        error: BaseException | None = None
-        for future in as_completed(futures):
-            failure = CancelledError() if future.cancelled() else future.exception()
-            if failure is None:
-                yield futures[future], future.result()
-            elif error is None:
-                error = failure
-                for other in futures:
-                    other.cancel()
-    if isinstance(error, BrokenExecutor | CancelledError) or type(error).__name__ == "KilledWorker":  # of Dask
-        fix = "Use fewer workers (STEER_WORKERS=1) or repeat the command: finished drives are kept"
-        raise InputError("a worker process died (out of memory?)", fix=fix) from error
-    if error is not None:
-        raise error

@@ -13,6 +13,7 @@ Files are deterministic: written once, in a fixed order, with no clock, host or 
 until they are complete. They may come from elsewhere, see :func:`_datasets`.
 """
 
+import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -24,8 +25,8 @@ import h5py
 import hdf5plugin
 import numpy as np
 
-from pipeline.base.atomic import Sink, replacing
 from pipeline.base.errors import InputError
+from pipeline.base.files import replacing
 
 SCHEMA = 4  # 3: Blosc2; 2: pointers were known by name; 1: gzip
 _CHUNK_ROWS = 32768  # of ragged data
@@ -34,6 +35,39 @@ _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)  # what h5py raises for damaged bytes
+
+
+class Sink(io.FileIO):
+    """The file below an HDF5 file. It records the first error and continues.
+
+    HDF5 writes much of a file while closing it, where h5py drops errors: on a full disk, an incomplete file would look
+    complete, and the process would crash at its end.
+    """
+
+    error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        try:
+            while rest:  # the system may write a part only
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.error = self.error or error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        try:
+            super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+        return size or 0
+
+    def check(self, path: Path) -> None:
+        """Raise the recorded error, if there is one, as an error of `path`, the file's final name."""
+        if self.error:
+            self.error.filename = str(path)
+            raise self.error
 
 
 class DriveWriter:
@@ -87,17 +121,17 @@ class DriveWriter:
         start = len(dataset)
         dataset.resize(start + len(rows), axis=0)
         dataset[start:] = rows
-        self._sink.check()
+        self._sink.check(self.path)
 
     @contextmanager
     def _open(self) -> Iterator[None]:
-        with replacing(self.path) as tmp, Sink(tmp, self.path) as self._sink:
+        with replacing(self.path) as tmp, Sink(tmp, "w+") as self._sink:
             try:
                 with h5py.File(self._sink, "w", libver="v110") as self._file:
                     yield
                     self._file.attrs.update(self.attrs)
             finally:
-                self._sink.check()
+                self._sink.check(self.path)
 
     def __enter__(self) -> Self:
         self._context = self._open()

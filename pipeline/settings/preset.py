@@ -14,9 +14,8 @@ import typer
 from pydantic import Field
 
 from pipeline.base import console
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.files import read_yaml
+from pipeline.base.files import read_yaml, replacing
 from pipeline.base.params import Name, Section, parse, read
 from pipeline.base.resume import ROOT
 from pipeline.settings.clouds import Clouds

@@ -10,8 +10,8 @@ import typer
 from filelock import FileLock, Timeout
 
 from pipeline.base import console
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
+from pipeline.base.files import replacing
 from pipeline.settings import preset
 
 CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")

@@ -6,8 +6,8 @@ from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
+from pipeline.base.files import replacing
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:

@@ -17,9 +17,9 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
+from pipeline.base.files import replacing
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, predict, reading, windows

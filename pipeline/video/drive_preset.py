@@ -4,8 +4,8 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
+from pipeline.base.files import replacing
 from pipeline.base.params import SPLITS
 from pipeline.camera.camera import Camera
 from pipeline.motion.visual import MAX_DEPTH_M, WIDE

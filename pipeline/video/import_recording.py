@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from tqdm import tqdm
 
-from pipeline.base.atomic import replacing
 from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
+from pipeline.base.files import replacing
 from pipeline.base.params import Drive
 from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera

@@ -10,8 +10,7 @@ import pytest
 
 from pipeline.base import resume
 from pipeline.base.errors import InputError
-from pipeline.base.executors import SCHEDULER
-from pipeline.base.runner import run_jobs
+from pipeline.base.executors import SCHEDULER, run_jobs
 from tests.pipeline.base import toy_stage
 from tests.pipeline.base.toy_stage import calls, outputs, trouble
 

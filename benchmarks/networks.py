@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
+from ncps import torch as ncps_torch
+from ncps.wirings import NCP
 from torch import Tensor, nn
 from torch_geometric.data import Batch, Data
 from torch_geometric.nn import GCNConv, global_max_pool, global_mean_pool
@@ -102,11 +104,6 @@ def ltc() -> Row:
 
 def ncps_ltc() -> nn.Module:
     """Return the LTC network of ncps on a wiring of the same sizes."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        from ncps import torch as ncps_torch
-        from ncps.wirings import NCP
-
     neurons = {"inter_neurons": 12, "command_neurons": 6, "motor_neurons": 1}
     synapses = {"sensory_fanout": 6, "inter_fanout": 4, "recurrent_command_synapses": 6, "motor_fanin": 6}
     net: nn.Module = ncps_torch.LTC(FEATURES, NCP(**neurons, **synapses), batch_first=True)

@@ -1,16 +1,10 @@
 """Each row of `make bench` runs on small inputs, and both sides of a row compute the same."""
 
 import json
-import warnings
 from pathlib import Path
 
 import pytest
 import torch
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", DeprecationWarning)
-    import ncps.torch  # noqa: F401
-    import torch_geometric.nn  # noqa: F401
 
 from benchmarks import bench, networks
 from benchmarks import street as measuring

@@ -12,6 +12,7 @@ from stages import check
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
 PAPER = {"cnn-ncp", "gnn-lstm", "gnn-ncp", "pointnet2-lstm", "pointnet2-ncp", "do-gnn-ncp", "sa-gnn-ncp"}
+GRAPH = {"input": "semantic", "temporal": "lstm", "semantics": 1.0}
 FIT = {"epochs": 1, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 
 
@@ -106,11 +107,14 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.motion-10-blind.spatial", "cnn", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
+        (MODEL, {"input": "semantic", "spatial": "gnn", "temporal": "lstm"}, "semantics is missing: weight of the cl"),
+        (MODEL, GRAPH | {"spatial": "pyg", "layer": "GATv2"}, r"no layer 'GATv2': did you mean GATv2Conv"),
         (
             MODEL,
-            {"input": "semantic", "spatial": "gnn", "temporal": "lstm"},
-            "semantics is missing: weight of the classes",
+            GRAPH | {"spatial": "pyg", "layer": "RGCNConv"},
+            "layer RGCNConv with layer_options {}: .*num_relations",
         ),
+        (MODEL, GRAPH | {"spatial": "pyg"}, "layer is missing: a layer of torch_geometric.nn"),
         ("encoder.backbone", "smal", r"'smal'.*did you mean small"),
         ("encoder", {"backbone": "precomputed", "weights": {"backbone": "pngs"}, **FIT}, "folder of PNG files"),
         ("encoder.teacher", {"backbone": "small", "weights": {"backbone": "no.pth"}}, r"teacher\.weights.*no\.pth"),

@@ -89,7 +89,7 @@ def test_lstm_with_motion_and_horizon_beats_odometry(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("write", "entry", "epochs", "limit"),
     [
-        (artefacts.write_graphs, {"spatial": "gatv2", "cell": "cfc"}, 1, 10),
+        (artefacts.write_graphs, {"spatial": "pyg", "layer": "GATv2Conv", "cell": "cfc"}, 1, 10),
         (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
         (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
     ],

@@ -45,12 +45,11 @@ class GraphBatch(_Points):
     """Points with a symmetric graph per frame: E directed edges, two for each undirected one.
 
     degree [N], neighbours of each point, itself excluded; indices int32 [E], row numbers of the neighbours of point 0,
-    of point 1, … (CSR); cpu_degree, the degree on the CPU if `degree` is not there.
+    of point 1, … (CSR).
     """
 
     degree: Tensor
     indices: Tensor
-    cpu_degree: Tensor | None = None
 
     @property
     def edge_index(self) -> Tensor:
@@ -115,15 +114,13 @@ def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu")
 
     Pointers stay on the CPU: reading them from a GPU would stall each step.
     """
-    here = {name: torch.as_tensor(array) for name, array in arrays.items()}
-    there = {
-        name: tensor if name.endswith("ptr") else tensor.to(device, non_blocking=True) for name, tensor in here.items()
-    }
+    there = {name: torch.as_tensor(array) for name, array in arrays.items()}
+    there |= {name: there[name].to(device, non_blocking=True) for name in there if not name.endswith("ptr")}
     if "image" in there:
         return ImageBatch(there["image"])
     points = there["xyz"], there["cls"], there["ptr"]
     if "degree" in there:
-        return GraphBatch(*points, there["degree"], there["indices"], here["degree"])
+        return GraphBatch(*points, there["degree"], there["indices"])
     levels: list[Level] = []
     while (name := f"centres_{len(levels) + 1}") in there:
         levels.append(Level(there[name], there[f"neighbours_{len(levels) + 1}"], there[f"{name}_ptr"]))

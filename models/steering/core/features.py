@@ -1,18 +1,15 @@
 """Node features of points, and pooling of a frame's points."""
 
-import math
-
 import torch
 from torch import Tensor
 
 from pipeline.camera import classes
 
 GEOMETRY = 6  # columns of node_features that depend on the point's position alone
+NODE_FEATURES = GEOMETRY + classes.COUNT
 FEATURE_MIRROR_SIGNS = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT
 """Factor of each column of node_features under left-right mirroring."""
 GROUND_Y_M = 1.65  # approximate height of KITTI's ground; an offset that centres y
-NODE_FEATURES = GEOMETRY + classes.COUNT
-FIELD_RAD = math.radians(90)  # of bearing cells; KITTI's camera sees 80 degrees
 
 
 def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
@@ -43,30 +40,3 @@ def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
     # A loop over frames is faster here than segment_reduce (8x, 2 cores) and, unlike index_add, deterministic on CUDA.
     halves = ((rows.mean(0), rows.amax(0)) if len(rows) else (rows.sum(0),) * 2 for rows in torch.split(x, counts))
     return torch.stack([torch.cat(pair, dim=-1) for pair in halves])
-
-
-def sector_max_pool(x: Tensor, xyz: Tensor, ptr: Tensor, sectors: int) -> Tensor:
-    """Return the max over each frame's points in each of S bearing sectors, from left to right: x [N,C] ≥ 0 → [B, S C].
-
-    Points beside FIELD_RAD belong to the outermost sectors; a sector without points has zeros.
-    """
-    sector = bearing_cell(xyz, sectors).clamp(0, sectors - 1).long()
-    row = (frame_of_points(x, ptr) * sectors + sector)[:, None].expand_as(x)
-    pooled = x.new_zeros((len(ptr) - 1) * sectors, x.shape[1])
-    return pooled.scatter_reduce(0, row, x, "amax").view(len(ptr) - 1, -1)
-
-
-def bearing_cell(xyz: Tensor, cells: int) -> Tensor:
-    """Return the number of each point's cell among `cells` equal cells of FIELD_RAD, [N], whole numbers.
-
-    Cell 0 is the leftmost one; points beside FIELD_RAD have numbers outside of 0..cells-1. `cells` is odd: rounding is
-    symmetric around straight ahead, so that mirroring reverses the cells exactly.
-    """
-    x, _, z = xyz.unbind(1)
-    return (torch.atan2(x, z) * (cells / FIELD_RAD)).round() + cells // 2
-
-
-def frame_of_points(x: Tensor, ptr: Tensor) -> Tensor:
-    """Return the number of each point's frame, int64 [N], for points x [N,..]; without a synchronisation of a GPU."""
-    points = torch.arange(x.shape[0], device=x.device)
-    return torch.searchsorted(ptr.to(x.device, non_blocking=True)[1:], points, right=True)

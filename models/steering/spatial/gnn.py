@@ -1,19 +1,30 @@
 """Graph convolution on a symmetric graph (paper eq. 3; Kipf and Welling 2017)."""
 
 import warnings
-from typing import Any
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import GraphBatch
-from models.steering.core.features import node_features
-from models.steering.core.graph_network import GraphNetwork, GraphOptions
-from models.steering.core.options import Sizes
+from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.features import FEATURE_MIRROR_SIGNS, NODE_FEATURES, mean_max_pool, node_features
+from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
+
+
+class Options(NetworkOptions):
+    """Options of GCN."""
+
+    kind: ClassVar[FrameKind] = "graph"
+    layers: Widths = (32, 32, 64)  # channels after each layer
+    semantics: Semantics
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        return GCN(sizes.features, self)
 
 
 class GCNLayer(nn.Module):
-    """Weight W [inputs, outputs] and bias b of H ↦ σ(D̃^(-1/2) Ã D̃^(-1/2) H W + b) with Ã = A + I."""
+    """Weight W [inputs, outputs] and bias b of H ↦ ReLU(D̃^(-1/2) Ã D̃^(-1/2) H W + b) with Ã = A + I."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -22,15 +33,42 @@ class GCNLayer(nn.Module):
         nn.init.xavier_uniform_(self.weight)
 
 
-class GCN(GraphNetwork):
-    """Graph convolution network; on a CPU block by block, so that temporaries stay in the cache."""
+class GCN(nn.Module):
+    """Node features → graph convolutions → mean and maximum over each frame's points → one dense layer.
 
-    block = 8192  # with 64 channels and two versions 4 MB in float32, about a core's cache
+    On a CPU it computes block by block, so that temporaries stay in the cache.
 
-    def __init__(self, features: int, options: GraphOptions) -> None:
-        super().__init__(GCNLayer, features, options)
+    Args:
+        features: F, numbers per frame for the recurrent network.
+    """
+
+    signs: Tensor
+    block = 8192  # points; with 64 channels and two versions 4 MB in float32, about a core's cache
+
+    def __init__(self, features: int, options: Options) -> None:
+        super().__init__()
+        self.semantics = options.semantics
+        self.layers = nn.ModuleList(GCNLayer(*sizes) for sizes in pairwise([NODE_FEATURES, *options.layers]))
+        self.read_out = nn.Linear(2 * options.layers[-1], features)
+        # A buffer: a tensor made of numbers would be a blocking copy to a GPU in each step.
+        signs = torch.tensor([[1.0] * NODE_FEATURES, FEATURE_MIRROR_SIGNS])
+        self.register_buffer("signs", signs, persistent=False)  # [2,25], of the frame and of its mirror image
+
+    def forward(self, batch: GraphBatch) -> Tensor:
+        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
+        return self.both(batch, 1)[0]
+
+    def both(self, batch: GraphBatch, versions: int = 2) -> tuple[Tensor, ...]:
+        """Return `forward` of the frames and, as a second version, of their mirror images, each [B,F]."""
+        blocks = batch.blocks(self.block) if batch.xyz.device.type == "cpu" else [batch]
+        pooled = [mean_max_pool(self.convolved(block, versions), block.ptr) for block in blocks]  # [B, S, 2 width]
+        return torch.tanh(self.read_out(torch.cat(pooled))).unbind(1)  # in (-1,1), where LTC synapses are sensitive
 
     def convolved(self, batch: GraphBatch, versions: int) -> Tensor:
+        """Return the output of the last layer [N, S, width].
+
+        S `versions`, the frames and with 2 also their mirror images, share the graph: a node has S sets of channels.
+        """
         dtype = self.read_out.weight.dtype
         adjacency = normalised_adjacency(batch.degree, batch.indices, dtype)
         propagate: Any = SymmetricProduct.apply
@@ -48,7 +86,7 @@ class GCN(GraphNetwork):
             else:
                 x = x @ layer.weight
                 x = propagate(adjacency, x.flatten(1)).view_as(x) + layer.bias
-            x = x.relu()  # [N, S, width]
+            x = x.relu()
         return x
 
 
@@ -91,10 +129,3 @@ class SymmetricProduct(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
         return None, SymmetricProduct.apply(ctx.matrix, gradient)  # type: ignore[no-untyped-call]
-
-
-class Options(GraphOptions):
-    """Options of GraphNetwork."""
-
-    def build(self, sizes: Sizes) -> nn.Module:
-        return GCN(sizes.features, self)

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import FrameKind, GraphBatch
-from models.steering.core.features import bearing_cell, frame_of_points
 from models.steering.core.options import NetworkOptions, Sizes, Widths
 from pipeline.camera import classes
 
-BEARINGS = 33  # odd: then mirroring reverses the bearings exactly
+BEARINGS = 33  # odd: then rounding is symmetric around straight ahead, and mirroring reverses the bearings exactly
+FIELD_RAD = math.radians(90)  # KITTI's camera sees 80 degrees
 RANGES = 12
 NEAR_M, FAR_M = 4.0, 40.0
 ROAD, GROUND, OBSTACLE, VOID = range(4)
@@ -28,11 +28,13 @@ def polar_map(batch: GraphBatch) -> Tensor:
 
     Void points count as none of the three kinds; points outside of the map have no effect.
     """
-    column = bearing_cell(batch.xyz, BEARINGS)
-    range_m = torch.hypot(batch.xyz[:, 0], batch.xyz[:, 2]).clamp_min(NEAR_M / 2)
+    x, _, z = batch.xyz.unbind(1)
+    column = (torch.atan2(x, z) * (BEARINGS / FIELD_RAD)).round() + BEARINGS // 2
+    range_m = torch.hypot(x, z).clamp_min(NEAR_M / 2)
     row = ((range_m / NEAR_M).log() * (RANGES / math.log(FAR_M / NEAR_M))).floor()
     inside = (column >= 0) & (column < BEARINGS) & (row >= 0) & (row < RANGES)
-    frame = frame_of_points(batch.xyz, batch.ptr)
+    points = torch.arange(len(x), device=x.device)
+    frame = torch.searchsorted(batch.ptr.to(x.device, non_blocking=True)[1:], points, right=True)
     cell = (frame * RANGES + row.clamp(0, RANGES - 1).long()) * BEARINGS + column.clamp(0, BEARINGS - 1).long()
     # Sums of ones are exact in any order, so the map is deterministic on a GPU, too.
     counts = torch.zeros(batch.frames * RANGES * BEARINGS * 4, device=cell.device)

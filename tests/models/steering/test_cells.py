@@ -1,13 +1,14 @@
 """Recurrent networks: their contract, and each one's oracle (torch, ncps, an ODE solver); the wiring."""
 
 import itertools
-import warnings
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ncps.torch import LTCCell, WiredCfCCell
+from ncps.wirings import Wiring as PeerWiring
 from scipy.integrate import solve_ivp
 from scipy.special import expit
 
@@ -19,11 +20,6 @@ from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.wiring import Layout, ncp
 from models.steering.temporal import lstm
 from models.steering.temporal import ncp as ncp_file
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", DeprecationWarning)
-    from ncps.torch import LTCCell, WiredCfCCell
-    from ncps.wirings import Wiring as PeerWiring
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 HEADS = ["ff1", "ff2", "time_a", "time_b"]

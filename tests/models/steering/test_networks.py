@@ -1,7 +1,7 @@
 """The contract of the spatial networks, and each one's oracle."""
 
 import math
-import warnings
+import sys
 from itertools import pairwise
 from typing import Any
 
@@ -12,40 +12,36 @@ from torch.nn import functional
 
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
 from models.steering.core.features import node_features
-from models.steering.core.graph_network import GraphOptions
 from models.steering.core.options import Sizes, load, names
-from models.steering.spatial import edgeconv, gatv2, gnn, polar
+from models.steering.spatial import gnn, polar, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
 from pipeline.camera import classes
 from tests.models.steering import frames
 
-with warnings.catch_warnings():  # PyG's own use of torch.jit is deprecated there, and not ours to mend
-    warnings.simplefilter("ignore", DeprecationWarning)
-    warnings.simplefilter("ignore", FutureWarning)
-    from torch_geometric.nn import EdgeConv, GATv2Conv, GCNConv
-
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 SMALL = {"layers": [8, 16], "semantics": 0.7, "width": 0.125, "widths": [6, 8, 8]}
-NETWORKS = [*((name, {}) for name in names("spatial")), ("gnn", {"sectors": 5}), ("edgeconv", {"sectors": 3})]
+HEADS = {"layer_options": {"heads": 2}}
+PYG: dict[str, Any] = {"GCNConv": {}, "GATv2Conv": HEADS, "SAGEConv": {}, "TransformerConv": HEADS, "EdgeConv": {}}
+NETWORKS = [*(set(names("spatial")) - {"pyg"}), *PYG]
 COUNTS = [30, 0, 1, 17, 45]  # points per frame
-each_network = pytest.mark.parametrize(("name", "changes"), NETWORKS)
+each_network = pytest.mark.parametrize("name", sorted(NETWORKS))
 
 
-def build(name: str, changes: dict[str, Any] | None = None) -> tuple[Any, str]:
-    """Return a small network in float64 and the kind of its frames."""
+def build(name: str) -> tuple[Any, str]:
+    """Return a small network in float64, by its file's name or by a layer of PyG, and the kind of its frames."""
     torch.manual_seed(0)
-    options = load("spatial", name)
-    values = {key: value for key, value in SMALL.items() if key in options.model_fields} | (changes or {})
-    sizes = Sizes(8, **frames.CONTENTS[options.kind])
-    net = options.model_validate(values).build(sizes).double()
+    own = {"layer": name, **PYG[name]} if name in PYG else {}
+    options = load("spatial", "pyg" if name in PYG else name)
+    values = {key: value for key, value in SMALL.items() if key in options.model_fields} | own
+    net = options.model_validate(values).build(Sizes(8, **frames.CONTENTS[options.kind])).double()
     for parameter in net.parameters():  # biases, too
         torch.nn.init.normal_(parameter, std=0.3) if parameter.ndim == 1 else None
     return net, options.kind
 
 
 @each_network
-def test_order_of_points_changes_nothing(name: str, changes: dict[str, Any]) -> None:
-    net, kind = build(name, changes)
+def test_order_of_points_changes_nothing(name: str) -> None:
+    net, kind = build(name)
     parts = [frames.FRAME[kind](count, count) for count in (40, 12)]
     shuffled = [frames.permuted(part, seed) for seed, part in enumerate(parts)]
     torch.testing.assert_close(net(frames.join(shuffled)), net(frames.join(parts)), **TOLERANCE)
@@ -53,19 +49,23 @@ def test_order_of_points_changes_nothing(name: str, changes: dict[str, Any]) -> 
 
 @each_network
 @pytest.mark.parametrize("counts", [COUNTS, [12, 12, 12]])
-def test_batch_equals_single_frames(name: str, changes: dict[str, Any], counts: list[int]) -> None:
-    """Of equal and unequal numbers of points, and a frame without points."""
-    net, kind = build(name, changes)
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_batch_equals_single_frames(name: str, counts: list[int], device: str) -> None:
+    """Of equal and unequal numbers of points, and a frame without points; the batch also on a GPU."""
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    net, kind = build(name)
     parts = [frames.FRAME[kind](count, count) for count in counts]
-    together = net(frames.join(parts))
+    alone = torch.cat([net(frames.join([part])) for part in parts])
+    together = net.to(device)(frames.join(parts, device)).cpu()
     assert together.shape == (len(counts), 8)
-    torch.testing.assert_close(together, torch.cat([net(frames.join([part])) for part in parts]), **TOLERANCE)
+    torch.testing.assert_close(together, alone, **TOLERANCE)
 
 
 @each_network
-def test_both_are_the_frames_and_their_mirror_images(name: str, changes: dict[str, Any]) -> None:
+def test_both_are_the_frames_and_their_mirror_images(name: str) -> None:
     """And mirroring is no identity, but for a network without input."""
-    net, kind = build(name, changes)
+    net, kind = build(name)
     batch = frames.batch(COUNTS, kind)
     original, mirrored = net(batch), net(batch.mirrored())
     assert torch.equal(original, mirrored) == (name == "blind")
@@ -74,8 +74,8 @@ def test_both_are_the_frames_and_their_mirror_images(name: str, changes: dict[st
 
 
 @each_network
-def test_all_weights_learn_and_features_suit_the_recurrent_network(name: str, changes: dict[str, Any]) -> None:
-    net, kind = build(name, changes)
+def test_all_weights_learn_and_features_suit_the_recurrent_network(name: str) -> None:
+    net, kind = build(name)
     out = net(frames.batch(COUNTS, kind))
     if name != "cnn":  # ReLU, as in the NCP paper
         assert out.abs().max() <= 1
@@ -86,104 +86,53 @@ def test_all_weights_learn_and_features_suit_the_recurrent_network(name: str, ch
 
 
 @each_network
-def test_mixed_precision_is_close(name: str, changes: dict[str, Any]) -> None:
-    net, kind = build(name, changes)
+def test_mixed_precision_is_close(name: str) -> None:
+    net, kind = build(name)
     batch, net = frames.batch(COUNTS, kind), net.float()
     with torch.autocast("cpu", dtype=torch.bfloat16):
         mixed = net(batch).float()
     torch.testing.assert_close(mixed, net(batch).float(), rtol=0.1, atol=0.15)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-@each_network
-@pytest.mark.parametrize("counts", [COUNTS, [12, 12, 12]])
-def test_a_gpu_computes_the_same(name: str, changes: dict[str, Any], counts: list[int]) -> None:
-    net, kind = build(name, changes)
-    parts = [frames.FRAME[kind](count, count) for count in counts]
-    expected = net(frames.join(parts))
-    torch.testing.assert_close(net.cuda()(frames.join(parts, "cuda")).cpu(), expected, **TOLERANCE)
-
-
-def same_gradients(ours: Tensor, theirs: Tensor, mine: list[Tensor], peers: list[Tensor]) -> None:
-    """Compare outputs and the gradients of pairs of tensors, which may be transposed."""
-    torch.testing.assert_close(ours, theirs, **TOLERANCE)
-    upstream = torch.randn_like(ours)
-    gradients = torch.autograd.grad((ours * upstream).sum(), mine)
-    for own, peer in zip(gradients, torch.autograd.grad((theirs * upstream).sum(), peers), strict=True):
-        turned = own.shape != peer.shape and own.shape == peer.shape[::-1]
-        peer = peer.mT if turned else peer.view_as(own)
-        torch.testing.assert_close(own, peer, **TOLERANCE)
-        assert own.abs().max() > 0.01
-
-
-def graph_batch(counts: list[int]) -> GraphBatch:
-    batch = frames.batch(counts)
-    assert isinstance(batch, GraphBatch)
-    return batch
-
-
 @pytest.mark.parametrize("layers", [(30, 40), (30, 5, 12), (4,)])  # the sparse product before and after the dense one
 @pytest.mark.parametrize("block", [4, 30, 10**6])  # points: a frame each, some frames, all
 @pytest.mark.parametrize("versions", [1, 2])  # the frames; and their mirror images
 def test_gcn_equals_pyg(monkeypatch: pytest.MonkeyPatch, layers: Any, block: int, versions: int) -> None:
+    """Outputs, and the gradients of all weights."""
     monkeypatch.setattr(gnn.GCN, "block", block)
-    batch = graph_batch([20, 0, 1, 11])
+    batch = frames.batch([20, 0, 1, 11])
+    assert isinstance(batch, GraphBatch)
     torch.manual_seed(0)
-    net = gnn.GCN(5, GraphOptions(layers=layers, semantics=0.7)).double()
-    peers, mine, theirs = [], [], []
-    for layer in net.layers:
-        nn.init.normal_(layer.bias)
-        peers.append(GCNConv(*layer.weight.shape).double())
-        peers[-1].lin.weight.data, peers[-1].bias.data = layer.weight.data.T.clone(), layer.bias.data.clone()
-        mine, theirs = [*mine, layer.weight, layer.bias], [*theirs, peers[-1].lin.weight, peers[-1].bias]
-    expected = []
-    for side in (batch, batch.mirrored())[:versions]:
-        x = node_features(side.xyz, side.cls, 0.7)
-        for peer in peers:
-            x = peer(x, batch.edge_index).relu()
-        rows = [
-            (part.mean(0), part.amax(0)) if len(part) else x.new_zeros(2, x.shape[1])
-            for part in x.split([20, 0, 1, 11])
-        ]
-        expected.append(torch.stack([torch.cat([*pair]) for pair in rows]))
-    outputs = torch.tanh(net.read_out(torch.stack(expected, dim=1)))
-    same_gradients(torch.stack(net.both(batch, versions), dim=1), outputs, mine, theirs)
+    net = gnn.GCN(5, gnn.Options(layers=layers, semantics=0.7)).double()
+    peer = pyg.PyG(5, pyg.Options(layer="GCNConv", layers=layers, semantics=0.7)).double()
+    peer.read_out.load_state_dict(net.read_out.state_dict())
+    for ours, theirs in zip(net.layers, peer.layers, strict=True):
+        nn.init.normal_(ours.bias)
+        theirs.lin.weight.data, theirs.bias.data = ours.weight.data.T.clone(), ours.bias.data.clone()
+    own = torch.stack(net.both(batch, versions))
+    expected = torch.stack([peer(side) for side in (batch, batch.mirrored())[:versions]])
+    torch.testing.assert_close(own, expected, **TOLERANCE)
+    upstream = torch.randn_like(own)
+    for out in (own, expected):
+        (out * upstream).sum().backward()
+    for ours, theirs in zip(net.layers, peer.layers, strict=True):
+        torch.testing.assert_close(ours.weight.grad, theirs.lin.weight.grad.T, **TOLERANCE)
+        torch.testing.assert_close(ours.bias.grad, theirs.bias.grad, **TOLERANCE)
+        assert ours.weight.grad.abs().max() > 0.01
 
 
-@pytest.mark.parametrize("equal_rows", [False, True])
-def test_edgeconv_equals_pyg(equal_rows: bool) -> None:
-    """With ReLU after our maximum and before PyG's; nodes that look alike, whose maxima tie, included."""
-    batch = graph_batch([20, 0, 1, 11])
-    torch.manual_seed(0)
-    layer = edgeconv.EdgeConvLayer(5, 8).double()
-    peer = EdgeConv(nn.Sequential(nn.Linear(10, 8), nn.ReLU())).double()
-    peer.nn[0].load_state_dict(layer.linear.state_dict())
-    x = torch.randn(32, 5, dtype=torch.float64)
-    if equal_rows:  # in multiples of 1/8, so that equal sums are equal to the last bit
-        x[1::2] = x[::2]
-        for tensor in (x, *(parameter.data for parameter in (*layer.parameters(), *peer.parameters()))):
-            tensor.mul_(8).round_().div_(8)
-    x.requires_grad_()
-    ours, theirs = layer(x, layer.operator(batch, x.dtype)).relu(), peer(x, batch.edge_index)
-    assert not ours[20].any()  # alone in its frame
-    same_gradients(ours, theirs, [x, *layer.parameters()], [x, *peer.parameters()])
+def test_heads_multiply_the_width_and_a_module_is_a_linear_layer() -> None:
+    attention, edges = build("GATv2Conv")[0], build("EdgeConv")[0]
+    assert [layer.lin_l.out_channels for layer in attention.layers] == [16, 32]
+    assert attention.read_out.in_features == 2 * 32
+    assert [type(layer.nn) for layer in edges.layers] == [nn.Linear] * 2
+    assert [layer.nn.in_features for layer in edges.layers] == [2 * 25, 2 * 8]  # x_i ‖ x_j - x_i
 
 
-@pytest.mark.parametrize(("outputs", "heads"), [(8, 4), (6, 2), (5, 1)])
-def test_gatv2_equals_pyg(outputs: int, heads: int) -> None:
-    batch = graph_batch([20, 0, 1, 11])
-    torch.manual_seed(0)
-    layer = gatv2.GATv2Layer(3, outputs).double()
-    for parameter in layer.parameters():
-        nn.init.normal_(parameter)
-    peer = GATv2Conv(3, outputs // heads, heads=heads, add_self_loops=True).double()
-    peer.lin_l.load_state_dict(layer.left.state_dict())
-    peer.lin_r.load_state_dict(layer.right.state_dict())
-    peer.att.data, peer.bias.data = layer.attention.data[None].clone(), layer.bias.data.clone()
-    x = torch.randn(32, 3, dtype=torch.float64, requires_grad=True)
-    ours, theirs = layer(x, layer.operator(batch, x.dtype)), peer(x, batch.edge_index)
-    mine = [x, layer.attention, layer.bias, *layer.left.parameters(), *layer.right.parameters()]
-    same_gradients(ours, theirs, mine, [x, peer.att, peer.bias, *peer.lin_l.parameters(), *peer.lin_r.parameters()])
+def test_a_missing_package_is_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch_geometric.nn", None)
+    with pytest.raises(ValueError, match=r"torch_geometric: pip install '\.\[pyg\]'"):
+        pyg.layer_class("GCNConv")
 
 
 def plain_map(frame: dict[str, Any]) -> Tensor:

@@ -21,7 +21,7 @@ MIRROR = torch.tensor(MOTION_MIRROR_SIGNS)
 COUNTS = [20, 9, 30, 12, 0, 25]  # points per frame
 SPATIAL = [name for name in names("spatial") if name != "blind"]  # blind has no input
 WIRING = {"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2, "motor_fanin": 3}
-SMALL = {"layers": [8, 12], "semantics": 1.0, "width": 0.125, "units": 7}
+SMALL = {"layer": "GATv2Conv", "layers": [8, 12], "semantics": 1.0, "width": 0.125, "units": 7}
 SMALL["wiring"] = WIRING | {"recurrent_command_synapses": 4}
 each_cell = pytest.mark.parametrize("cell", ["lstm", *CELLS])
 
@@ -153,7 +153,6 @@ def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
         ({"layerz": [3]}, "unknown key 'layerz'.*did you mean layers"),
         ({"layers": [0]}, r"layers\.0: .*greater than or equal to 1"),
         ({"wiring": {"comand": 5}}, r"wiring\.comand: unknown key: did you mean command"),
-        ({"sectors": 8}, "sectors: expected 0 or an odd number"),
         ({"spatial": "gmn"}, r"spatial = 'gmn': there is no .*gmn\.py \(known: blind, cnn"),
         ({"spatial": "../temporal/lstm"}, "known: blind"),
         ({"predict": "path", "horizon": 3}, "predict: path has no horizon"),

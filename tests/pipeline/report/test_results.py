@@ -17,7 +17,7 @@ def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path: Path) -> None:
         tmp_path,
         metrics("path", predict="path"),
         metrics("far", odometry={"odometry": 0.5}, horizon=10),
-        metrics("ours", spatial="gatv2", odometry={"odometry": 0.04}),
+        metrics("ours", spatial="polar", odometry={"odometry": 0.04}),
         metrics("do", input="depth", semantics=0.0),
         metrics("lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
     )

@@ -5,14 +5,14 @@ from pathlib import Path
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import read
-from pipeline.settings.encoder import PRECOMPUTED, Encoder, Teacher
+from pipeline.settings.encoder import Encoder
 from pipeline.settings.models import Entry
 from pipeline.settings.preset import Params, validate
 from pipeline.train import runs
 
 
 def main(params: Path = Path("params.yaml")) -> Path:
-    """Validate all sections, build each network once, and look for the files of weights. Returns `params`.
+    """Validate all sections, build each steering network once, and look for the encoder's files. Returns `params`.
 
     Reads and downloads no weights.
     """
@@ -26,28 +26,13 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
 
 def check_encoder(encoder: Encoder) -> None:
-    """Build the encoder and its teacher, and check that their weights are available. Raises InputError."""
-    import torch
+    """Check that the files of the encoder exist. Raises InputError."""
+    from pipeline.perception import create, precomputed
 
-    from models.encoder.unified_encoder import BACKBONES, UnifiedEncoder
-    from pipeline.perception import precomputed
-    from pipeline.perception.weights import check_available
-
-    networks: dict[str, Encoder | Teacher] = {"encoder": encoder}
-    if encoder.folder:
+    if encoder.weights:
         with error_context("encoder.weights"):
-            precomputed.find(encoder.folder)
-        networks = {}
-    if encoder.teacher:
-        networks["encoder.teacher"] = encoder.teacher
-    for key, network in networks.items():
-        if network.backbone not in BACKBONES:
-            problem = f"unknown backbone {network.backbone!r}: {closest(network.backbone, [*BACKBONES, PRECOMPUTED])}"
-            raise InputError(problem, f"{key}.backbone")
-        with error_context(f"{key}.backbone"), torch.device("meta"):  # without memory
-            UnifiedEncoder(network.backbone)
-        with error_context(f"{key}.weights"):
-            check_available(network.weights)
+            check = precomputed.find if encoder.backbone == "precomputed" else create.check_weights
+            check(encoder.weights)
 
 
 def check_model(entry: Entry, settings: Params) -> None:

@@ -1,20 +1,36 @@
-"""Heads of the unified encoder: metric depth, also as a correction of flat ground, and Cityscapes classes."""
+"""Heads of encoders, metric depth and Cityscapes classes, and what several networks need."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.backbones import Part
 from pipeline.camera import classes
-from pipeline.camera.mount import CAMERA_HEIGHT_M
 
 MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
 MAX_GROUND_M = 80.0  # beyond, a pixel covers many metres
-WIDTH = 32
-DROPPED = 0.2  # share of features dropped in training, against overfitting to one place
-MAX_CORRECTION = 0.7  # of the logarithm: a factor of 0.5 to 2
+
+
+def rgb_0_1(image: Tensor) -> Tensor:
+    """Return an image, uint8 or floats from 0 to 1, as floats."""
+    return image.float() / 255 if image.dtype == torch.uint8 else image
+
+
+def resized(x: Tensor, size: Sequence[int]) -> Tensor:
+    """Interpolate a map [B,C,h,w] to `size`, with averages where it shrinks; pixel centres stay aligned."""
+    if x.shape[-2:] == torch.Size(size):
+        return x
+    return F.interpolate(x, tuple(size), mode="bilinear", align_corners=False, antialias=True)
+
+
+def scaled_by_focal(depth: Tensor, K: Tensor, trained: float) -> Tensor:
+    """Scale depth [B,H,W] of a network that was trained with one camera to the camera with intrinsics K [B,3,3].
+
+    `trained` is focal length / image width of its training images: a network takes a longer lens for a shorter way.
+    """
+    return depth * (K[:, 0, 0] / depth.shape[-1] / trained).to(depth.dtype)[:, None, None]
 
 
 class Pointwise(nn.Conv2d):
@@ -31,7 +47,7 @@ class Pointwise(nn.Conv2d):
         return F.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias).permute(0, 3, 1, 2)
 
 
-class CellDepth(Part):
+class CellDepth(nn.Module):
     """Depth of all pixels of a feature's cell (sub-pixel convolution).
 
     Interpolated depth would put points between a car and its background; here edges stay sharp.
@@ -48,7 +64,7 @@ class CellDepth(Part):
         return bounded_depth(cells[..., : rays.shape[-2], : rays.shape[-1]])
 
 
-class CellClasses(Part):
+class CellClasses(nn.Module):
     """Class logits of all pixels of a feature's cell (sub-pixel convolution)."""
 
     def __init__(self, channels: int, stride: int) -> None:
@@ -74,39 +90,6 @@ def bounded_depth(x: Tensor) -> Tensor:
     """Map any number to 0.5 to 120 m, by a sigmoid over the logarithm: relative errors count equally near and far."""
     share = torch.sigmoid(x.float())  # half precision at log(120 m) has an error of 1.6 % of the depth
     return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * share)
-
-
-class GroundDepth(nn.Module):
-    """Depth of flat ground times the exponential of a bounded correction, which is 0 before the fit."""
-
-    def __init__(self, channels: int, classes: int) -> None:
-        """`channels` of the features and `classes` of the logits."""
-        super().__init__()
-        self.seen = nn.Sequential(nn.Dropout2d(DROPPED), nn.Conv2d(channels, WIDTH, 1))
-        self.assumed = nn.Conv2d(classes + 2, WIDTH, 3, padding=1)
-        last = nn.Conv2d(WIDTH, 4, 1, bias=False)
-        nn.init.zeros_(last.weight)
-        self.layers = nn.Sequential(nn.ReLU(), nn.Conv2d(WIDTH, WIDTH, 3, padding=2, dilation=2), nn.ReLU(), last)
-
-    def forward(self, features: Tensor, logits: Tensor, rays: Tensor) -> Tensor:
-        """Return depth [B,H,W] in metres.
-
-        Args:
-            features: [B,channels,h,w], h and w at least half of H and W, with padding at the right and bottom.
-            logits: [B,classes,h,w], Cityscapes' 19 classes first.
-            rays: slopes [B,2,H,W] of the pixels.
-        """
-        h, w = features.shape[-2:]
-        height, width = rays.shape[-2:]
-        rays = F.pad(rays, (0, 2 * w - width, 0, 2 * h - height), mode="replicate")  # [B,2,2h,2w]
-        with torch.no_grad():
-            enlarged = F.interpolate(logits, (2 * h, 2 * w), mode="bilinear", align_corners=True)
-            flat = ground_plane_depth(enlarged.argmax(dim=1), rays[:, 1], CAMERA_HEIGHT_M)  # [B,2h,2w]
-            assumed = torch.cat([torch.log(flat)[:, None] / 4, 3 * rays[:, 1:]], dim=1)  # about -1 to 1
-        x = self.seen(features) + self.assumed(torch.cat([logits.softmax(dim=1), F.avg_pool2d(assumed, 2)], dim=1))
-        correction = F.pixel_shuffle(self.layers(x), 2)[:, 0].float()  # [B,2h,2w]
-        depth = (flat * torch.exp(MAX_CORRECTION * torch.tanh(correction))).clamp(MIN_DEPTH_M, MAX_DEPTH_M)
-        return depth[..., :height, :width]
 
 
 def ground_plane_depth(cls: Tensor, slope: Tensor, camera_height_m: float) -> Tensor:

@@ -43,17 +43,14 @@ def fit(
 ) -> list[EpochLoss]:
     """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits) in place; return the loss per epoch.
 
-    A child (backbone, head) whose parameters require no gradients is not changed, nor its batch statistics. Raises
-    InputError if the loss is not finite.
+    Raises InputError if the loss is not finite.
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    parameters = [parameter for parameter in model.parameters() if parameter.requires_grad]
-    optimiser = torch.optim.AdamW(parameters, weight_decay=WEIGHT_DECAY, fused=True)
+    optimiser = torch.optim.AdamW(model.parameters(), weight_decay=WEIGHT_DECAY, fused=True)
     curve: list[EpochLoss] = []
     steps = math.ceil(len(examples) / batch)
-    for part in model.children():
-        part.train(any(parameter.requires_grad for parameter in part.parameters()))
+    model.train()
     for epoch in range(epochs):
         start = time.perf_counter()
         torch.manual_seed(seed + epoch)
@@ -110,7 +107,7 @@ def _batches(examples: Examples, batch: int, rng: np.random.Generator, *, pinned
     """Yield image [B,H,W,3], K, depth and classes of augmented examples in random order; `pinned` for a GPU."""
     order = rng.permutation(len(examples))
     for start in range(0, len(order), batch):
-        chosen = [augment(examples[int(i)], rng, examples.grey) for i in order[start : start + batch]]
+        chosen = [augment(examples[int(i)], rng) for i in order[start : start + batch]]
         arrays = zip(*((one.image, one.camera.K, one.depth_m, one.cls) for one in chosen), strict=True)
         tensors = [torch.from_numpy(np.stack(parts)) for parts in arrays]
         yield [tensor.pin_memory() for tensor in tensors] if pinned else tensors

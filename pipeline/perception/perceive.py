@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.encoder.unified_encoder import UnifiedEncoder
+from models.encoder.unified_encoder import Architecture, build
 from pipeline.base.errors import error_context
 from pipeline.base.executors import default_workers
 from pipeline.camera import classes
@@ -61,32 +61,30 @@ def weights_file(folder: Path) -> Path:
     return folder / (precomputed.FILE if precomputed.named_in(folder) else FILE)
 
 
-def save(folder: Path, backbone: str, state: Mapping[str, Tensor]) -> None:
+def save(folder: Path, architecture: Architecture, state: Mapping[str, Tensor]) -> None:
     """Write ``encoder.pt`` in one step."""
     # Strides are part of the file; a contiguous clone removes channels last.
     tensors = {
         name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in state.items()
     }
-    checkpoint.write(folder / FILE, {"kind": KIND, "backbone": backbone, "net": tensors})
+    checkpoint.write(folder / FILE, {"kind": KIND, "architecture": dict(architecture), "net": tensors})
 
 
-def read(path: Path) -> tuple[str, Mapping[str, Tensor]]:
-    """Return backbone and tensors by name of a file of :func:`save`. Raises InputError if missing or damaged."""
+def read(path: Path) -> tuple[Architecture, Mapping[str, Tensor]]:
+    """Return the description and tensors by name of a file of :func:`save`. Raises InputError."""
     content = checkpoint.read(path, KIND)
-    return content["backbone"], content["net"]
+    return content["architecture"], content["net"]
 
 
-def load(folder: Path) -> UnifiedEncoder:
+def load(folder: Path) -> nn.Module:
     """Return the encoder of stage encoder in evaluation mode, on a GPU if there is one.
 
     Raises InputError if its file is missing, damaged or does not fit this code, or if a package is missing.
     """
-    path, fix = folder / FILE, "Make it again: dvc repro --force --single-item encoder"
-    with error_context(fix=fix):
-        backbone, state = read(path)
-    with error_context(path):
-        model = UnifiedEncoder(backbone)
-    with error_context(fix=fix):
+    path = folder / FILE
+    with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
+        architecture, state = read(path)
+        model = build(architecture)
         checkpoint.load_state(model, state, path)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # 1.6x faster on a CPU, measured
     return model.to("cuda" if torch.cuda.is_available() else "cpu").eval()

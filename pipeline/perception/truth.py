@@ -26,18 +26,18 @@ class Truth:
     has_cls: bool
 
 
-def read_truth(drive: DriveReader, camera: Camera, row: int, labelled: bool = True) -> Truth:
-    """Return the ground truth of the frame in `row` of a file of stage ingest; without `labelled`, all is unknown.
+def read_truth(drive: DriveReader, camera: Camera, row: int) -> Truth:
+    """Return the ground truth of the frame in `row` of a file of stage ingest.
 
     Dense depth takes precedence over projected LiDAR, which is used without points that are hidden from the camera.
     """
     depth_m = np.zeros(camera.size, np.float32)
     source: DepthSource | None = None
-    if labelled and drive.row("has_depth", row):
+    if drive.row("has_depth", row):
         depth_m, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
-    elif labelled and drive.row("has_lidar", row):
+    elif drive.row("has_lidar", row):
         depth_m, source = visible(scan_depth(drive.rows_of("lidar", row), camera), camera), "lidar"
-    has_cls = labelled and bool(drive.row("has_cls", row))
+    has_cls = bool(drive.row("has_cls", row))
     cls = drive.row("cls", row) if has_cls else np.full(camera.size, classes.VOID, np.uint8)
     return Truth(depth_m, source, cls, has_cls)
 
@@ -54,12 +54,3 @@ def visible(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
     known = np.where(depth_m > 0, depth_m, np.inf).astype(np.float32)
     nearest = cv2.erode(known, np.ones((2 * reach[1] + 1, 2 * reach[0] + 1), np.uint8))  # erosion is a local minimum
     return np.where(known / OCCLUDED_RATIO <= nearest, depth_m, 0).astype(depth_m.dtype)
-
-
-def training_rows(drive: DriveReader, has_teacher: bool, labelled: bool = True) -> np.ndarray:
-    """Return the rows of frames that have an image and a training target, int64 [n].
-
-    A teacher supplies a target for each image. Without `labelled`, ground truth of the drive is ignored.
-    """
-    truth = np.any([drive[f"has_{kind}"] for kind in ("depth", "cls", "lidar")], axis=0)
-    return np.flatnonzero(drive["has_image"].astype(bool) & (labelled & truth | has_teacher))

@@ -20,7 +20,7 @@ ingest:
   manifests:                    # hashes of the imported files: a repeated import runs the stages again
 {manifests}
 
-encoder:                        # depth of real streets without classes, by make street
+encoder:                        # of real streets, by make street
   backbone: street
   weights: weights/street/encoder.pt
   epochs: 0

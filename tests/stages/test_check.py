@@ -5,7 +5,6 @@ import pytest
 import yaml
 
 from pipeline.base.errors import InputError
-from pipeline.perception import weights
 from pipeline.settings import preset
 from stages import check
 
@@ -13,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
 PAPER = {"cnn-ncp", "gnn-lstm", "gnn-ncp", "pointnet2-lstm", "pointnet2-ncp", "do-gnn-ncp", "sa-gnn-ncp"}
 GRAPH = {"input": "semantic", "temporal": "lstm", "semantics": 1.0}
-FIT = {"epochs": 1, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
+FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 
 
 def changed(where: str, value: Any, name: str = "table2") -> dict[str, Any]:
@@ -36,25 +35,12 @@ def run(folder: Path, content: dict[str, Any]) -> Path:
 def test_the_projects_own_files_are_valid(
     name: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No weights are read or downloaded."""
+    """Without weights of real streets, which check does not download."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(weights, "fetch", None)
-    (tmp_path / "weights").mkdir()
     (tmp_path / "models").symlink_to(ROOT / "models")
     content = yaml.safe_load(preset.text(name)) if name else yaml.safe_load((ROOT / "params.yaml").read_text())
-    published = content["encoder"].get("weights")
-    for file in published.values() if isinstance(published, dict) else ():
-        if isinstance(file, str):  # without a hash, it is not downloaded
-            (tmp_path / "weights" / file.rsplit("/", 1)[-1]).touch()
     run(tmp_path, content)
     assert capsys.readouterr().out == ""
-
-
-def test_weights_that_cannot_be_downloaded_are_reported_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=r"encoder\.weights: depth_head: weights/.*head\.pth") as raised:
-        run(tmp_path, yaml.safe_load(preset.text("kitti")))
-    assert "curl" in raised.value.fix
 
 
 def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None:
@@ -115,9 +101,11 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
             "layer RGCNConv with layer_options {}: .*num_relations",
         ),
         (MODEL, GRAPH | {"spatial": "pyg"}, "layer is missing: a layer of torch_geometric.nn"),
-        ("encoder.backbone", "smal", r"'smal'.*did you mean small"),
-        ("encoder", {"backbone": "precomputed", "weights": {"backbone": "pngs"}, **FIT}, "folder of PNG files"),
-        ("encoder.teacher", {"backbone": "small", "weights": {"backbone": "no.pth"}}, r"teacher\.weights.*no\.pth"),
+        ("encoder.backbone", "smal", "backbone.*'small', 'street'"),
+        ("encoder.weights", "no.pt", "weights: no.pt: file is missing"),
+        ("encoder", {"backbone": "precomputed", "weights": "pngs", **FIT}, "folder has no PNG files"),
+        ("encoder", {"backbone": "precomputed", **FIT}, "folder of PNG files"),
+        ("encoder", {"backbone": "street", **FIT, "epochs": 1}, "street is not fitted"),
         ("models." + "n" * 101, {"input": "depth", "spatial": "gnn", "temporal": "ncp", "window": 8}, "at most 100"),
         ("model", {}, "model.*did you mean models"),
     ],

@@ -6,7 +6,7 @@ import pytest
 import torch
 import yaml
 
-from models.encoder.unified_encoder import UnifiedEncoder
+from models.encoder.unified_encoder import build
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.perception.perceive import save
@@ -28,7 +28,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     street.write_drive(root / "ingest", BLIND, 2, dense=False, lidar=True, images=False)
     store.write_index(root / "ingest", SPLITS)
     torch.manual_seed(0)
-    save(root / "encoder", "small", UnifiedEncoder("small").state_dict())
+    small = {"backbone": "small"}
+    save(root / "encoder", small, build(small).state_dict())
     run(root, "perception", batch=4)
     return root
 

@@ -4,18 +4,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.backbones import Backbone, Parts, conv
 from models.encoder.heads import CellClasses, CellDepth, Pointwise
 
 WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
 
 
-def small() -> Parts:
-    """Return the parts; both heads read the backbone's one map."""
-    return Parts(Small(), CellDepth(Small.channels, Small.stride), CellClasses(Small.channels, Small.stride))
+def small() -> tuple[nn.Module, nn.Module, nn.Module]:
+    """Return backbone, depth head and class head; both heads read the backbone's one map."""
+    return Small(), CellDepth(Small.channels, Small.stride), CellClasses(Small.channels, Small.stride)
 
 
-class Small(Backbone):
+class Small(nn.Module):
     """U-Net: four halvings down, three doublings up with skips, for a receptive field of most of the image."""
 
     channels = 2 * WIDTHS[0]
@@ -58,6 +57,15 @@ class Residual(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return F.relu(x + self.second(self.first(x)))
+
+
+def conv(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    """Return a 3x3 convolution, batch norm and ReLU; stride 2 halves the size, rounded up."""
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )
 
 
 def _resized(x: Tensor, like: Tensor) -> Tensor:

@@ -1,0 +1,87 @@
+"""RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres.
+
+Attributes have the names of the authors' files ``encoder.pth`` and ``depth.pth`` of ``s/ms_640_192``.
+"""
+
+from collections import OrderedDict
+from itertools import pairwise
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from models.encoder.heads import resized, scaled_by_focal
+
+SIZE = (192, 640)  # of its training images; depth is wrong at other sizes
+MEAN, STD = 0.45, 0.225
+WIDTHS = (64, 64, 128, 192)  # at 1/2, 1/4, 1/8 and 1/16 of the image
+DECODED = (96, 64, 32, 16)  # at 1/8, 1/4, 1/2 and 1/1
+KITTI_FOCAL = 721.5377 / 1242  # focal length by image width of its training images
+STEREO_M = 5.4  # metres per unit: KITTI's baseline of 0.54 m is 0.1 in its training
+NEAR, FAR = 0.1, 100.0  # range of depth in units
+
+
+class RTMonoDepthS(nn.Module):
+    """RGB image [B,3,H,W] from 0 to 1 and intrinsics [B,3,3] → depth [B,H,W] in metres.
+
+    It estimates depth from the size of objects at KITTI's focal length, and assumes the height of KITTI's camera.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder, self.decoder = Encoder(), Decoder()
+
+    def forward(self, image: Tensor, K: Tensor) -> Tensor:
+        near = self.decoder(self.encoder((resized(image, SIZE) - MEAN) / STD))
+        inverse = resized(1 / FAR + (1 / NEAR - 1 / FAR) * near, image.shape[-2:])[:, 0]
+        return scaled_by_focal(STEREO_M / inverse, K, KITTI_FOCAL)
+
+
+class Encoder(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, WIDTHS[0], 7, stride=2, padding=3, bias=False)
+        self.convs = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv2d(inputs, outputs, 3, stride=2, padding=1),
+                nn.LeakyReLU(0.1),
+                nn.Conv2d(outputs, outputs, 3, padding=1),
+                nn.LeakyReLU(0.1),
+            )
+            for inputs, outputs in pairwise(WIDTHS)
+        )
+
+    def forward(self, image: Tensor) -> Tensor:
+        """Return the map at 1/16 of the image: the published decoder has no skip connections."""
+        x = F.relu(self.conv1(image))
+        for layer in self.convs:
+            x = layer(x)
+        return x
+
+
+class Decoder(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for inputs, outputs in pairwise((WIDTHS[-1], *DECODED)):
+            layers += [ConvELU(inputs, outputs), ConvELU(outputs, outputs)]
+        layers.append(nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1))))
+        self.decoder = nn.ModuleList(layers)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return inverse depth from 0 to 1, [B,1,16h,16w], of a map [B,192,h,w]."""
+        for level in range(len(DECODED)):
+            x = F.interpolate(self.decoder[2 * level](x), scale_factor=2, mode="nearest")
+            x = self.decoder[2 * level + 1](x)
+        return torch.sigmoid(self.decoder[-1](x).float())  # half precision is too coarse for large depths
+
+
+class ConvELU(nn.Module):
+    """A 3x3 convolution with reflected edges, then ELU."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="reflect")
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.elu(self.conv(x))

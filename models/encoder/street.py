@@ -1,0 +1,73 @@
+"""The encoder of real streets: depth of RT-MonoDepth-S and classes of EfficientViT-Seg-B0, both as published."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from models.encoder.efficientvit import STRIDE, EfficientViT
+from models.encoder.heads import resized, rgb_0_1
+from models.encoder.rtmonodepth_s import RTMonoDepthS
+
+ENLARGED = 1.5  # of the image before it is classified: small images have too few pixels for a stride of 32
+
+
+class Source(NamedTuple):
+    """A published file, by its path below weights/."""
+
+    path: str
+    url: str
+    sha256: str
+    terms: str
+
+
+_RTMONODEPTH = (
+    "https://github.com/Ashwani564/RT-Monodepth-Construction/raw/d9a171f0a98b4c7ccd4713197af5e26689b0adfb/"
+    "weights/RTMonoDepth/s/ms_640_192/"
+)
+SOURCES = (
+    Source(
+        "rtmonodepth-s/encoder.pth",
+        _RTMONODEPTH + "encoder.pth",
+        "6cdff9dfd76b0b804a6954508ebc57fbd8ff4713642282e861d47d9939190917",
+        "Monodepth2's terms: non-commercial use only",
+    ),
+    Source(
+        "rtmonodepth-s/depth.pth",
+        _RTMONODEPTH + "depth.pth",
+        "6e0267e403190269cc67b89cd6da8c0819d179fd0fa77f6082ba51a1593aaffc",
+        "Monodepth2's terms: non-commercial use only",
+    ),
+    Source(
+        "efficientvit_b0/b0.pt",
+        "https://github.com/Earth2Adam/EfficientViTSeg/raw/2c435b6eb93f43cafa8724af6f2adf79faa4726a/ckpts/b0.pt",
+        "923d6fdd5e93640cc0c2f3f213764f34e80b477cd98a6b294d870ea6df5acc50",
+        "Apache-2.0; Cityscapes' terms: non-commercial use only",
+    ),
+)
+
+
+class Street(nn.Module):
+    """Image [B,3,H,W] and intrinsics [B,3,3] → depth [B,H,W] in metres and logits [B,19,H,W]."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.depth, self.classes = RTMonoDepthS(), EfficientViT()
+
+    def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+        rgb, size = rgb_0_1(image), image.shape[-2:]
+        enlarged = resized(rgb, [STRIDE * max(1, round(ENLARGED * side / STRIDE)) for side in size])
+        return self.depth(rgb, K), resized(self.classes(enlarged), size)
+
+    def load_published(self, folder: Path) -> None:
+        """Load the files of SOURCES below a folder."""
+        encoder, decoder, classes = (_load(folder / source.path) for source in SOURCES)
+        self.depth.encoder.load_state_dict({name: x for name, x in encoder.items() if isinstance(x, Tensor)})
+        coarser = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4, for its training only
+        self.depth.decoder.load_state_dict({name: x for name, x in decoder.items() if not name.startswith(coarser)})
+        self.classes.load_state_dict(classes["state_dict"])
+
+
+def _load(path: Path) -> Any:
+    return torch.load(path, weights_only=True, map_location="cpu")

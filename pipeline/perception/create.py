@@ -1,0 +1,90 @@
+"""Create the encoder of section ``encoder``: build it, and load weights that are downloaded once and verified."""
+
+import http.client
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from torch import hub, nn
+
+from models.encoder import street
+from models.encoder.unified_encoder import Architecture, build
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.resume import file_hash
+from pipeline.perception import perceive
+from pipeline.settings.encoder import Encoder
+from pipeline.train import checkpoint
+
+WEIGHTS = Path("weights")  # downloaded files
+STREET = WEIGHTS / "street"
+"""Where make street writes the encoder of real streets."""
+TIMEOUT_S = 30  # without any data from the server
+
+
+def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    """Return the encoder of section ``encoder`` and its description.
+
+    Raises InputError if a file is missing, has another hash, or is of another encoder.
+    """
+    if settings.weights is None:
+        return CREATE[settings.backbone](settings)
+    with error_context("weights"):
+        check_weights(settings.weights)
+        architecture, state = perceive.read(settings.weights)
+        if architecture["backbone"] != settings.backbone:
+            problem = f"backbone is {architecture['backbone']!r}, expected {settings.backbone!r}"
+            raise InputError(problem, settings.weights, "Name another file")
+        model = build(architecture)
+        checkpoint.load_state(model, state, settings.weights)
+    return architecture, model
+
+
+def check_weights(path: Path) -> None:
+    """Raise InputError if there is no file at `path`."""
+    if not path.is_file():
+        fix = "Make it: make street" if path.parent == STREET else "Put it there, or name another one"
+        raise InputError("file is missing", path, fix)
+
+
+def _create_small(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    architecture = {"backbone": settings.backbone}
+    return architecture, build(architecture)
+
+
+def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    for source in street.SOURCES:
+        fetch(WEIGHTS / source.path, source.url, source.sha256)
+    model = street.Street()
+    model.load_published(WEIGHTS)
+    sources = [f"{source.path}: {source.url} ({source.terms})" for source in street.SOURCES]
+    return {"backbone": settings.backbone, "sources": sources}, model
+
+
+CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
+    "small": _create_small,
+    "street": _create_street,
+}
+"""Kind → its description, with `sources` where weights were published: a line each; and the network with weights."""
+
+
+def fetch(path: Path, url: str, sha256: str) -> None:
+    """Download a file if it is missing. Raises InputError if the download fails or the hash differs."""
+    if not path.exists():
+        _download(path, url, sha256)
+    if file_hash(path) != sha256:
+        raise InputError(f"SHA-256 is {file_hash(path)}, expected {sha256}", path, "Delete it to download it again")
+
+
+def _download(path: Path, url: str, sha256: str) -> None:
+    default_s = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(TIMEOUT_S)  # hub sets none
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        hub.download_url_to_file(url, str(path), sha256, progress=sys.stderr.isatty())
+    except (OSError, RuntimeError, ValueError, http.client.HTTPException) as error:
+        reason = " ".join(str(error).split())
+        fix = f"Put the file there: curl --create-dirs -L -o {path} {url}"
+        raise InputError(f"cannot download {url} ({reason})", path, fix) from error
+    finally:
+        socket.setdefaulttimeout(default_s)

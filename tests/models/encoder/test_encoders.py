@@ -1,0 +1,116 @@
+"""Encoders: their interface, and the published networks of real streets against truth and formulas."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
+from models.encoder.rtmonodepth_s import SIZE
+from models.encoder.street import Street
+from models.encoder.unified_encoder import build, ray_slopes
+from pipeline.camera import classes
+from pipeline.camera.geometry import scan_depth
+from pipeline.camera.images import read_image, resized
+from pipeline.kitti.raw import KittiDrive, read_scan
+from pipeline.perception.perceive import perceive
+from pipeline.perception.scores import class_ious, confusion, depth_errors, eigen_crop
+
+K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]], dtype=torch.float64)
+
+
+@pytest.fixture(scope="module", params=["small", "street"])
+def model(request: pytest.FixtureRequest) -> nn.Module:
+    torch.manual_seed(0)
+    return build({"backbone": request.param}).eval()
+
+
+def predict(model: nn.Module, image: Tensor, K: Tensor = K) -> tuple[Tensor, Tensor]:
+    with torch.no_grad():
+        return model(image, K.expand(len(image), 3, 3))
+
+
+@pytest.mark.parametrize("size", [(48, 96), (37, 63)])
+def test_each_pixel_has_depth_and_logits_that_do_not_depend_on_the_batch(
+    model: nn.Module, size: tuple[int, int]
+) -> None:
+    images = torch.randint(0, 256, (3, 3, *size), dtype=torch.uint8)
+    depth, logits = predict(model, images)
+    assert depth.shape == (3, *size)
+    assert logits.shape in {(3, classes.COUNT, *size), (3, classes.COUNT + 1, *size)}
+    assert depth.min() > 0
+    for whole, part in zip((depth, logits), predict(model, images[1:2]), strict=True):
+        torch.testing.assert_close(whole[1:2], part, rtol=1e-4, atol=1e-3)
+    for whole, part in zip((depth, logits), predict(model, images.float() / 255), strict=True):
+        torch.testing.assert_close(whole, part)
+
+
+def test_ray_slopes_follow_the_intrinsics() -> None:
+    slopes = ray_slopes(K, torch.Size((41, 61)))[0]
+    assert slopes[:, 20, 30].tolist() == [0, 0]
+    assert slopes[0, 20, 55].item() == pytest.approx(0.5)
+    assert slopes[1, 40, 30].item() == pytest.approx(0.5)
+
+
+def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not() -> None:
+    torch.manual_seed(0)
+    model, longer = Street().eval(), K.clone()
+    longer[:, :2, :2] *= 1.5
+    image = torch.rand(1, 3, 41, 75)
+    depth, logits = predict(model, image)
+    other, same = predict(model, image, longer)
+    torch.testing.assert_close(other, 1.5 * depth)
+    torch.testing.assert_close(same, logits)
+
+
+def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_queries() -> None:
+    torch.manual_seed(0)
+    layer = LinearAttention(2 * HEAD_WIDTH).eval()
+    layer.proj = nn.Identity()
+    x = torch.randn(2, 2 * HEAD_WIDTH, 3, 5)
+    with torch.no_grad():
+        qkv = layer.qkv(x)
+        for head, part in enumerate(torch.cat([qkv, layer.aggreg[0](qkv)], dim=1).split(3 * HEAD_WIDTH, dim=1)):
+            q, k, v = part.flatten(2).split(HEAD_WIDTH, dim=1)  # [2,16,15]
+            weights = torch.einsum("bcn,bcm->bnm", k.relu(), q.relu())
+            expected = torch.einsum("bcn,bnm->bcm", v, weights / weights.sum(dim=1, keepdim=True))
+            got = layer(x)[:, head * HEAD_WIDTH : (head + 1) * HEAD_WIDTH].flatten(2)
+            torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def street(real_weights: Path) -> nn.Module:
+    model = Street()
+    model.load_published(real_weights)  # all tensors have to agree
+    return model.eval()
+
+
+@pytest.mark.slow
+@pytest.mark.real
+@pytest.mark.parametrize(("drive", "most"), [("2011_09_26_drive_0005", 0.13), ("2011_10_03_drive_0042", 0.17)])
+def test_published_weights_give_metric_depth_of_real_streets(
+    street: nn.Module, real_half: Path, drive: str, most: float
+) -> None:
+    raw = KittiDrive(real_half / drive[:10] / f"{drive}_sync")
+    number = raw.camera_number([2, 0])
+    assert number is not None
+    camera = raw.camera(number)
+    scaled = camera.scaled(SIZE)
+    errors, ratios, matrix = [], [], np.zeros((classes.COUNT, classes.COUNT + 1), int)
+    for frame in list(raw.scans)[::10]:
+        image = resized(read_image(raw.images(number)[frame], camera.size), SIZE)
+        depth, cls = perceive(street, image[None], scaled)
+        truth = scan_depth(read_scan(raw.scans[frame]), scaled)
+        found = depth_errors(eigen_crop(depth[0]), eigen_crop(truth))
+        assert found is not None
+        errors.append(found[0])
+        ratios.append(np.median(truth[truth > 0] / depth[0][truth > 0]))
+        grey = np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=-1)
+        matrix += confusion(perceive(street, grey[None], scaled)[1][0], cls[0])
+    assert np.mean(errors) < most
+    assert np.mean(ratios) == pytest.approx(1, abs=0.08)  # metres, without any scaling
+    ious = class_ious(matrix)  # of grey against colour
+    assert (ious[[classes.ROAD, classes.SIDEWALK, classes.BUILDING, classes.VEGETATION]] > [0.9, 0.8, 0.88, 0.78]).all()

@@ -40,7 +40,6 @@ def main(
         first = predict.load(best.parent)
         entry, variant = first.entry, graphs / first.entry.input
         folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
-        folds = runs.drop_untestable(folds, variant, labels, entry)
         models = {run: predict.load(run.folder) for run in runs.runs(train / name, first.seeds, folds)}
         cases = _predict(models, variant, labels)
         tested = [case.drive for case in cases["test"]]

@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import torch
 import typer
 
 from pipeline.base import console, store
@@ -15,6 +16,8 @@ from pipeline.base.params import load, load_entry
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import runs
+from pipeline.train.fit import Job, fit_run
+from pipeline.train.labelled_drive import check, read_drive
 from pipeline.train.scale import Scale
 
 
@@ -30,32 +33,26 @@ def main(
     One network per seed, and per test drive with fit_to: others or both. Networks are trained in parallel on CPUs, one
     process each, and one after the other on a GPU. Returns the model's folder.
     """
-    import torch
-
-    from pipeline.train.training import Job, fit_run
-
     entry, settings = load_entry(Entry, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
     variant, where = graphs / entry.input, f"{params}: models.{name}"
-    splits = store.read_index(variant, stage="graphs")
     with error_context(where=where):
-        folds = runs.folds(splits, entry.fit_to, entry.roads)
-    folds = runs.drop_untestable(folds, variant, labels, entry)
+        folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
+    names = dict.fromkeys(drive for fold in folds for drive in fold.train + fold.val)
+    drives = {drive: read_drive(variant, labels, drive, **entry.reading) for drive in names}
     with stage_folder(f"train@{name}", out / name) as folder:
-        job = Job(name, where, entry, settings, variant, labels, splits, folder.kept)
         for fold in folds:  # errors before the first network is trained
-            Scale.from_drives(job.read_drives(fold.train)), job.read_drives(fold.val)
-        todo = runs.runs(folder.new, settings.seeds, folds)
+            for part in filter(None, (fold.train, fold.val)):
+                check([drives[drive] for drive in part], entry.window)
+            Scale.from_drives([drives[drive] for drive in fold.train])
         if not folds[0].val:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
+        todo = runs.runs(folder.new, settings.seeds, folds)
         # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.
         alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
-        if len(todo) == 1 or alone:
-            for run in todo:
-                fit_run(run, job)
-        else:
-            for _ in run_jobs(partial(fit_run, job=job), todo, threads=1):
-                pass
+        job = partial(fit_run, job=Job(name, where, entry, settings, drives, folder.kept))
+        for _ in map(job, todo) if len(todo) == 1 or alone else run_jobs(job, todo, threads=1):
+            pass
     return out / name
 
 

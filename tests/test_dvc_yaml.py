@@ -38,6 +38,7 @@ EDITS: dict[str, set[str]] = {  # file → the stages that run again; those afte
     "pipeline/perception/scores.py": {"check", "encoder", "scores"},
     "pipeline/graphs/neighbourhoods.py": {"check", "graphs", "report"},
     "pipeline/train/fit.py": {"check"} | TRAINING,
+    "pipeline/train/loop.py": {"check", "encoder", "perception"} | TRAINING,
     "pipeline/settings/train.py": {"check", "train"},
     "pipeline/settings/models.py": {"check"} | TRAINING,
     "pipeline/evaluate/errors.py": {"check", "evaluate", "report"},

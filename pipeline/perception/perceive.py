@@ -17,8 +17,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera
 from pipeline.perception import precomputed
 from pipeline.train import checkpoint
-from pipeline.train.optimisation import autocast
-from pipeline.train.prefetch import side_by_side
+from pipeline.train.loop import autocast, side_by_side
 
 FILE = "encoder.pt"
 KIND = "unified encoder"

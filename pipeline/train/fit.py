@@ -7,8 +7,7 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,16 +19,20 @@ from tqdm import tqdm
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
 from pipeline.base.files import replacing
+from pipeline.base.resume import file_hash, revision, stage_key
+from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import checkpoint, predict, reading, windows
+from pipeline.train import checkpoint, predict, windows
 from pipeline.train.labelled_drive import LabelledDrive
-from pipeline.train.optimisation import autocast, warm_up_cosine
-from pipeline.train.scale import Prediction, Scale, nmse
+from pipeline.train.loop import autocast, warm_up_cosine
+from pipeline.train.runs import Run
+from pipeline.train.scale import Prediction, Scale, nmse, step_targets, weighted_loss
 
 if TYPE_CHECKING:
     from models.steering.core.steering_net import SteeringNet
 
+SMALL = 8_000  # points per frame
 WARM_UP = 0.05  # share of the steps
 SMOOTHING = 3  # epochs
 MOTION_DROPOUT = 0.5
@@ -62,12 +65,62 @@ def selected_epoch(curve: Sequence[Epoch]) -> int:
     return min(validated, key=means.__getitem__, default=len(curve))
 
 
-def write_curve(path: Path, curve: Sequence[Epoch]) -> None:
-    """Write curve.csv, one row per epoch; NaN becomes an empty field."""
-    with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
+@dataclass(frozen=True)
+class Job:
+    """Inputs common to all runs of a model."""
+
+    name: str
+    where: str  # of its entry, for messages
+    entry: Entry
+    settings: Train
+    drives: Mapping[str, LabelledDrive]  # of all folds
+    kept: Path  # folder for the states of interrupted runs
+
+
+def fit_run(run: Run, job: Job) -> None:
+    """Train one network, from an interrupted run's state if there is one, and write best.pt and curve.csv.
+
+    Raises InputError: the network does not fit the graphs, or the loss is not finite.
+    """
+    entry, settings = job.entry, job.settings
+    train, val = ([job.drives[name] for name in names] for names in (run.fold.train, run.fold.val))
+    with graph_file.open_graphs(train[0].graphs) as graphs:
+        contents, points = graphs.contents, graphs.points_per_frame
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cpu" and 0 < points < SMALL:
+        # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
+        # where another process uses its core. One thread's sums are also the same on each machine.
+        torch.set_num_threads(1)
+    torch.manual_seed(run.seed)
+    with error_context(where=job.where):
+        net = entry.build(**contents.model_dump(), outputs=len(train[0].columns))
+    net.to(device, torch.float64 if settings.precision == "float64" else None)
+    inputs = {
+        "entry": entry.model_dump(mode="json"),
+        "train": settings.model_dump(exclude={"seeds"}),
+        "seed": run.seed,
+        "fold": run.fold.name,
+    }
+    files = [file_hash(path) for drive in train + val for path in (drive.graphs, drive.labels)]
+    metadata = {
+        "kind": predict.KIND,
+        "name": job.name,
+        "seeds": settings.seeds,
+        "contents": contents.model_dump(exclude_defaults=True),
+        "settings": train[0].settings,
+        "drives": [drive.name for drive in train],
+        "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
+        "revision": revision(),
+        **inputs,
+    }
+    fit = Fit(net, entry, settings, run.seed, train, val)
+    fit.run(job.kept / f"{stage_key('train', inputs, files)}.pt", f"{job.name} {run}")
+    best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
+    checkpoint.write(run.folder / "best.pt", metadata | best)
+    with replacing(run.folder / "curve.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(Epoch._fields)
-        rows.writerows(["" if math.isnan(value) else f"{value:.6g}" for value in row] for row in curve)
+        rows.writerows(["" if math.isnan(value) else f"{value:.6g}" for value in row] for row in fit.curve)
 
 
 class Fit:
@@ -77,8 +130,17 @@ class Fit:
     `best` holds the weights of the :func:`selected_epoch`.
     """
 
-    def __init__(self, net: "SteeringNet", entry: Entry, settings: Train, seed: int, scale: Scale) -> None:
-        self.net, self.entry, self.settings, self.seed, self.scale = net, entry, settings, seed, scale
+    def __init__(
+        self,
+        net: "SteeringNet",
+        entry: Entry,
+        settings: Train,
+        seed: int,
+        train: Sequence[LabelledDrive],
+        val: Sequence[LabelledDrive],
+    ) -> None:
+        self.net, self.entry, self.settings, self.seed, self.train, self.val = net, entry, settings, seed, train, val
+        self.scale = Scale.from_drives(train)
         self.average = copy.deepcopy(net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in net.parameters() if parameter.ndim > 1]
@@ -88,44 +150,33 @@ class Fit:
         self.curve: list[Epoch] = []
         self.best = copy_weights(net)
 
-    def run(
-        self,
-        train: Sequence[LabelledDrive],
-        val: Sequence[LabelledDrive],
-        state: Path,
-        metadata: Mapping[str, Any],
-        title: str,
-    ) -> None:
+    def run(self, state: Path, title: str) -> None:
         """Train until the last epoch, or until validation stops improving; results are `best`, `curve` and `scale`.
 
-        After each epoch the file `state` is written, with the run's `metadata`. If it exists, training continues from
-        it, to the same result. Raises InputError if the loss is not finite.
+        After each epoch the file `state` is written. If it exists, training continues from it, to the same result.
+        Raises InputError if the loss is not finite.
         """
+        epochs, val = self.settings.epochs, self.val
         if state.is_file():
             with error_context(fix=f"Delete {state} to start again"):
-                self._resume(checkpoint.read(state, predict.KIND))
-            print(f"{title}: continues after epoch {len(self.curve)} of {self.settings.epochs}", flush=True)
-        epochs, patience, dtype = self.settings.epochs, self.settings.patience, next(self.net.parameters()).dtype
-        targets = partial(
-            step_targets, scale=self.scale, alpha=self.entry.alpha, mirror=self.settings.mirror, dtype=dtype
-        )
-        on_gpu = self.net.device.type == "cuda"
-        # Dask's workers start no processes.
-        processes = default_workers() if on_gpu and not multiprocessing.current_process().daemon else 0
-        with reading.Reader([*train, *val], self.entry.window, targets, processes, on_gpu) as reader:
+                self._resume(checkpoint.read(state, "state of training"))
+            print(f"{title}: continues after epoch {len(self.curve)} of {epochs}", flush=True)
+        # Processes read for a GPU; Dask's workers start none.
+        processes = self.net.device.type == "cuda" and not multiprocessing.current_process().daemon
+        with windows.Reader([*self.train, *val], self.entry.window, processes * default_workers()) as reader:
             started, before = time.perf_counter(), len(self.curve)
-            while (done := len(self.curve)) < epochs and done - selected_epoch(self.curve) < patience:
+            while (done := len(self.curve)) < epochs and done - selected_epoch(self.curve) < self.settings.patience:
                 epoch = done + 1
-                loss, rate = self._train(reader, train, epoch)
+                loss, rate = self._train(reader, epoch)
                 if not math.isfinite(loss):
                     problem = f"loss of epoch {epoch} is {loss}"
                     raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
-                error = nmse(val, self._predict(reader, val, len(train))) if val else math.nan
+                error = nmse(val, self._predict(reader)) if val else math.nan
                 self.curve.append(Epoch(epoch, rate, loss, error))
                 selected = selected_epoch(self.curve) == epoch
                 if selected:
                     self.best = copy_weights(self.average)
-                checkpoint.write(state, {**metadata, **self._state(), "epoch": epoch})
+                checkpoint.write(state, self._state())
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
                 text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if val else ""
                 # One write, as runs in parallel share the output; print writes the line's end separately.
@@ -133,34 +184,34 @@ class Fit:
                 print(line, end="", flush=True)
             if self.entry.uncertainty and val:
                 self.average.load_state_dict(self.best)
-                self.scale = self.scale.calibrated(val, self._predict(reader, val, len(train)))
+                self.scale = self.scale.calibrated(val, self._predict(reader))
 
-    def _predict(self, reader: reading.Reader, val: Sequence[LabelledDrive], first: int) -> list[Prediction]:
-        """Return the average's predictions for the validation drives, which the reader numbers from `first` on."""
-        spans = windows.spans(val, self.entry.window, predict.WINDOWS)
-        batches = reader.batches([reading.Step([replace(span, drive=span.drive + first)]) for span in spans])
-        return predict.predict_spans(self.average, val, spans, batches, self.scale)
+    def _predict(self, reader: windows.Reader) -> list[Prediction]:
+        """Return the average's predictions for the validation drives, which the reader has after the others."""
+        spans = windows.spans(self.val, self.entry.window, predict.WINDOWS)
+        steps = [windows.Step([replace(span, drive=len(self.train) + span.drive)]) for span in spans]
+        return predict.predict_spans(self.average, self.val, spans, reader.batches(steps), self.scale)
 
-    def _plan(self, drives: Sequence[LabelledDrive], epoch: int) -> list[reading.Step]:
+    def _plan(self, epoch: int) -> list[windows.Step]:
         """Return the steps of an epoch.
 
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
         """
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
-        hides = self.net.motion and bool(drives[0].horizon or drives[0].ahead_m)
-        spans = windows.random_spans(drives, self.entry.window, settings.span_windows, rng)
+        hides = self.net.motion and bool(self.train[0].horizon or self.train[0].ahead_m)
+        spans = windows.random_spans(self.train, self.entry.window, settings.span_windows, rng)
         steps = []
         for first in range(0, len(spans), settings.batch_spans):
             group = spans[first : first + settings.batch_spans]
             factor = (settings.rescale ** rng.uniform(-1, 1, len(group))).astype(np.float32)
             hidden = rng.random(len(group)) < MOTION_DROPOUT if hides else None
-            steps.append(reading.Step(group, factor, hidden))
+            steps.append(windows.Step(group, factor, hidden))
         return steps
 
-    def _train(self, reader: reading.Reader, drives: Sequence[LabelledDrive], epoch: int) -> tuple[float, float]:
+    def _train(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
         settings, device, net = self.settings, self.net.device, self.net
-        steps, robust = self._plan(drives, epoch), self.entry.predict == "path"
+        steps, robust = self._plan(epoch), self.entry.predict == "path"
         net.train()
         progress = (epoch - 1 + np.arange(len(steps)) / len(steps)) / settings.epochs
         rates = [settings.learning_rate * warm_up_cosine(share, WARM_UP) for share in progress.tolist()]
@@ -172,14 +223,15 @@ class Fit:
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = rates[step]
             # Copied before the forward pass: the copies do not wait for it.
-            residual, weight = (batch[name].to(device, non_blocking=True) for name in ("residual", "weight"))
+            targets = step_targets(batch, self.scale, self.entry.alpha, settings.mirror, next(net.parameters()).dtype)
+            residual, weight = (tensor.to(device, non_blocking=True) for tensor in targets)
             with precision:
                 predicted = net(*net.inputs(batch), pairs=settings.mirror)
             error = weighted_loss(predicted, residual, weight, robust)
             # Each span has a valid target, but all ranges of a scaled path may be unknown: then the error is 0, too.
             mass = weight.sum().clamp_min(1e-6)
             self.optimiser.zero_grad(set_to_none=True)
-            (error / mass).backward()
+            (error / mass).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)
             self.optimiser.step()
             decay = settings.average if step or epoch > 1 else 0.0  # starts with the weights after the first step
@@ -191,53 +243,15 @@ class Fit:
         return error_sum / mass_sum, rates[-1]
 
     def _resume(self, state: Mapping[str, Any]) -> None:
-        self.net.load_state_dict(state["net"])
-        self.average.load_state_dict(state["average"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        for name in ("net", "average", "optimiser"):
+            getattr(self, name).load_state_dict(state[name])
         self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
 
     def _state(self) -> dict[str, Any]:
-        return {
-            "net": copy_weights(self.net),
-            "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "best": self.best,
-            "curve": [row._asdict() for row in self.curve],
-        }
+        parts = {name: getattr(self, name).state_dict() for name in ("net", "average", "optimiser")}
+        return {"kind": "state of training", **parts, "best": self.best, "curve": [row._asdict() for row in self.curve]}
 
 
 def copy_weights(net: nn.Module) -> dict[str, Tensor]:
     """Return a copy of the network's tensors on the CPU."""
     return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
-
-
-def step_targets(
-    batch: Mapping[str, Tensor], scale: Scale, alpha: float, mirror: bool, dtype: torch.dtype
-) -> dict[str, Tensor]:
-    """Return `residual`, the outputs that the network should have, and their `weight` in the loss, both [W,R].
-
-    With `mirror` those of the mirrored windows follow.
-    """
-    target, base, weight = (batch[name].to(dtype) for name in ("target", "base", "valid"))
-    residual = torch.from_numpy(scale.encode(target.numpy(), base.numpy()))
-    weight = weight * torch.exp(alpha * target.abs())
-    if mirror:
-        residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])
-    return {"residual": residual, "weight": weight}
-
-
-def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:
-    """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w.
-
-    With `robust` Σ w Huber(ŷ - y), which is linear beyond one standard deviation: the path at a junction is the
-    driver's choice, and squared errors there would dominate. With `predicted` [W,2R], ŷ and log σ, the negative
-    log-likelihood Σ w (log σ + (ŷ - y)² / 2σ²), or Σ w (log σ + Huber((ŷ - y) / σ)), is added for σ alone. As the loss
-    of ŷ, it gives hard windows a large σ instead of learning them.
-    """
-    criterion, half = (nn.functional.huber_loss, 1.0) if robust else (nn.functional.mse_loss, 0.5)
-    mean, *log_sigma = predicted.reshape(len(target), -1, target.shape[1]).unbind(1)
-    loss = criterion(mean, target, reduction="none")
-    if log_sigma:
-        scale = torch.exp(-log_sigma[0])
-        loss = loss + log_sigma[0] + half * criterion(mean.detach() * scale, target * scale, reduction="none")
-    return (weight * loss).sum()

@@ -100,33 +100,27 @@ class LabelledDrive(Timeline):
 
 
 def read_drives(graphs: Path, labels: Path, names: Sequence[str], window: int, **reading: Any) -> list[LabelledDrive]:
-    """Read drives with further arguments of :func:`read_drive`. Raises InputError as that, or :func:`target_fault`."""
+    """Read drives with further arguments of :func:`read_drive`, and :func:`check` them."""
     drives = [read_drive(graphs, labels, name, **reading) for name in names]
-    if names and (fault := target_fault(drives, window)):
-        raise fault
+    check(drives, window)
     return drives
 
 
-def target_fault(drives: Sequence[LabelledDrive], window: int) -> InputError | None:
-    """Return why drives can neither train nor evaluate a network: no point, no window with a target, all labels 0."""
-    names = ", ".join(drive.name for drive in drives)
-    filled = [drive for drive in drives if not drive.empty]
-    graphs, labels, horizon = drives[0].graphs.parent, drives[0].labels.parent, drives[0].horizon
-    if not filled and any(len(drive.frame) for drive in drives):
-        return InputError(f"no point in any frame of {names}", graphs, "Widen the variant's crop_m or add drives")
-    if not any(drive.valid[start + window - 1 : stop].any() for drive in filled for start, stop in drive.stretches):
-        longest = max((stop - start for drive in drives for start, stop in drive.stretches), default=0)
-        target = f"a valid label {horizon} frames after its end" if horizon else "a valid label at its end"
-        if drives[0].ahead_m:
-            target = f"a driven path of {drives[0].ahead_m[1]:g} m ahead of its end"
-        return InputError(
-            f"no window of {window} consecutive frames with {target} in {names} (longest stretch: {longest} frames)",
-            graphs,
-            "Use a smaller window, other drives or another input",
-        )
+def check(drives: Sequence[LabelledDrive], window: int) -> None:
+    """Raise InputError if drives can neither train nor evaluate: no point, no window with a target, all labels 0."""
+    names, first = ", ".join(drive.name for drive in drives), drives[0]
+    if all(drive.empty for drive in drives):
+        problem, fix = f"no point in any frame of {names}", "Widen the variant's crop_m or add drives"
+        raise InputError(problem, first.graphs.parent, fix)
+    stretches = [(drive, *stretch) for drive in drives for stretch in drive.stretches]
+    if not any(drive.valid[start + window - 1 : stop].any() for drive, start, stop in stretches):
+        path = bool(first.ahead_m) and f"a driven path of {first.ahead_m[1]:g} m ahead of"
+        target = path or f"a valid label {first.horizon} frames after"
+        longest = max(stop - start for _, start, stop in stretches)
+        problem = f"no window of {window} consecutive frames with {target} its end in {names} (longest: {longest})"
+        raise InputError(problem, first.graphs.parent, "Use a smaller window, other drives or another input")
     if not any(drive.target[drive.valid].any() for drive in drives):
-        return InputError(f"every valid label of {names} is 0", labels, "Add drives with bends")
-    return None
+        raise InputError(f"every valid label of {names} is 0", first.labels.parent, "Add drives with bends")
 
 
 def read_drive(

@@ -22,7 +22,7 @@ from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, windows
 from pipeline.train.labelled_drive import Timeline
-from pipeline.train.prefetch import prefetch
+from pipeline.train.loop import prefetch
 from pipeline.train.scale import Prediction, Scale
 
 if TYPE_CHECKING:

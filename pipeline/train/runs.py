@@ -11,8 +11,6 @@ from pathlib import Path
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.settings.models import Entry
-from pipeline.train.labelled_drive import read_drive, target_fault
 
 
 @dataclass(frozen=True)
@@ -55,25 +53,6 @@ def folds(splits: Mapping[str, str], fit_to: str, roads: int | None) -> list[Fol
         names = ", ".join(test) or "none"
         raise InputError(f"fit_to = {fit_to!r} needs two test drives (got {names})", fix="Add drives to the split test")
     return result
-
-
-def drop_untestable(folds: Sequence[Fold], graphs: Path, labels: Path, entry: Entry) -> list[Fold]:
-    """Return the folds with valid test targets, and print the others. Their test drives still train other folds.
-
-    Raises InputError if no fold is left, or as :func:`read_drive`.
-    """
-    testable, faults = [], []
-    for fold in folds:
-        drives = [read_drive(graphs, labels, name, **entry.reading) for name in fold.test]
-        if fault := target_fault(drives, entry.window):
-            faults.append(fault)
-        else:
-            testable.append(fold)
-    if not testable:
-        raise faults[0]
-    for fault in faults:
-        print(f"not evaluated: {fault}", flush=True)
-    return testable
 
 
 def runs(model: Path, seeds: Sequence[int], folds: Sequence[Fold]) -> list[Run]:

@@ -1,11 +1,13 @@
-"""Scale of a network's outputs, from the training drives, and its predictions. Angle and path differ in R alone."""
+"""Scale of a network's outputs, from the training drives; predictions and loss. Angle and path differ in R alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor, nn
 
 from pipeline.base.errors import InputError
 from pipeline.train.labelled_drive import LabelledDrive
@@ -120,3 +122,35 @@ def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
     square = (x**2).sum(axis=0)
     return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
+
+
+def step_targets(
+    batch: Mapping[str, Tensor], scale: Scale, alpha: float, mirror: bool, dtype: torch.dtype
+) -> tuple[Tensor, Tensor]:
+    """Return the outputs that the network should have, and their weights in the loss, both [W,R].
+
+    With `mirror` those of the mirrored windows follow.
+    """
+    target, base, weight = (batch[name].to(dtype) for name in ("target", "base", "valid"))
+    residual = torch.from_numpy(scale.encode(target.numpy(), base.numpy()))
+    weight = weight * torch.exp(alpha * target.abs())
+    if mirror:
+        residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])
+    return residual, weight
+
+
+def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:
+    """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w.
+
+    With `robust` Σ w Huber(ŷ - y), which is linear beyond one standard deviation: the path at a junction is the
+    driver's choice, and squared errors there would dominate. With `predicted` [W,2R], ŷ and log σ, the negative
+    log-likelihood Σ w (log σ + (ŷ - y)² / 2σ²), or Σ w (log σ + Huber((ŷ - y) / σ)), is added for σ alone. As the loss
+    of ŷ, it gives hard windows a large σ instead of learning them.
+    """
+    criterion, half = (nn.functional.huber_loss, 1.0) if robust else (nn.functional.mse_loss, 0.5)
+    mean, *log_sigma = predicted.reshape(len(target), -1, target.shape[1]).unbind(1)
+    loss = criterion(mean, target, reduction="none")
+    if log_sigma:
+        scale = torch.exp(-log_sigma[0])
+        loss = loss + log_sigma[0] + half * criterion(mean.detach() * scale, target * scale, reduction="none")
+    return (weight * loss).sum()

@@ -23,7 +23,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import write_png
 from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering
 from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration, write_entries
-from pipeline.train.prefetch import side_by_side
+from pipeline.train.loop import side_by_side
 from pipeline.video.log import ROUNDING_S, MotionLog, WheelLog
 from pipeline.video.recording import Recording
 

@@ -31,7 +31,6 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder: Path) -
     trained = run_train(folder)
     assert nmse(folder) < 0.35
     best = load(trained / "best.pt")
-    assert best["splits"] == SPLITS
     assert best["settings"] == artefacts.GRAPHS | {"labels": artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}}
     header, *rows = (trained / "curve.csv").read_text().splitlines()
     assert header == "epoch,learning_rate,train_loss,val_nmse"
@@ -52,7 +51,7 @@ def test_resumed_training_writes_the_same_bytes(
 
     def interrupt(path: Path, content: dict[str, object]) -> None:
         write(path, content)
-        if content["epoch"] == 2:
+        if len(content.get("curve", ())) == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
@@ -147,7 +146,7 @@ def test_the_control_with_another_scene_learns_nothing(folder: Path, spatial: st
     ("frames", "edges_m", "problem"),
     [
         (60, [], r"labels/2026.*no path ahead.*dvc repro labels"),
-        (5, EDGES_M, "no window of 4 consecutive frames with a driven path of 5 m ahead"),  # 3.2 m at 8 m/s
+        (5, EDGES_M, "no window of 4 consecutive frames with a driven path of 5 m ahead of its end"),  # 3.2 m at 8 m/s
         (20, EDGES_M, "path from 10 to 20 m"),
     ],
 )

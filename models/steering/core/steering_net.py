@@ -157,8 +157,3 @@ def odd_and_even(motion: Tensor) -> tuple[Tensor, Tensor]:
     # Numbers as scalars: a tensor made of them would be a blocking copy to a GPU in each step.
     scaled = [column / scale for column, scale in zip(motion.unbind(1), ODD_SCALE + EVEN_SCALE, strict=True)]
     return torch.tanh(torch.stack(scaled[:2], dim=1)), torch.stack(scaled[2:], dim=1)
-
-
-def parameter_count(model: nn.Module) -> int:
-    """Return the number of trainable parameters."""
-    return sum(parameter.numel() for parameter in model.parameters() if parameter.requires_grad)

@@ -1,11 +1,15 @@
-"""Compute items ahead of their use, in threads."""
+"""Help loops over batches: items computed ahead in threads, learning rate, precision."""
 
+import math
 from collections import deque
 from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from itertools import count, takewhile
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    import torch
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -41,3 +45,21 @@ def side_by_side(
             yield from (future.result() for future in ready)
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def warm_up_cosine(progress: float, warm_up: float) -> float:
+    """Return the factor of the learning rate at `progress` in [0,1]: linear up to `warm_up`, then half a cosine."""
+    if progress < warm_up:
+        return 0.05 + 0.95 * progress / warm_up
+    return 0.5 * (1 + math.cos(math.pi * (progress - warm_up) / (1 - warm_up)))
+
+
+def autocast(device: "torch.device", precision: str) -> "torch.autocast":
+    """Return the context of a forward pass.
+
+    With `precision` auto products are in bfloat16 on a GPU that has it, otherwise in the weights' precision.
+    """
+    import torch
+
+    native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+    return torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)

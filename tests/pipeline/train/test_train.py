@@ -1,0 +1,548 @@
+"""Windows with their targets, batches and their augmentation, scale and loss, checkpoints, predictions and runs."""
+
+import threading
+import time
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.base.errors import InputError
+from pipeline.graphs.graph_file import Arrays, collate, open_graphs
+from pipeline.settings.models import Entry
+from pipeline.settings.train import Train
+from pipeline.train import checkpoint, fit, loop, predict, runs, scale, windows
+from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drives
+from pipeline.train.scale import WITHIN, Prediction, Scale
+from tests import artefacts, small_model
+
+DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
+NAMES = [*DRIVES]
+EDGES_M = [0.0, 5.0, 10.0, 20.0]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Drives that a test may change."""
+    artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=12)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Drives that no test changes."""
+    folder = tmp_path_factory.mktemp("drives")
+    artefacts.write_dataset(folder, DRIVES, frames=23, points=12)
+    return folder
+
+
+def read(folder: Path, window: int = 8, names: Sequence[str] = NAMES, **reading: object) -> list[LabelledDrive]:
+    return read_drives(folder / "graphs/semantic", folder / "labels", names, window, **reading)
+
+
+def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: int = 8) -> Arrays:
+    with ExitStack() as stack:
+        files = {span.drive: stack.enter_context(open_graphs(drives[span.drive].graphs)) for span in group}
+        return windows.read_batch(drives, files, group, window)
+
+
+# Drives, spans and batches
+
+
+def test_spans_cover_each_window_of_consecutive_frames_once(original: Path) -> None:
+    assert consecutive(np.array([3, 4, 5, 9, 10, 12])) == ((0, 3), (3, 5), (5, 6))
+    assert consecutive(np.array([], int)) == ()
+    drives = read(original)
+    random = [windows.random_spans(drives, 8, 5, np.random.default_rng(seed)) for seed in range(20)]
+    for spans in (windows.spans(drives, 8, 5), *random):
+        ends = [(span.drive, row) for span in spans for row in range(span.start + 7, span.stop)]
+        assert sorted(ends) == [(number, row) for number in range(2) for row in range(7, 23)]
+        assert all(span.stop - span.start - 7 <= 5 for span in spans)
+
+
+def test_batch_of_two_spans_equals_single_frames(original: Path) -> None:
+    drives = read(original)
+    group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
+    batch = read_batch(drives, *group)
+    assert batch["windows"].shape == batch["dt_s"].shape == (4 + 2, 8)
+    assert batch["windows"][3:5].tolist() == [[*range(3, 11)], [*range(11, 19)]]
+    frame = 0
+    for span in group:
+        with open_graphs(drives[span.drive].graphs) as graphs:
+            for row in range(span.start, span.stop):
+                alone, (first, last) = collate([(graphs, row, row + 1)]), batch["ptr"][frame : frame + 2]
+                edges = slice(*np.concatenate([[0], np.cumsum(batch["degree"], dtype=np.int64)])[[first, last]])
+                assert (batch["xyz"][first:last] == alone["xyz"]).all()
+                assert (batch["indices"][edges] - first == alone["indices"]).all()
+                frame += 1
+    assert (batch["target"] == np.concatenate([drives[1].target[10:14], drives[0].target[7:9]]).astype("f4")).all()
+
+
+def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder: Path) -> None:
+    steering, valid = np.arange(25) / 100, np.arange(25) != 20
+    frame = np.setdiff1d(np.arange(26), [10])  # frame 10 has neither label nor graph
+    graphs, labels = folder / f"graphs/semantic/{NAMES[0]}.h5", folder / f"labels/{NAMES[0]}.h5"
+    artefacts.write_labels(labels, NAMES[0], steering, frame, valid)
+    artefacts.write_graphs(graphs, NAMES[0], np.zeros(22), frame[:22], 12, np.random.default_rng(0))
+    (drive,) = read(folder, 4, NAMES[:1], horizon=5)
+    ahead = {int(number): row for row, number in enumerate(frame)}
+    for row, number in enumerate(drive.frame + 5):
+        known = int(number) in ahead
+        assert drive.valid[row, 0] == (known and bool(valid[ahead[int(number)]]))
+        assert drive.target[row, 0] == pytest.approx(steering[ahead[int(number)]] if known else np.nan, nan_ok=True)
+        assert np.isnan(drive.curvature_1pm[row, 0]) != known
+    batch = read_batch([drive], windows.Span(0, 0, 10), window=4)  # windows end at frames 3 to 9
+    assert batch["target"][:, 0] == pytest.approx([0.08, 0.09, 0.0, 0.10, 0.11, 0.12, 0.13])  # no NaN, but not valid
+    assert batch["valid"][:, 0].tolist() == [True, True, False, True, True, True, True]
+    artefacts.write_labels(labels, NAMES[0], np.arange(20) / 100, np.arange(20))
+    with pytest.raises(InputError, match="no label for frame 20"):
+        read(folder, names=NAMES[:1])
+
+
+def test_motion_and_base_of_a_batch(folder: Path) -> None:
+    """Not measured in frames 0 and 5: the angle is held, odometry is unknown before the first measurement."""
+    moved = ~np.isin(np.arange(23), [0, 5])
+    for drive in read(folder):
+        artefacts.add_motion(drive.graphs, drive.target[:, 0], moved)
+    without, drives, no_base = read(folder), read(folder, motion="visual"), read(folder, motion="visual", base="none")
+    steering = drives[0].target[:, 0]
+    held = np.where(moved, steering, np.where(np.arange(23) == 0, 0, steering[4]))
+    assert drives[0].base == pytest.approx(held, abs=1e-6)
+    assert without[0].odometry[:, 0] == pytest.approx(np.r_[np.nan, held[1:]], abs=1e-6, nan_ok=True)
+    group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
+    batch, plain, unbased = (read_batch(read, *group) for read in (drives, without, no_base))
+    assert batch["motion"].shape == (11 + 9, 4)
+    assert batch["motion"].dtype == batch["base"].dtype == np.float32
+    assert (batch["base"] == batch["motion"][batch["windows"][:, -1], 0]).all()
+    assert batch["motion"][11 + 5].tolist() == [pytest.approx(held[4], abs=1e-6), 0, 0, 0]
+    assert batch["motion"][11 + 6, 2:].tolist() == [8, 1]
+    assert "motion" not in plain
+    assert (unbased["motion"] == batch["motion"]).all()
+    assert not plain["base"].any()
+    assert not unbased["base"].any()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(original: Path, name: str) -> None:
+    """With 23 frames the scenes are 11 frames later, and continue at the start of the drive."""
+    (drive,), (control,) = (read(original, names=[name], scene=scene) for scene in ("same", "another"))
+    with open_graphs(drive.graphs) as graphs:
+        for span, moved in zip(windows.spans([drive], 8, 5), windows.spans([control], 8, 5), strict=True):
+            batch, other = read_batch([drive], span), read_batch([control], moved)
+            rows = ((np.arange(span.start, span.stop) + 11) % 23).tolist()
+            frames = [collate([(graphs, row, row + 1)]) for row in rows]
+            for key in ("xyz", "degree"):
+                assert (other[key] == np.concatenate([frame[key] for frame in frames])).all()
+            assert not np.array_equal(other["xyz"], batch["xyz"])
+            for key in ("windows", "dt_s", "base", "target", "valid"):
+                assert (other[key] == batch[key]).all()
+
+
+def test_training_of_the_control_draws_far_scenes(original: Path) -> None:
+    drives, control = read(original, 4), read(original, 4, scene="another")
+    drawn = [windows.random_spans(control, 4, 3, np.random.default_rng(seed)) for seed in (0, 0, 1)]
+    assert drawn[0] == drawn[1] != drawn[2]
+    shifts = {span.shift for spans in drawn for span in spans}
+    assert len(shifts) > 5
+    assert (min(shifts) >= 5, max(shifts) <= 18) == (True, True)
+    assert {span.shift for span in windows.random_spans(drives, 4, 3, np.random.default_rng(0))} == {0}
+
+
+# Readers and augmentation
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_batches_are_the_same_with_each_reader(original: Path, workers: int) -> None:
+    drives = read(original, 4)
+    groups = [(windows.Span(n % 2, n, n + 9), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
+    factors = np.random.default_rng(0).uniform(0.8, 1.2, (6, 2)).astype(np.float32)
+    steps = [windows.Step(group, factor) for group, factor in zip(groups, factors, strict=True)]
+    with windows.Reader(drives, 4) as alone, windows.Reader(drives, 4, workers) as reader:
+        for _ in range(2):  # with the same processes
+            for step, batch in zip(steps, reader.batches(steps), strict=True):
+                arrays = {name: tensor.numpy() for name, tensor in alone[windows.Step(step.spans)].items()}
+                expected = windows.rescale(arrays, np.repeat(step.factor, 9))
+                assert batch.keys() == expected.keys()
+                for name, tensor in batch.items():
+                    np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
+
+
+def test_hidden_motion_is_not_measured_and_has_no_base(folder: Path) -> None:
+    for name in NAMES:
+        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(23, 0.2))
+    moving = read(folder, 4, horizon=5, motion="visual")
+    spans = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
+    with windows.Reader(moving, 4) as reader:
+        shown, half = (reader[windows.Step(spans, hide_motion=hidden)] for hidden in (None, np.array([False, True])))
+    assert (shown["base"] != 0).all()
+    assert (shown["motion"][:, 3] == 1).all()
+    for name in ("motion", "base"):
+        first = len(shown[name]) // 2
+        assert torch.equal(half[name][:first], shown[name][:first])
+        assert not half[name][first:].any()
+    assert torch.equal(half["target"], shown["target"])
+
+
+@pytest.mark.parametrize(("ahead", "motion", "hides"), [(5, True, True), (0, True, False), (5, False, False)])
+def test_motion_is_hidden_from_half_of_the_spans_if_the_target_lies_ahead(
+    original: Path, ahead: int, motion: bool, hides: bool
+) -> None:
+    line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
+    entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
+    settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
+    fitting = fit.Fit(entry.build("graph"), entry, settings, 0, read(original, 4, horizon=ahead), [])
+    hidden = [step.hide_motion for step in fitting._plan(epoch=1) if step.hide_motion is not None]
+    assert bool(hidden) == hides
+    assert not hides or 0.3 < np.concatenate(hidden).mean() < 0.7
+
+
+@pytest.mark.parametrize("write", [artefacts.write_graphs, artefacts.write_sets, artefacts.write_images])
+@pytest.mark.parametrize("predicted", ["angle", "path"])
+def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path: Path, predicted: str, write: object) -> None:
+    artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=40, write=write, ahead_m=EDGES_M)
+    for name in DRIVES:
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 40))
+    drives, path = read(tmp_path, motion="visual", predict=predicted), predicted == "path"
+    batch = read_batch(drives, windows.Span(0, 0, 10), windows.Span(1, 1, 10))  # three and two windows
+    twice = np.repeat(np.array([2.0, 1.0], np.float32), [10, 9])
+    scaled = windows.rescale(batch, twice, EDGES_M if path else ())
+    if "image" in batch:  # a larger world gives the same image
+        assert all((scaled[key] == batch[key]).all() for key in batch)
+        return
+    factor = np.where(np.arange(len(batch["xyz"])) < batch["ptr"][10], 2, 1)[:, None]
+    assert (scaled["xyz"] == batch["xyz"] * factor).all()
+    angle, yaw_rate, speed, valid = scaled["motion"].T.astype(np.float64)
+    assert np.tan(angle) == pytest.approx(artefacts.WHEELBASE_M * yaw_rate / speed, rel=1e-5, abs=1e-6)
+    assert (speed == batch["motion"][:, 2] * twice).all()
+    assert (valid == batch["motion"][:, 3]).all()
+    curvature = (lambda rad: rad) if path else np.tan
+    for name in ("base", "target"):
+        now, before = scaled[name].reshape(5, -1)[:, 0], batch[name].reshape(5, -1)[:, 0]
+        assert curvature(now) == pytest.approx(curvature(before) / [2, 2, 2, 1, 1], rel=1e-5)
+    assert scaled.keys() == batch.keys()
+
+
+@given(st.floats(0.5, 2.0), st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), st.integers(0, 3))
+def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_course(
+    factor: float, values: list[float], unknown: int
+) -> None:
+    curvature, valid = np.array([values]), np.arange(3)[None] != unknown
+    path, known = windows.scale_path(curvature, valid, EDGES_M, np.array([factor]))
+    step = (np.arange(20_000) + 0.5) / 1000  # distances in the scaled world, metres
+    source = np.clip(np.searchsorted(EDGES_M, step / factor) - 1, 0, 2)
+    for number, (near, far) in enumerate(pairwise(EDGES_M)):
+        inside = (step > near) & (step < far)
+        overlaps = inside & (step / factor < EDGES_M[-1])
+        driven = far / factor <= EDGES_M[-1] + 1e-3
+        if driven and 0 < np.mean(source[overlaps] == unknown) < 1e-3:
+            continue  # a sliver that rounding decides
+        assert known[0, number] == (driven and valid[0, source[overlaps]].all())
+        expected = (curvature[0, source] / factor)[inside].mean() if known[0, number] else 0
+        assert path[0, number] == pytest.approx(expected, abs=3e-4)
+
+
+# Items ahead of their use
+
+
+class Source:
+    """Count up to `stop`, then raise `error`; record progress, threads and closing."""
+
+    def __init__(self, stop: int, error: Exception | None = None) -> None:
+        self.stop, self.error = stop, error
+        self.count, self.threads, self.closed = 0, set[str](), False
+
+    def items(self) -> Generator[int]:
+        try:
+            for number in range(self.stop):
+                self.count += 1
+                self.threads.add(threading.current_thread().name)
+                yield number
+            if self.error:
+                raise self.error
+        finally:
+            self.closed = True
+
+
+def test_items_come_in_order_from_one_other_thread_and_errors_after_them() -> None:
+    for count in (0, 1, 30):
+        source = Source(count)
+        assert list(loop.prefetch(source.items(), ahead=3)) == list(range(count))
+        assert source.closed
+        assert len(source.threads - {threading.current_thread().name}) == len(source.threads) == min(count, 1)
+    source, received = Source(4, ValueError("frame 4 is damaged")), list[int]()
+    with pytest.raises(ValueError, match="frame 4 is damaged"):
+        received.extend(loop.prefetch(source.items()))
+    assert source.closed
+    assert list(loop.side_by_side(abs, Source(9).items(), threads=3, ahead=4)) == [*range(9)]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("prefetch")]
+
+
+@pytest.mark.parametrize("parallel", [False, True])
+def test_the_number_of_items_ahead_is_bounded(parallel: bool) -> None:
+    source = Source(100)
+    items = source.items()
+    ready = loop.side_by_side(abs, items, threads=3, ahead=4) if parallel else loop.prefetch(items, ahead=4)
+    for number in range(5):
+        assert next(ready) == number
+        time.sleep(0.01)
+        assert number + 1 < source.count <= number + 1 + 4
+    ready.close()
+    assert source.closed
+
+
+# Scale, calibration and loss
+
+
+@pytest.fixture(params=[{"horizon": 5}, {"predict": "path"}], ids=["angle", "path"])
+def drives(request: pytest.FixtureRequest, tmp_path: Path) -> list[LabelledDrive]:
+    artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
+    for name, factor in zip(NAMES, (0.2, -0.3), strict=True):
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", factor * np.sin(np.arange(40) / 5))
+    return read(tmp_path, 4, motion="visual", **request.param)
+
+
+def test_scale_is_the_regression_and_spread_of_the_residual(drives: list[LabelledDrive]) -> None:
+    scale, path = Scale.from_drives(drives), bool(drives[0].ahead_m)
+    assert scale.names == (["path_0-5m_1pm", "path_5-10m_1pm"] if path else ["steering_rad"])
+    truth, base = np.concatenate([d.truth for d in drives]), np.concatenate([d.base for d in drives])
+    for number in range(len(scale.names)):
+        known = np.isfinite(truth[:, number])
+        assert 0 < known.sum() < len(truth)
+        y, x = truth[known, number], base[known]
+        (best,), *_ = np.linalg.lstsq(x[:, None], y, rcond=None)
+        assert scale.odometry_gain[number] == pytest.approx(best)
+        assert scale.gain[number] == (pytest.approx(best) if path else 1)
+        assert scale.std[number] == pytest.approx(np.std(y - scale.gain[number] * x))
+        assert scale.mean[number] == pytest.approx(y.mean())
+
+
+@given(st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_encode_and_decode_are_inverse(columns: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    gain, std, mean = rng.normal(size=columns), rng.uniform(1e-3, 2, columns), np.zeros(columns)
+    scale = Scale.parse(Scale([f"c{n}" for n in range(columns)], gain, std, mean).content)
+    y, base, log_sigma = rng.normal(size=(5, columns)), rng.normal(size=5), rng.normal(size=(5, columns))
+    decoded = scale.decode(np.concatenate([scale.encode(y, base), log_sigma], axis=1), base)
+    np.testing.assert_allclose(decoded.mean, y)
+    np.testing.assert_allclose(decoded.sigma, std * np.exp(log_sigma))
+    assert scale.encode(y.astype(np.float32), base.astype(np.float32)).dtype == np.float32
+    assert scale.decode(np.zeros((5, columns)), base).sigma is None
+
+
+def test_nmse_is_1_for_zero_and_ignores_unknown_frames(drives: list[LabelledDrive]) -> None:
+    for factor, expected in ((0.0, 1.0), (0.5, 0.25), (np.nan, np.nan)):
+        predicted = [Prediction(np.where(d.frame[:, None] < 4, np.nan, factor * d.target)) for d in drives]
+        assert scale.nmse(drives, predicted) == pytest.approx(expected, nan_ok=True)
+
+
+def test_calibrated_sigma_fits_the_errors(drives: list[LabelledDrive]) -> None:
+    rng, scale = np.random.default_rng(0), Scale.from_drives(drives)
+    errors, sigma = [rng.normal(size=d.target.shape) for d in drives], np.full_like(drives[0].target, 0.5)
+    predicted = [Prediction(d.target + error, sigma, sigma) for d, error in zip(drives, errors, strict=True)]
+    new = scale.calibrated(drives, predicted)
+    ratio = np.concatenate([np.where(d.valid, np.abs(e), np.nan) for d, e in zip(drives, errors, strict=True)]) / 0.5
+    if drives[0].ahead_m:
+        assert np.nanquantile(ratio, WITHIN, axis=0) == pytest.approx(new.sigma_factor)
+    else:
+        assert np.nanmean(ratio**2, axis=0) == pytest.approx(new.sigma_factor**2)
+    assert np.nanquantile(ratio, 0.95, axis=0) == pytest.approx(new.interval_95 * new.sigma_factor)
+
+
+def test_targets_of_a_step_are_standardised_weighted_and_mirrored() -> None:
+    angle = Scale(["steering_rad"], np.ones(1), np.array([0.5]), np.zeros(1))
+    batch = {
+        "target": torch.tensor([[0.2], [-0.3], [0.0]]),
+        "base": torch.tensor([0.1, 0.0, 0.0]),
+        "valid": torch.tensor([[True], [True], [False]]),
+    }
+    residual, weight = scale.step_targets(batch, angle, alpha=2.0, mirror=False, dtype=torch.float64)
+    assert residual[:, 0].tolist() == pytest.approx([0.2, -0.6, 0.0])
+    assert weight[:, 0].tolist() == pytest.approx([np.exp(0.4), np.exp(0.6), 0.0])
+    both = scale.step_targets(batch, angle, alpha=2.0, mirror=True, dtype=torch.float64)
+    assert torch.equal(both[0], torch.cat([residual, -residual]))
+    assert torch.equal(both[1], torch.cat([weight, weight]))
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_uncertainty_adds_its_likelihood_and_leaves_the_mean_alone(robust: bool) -> None:
+    def huber(x: torch.Tensor) -> torch.Tensor:
+        return torch.where(x.abs() < 1, x.square() / 2, x.abs() - 0.5)
+
+    predicted = torch.tensor([[0.5, 0.1, -1.0, 0.3], [9.0, 0.2, 0.0, 0.5]], requires_grad=True)
+    target, weight = torch.tensor([[0.2, 0.4], [0.0, 0.3]]), torch.tensor([[2.0, 1.0], [1.0, 0.0]])
+    mean, log_sigma = predicted.chunk(2, dim=1)
+    plain = scale.weighted_loss(mean, target, weight, robust)
+    error = huber(mean - target) if robust else (mean - target).square()
+    assert plain.item() == pytest.approx((weight * error).sum().item())
+    if robust:
+        likelihood = log_sigma + huber((mean - target) / log_sigma.exp())
+    else:
+        likelihood = -torch.distributions.Normal(mean, log_sigma.exp()).log_prob(target) - np.log(2 * np.pi) / 2
+    loss = scale.weighted_loss(predicted, target, weight, robust)
+    assert loss.item() == pytest.approx((plain + (weight * likelihood).sum()).item())
+    (alone,), (both,) = (torch.autograd.grad(value, predicted, retain_graph=True) for value in (plain, loss))
+    assert torch.equal(alone[:, :2], both[:, :2])
+    assert both[0, 2:].all()
+
+
+# Checkpoints and predictions
+
+
+WINDOW = 4
+NUMBERS = np.array([*range(10, 22), *range(25, 36), 40])  # stretches of 12, 11 and 1 frames
+STEERING = 0.1 * np.sin(NUMBERS / 5)
+
+
+def write_model(folder: Path, change: dict[str, Any] | None = None, **entry: object) -> Path:
+    """Write a best.pt with random weights."""
+    torch.manual_seed(0)
+    general = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "semantics": 1.0, "features": 8}
+    model = Entry.model_validate(general | {"window": WINDOW} | entry)
+    scale = {"names": ["steering_rad"], "gain": [1.0], "std": [0.12], "mean": [0.01], "odometry_gain": None}
+    content = {"kind": predict.KIND, "name": "net", "seed": 0, "seeds": [0], "fold": None, "scale": scale}
+    content |= {"contents": {"kind": "graph"}, "entry": model.model_dump(mode="json"), "settings": artefacts.LABELS}
+    content |= {"drives": ["a"], "fps": 10.0, "net": model.build("graph").state_dict()}
+    checkpoint.write(folder / "best.pt", content | (change or {}))
+    return folder
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    path = tmp_path / "drive.h5"
+    artefacts.write_graphs(path, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
+    return path
+
+
+def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path: Path, drive: Path) -> None:
+    model = predict.load(str(write_model(tmp_path / "net")), "cpu")
+    with open_graphs(drive) as graphs:
+        steering_rad = model.predict(graphs).mean[:, 0]
+        timeline = Timeline.read(graphs, model.car)
+        for row, number in enumerate(NUMBERS):
+            before = NUMBERS[max(0, row - WINDOW + 1) : row + 1]
+            if len(before) < WINDOW or number - before[0] >= WINDOW:
+                assert np.isnan(steering_rad[row])
+                continue
+            span = windows.Span(0, row - WINDOW + 1, row + 1)
+            batch = windows.read_batch([timeline], {0: graphs}, [span], WINDOW)
+            with torch.inference_mode():
+                assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
+        assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
+
+
+@pytest.mark.parametrize("base", ["motion", "none"])
+def test_output_zero_is_the_base_angle(tmp_path: Path, drive: Path, base: str) -> None:
+    model = predict.load(write_model(tmp_path / "net", motion="visual", base=base, horizon=3), "cpu")
+    with open_graphs(drive) as graphs, pytest.raises(InputError, match="no measured motion"):
+        model.predict(graphs)
+    artefacts.add_motion(drive, STEERING)
+    with torch.no_grad():
+        for weights in model.net.parameters():
+            weights.zero_()
+    with open_graphs(drive) as graphs:
+        for output in (0.0, 1.0):
+            model.net.temporal.output_shift.data.fill_(output)
+            steering_rad = model.predict(graphs).mean[:, 0]
+            finite = np.isfinite(steering_rad)
+            base_rad = STEERING[finite] if base == "motion" else 0.0
+            assert steering_rad[finite] == pytest.approx(base_rad + 0.12 * output, abs=1e-6)
+
+
+class Trap:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, tuple[str, str]]:
+        return (open, (str(self.path), "w"))
+
+
+def test_code_in_a_file_does_not_run(tmp_path: Path) -> None:
+    torch.save({"kind": "thing", "trap": Trap(tmp_path / "sprung")}, tmp_path / "x.pt")
+    with pytest.raises(InputError, match="more than tensors"):
+        checkpoint.read(tmp_path / "x.pt", "thing")
+    assert not (tmp_path / "sprung").exists()
+
+
+WRONG: dict[str, tuple[dict[str, Any] | None, str]] = {
+    "missing": (None, r"best\.pt is missing.*train/other"),
+    "kind": ({"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
+    "network": ({"entry": {"spatial": "nothing"}}, "Train it again"),
+    "scale": ({"scale": None}, "Train it again"),
+    "weights": ({"net": {"weight": torch.zeros(1)}}, "Train it again"),
+    "half": ({}, "file is damaged"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_checkpoint_is_one_line(tmp_path: Path, case: str) -> None:
+    change, message = WRONG[case]
+    write_model(tmp_path / "train/other")
+    folder = tmp_path / "train/nott" if change is None else write_model(tmp_path / "train/net", change)
+    if case == "half":
+        (folder / "best.pt").write_bytes((folder / "best.pt").read_bytes()[:-200])
+    with pytest.raises(InputError, match=message) as raised:
+        predict.load(folder, "cpu")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"bias": None}, r'Missing key\(s\) in state_dict: "bias"'),
+        ({"extra": torch.zeros(1)}, r'Unexpected key\(s\) in state_dict: "extra"'),
+        ({"weight": torch.zeros(2, 9)}, r"size mismatch for weight: .*\[2, 9\]"),
+        ({"bias": torch.full((2,), torch.nan)}, "bias has numbers that are not finite"),
+        ({"bias": "two"}, "tensors by name"),
+    ],
+)
+def test_a_state_must_match_exactly(change: dict[Any, object], fault: str) -> None:
+    net = torch.nn.Linear(3, 2)
+    changed = {name: value for name, value in {**net.state_dict(), **change}.items() if value is not None}
+    with pytest.raises(InputError, match=fault):
+        checkpoint.load_state(net, changed, Path("x.pt"))
+
+
+# Runs and the kept epoch
+
+
+SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
+
+
+def test_runs_are_seeds_and_folds() -> None:
+    model = Path("data/train/gnn")
+    result = runs.runs(model, [3, 0], runs.folds(SPLITS, "train", None))
+    assert [(str(run), run.folder) for run in result] == [("seed 3", model), ("seed 0", model / "seed-0")]
+    assert {run.fold for run in result} == {runs.Fold(None, ("a", "b"), ("v",), ("x", "y", "z"))}
+    for fit_to, own, val in (("others", (), ()), ("both", ("a", "b"), ("v",))):
+        folds = runs.folds(SPLITS, fit_to, None)
+        assert folds[1] == runs.Fold("y", (*own, "x", "z"), val, ("y",))
+        result = runs.runs(model, [0, 5], folds)[2:4]
+        assert [run.folder for run in result] == [model / "fold-z", model / "seed-5/fold-x"]
+        assert str(result[0]) == "seed 0 without z"
+    assert runs.folds(SPLITS, "both", 1)[0].train == ("a", "y", "z")
+    with pytest.raises(InputError, match="2 training drives"):
+        runs.folds(SPLITS, "train", 3)
+    with pytest.raises(InputError, match="two test drives"):
+        runs.folds({"a": "test"}, "others", None)
+
+
+@pytest.mark.parametrize(
+    ("nmse", "selected"),
+    [
+        ((0.9, 0.3, 0.8, 0.5, 0.4, 0.41, 0.7), 6),  # the least mean of three, not the lucky second
+        ((0.9, 0.8, np.nan), 2),
+        ((np.nan, np.nan), 2),  # without validation the last
+        ((), 0),
+    ],
+)
+def test_the_kept_epoch(nmse: tuple[float, ...], selected: int) -> None:
+    curve = [fit.Epoch(number, 0.1, 0.1, error) for number, error in enumerate(nmse, start=1)]
+    assert fit.selected_epoch(curve) == selected

@@ -17,7 +17,7 @@ def run(main: Callable[..., object]) -> None:
 
 
 def guarded(main: Callable[..., object]) -> Callable[..., None]:
-    """Return `main` as a command that reports errors as one line on stderr and exits with status 1.
+    """Return `main` as a command that prints errors as one line and exits with status 1.
 
     These are an :class:`InputError`, an OSError (a full disk, no permission, …) and Ctrl-C. Other exceptions are bugs
     and keep their traceback, as all do with an option `debug`.
@@ -30,10 +30,8 @@ def guarded(main: Callable[..., object]) -> Callable[..., None]:
         except (InputError, OSError, KeyboardInterrupt) as error:
             if options.get("debug"):
                 raise
-            message = str(error)
-            if isinstance(error, KeyboardInterrupt):
-                message = "interrupted. Repeat the command to continue: complete files are kept"
-            elif isinstance(error, OSError) and error.strerror:
+            message = str(error) or "interrupted. Repeat the command to continue: complete files are kept"
+            if isinstance(error, OSError) and error.strerror:
                 message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
             sys.exit(f"error: {' '.join(message.split())}")
 

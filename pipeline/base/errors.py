@@ -1,5 +1,6 @@
 """Errors shown to the user as one line, without a traceback."""
 
+import difflib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -8,7 +9,7 @@ class InputError(Exception):
     """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``."""
 
     def __init__(self, problem: str, where: object = "", fix: str = "") -> None:
-        """`where` is a file, a parameter or a drive; `fix` is a sentence or a command for the user."""
+        """`where`: a file, parameter or drive; `fix`: a sentence or command for the user."""
         super().__init__(problem, str(where), fix)  # positional, so that it can be pickled
         self.problem, self.where, self.fix = problem, str(where), fix
 
@@ -28,16 +29,13 @@ def error_context(where: object = "", fix: str = "") -> Iterator[None]:
     try:
         yield
     except (InputError, ValueError) as error:
-        kind = DamagedFile if isinstance(error, DamagedFile) else InputError
         inner = error if isinstance(error, InputError) else InputError(str(error))
         places = [str(place) for place in (where, inner.where) if str(place)]
-        raise kind(inner.problem, ": ".join(places), inner.fix or fix) from error
+        raise type(inner)(inner.problem, ": ".join(places), inner.fix or fix) from error
 
 
 def closest(name: str, options: Sequence[str]) -> str:
     """Return a clause for an error message: the options most similar to `name`, or all of them."""
-    import difflib
-
     similar = difflib.get_close_matches(name, options, n=3, cutoff=0.6)
     if similar:
         return f"did you mean {' or '.join(similar)}?"

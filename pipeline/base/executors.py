@@ -12,10 +12,9 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from pipeline.base import resume
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, error_context
 
 SCHEDULER = "STEER_SCHEDULER"
-CONNECT_S = 5
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
 _SPAWN = multiprocessing.get_context("spawn")
 J = TypeVar("J")
@@ -23,8 +22,7 @@ J = TypeVar("J")
 
 def default_workers() -> int:
     """Return the number of worker processes: ``STEER_WORKERS``, or else the cores that this process may use."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    text = os.environ.get("STEER_WORKERS") or str(cores)
+    text = os.environ.get("STEER_WORKERS") or str(len(os.sched_getaffinity(0)))
     if not text.isdecimal() or not int(text):
         raise InputError(f"expected a number of processes (got {text!r})", "STEER_WORKERS")
     return int(text)
@@ -48,9 +46,9 @@ def run_jobs(
         for job in jobs:
             yield job, work(job)
         return
+    if cluster:
+        work = partial(_call_on_worker, work, str(Path.cwd()), resume.code_hash())
     with _cluster(cluster) if cluster else _processes(count, threads or max(1, default_workers() // count)) as pool:
-        if cluster:
-            work = partial(_call_on_worker, work, str(Path.cwd()), resume.code_hash())
         futures = {pool.submit(work, job): job for job in jobs}
         try:
             for future in as_completed(futures):
@@ -91,15 +89,11 @@ def _cluster(address: str) -> Iterator[Executor]:
     """Yield the workers of a cluster, which repeats the job of a worker that died up to three times."""
     from distributed import Client
 
-    try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        fix = "Start one: dask scheduler. Or unset the variable"
-        raise InputError(f"no scheduler answers ({error})", f"{SCHEDULER}={address}", fix) from error
+    with error_context(SCHEDULER):
+        client = Client(address, timeout=5, set_as_default=False)
     with client:
         if not client.nthreads():
             print(f"waiting for workers. Start them: dask worker {address} --nthreads 1", flush=True)
-        client.wait_for_workers(1)
         yield client.get_executor(pure=False)
 
 

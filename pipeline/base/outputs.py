@@ -5,66 +5,54 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import NamedTuple
 
 from filelock import FileLock, Timeout
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import replacing
-from pipeline.base.store import read_json, write_json
+from pipeline.base.store import read_json, replacing, write_json
 
 INDEX = "index.json"
 WORK = ".work"
+_FIX = "Pass another --out, or move it away"
 
 
 def check_free(path: Path, key: str = "") -> None:
     """Raise InputError unless the file or folder `path` does not exist, or is a folder that :func:`claim` may take."""
-    if path.exists() and not _is_empty(path, key):
-        raise InputError("exists already", path, "Pass another --out, or move it away")
+    if not _is_free(path, key):
+        raise InputError("exists already", path, _FIX)
 
 
 def claim(out: Path | None, stem: str, key: str = "") -> Path:
     """Return the folder for a command's results: `out`, otherwise the first free one of out/STEM, out/STEM-2, ….
 
-    Args:
-        out: the option --out.
-        stem: name of the recording.
-        key: a hash of the recording and the settings. A folder that only holds ``.work/KEY``, from a killed run, counts
-            as empty, and without `out` it is preferred.
-
-    Raises InputError if `out` is not free.
+    `key` hashes the recording and the settings. A folder that only holds ``.work/KEY``, from a killed run, is free, and
+    without `out` it is preferred. Raises InputError if `out` is not free.
     """
     if out is not None:
         check_free(out, key)
         return out
-    folders = Path("out")
-    for folder in sorted(folders.glob("*")):
-        if folder.name.startswith(stem) and (folder / WORK / key).exists() and _is_empty(folder, key):
-            return folder
+    killed = (work.parent for work in sorted(Path("out").glob(f"*/{WORK}")) if work.parent.name.startswith(stem))
     names = (f"{stem}-{number}" if number > 1 else stem for number in count(1))
-    return next(folders / name for name in names if not (folders / name).exists() or _is_empty(folders / name, key))
+    numbered = (Path("out") / name for name in names)
+    return next(folder for folder in chain(killed, numbered) if _is_free(folder, key))
 
 
-def _is_empty(folder: Path, key: str) -> bool:
-    if not folder.is_dir():
-        return False
-    contents = [path.name for path in folder.iterdir()]
-    return not contents or (contents == [WORK] and [path.name for path in (folder / WORK).iterdir()] == [key])
+def _is_free(path: Path, key: str) -> bool:
+    if not path.is_dir():
+        return not path.exists()
+    return {*path.iterdir()} <= {path / WORK} and {*(path / WORK).glob("*")} <= {path / WORK / key}
 
 
 class StageFolder(NamedTuple):
     """Where a stage works while it runs."""
 
-    stage: str
-    """Its name in ``dvc.yaml``."""
-    new: Path
-    """An empty folder. What the stage writes here becomes the content of its output folder."""
-    kept: Path
-    """``data/.drives/STAGE`` or ``data/.drives/STAGE-ENTRY``, outside of all DVC outputs, for the next run."""
-    used: set[Path]
-    """Paths directly in `kept` that this run needs. The others are removed when it succeeds."""
+    stage: str  # its name in dvc.yaml
+    new: Path  # empty; what the stage writes here becomes the content of its output folder
+    kept: Path  # data/.drives/STAGE or data/.drives/STAGE-ENTRY, outside of all DVC outputs, for the next run
+    used: set[Path]  # paths directly in `kept` that this run needs; the others are removed when it succeeds
 
 
 @contextmanager
@@ -82,7 +70,7 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
     """
     name, _, entry = stage.partition("@")
     root = out.parent if entry else out
-    kept = root.with_name(".drives") / "-".join(filter(None, [root.name, entry and out.name]))
+    kept = root.with_name(".drives") / (f"{root.name}-{out.name}" if entry else out.name)
     kept.mkdir(parents=True, exist_ok=True)
     try:
         lock = FileLock(f"{kept}.lock").acquire(timeout=0)  # the system releases it when this process dies
@@ -103,14 +91,13 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
 
 def _own_files(out: Path, owner: dict[str, str], shared: bool) -> set[str]:
     """Return the files in `out` that an earlier run of the stage wrote."""
-    fix = "Pass another --out, or move it away"
     if not (out / INDEX).is_file():
         if not shared and any(not path.name.startswith(".") for path in out.glob("*")):
-            raise InputError("folder has files that no stage wrote", out, fix)
+            raise InputError("folder has files that no stage wrote", out, _FIX)
         return set()
     index = read_json(out / INDEX, stage=owner["stage"])
     if {key: index.get(key) for key in owner} != owner:
-        raise InputError(f"expected a folder of stage {'@'.join(filter(None, owner.values()))}", out, fix)
+        raise InputError(f"expected a folder of stage {'@'.join(filter(None, owner.values()))}", out, _FIX)
     return {file for file in index["files"] if (out / file).resolve().is_relative_to(out.resolve())}
 
 

@@ -4,14 +4,12 @@ A fault is an InputError with file, key, value and the expected values.
 """
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from pipeline.base.errors import InputError, closest, error_context
-from pipeline.base.files import read_yaml
 
 
 def matches(pattern: str, expected: str) -> AfterValidator:
@@ -56,6 +54,15 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
     key: ClassVar[str]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, value: Any) -> Any:
+        """Report an unknown key first: it may be a missing key, misspelt."""
+        for name in value if isinstance(value, dict) and cls.model_config["extra"] == "forbid" else ():
+            if name not in cls.model_fields:
+                raise ValueError(f"unknown key {name!r}: {closest(str(name), [*cls.model_fields])}")
+        return value
+
 
 S = TypeVar("S", bound=Section)
 
@@ -98,33 +105,27 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def parse(kind: type[S], value: Any, where: str, path: Path | None = None) -> S:
-    """Validate `value` at the dotted key `where` of the file at `path`. Raises InputError, caused by pydantic's."""
+    """Validate `value` at the dotted key `where` of the file at `path`. Raises InputError."""
     try:
         return kind.model_validate(value)
     except ValidationError as error:
-        # An unknown key first: it may be a missing key, misspelt.
-        first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+        first = error.errors()[0]
         key = ".".join(str(part) for part in (where, *first["loc"]) if part not in ("", "[key]"))
-        problem, fix = first["msg"].removeprefix("Value error, "), ""
-        if first["type"] == "extra_forbidden":
-            options = _keys_at(kind, first["loc"][:-1])
-            problem = f"unknown key: {closest(str(first['loc'][-1]), options)}" if options else "unknown key"
-        elif first["type"] == "missing":
-            problem, fix = "key is missing", _COPY
-        elif not isinstance(first["input"], dict):  # a complete section is too long for a message
+        problem = first["msg"].removeprefix("Value error, ")
+        if not isinstance(first["input"], dict):  # a complete section is too long for a message
             problem += f" (got {first['input']!r:.80})"
-        raise InputError(problem, f"{path}: {key}" if path else key, fix) from error
+        place = ": ".join(str(part) for part in (path, key) if part)
+        raise InputError(problem, place, _COPY if first["type"] == "missing" else "") from error
 
 
-def _keys_at(annotation: Any, loc: Sequence[int | str]) -> list[str]:
-    """Return the keys of the section at the location `loc` below a section; none if a union leaves it open."""
-    for part in loc:
-        if get_origin(annotation) is dict:
-            annotation = get_args(annotation)[1]
-        elif part in getattr(annotation, "model_fields", ()):
-            annotation = annotation.model_fields[part].annotation
-            options = [option for option in get_args(annotation) if option is not type(None)]
-            annotation = options[0] if len(options) == 1 else annotation
-        else:
-            return []
-    return list(getattr(annotation, "model_fields", ()))
+def read_yaml(path: Path, *, comments: bool = False) -> Any:
+    """Return the content of a YAML 1.2 file, with `comments` for ruamel's writer. Raises InputError."""
+    from ruamel.yaml import YAML  # here, as workers read no YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        return YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text("utf-8-sig"))
+    except (YAMLError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"{path}:{mark.line + 1}" if mark else path
+        raise InputError(f"invalid YAML: {getattr(error, 'problem', error)}", where) from error

@@ -3,14 +3,13 @@
 import hashlib
 import json
 import re
-import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import read_yaml
+from pipeline.base.params import read_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
@@ -53,25 +52,7 @@ def code_hash() -> str:
     return _hash_code(ROOT / package for package in PACKAGES)
 
 
-def _hash_code(paths: Any) -> str:
+def _hash_code(paths: Iterable[Path]) -> str:
     files = {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        digest.update(f"{file.relative_to(ROOT)} {file_hash(file)}\n".encode())
-    return digest.hexdigest()
-
-
-def revision() -> str:
-    """Return git's name of the newest commit of the code, with "-dirty" if the code differs; "unknown" outside of git.
-
-    Commits of other files do not count, so that training after a commit of ``dvc.lock`` writes the same bytes.
-    """
-    code = ["--", *(f":/{package}" for package in PACKAGES)]  # from the top, also for a copy in runs/
-    try:
-        commit, changes = (
-            subprocess.run(["git", "-C", str(ROOT), *command, *code], capture_output=True, text=True, check=True).stdout
-            for command in (["log", "-1", "--format=%H"], ["status", "--porcelain"])
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return (commit.strip() or "unknown") + ("-dirty" if changes else "")
+    lines = [f"{file.relative_to(ROOT)} {file_hash(file)}\n" for file in sorted(files)]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()

@@ -16,10 +16,9 @@ from pydantic import BaseModel
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import run_jobs
-from pipeline.base.files import replacing
 from pipeline.base.outputs import StageFolder, link, stage_folder
 from pipeline.base.resume import stage_key
-from pipeline.base.store import write_index
+from pipeline.base.store import replacing, write_index
 
 Summary = dict[str, Any]
 
@@ -28,11 +27,11 @@ class Job(NamedTuple):
     """One drive of a stage."""
 
     drive: str
-    """Its name in messages, unique in the stage."""
+    """Unique in the stage."""
     target: str
     """Path of its file or folder in the stage's folder."""
     inputs: Sequence[Path | str]
-    """Files and strings. With the stage's code and settings, they determine the content."""
+    """Files and strings that determine the content, with the stage's code and settings."""
     work: Callable[[Path], Summary]
     """Picklable. Writes the file or folder to a path and returns a JSON-able summary."""
 
@@ -49,31 +48,29 @@ def make_drives(
     Args:
         settings: a section, or JSON-able. Part of every key, so without what determines single drives only.
         describe: a drive's summary → text for the log.
-        workers: processes, see :func:`run_jobs`. Never changes a result.
-
-    Raises the first error of a worker after the drives in progress are done.
+        workers: see :func:`run_jobs`. Never changes a result.
     """
     settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
-    kept = {
-        job.drive: folder.kept / f"{job.drive}-{stage_key(folder.stage, {'drive': job.drive, **settings}, job.inputs)}"
-        for job in jobs
-    }
-    folder.used.update(kept.values())
+    kept = {}  # drive → path of its result
+    for job in jobs:
+        key = stage_key(folder.stage, {"drive": job.drive, **settings}, job.inputs)
+        kept[job.drive] = folder.kept / f"{job.drive}-{key}" / Path(job.target).name
+    folder.used.update(path.parent for path in kept.values())
     todo = [job for job in jobs if not kept[job.drive].exists()]
     if len(todo) < len(jobs):
         print(f"{len(jobs) - len(todo)} of {len(jobs)} drives kept from earlier runs", flush=True)
     # The longest first, so that no process ends long after the others.
     todo.sort(key=lambda job: -sum(path.stat().st_size for path in job.inputs if isinstance(path, Path)))
-    tasks = [(job.drive, kept[job.drive] / Path(job.target).name, job.work) for job in todo]
+    tasks = [(job.drive, kept[job.drive], job.work) for job in todo]
     for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, workers=workers):
         size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
         rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
         print(f"{drive}: {describe(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}", flush=True)
     for job in jobs:
-        path, target = kept[job.drive] / Path(job.target).name, folder.new / job.target
+        path, target = kept[job.drive], folder.new / job.target
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(path, target, copy_function=link) if path.is_dir() else link(path, target)
-    return {drive: json.loads((path / "summary.json").read_text()) for drive, path in kept.items()}
+    return {drive: json.loads((path.parent / "summary.json").read_text()) for drive, path in kept.items()}
 
 
 def make_files(
@@ -91,8 +88,8 @@ def make_files(
     Args:
         splits: drive → split.
         inputs: argument of `work` → folder.
-        work: is called with a path and `inputs`, see :class:`Job`. Its summary counts the ``frames``.
-        describe: format of a summary for the log; other arguments as in :func:`make_drives`.
+        work: is called with a path and the drive's files, see :class:`Job`. Its summary counts the ``frames``.
+        describe: format of a summary for the log.
     """
     jobs = []
     for drive in splits:

@@ -1,20 +1,20 @@
 """Read and write the HDF5 files and indexes that stages exchange.
 
-One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON), and what the stage adds;
-every dataset has an attribute ``unit``. ``frame`` int32 [F] holds KITTI frame numbers, ``time_s`` float64 [F] seconds
-since the drive's first oxts row. Ragged data: ``ptr`` int64 [F+1] and concatenated rows; frame i owns
-``rows[ptr[i]:ptr[i+1]]``. The attribute ``pointer`` of the rows names the pointers. If the rows are numbers of other
-rows, counted from 0 in each frame, the attribute ``refers_to`` names those.
+One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON: the sections that make
+the file, its inputs' included), and what the stage adds. Every dataset has an attribute ``unit``. ``frame`` int32 [F]
+holds KITTI frame numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row.
 
-``params`` holds the settings of the chain that made the file: a stage adds its own section to its input's,
-``params=source.params | {"clouds": settings.model_dump(mode="json")}``.
+Ragged data are concatenated rows and pointers int64 [F+1]: frame i owns ``rows[ptr[i]:ptr[i+1]]``. The attribute
+``pointer`` of the rows names the pointers. If the rows are numbers of other rows, counted from 0 in each frame, the
+attribute ``refers_to`` names those.
 
-Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They have a temporary name
-until they are complete. They may come from elsewhere, see :func:`_datasets`.
+Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They may come from
+elsewhere, see :func:`_datasets`.
 """
 
 import io
 import json
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
@@ -26,15 +26,29 @@ import hdf5plugin
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import replacing
 
-SCHEMA = 4  # 3: Blosc2; 2: pointers were known by name; 1: gzip
+SCHEMA = 4
 _CHUNK_ROWS = 32768  # of ragged data
 # Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)  # what h5py raises for damaged bytes
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a unique temporary path beside `path`, which replaces `path` when the block ends without error.
+
+    The block creates a file or a folder there. A folder replaces only an empty folder. The temporary path is
+    ``.NAME.????????.tmp/NAME``, so the suffix still gives the format, and a glob for ``*.h5`` does not match.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # A folder of its own, as a file from mkstemp is unreadable for other users.
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as folder:
+        tmp = Path(folder) / path.name
+        yield tmp
+        tmp.replace(path)
 
 
 class Sink(io.FileIO):
@@ -71,18 +85,14 @@ class Sink(io.FileIO):
 
 
 class DriveWriter:
-    """Write one drive's file; a context manager. The file appears under its name when the block ends without error."""
+    """Write one drive's file, a context manager. The file appears when the block ends without error."""
 
     def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
-        """`params`: JSON-able content of the params sections that determine the file."""
+        """`params`: JSON-able, section of params.yaml → its content."""
         self.path = path
-        self.attrs: dict[str, Any] = {
-            "schema": SCHEMA,
-            "stage": stage,
-            "drive": drive,
-            "params": json.dumps(params, sort_keys=True),
-        }
-        # Open until the end: HDF5 writes chunks when a dataset is closed, and bytes would depend on when that is.
+        self.attrs: dict[str, Any] = {"schema": SCHEMA, "stage": stage, "drive": drive}
+        self.attrs["params"] = json.dumps(params, sort_keys=True)
+        # Open until the end: HDF5 writes chunks when a dataset is closed, on which the bytes depend.
         self._datasets: dict[str, h5py.Dataset] = {}
 
     def _create(self, name: str, unit: str, **options: Any) -> None:
@@ -99,8 +109,7 @@ class DriveWriter:
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
         """Write the first row of each frame, and the end, int64 [F+1], for `counts` [F] of rows per frame."""
-        ends = np.cumsum(np.fromiter(counts, np.int64))
-        self.put(name, np.concatenate([[0], ends]).astype(np.int64), unit)
+        self.put(name, np.cumsum([0, *counts], dtype=np.int64), unit)
 
     def append(self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "", refers_to: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape.
@@ -143,10 +152,10 @@ class DriveWriter:
 
 
 class DriveReader:
-    """Read one drive's file; a context manager.
+    """Read one drive's file, a context manager.
 
-    `stage` None: of any stage. Raises InputError if the file is missing, is not an HDF5 file, was written by another
-    stage or schema, belongs to another drive or is damaged, or if its datasets refer to other files.
+    Raises InputError if the file is missing, damaged, of another `stage` (None: any), schema or drive, or refers to
+    other files.
     """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
@@ -168,7 +177,7 @@ class DriveReader:
 
     @cached_property
     def params(self) -> dict[str, Any]:
-        """Settings that determined the file: section of params.yaml → its content."""
+        """Section of params.yaml → its content."""
         return dict(json.loads(self.attrs["params"]))
 
     @cached_property
@@ -183,11 +192,9 @@ class DriveReader:
 
     def row_of(self, number: int) -> int:
         """Return the row of the frame with this KITTI number. Raises InputError if the file has no such frame."""
-        rows = np.flatnonzero(self.frame == number)
-        if not len(rows):
-            frames = f"Frames: {self.frame[0]} to {self.frame[-1]}" if len(self.frame) else "It has none"
-            raise InputError(f"has no frame {number}", self.path, frames)
-        return int(rows[0])
+        if number not in self.frame:
+            raise InputError(f"has no frame {number} (frames: {self.frame[:1]} to {self.frame[-1:]})", self.path)
+        return int(np.searchsorted(self.frame, number))
 
     @property
     def names(self) -> list[str]:
@@ -199,15 +206,18 @@ class DriveReader:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a complete dataset."""
-        return self._read(name, ())
+        return self.row(name, ())
+
+    def row(self, name: str, index: int | slice | tuple[()]) -> Any:
+        """Return ``dataset[index]`` without reading the rest."""
+        try:
+            return self.dataset(name)[index]
+        except _H5PY_ERRORS as error:
+            raise _fault(f"damaged in dataset {name!r} ({error})", self.path, self._stage) from error
 
     def rows(self, name: str, start: int, stop: int) -> np.ndarray:
         """Return ``dataset[start:stop]`` without reading the rest."""
-        return self._read(name, slice(start, stop))
-
-    def row(self, name: str, index: int) -> np.ndarray:
-        """Return ``dataset[index]`` without reading the rest."""
-        return self._read(name, index)
+        return self.row(name, slice(start, stop))
 
     def rows_of(self, name: str, frame_row: int) -> np.ndarray:
         """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in ``frame``."""
@@ -219,22 +229,16 @@ class DriveReader:
 
     @cached_property
     def pointers(self) -> dict[str, str]:
-        """Ragged dataset → dataset with the first row of each frame, as the file declares it."""
+        """Ragged dataset → dataset with the first row of each frame."""
         return self._declared("pointer")
 
     @cached_property
     def refers_to(self) -> dict[str, str]:
-        """Dataset of numbers of rows → dataset with those rows, as the file declares it."""
+        """Dataset of numbers of rows → dataset with those rows."""
         return self._declared("refers_to")
 
     def _declared(self, attribute: str) -> dict[str, str]:
         return {name: data.attrs[attribute] for name, data in self._datasets.items() if attribute in data.attrs}
-
-    def _read(self, name: str, rows: int | slice | tuple[()]) -> Any:
-        try:
-            return self.dataset(name)[rows]
-        except _H5PY_ERRORS as error:
-            raise _fault(f"damaged in dataset {name!r} ({error})", self.path, self._stage) from error
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return the h5py dataset. Raises InputError if it is missing."""
@@ -290,18 +294,13 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
 
 def write_index(folder: Path, splits: Mapping[str, str]) -> None:
     """Write ``index.json``: drive → split (train, val or test) for each drive that has a file in `folder`, in order."""
-    write_json(folder / "index.json", {"drives": dict(splits), "schema": SCHEMA}, sort_keys=False)
+    write_json(folder / "index.json", {"drives": dict(splits)}, sort_keys=False)
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     """Return drive → split of a stage's folder, in its order. Raises InputError if a drive in it has no file."""
-    path = folder / "index.json"
-    index = read_json(path, stage=stage)
-    if index.get("schema") != SCHEMA:
-        raise _fault(f"expected schema {SCHEMA}, got {index.get('schema')}", path, stage)
-    drives: dict[str, str] = index["drives"]
-    missing = [drive for drive in drives if Path(drive).name != drive or not (folder / f"{drive}.h5").is_file()]
-    if missing:
+    drives: dict[str, str] = read_json(folder / "index.json", stage=stage).get("drives", {})
+    if missing := [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]:
         raise _fault(f"no file for {', '.join(missing)} of index.json", folder, stage)
     return drives
 

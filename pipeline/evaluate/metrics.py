@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.files import replacing
+from pipeline.base.store import replacing
 from pipeline.evaluate import decisions, errors, paths
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.settings.evaluate import Evaluate

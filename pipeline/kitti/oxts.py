@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.files import check_increase, check_limit, read_columns
+from pipeline.kitti.columns import check_increase, check_limit, read_columns
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest, error_context
-from pipeline.base.files import replacing
 from pipeline.base.resume import file_hash
+from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size
 from pipeline.camera.mount import camera_height

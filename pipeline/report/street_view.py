@@ -12,8 +12,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from pipeline.base.files import replacing
-from pipeline.base.store import DriveReader
+from pipeline.base.store import DriveReader, replacing
 from pipeline.camera import classes
 from pipeline.camera.images import to_metres
 from pipeline.graphs.graph_file import edge_pairs

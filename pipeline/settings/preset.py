@@ -15,9 +15,9 @@ from pydantic import Field
 
 from pipeline.base import console
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.files import read_yaml, replacing
-from pipeline.base.params import Name, Section, parse, read
+from pipeline.base.params import Name, Section, parse, read, read_yaml
 from pipeline.base.resume import ROOT
+from pipeline.base.store import replacing
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.encoder import Encoder
 from pipeline.settings.evaluate import Evaluate

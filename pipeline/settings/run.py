@@ -11,7 +11,7 @@ from filelock import FileLock, Timeout
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
-from pipeline.base.files import replacing
+from pipeline.base.store import replacing
 from pipeline.settings import preset
 
 CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")

@@ -7,7 +7,7 @@ from textwrap import shorten
 from typing import Any
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import replacing
+from pipeline.base.store import replacing
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:

@@ -18,8 +18,8 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
-from pipeline.base.files import replacing
-from pipeline.base.resume import file_hash, revision, stage_key
+from pipeline.base.resume import file_hash, stage_key
+from pipeline.base.store import replacing
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
@@ -110,7 +110,6 @@ def fit_run(run: Run, job: Job) -> None:
         "settings": train[0].settings,
         "drives": [drive.name for drive in train],
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
-        "revision": revision(),
         **inputs,
     }
     fit = Fit(net, entry, settings, run.seed, train, val)

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import replacing
 from pipeline.base.params import SPLITS
+from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.motion.visual import MAX_DEPTH_M, WIDE
 

@@ -16,9 +16,9 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError
 from pipeline.base.executors import default_workers
-from pipeline.base.files import replacing
 from pipeline.base.params import Drive
 from pipeline.base.resume import file_hash
+from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import write_png
 from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import check_limit, read_columns
+from pipeline.kitti.columns import check_limit, read_columns
 from pipeline.kitti.oxts import LIMITS, check_angles, check_frames
 from pipeline.video.recording import check_times
 

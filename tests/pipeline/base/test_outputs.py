@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.files import replacing
 from pipeline.base.outputs import check_free, claim, stage_folder
-from pipeline.base.store import read_json, write_json
+from pipeline.base.store import read_json, replacing, write_json
 from tests.kitti_drive import contents, write
 
 

@@ -1,30 +1,12 @@
-"""Replace files in one step; read untrusted input files: columns of numbers from CSV files, and YAML."""
+"""Read columns of numbers from CSV files, and check them."""
 
 import csv
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a unique temporary path beside `path`, which replaces `path` when the block ends without error.
-
-    The block creates a file or a folder there. A folder replaces only an empty folder. The temporary path is
-    ``.NAME.????????.tmp/NAME``, so the suffix still gives the format, and a glob for ``*.h5`` does not match.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # A folder of its own, as a file from mkstemp is unreadable for other users.
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as folder:
-        tmp = Path(folder) / path.name
-        yield tmp
-        tmp.replace(path)
 
 
 def read_columns(
@@ -82,16 +64,3 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path)
         problem = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2}"
         fix = "Sort the file and remove repeated rows"
         raise InputError(f"{problem} (expected an increase of {least_step:g} or more)", path, fix)
-
-
-def read_yaml(path: Path, *, comments: bool = False) -> Any:
-    """Return the content of a YAML 1.2 file, with `comments` for ruamel's writer. Raises InputError."""
-    from ruamel.yaml import YAML  # here, as workers read no YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        return YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text("utf-8-sig"))
-    except (YAMLError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"{path}:{mark.line + 1}" if mark else path
-        raise InputError(f"invalid YAML: {getattr(error, 'problem', error)}", where) from error

@@ -7,10 +7,8 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.errors import error_context
 from pipeline.base.params import load_entry
 from pipeline.base.runner import make_files
-from pipeline.graphs import cloud
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.settings.graphs import Variant
 
@@ -32,10 +30,6 @@ def main(
     inputs, work = {"source": source, "motion": data / "motion"}, partial(graphs_drive, variant=variant)
     text = "{frames} frames" if variant.kind == "image" else "{frames} frames, {points} points"
     summaries = make_files(f"graphs@{name}", out / name, splits, inputs, work, variant, text, workers)
-    if variant.kind != "image":
-        fix = f"Widen crop_m = {variant.crop_m}: left, near, right, far in metres"
-        with error_context(f"{params}: graphs.{name}", fix if variant.crop_m else ""):
-            cloud.check_not_empty(summaries, splits)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("edges_knn", "edges_kept"))
     if before:
         print(f"{name}: {after / before:.0%} of {before} kNN edges kept")

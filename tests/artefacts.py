@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base import store
 from pipeline.camera.classes import BUILDING, ROAD
-from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.labels import ahead, label
 from pipeline.settings.graphs import Variant

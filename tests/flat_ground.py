@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from models.encoder.unified_encoder import BUILD, ray_slopes
 from pipeline.camera import classes
-from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.perception.perceive import save
 
 

@@ -9,9 +9,8 @@ import numpy as np
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
-from pipeline.camera.geometry import back_project, rays
+from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, rays
 from pipeline.camera.images import to_units
-from pipeline.camera.mount import CAMERA_HEIGHT_M
 from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.settings.ingest import Reading

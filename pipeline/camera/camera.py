@@ -1,12 +1,16 @@
 """The pinhole camera of a drive or a video, and the frames that it records."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.camera.images import Crop, Size
-from pipeline.camera.mount import CAMERA_HEIGHT_M, camera_height, check_height
+from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, depth_image, transform
+from pipeline.camera.images import Crop, Size, to_metres
 
 SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
 BELOW_HORIZON = 0.0115  # centre of a crop below the horizon, as a share of the width; measured on KITTI's images
@@ -19,7 +23,7 @@ class Camera:
     K: np.ndarray  # [3,3] pixels, of images of this size
     size: Size  # (H, W)
     height_m: float = CAMERA_HEIGHT_M  # over the road
-    T_cam_velo: np.ndarray | None = None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
+    T_cam_velo: Any = None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
     horizon: float | None = None  # row of the road's horizon; None: unknown
 
     def scaled(self, size: Size) -> "Camera":
@@ -76,10 +80,26 @@ class Frame:
 
     number: int  # KITTI's, or counted from 0
     time_s: float  # since the start of the drive
-    image: np.ndarray | None = None  # RGB uint8 [H,W,3], at the size of depth and classes
-    depth_m: np.ndarray | None = None  # [H,W] metres, rounded as in the file of stage perception; 0: none
-    cls: np.ndarray | None = None  # trainIds uint8 [H,W]
-    scan: np.ndarray | None = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
+    image: Any = None  # RGB uint8 [H,W,3], at the size of depth and classes
+    depth_m: Any = None  # [H,W] metres, rounded as in the file of stage perception; 0: none
+    cls: Any = None  # trainIds uint8 [H,W]
+    scan: Any = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
+
+
+def camera_height(T_cam_velo: np.ndarray | None) -> float:
+    """Return a camera's height above flat ground in metres from its calibration [4,4]; KITTI's if it is None.
+
+    KITTI's scanner has a fixed height.
+    """
+    if T_cam_velo is None:
+        return CAMERA_HEIGHT_M
+    return SCANNER_HEIGHT_M + float(np.linalg.inv(T_cam_velo)[2, 3])  # the scanner's z points up
+
+
+def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return the :func:`depth_image` float32 [H,W] of a LiDAR scan [P,≥3] that begins with velodyne x, y, z."""
+    xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
+    return depth_image(xyz, camera.K, camera.size).astype(np.float32)
 
 
 def write_camera(file: DriveWriter, camera: Camera) -> None:
@@ -92,13 +112,42 @@ def write_camera(file: DriveWriter, camera: Camera) -> None:
 def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
     """Return the camera of an ingest file's images; its K is the identity in a drive without images and scans.
 
-    Args:
-        height_m: over the road; None: from the calibration. Raises InputError if that is implausible.
+    `height_m`: over the road; None: from the calibration.
     """
-    has_K, has_lidar = "K" in file, "T_cam_velo" in file
-    K, T_cam_velo = file["K"] if has_K else np.eye(3), file["T_cam_velo"] if has_lidar else None
-    height, width = file.shape("image")[1:3]
-    camera = Camera(K, (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
-    if height_m is None:
-        check_height(camera.height_m)
-    return camera
+    known = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
+    (height, width), T_cam_velo = file.shape("image")[1:3], known.get("T_cam_velo")
+    return Camera(known.get("K", np.eye(3)), (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
+
+
+class DriveFrames:
+    """The frames of a drive that have an image, or with `scans` those that have a scan, matched by frame number."""
+
+    def __init__(self, ingest: DriveReader, perception: DriveReader, *, scans: bool) -> None:
+        self._ingest, self._perception, self._scans = ingest, perception, scans
+        source, rows = (ingest, np.flatnonzero(ingest["has_lidar"])) if scans else (perception, slice(None))
+        self.drive, self.params = ingest.drive, perception.params
+        self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
+        self.time_s = source.time_s[rows]  # float64 [F]
+        self.camera = read_camera(ingest, float(perception.attrs["camera_height_m"]))
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""
+        image_row = {number: row for row, number in enumerate(self._perception.frame.tolist())}
+        ingest_row = {number: row for row, number in enumerate(self._ingest.frame.tolist())}
+        for number, time_s in zip(self.frame.tolist(), self.time_s.tolist(), strict=True):
+            frame, row = Frame(number, time_s), image_row.get(number)
+            if row is not None:
+                frame.cls = self._perception.row("cls", row)
+            if self._scans:
+                frame.scan = self._ingest.rows_of("lidar", ingest_row[number])
+            else:
+                frame.image = self._ingest.row("image", ingest_row[number])
+                frame.depth_m = to_metres(self._perception.row("depth_m", image_row[number]))
+            yield frame
+
+
+@contextmanager
+def open_frames(ingest: Path, perception: Path, *, scans: bool = False) -> Iterator[DriveFrames]:
+    """Open the frames of a drive from its files of stages ingest and perception."""
+    with DriveReader(ingest, stage="ingest") as raw, DriveReader(perception, stage="perception") as perceived:
+        yield DriveFrames(raw, perceived, scans=scans)

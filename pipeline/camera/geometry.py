@@ -4,12 +4,10 @@ Frames: camera = rectified, x right, y down, z forward; velodyne = x forward, y 
 frame b to frame a. Pixel (u, v) = (column, row); integer coordinates are pixel centres, as in KITTI's calibration.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from pipeline.camera.camera import Camera
+SCANNER_HEIGHT_M = 1.73  # above flat ground (KITTI's setup page); the sample uses the same
+CAMERA_HEIGHT_M = 1.65  # of a camera without calibration: KITTI's (same page)
 
 
 def rays(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -35,6 +33,17 @@ def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return uv, z
 
 
+def pixels_of(xyz: np.ndarray, K: np.ndarray, size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the indices [M] of the points [N,3] inside an image of `size` (H, W), and their pixels' rows and columns.
+
+    Points are in the camera frame.
+    """
+    uv = np.rint(project(xyz, K)[0])
+    inside = np.flatnonzero(((uv >= 0) & (uv < size[::-1])).all(axis=1))  # NaN compares as False
+    column, row = uv[inside].astype(np.int64).T
+    return inside, row, column
+
+
 def transform(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """Apply the rigid transform `T` [4,4] to points [N,3]."""
     return xyz @ T[:3, :3].T + T[:3, 3]
@@ -45,19 +54,7 @@ def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.nda
 
     `xyz` [N,3] in the camera frame. KITTI's depth benchmark makes sparse depth from scans in this way.
     """
-    uv, z = project(xyz, K)
-    front = z > 0
-    pixel = np.rint(uv[front]).astype(np.int64)
-    z = z[front]
-    inside = (pixel >= 0).all(axis=1) & (pixel[:, 0] < size[1]) & (pixel[:, 1] < size[0])
-    pixel, z = pixel[inside], z[inside]
+    inside, row, column = pixels_of(xyz, K, size)
     depth = np.full(size, np.inf)
-    np.minimum.at(depth, (pixel[:, 1], pixel[:, 0]), z)
+    np.minimum.at(depth, (row, column), xyz[inside, 2])
     return np.where(np.isinf(depth), 0.0, depth)
-
-
-def scan_depth(scan: np.ndarray, camera: "Camera") -> np.ndarray:
-    """Return the :func:`depth_image` float32 [H,W] of a LiDAR scan [P,≥3] that begins with velodyne x, y, z."""
-    assert camera.T_cam_velo is not None
-    xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
-    return depth_image(xyz, camera.K, camera.size).astype(np.float32)

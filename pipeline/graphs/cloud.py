@@ -1,60 +1,29 @@
-"""Semantic point clouds (paper eq. 6 and 7): computation, sampling, and the writer of their file.
+"""Semantic point clouds (paper eq. 6 and 7): points in metres, each with the class of its pixel.
 
-Clouds are in the rectified camera frame, metres: x right, y down, z forward. The factor λ of eq. 7 is a setting of each
-model (`semantics`), so clouds always carry the class.
+Clouds are in the rectified camera frame: x right, y down, z forward. The factor λ of eq. 7 is a setting of each model
+(`semantics`), so clouds always carry the class.
 """
 
 import zlib
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base.errors import InputError
+from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
-from pipeline.camera.camera import Camera, Frame
-from pipeline.camera.drive_frames import open_frames
+from pipeline.camera.camera import open_frames
 
 if TYPE_CHECKING:
     from pipeline.settings.clouds import Clouds
 
 Cloud = tuple[np.ndarray, np.ndarray]
-"""xyz float32 [P,3] in metres, cls uint8 [P]."""
+"""xyz float32 [P,3] in metres, cls uint8 [P] (trainIds)."""
 
 STRATA_M = (10.0, 20.0, 40.0)
 """Limits of the four intervals of horizontal range from which `sampling: range` draws equal numbers of points."""
-RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and files compress better
-
-
-def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings: "Clouds") -> dict[str, int]:
-    """Write the cloud of each frame, back-projected with K⁻¹ (paper eq. 6, 7), or a scan in the camera frame.
-
-    `kind`: pseudo (of images) or lidar (of scans); `ingest` and `perception`: the drive's files of these stages.
-    """
-    with open_frames(ingest, perception, scans=kind == "lidar") as frames:
-        params = frames.params | {"clouds": settings.model_dump()}
-        with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
-            clouds = (stored_cloud(frame, kind, frames.camera, frames.drive, settings) for frame in frames)
-            return write(file, frames.frame, frames.time_s, clouds)
-
-
-def stored_cloud(frame: Frame, kind: str, camera: Camera, drive: str, settings: "Clouds") -> Cloud:
-    """Return at most `max_points` random points of a frame with quantised coordinates, in Morton order.
-
-    `kind`: pseudo, for a frame with depth and classes, or lidar, for a frame with a scan of a calibrated sensor.
-    """
-    if kind == "pseudo":
-        assert frame.depth_m is not None
-        assert frame.cls is not None
-        xyz, cls = pseudo_cloud(frame.depth_m, frame.cls, camera.K, settings.max_depth_m)
-    else:
-        assert frame.scan is not None
-        assert camera.T_cam_velo is not None
-        xyz, cls = lidar_cloud(frame.scan, camera.T_cam_velo, camera.K, frame.cls)
-    drawn = sample(len(xyz), settings.max_points, frame_rng(settings.seed, drive, frame.number))
-    return ordered((xyz[drawn], cls[drawn]))
+RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and exact in float32 up to 16 km
 
 
 def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float) -> Cloud:
@@ -70,53 +39,44 @@ def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_
 
 
 def lidar_cloud(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np.ndarray | None) -> Cloud:
-    """Transform a scan [P,≥3], velodyne x, y, z in metres, into the camera frame; void outside of the image or on sky.
+    """Transform a scan [P,≥3], velodyne x, y, z in metres, into the camera frame; each point takes its pixel's class.
 
-    T_cam_velo [4,4]; K [3,3] for the size of `cls` [H,W], trainIds of the same frame's image, None without one.
+    `cls` [H,W]: trainIds of the same frame's image, None without one. Points outside of it or on the sky are void.
     """
     xyz = geometry.transform(T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
     if cls is not None:
-        uv, _ = geometry.project(xyz, K)
-        pixel = np.rint(np.nan_to_num(uv, nan=-1.0)).clip(-1, max(cls.shape)).astype(np.int64)
-        inside = (pixel >= 0).all(axis=1) & (pixel[:, 0] < cls.shape[1]) & (pixel[:, 1] < cls.shape[0])
-        labels[inside] = cls[pixel[inside, 1], pixel[inside, 0]]
+        inside, row, column = geometry.pixels_of(xyz, K, cls.shape)
+        labels[inside] = cls[row, column]
         labels[labels == classes.SKY] = classes.VOID  # the sky returns no laser pulse: a point at a silhouette
     return xyz.astype(np.float32), labels
 
 
-def ordered(cloud: Cloud) -> Cloud:
-    """Return a cloud with quantised coordinates, in Morton order."""
-    xyz, cls = quantise(cloud[0]), cloud[1]
-    order = morton_order(xyz)
-    return xyz[order], cls[order]
+def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings: "Clouds") -> Summary:
+    """Write the clouds of a drive, each at most `max_points` random points of a frame.
 
-
-def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, clouds: Iterable[Cloud]) -> dict[str, int]:
-    """Write frame numbers [F], times [F] and clouds of a drive; return its numbers of frames and points."""
-    file.put("frame", np.asarray(frame, np.int32))
-    file.put("time_s", time_s, unit="s")
-    file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
-    file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
-    counts = []
-    for xyz, cls in clouds:
-        file.append("xyz", xyz)
-        file.append("cls", cls)
-        counts.append(len(xyz))
-    file.put_pointers("ptr", counts, unit="row")
-    return {"frames": len(counts), "points": sum(counts)}
-
-
-def check_not_empty(summaries: Mapping[str, Mapping[str, int]], splits: Mapping[str, str]) -> None:
-    """Raise InputError if a split has frames but no point in any of them; drives that lack images or scans may.
-
-    `summaries`: drive → numbers of frames and points, as :func:`write` returns them; `splits`: drive → its split.
+    `kind`: pseudo (of images) or lidar (of scans); `ingest` and `perception`: the drive's files of these stages.
     """
-    for split in dict.fromkeys(splits.values()):
-        drives = [summary for drive, summary in summaries.items() if splits[drive] == split]
-        frames = sum(summary["frames"] for summary in drives)
-        if frames and not sum(summary["points"] for summary in drives):
-            raise InputError(f"no point in any of the {frames} frames of the {split} drives")
+    counts = []
+    with open_frames(ingest, perception, scans=kind == "lidar") as frames:
+        params, K = frames.params | {"clouds": settings.model_dump()}, frames.camera.K
+        with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
+            file.put("frame", frames.frame)
+            file.put("time_s", frames.time_s, unit="s")
+            file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
+            file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
+            for frame in frames:
+                if kind == "lidar":
+                    xyz, cls = lidar_cloud(frame.scan, frames.camera.T_cam_velo, K, frame.cls)
+                else:
+                    xyz, cls = pseudo_cloud(frame.depth_m, frame.cls, K, settings.max_depth_m)
+                drawn = sample(len(xyz), settings.max_points, frame_rng(settings.seed, frames.drive, frame.number))
+                xyz, cls = ordered((xyz[drawn], cls[drawn]))
+                file.append("xyz", xyz)
+                file.append("cls", cls)
+                counts.append(len(xyz))
+            file.put_pointers("ptr", counts, unit="row")
+    return {"frames": len(counts), "points": sum(counts)}
 
 
 def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
@@ -148,9 +108,7 @@ def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Draw at most `limit` of the indices 0..count-1 without replacement, ascending, which keeps Morton order."""
     if count <= limit:
         return np.arange(count)
-    drawn = np.zeros(count, bool)
-    drawn[rng.choice(count, limit, replace=False, shuffle=False)] = True
-    return np.flatnonzero(drawn)
+    return np.sort(rng.choice(count, limit, replace=False, shuffle=False))
 
 
 def sample_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
@@ -168,19 +126,15 @@ def sample_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np
     return np.sort(shuffled[np.argsort(rank, kind="stable")[:limit]])
 
 
-def quantise(xyz: np.ndarray) -> np.ndarray:
-    """Round coordinates to multiples of RESOLUTION_M, which are exact in float32 up to 16 km."""
-    return (np.rint(xyz / RESOLUTION_M) * RESOLUTION_M).astype(np.float32)
-
-
-def morton_order(xyz: np.ndarray) -> np.ndarray:
-    """Return the permutation [P] that sorts points [P,3] along a Z-order curve.
+def ordered(cloud: Cloud) -> Cloud:
+    """Return a cloud in Morton order, with coordinates rounded to multiples of RESOLUTION_M.
 
     Neighbours in space become neighbours in memory: kNN and sparse products are faster, files compress better.
     """
-    grid = np.clip(np.floor(xyz / RESOLUTION_M) + 2**20, 0, 2**21 - 1).astype(np.uint64)
-    code = _spread(grid[:, 0]) | (_spread(grid[:, 1]) << np.uint64(1)) | (_spread(grid[:, 2]) << np.uint64(2))
-    return np.argsort(code, kind="stable")
+    cells = np.rint(cloud[0] / RESOLUTION_M)
+    x, y, z = (_spread(axis) for axis in np.clip(cells + 2**20, 0, 2**21 - 1).astype(np.uint64).T)
+    order = np.argsort(x | (y << np.uint64(1)) | (z << np.uint64(2)), kind="stable")
+    return (cells[order] * RESOLUTION_M).astype(np.float32), cloud[1][order]
 
 
 def _spread(x: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Build a variant of the networks' input, data/graphs/<variant>/<drive>.h5: sample clouds, connect or group points."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import transform
-from pipeline.graphs import graph, graph_file, neighbourhoods
+from pipeline.graphs import graph, graph_file
 from pipeline.graphs.cloud import Cloud, frame_rng, ordered, sample_points
 from pipeline.graphs.graph_file import Column, Columns
 from pipeline.settings.graphs import Variant
@@ -20,38 +20,30 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
     `source`: the drive's clouds, or with images its file of stage ingest; `motion`: its file of that stage.
     """
     with (
-        DriveReader(source, stage=variant.source.split("/")[0]) as input_file,
+        DriveReader(source, stage=variant.source.split("/")[0]) as content,
         DriveReader(motion, stage="motion") as measured,
     ):
-        params = measured.params | input_file.params | {"graphs": variant.model_dump(exclude_unset=True)}
-        with DriveWriter(path, stage="graphs", drive=input_file.drive, params=params) as file:
-            if variant.kind == "image":
-                rows = np.flatnonzero(input_file["has_image"])
-                empty = {"image": Column(input_file.rows("image", 0, 0), "RGB", "ptr")}
-                frames = _images(input_file, rows)
-            else:
-                rows = np.arange(len(input_file.frame))
-                frames, empty = _points(input_file, measured, variant), empty_frame(variant)
-            frame = input_file.frame[rows]
-            counts = graph_file.write(file, frame, input_file.time_s[rows], frames, empty)
-            graph_file.put_motion(file, frame, measured)
+        frames: Iterable[Columns]
+        if variant.kind == "image":
+            rows = np.flatnonzero(content["has_image"])
+            frames = ({"image": Column(content.rows("image", row, row + 1), "RGB", "ptr")} for row in rows.tolist())
+            empty = {"image": Column(content.rows("image", 0, 0), "RGB", "ptr")}
+        else:
+            rows, empty, clouds = np.arange(len(content.frame)), empty_frame(variant), _clouds(content)
+            if variant.accumulate:
+                clouds = accumulated(clouds, read_steps(measured, variant.source), variant.accumulate.frames)
+            frames = (build(cloud, variant, content.drive, number) for number, cloud in clouds)
+        params = measured.params | content.params | {"graphs": variant.model_dump(exclude_unset=True)}
+        with DriveWriter(path, stage="graphs", drive=content.drive, params=params) as file:
+            counts = graph_file.write(file, content.frame[rows], content.time_s[rows], frames, empty)
+            graph_file.put_motion(file, content.frame[rows], measured)
     return counts
 
 
-def _images(raw: DriveReader, rows: np.ndarray) -> Iterator[Columns]:
-    for row in rows.tolist():
-        yield {"image": Column(raw.rows("image", row, row + 1), "RGB", "ptr")}
-
-
-def _points(clouds: DriveReader, motion: DriveReader, variant: Variant) -> Iterator[Columns]:
-    """Yield the graph of each cloud, combined with previous ones if the variant accumulates."""
-    accumulator = Accumulator(variant.accumulate.frames) if variant.accumulate else None
-    T_before = read_steps(motion, variant.source) if accumulator else {}
-    for row, number in enumerate(clouds.frame.tolist()):
-        points: Cloud = clouds.rows_of("xyz", row), clouds.rows_of("cls", row)
-        if accumulator:
-            points = accumulator.add(number, points, T_before.get(number))
-        yield build(points, variant, clouds.drive, number)
+def _clouds(file: DriveReader) -> Iterator[tuple[int, Cloud]]:
+    """Yield the number of each frame with its cloud."""
+    for row, number in enumerate(file.frame.tolist()):
+        yield number, (file.rows_of("xyz", row), file.rows_of("cls", row))
 
 
 def build(cloud: Cloud, variant: Variant, drive: str, number: int) -> Columns:
@@ -73,11 +65,11 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns
         built = graph.build(xyz, cls, variant.k, variant.keep_inter_class, rng)
         columns["degree"] = Column(built.degree, "neighbours", "ptr")
         columns["indices"] = Column(built.indices.astype(dtype), "node", "indices_ptr", "xyz")
-        for name, edges in {"edges_knn": built.edges_knn, "edges_kept": built.edges_kept}.items():
-            columns[name] = Column(np.array([edges], np.int32), "directed edges")
+        columns["edges_knn"] = Column(np.array([built.edges_knn], np.int32), "directed edges")
+        columns["edges_kept"] = Column(np.array([built.edges_kept], np.int32), "directed edges")
         return columns
     points = "xyz"  # column whose rows a level samples
-    for number, level in enumerate(neighbourhoods.levels(xyz, variant.levels, rng), start=1):
+    for number, level in enumerate(graph.levels(xyz, variant.levels, rng), start=1):
         centres, pointer = f"centres_{number}", f"centres_{number}_ptr"
         for name, rows in zip((centres, f"neighbours_{number}"), level, strict=True):
             columns[name] = Column(rows.astype(dtype), points, pointer, points)
@@ -105,33 +97,24 @@ def read_steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
     return dict(zip(motion.frame[valid].tolist(), steps, strict=True))
 
 
-class Accumulator:
-    """Combines each cloud with up to `frames` - 1 previous ones.
+def accumulated(
+    clouds: Iterable[tuple[int, Cloud]], steps: Mapping[int, np.ndarray], frames: int
+) -> Iterator[tuple[int, Cloud]]:
+    """Combine each cloud with up to `frames` - 1 previous ones, in its coordinates; `steps`: see :func:`read_steps`.
 
     It reaches back as long as frame numbers are consecutive and motion is valid. So it starts anew after a halt, since
     standstill looks like unmeasured motion. Moving objects leave a trace, and objects that the car has passed
     lie behind the camera.
     """
-
-    def __init__(self, frames: int) -> None:
-        self._frames = frames
-        self._clouds: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
-        self._last: int | None = None
-
-    def add(self, number: int, cloud: Cloud, T_before: np.ndarray | None) -> Cloud:
-        """Return the combined cloud of the next frame, in its coordinates.
-
-        `T_before`: the step to this frame, see :func:`read_steps`; None if it was not measured.
-        """
-        if self._last is None or number != self._last + 1 or T_before is None:
-            self._clouds = []
+    recent: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
+    last = -2
+    for number, cloud in clouds:
+        if number == last + 1 and number in steps:
+            T_now_before = np.linalg.inv(steps[number])
+            recent = [(T_now_before @ T_before_then, then) for T_before_then, then in recent[1 - frames :]]
         else:
-            T_now_before = np.linalg.inv(T_before)
-            previous = self._clouds[1 - self._frames :]
-            self._clouds = [(T_now_before @ T_before_then, then) for T_before_then, then in previous]
-        self._clouds.append((np.eye(4), cloud))
-        self._last = number
-        return (
-            np.concatenate([transform(T_now_then, xyz) for T_now_then, (xyz, _) in self._clouds]).astype(np.float32),
-            np.concatenate([cls for _, (_, cls) in self._clouds]),
-        )
+            recent = []
+        recent.append((np.eye(4), cloud))
+        last = number
+        xyz = np.concatenate([transform(T_now_then, then[0]) for T_now_then, then in recent])
+        yield number, (xyz.astype(np.float32), np.concatenate([then[1] for _, then in recent]))

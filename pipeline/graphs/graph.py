@@ -1,7 +1,7 @@
-"""The kNN graph of a cloud, and its semantic pruning (paper section 4.2, Fig. 3)."""
+"""Connect the points of a cloud: the kNN graph with semantic pruning, or PointNet++'s neighbourhoods."""
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,26 +11,20 @@ _FLANN = {"algorithm": 4, "leaf_max_size": 10, "reorder": True}  # FLANN_INDEX_K
 _EXACT = {"checks": -1, "eps": 0.0, "sorted": True}  # checks = -1: unlimited
 
 
-@dataclass(frozen=True)
-class Graph:
-    """A symmetric graph on P nodes as CSR without self-loops.
+class Graph(NamedTuple):
+    """A symmetric graph on P nodes as CSR without self-loops."""
 
-    degree: uint8 [P], neighbours per node.
-    indices: int32 [sum(degree)], concatenated neighbour lists, ascending within a node.
-    edges_knn, edges_kept: directed kNN edges before and after pruning, as the paper counts them (600 for 100 points).
-    """
-
-    degree: np.ndarray
-    indices: np.ndarray
-    edges_knn: int
-    edges_kept: int
+    degree: np.ndarray  # uint8 [P], neighbours per node
+    indices: np.ndarray  # int32 [sum(degree)], concatenated neighbour lists, ascending within a node
+    edges_knn: int  # directed kNN edges, as the paper counts them: 600 for 100 points
+    edges_kept: int  # those after pruning
 
 
 def build(xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng: np.random.Generator) -> Graph:
-    """Connect each point [P,3] to its `k` nearest, make the edges undirected, and prune edges between classes.
+    """Connect each point [P,3] to its `k` nearest and prune edges between classes (paper section 4.2, Fig. 3).
 
-    Edges within a class of `cls` [P] stay. Of the edges between classes, a random fraction `keep_inter_class` stays.
-    Raises InputError if a point has more than 255 neighbours.
+    Edges are undirected. Those within a class of `cls` [P] stay; of those between classes, a random fraction
+    `keep_inter_class` stays. Raises InputError if a point has more than 255 neighbours.
     """
     return prune(undirected(nearest(xyz, k)), cls, keep_inter_class, rng)
 
@@ -52,12 +46,9 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
 
 
 def undirected(neighbours: np.ndarray) -> Any:
-    """Return the symmetric matrix of neighbour counts: 2 where i and j are neighbours of each other, 1 where one is.
+    """Return the symmetric matrix of the `neighbours` [P,k] of each point: scipy's csr_array uint8 [P,P].
 
-    Args:
-        neighbours: [P,k], the nearest points of each point.
-    Returns:
-        scipy.sparse.csr_array uint8 [P,P], ascending in each row.
+    It is 2 where two points are neighbours of each other, 1 where one is the other's; ascending in each row.
     """
     from scipy.sparse import csr_array
 
@@ -70,24 +61,77 @@ def undirected(neighbours: np.ndarray) -> Any:
 
 def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> Graph:
     """Return the graph of an :func:`undirected` matrix [P,P] after pruning; arguments as in :func:`build`."""
-    starts, column = matrix.indptr, matrix.indices
-    row = np.repeat(np.arange(len(cls), dtype=column.dtype), np.diff(starts))
-    between = np.flatnonzero(cls[row] != cls[column])
-    between = between[row[between] < column[between]]  # the first of the two entries of an edge
-    dropped = np.ones(len(between), bool)
-    dropped[rng.choice(len(between), round(keep_inter_class * len(between)), replace=False)] = False
-    entry = np.arange(len(column), dtype=column.dtype)
-    second = type(matrix)((entry, column, starts), shape=matrix.shape).T.tocsr().data  # (i, j) → entry (j, i)
-    removed = np.concatenate([between[dropped], second[between[dropped]]])
-    keep = np.ones(len(column), bool)
-    keep[removed] = False
-    degree = np.diff(starts) - np.bincount(row[removed], minlength=len(cls))
-    if degree.max(initial=0) > 255:
-        # Only coinciding points reach this: for distinct points the bound is about 12 k.
+    column = matrix.indices
+    row = np.repeat(np.arange(len(cls), dtype=column.dtype), np.diff(matrix.indptr))
+    between = np.flatnonzero((cls[row] != cls[column]) & (row < column))  # the first of the two entries of an edge
+    kept = rng.choice(len(between), round(keep_inter_class * len(between)), replace=False)
+    removed = np.zeros(len(column), bool)
+    removed[np.delete(between, kept)] = True
+    # The other entry of each edge: a symmetric matrix and its transpose have their entries in the same order.
+    removed |= type(matrix)((removed, column, matrix.indptr), shape=matrix.shape).T.tocsr().data
+    degree = np.bincount(row[~removed], minlength=len(cls))
+    if degree.max(initial=0) > 255:  # only coinciding points: for distinct ones the bound is about 12 k
         raise InputError(f"a point has {degree.max()} neighbours (at most 255)", fix="Set a smaller k")
-    return Graph(
-        degree.astype(np.uint8),
-        column[keep],
-        edges_knn=int(matrix.data.sum()) // 2,
-        edges_kept=int(matrix.data[keep].sum()) // 2,
-    )
+    edges_knn, edges_kept = (int(counts.sum()) // 2 for counts in (matrix.data, matrix.data[~removed]))
+    return Graph(degree.astype(np.uint8), column[~removed], edges_knn, edges_kept)
+
+
+LevelSize = tuple[int, float, int]
+"""Centres, radius in metres, neighbours per centre."""
+Grouping = tuple[np.ndarray, np.ndarray]
+"""Centres int64 [M], the sampled points, and neighbours int64 [M,n], the points in the ball around each centre."""
+
+
+def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:
+    """Sample and group the points [P,3], then the resulting centres, and so on: a set abstraction for each size.
+
+    Paper eq. 1; Qi et al. 2017.
+    """
+    result = []
+    # Points are stored in Morton order, so the first points of a ball would be one corner of it. In the reference the
+    # order is random, hence the permutation. Later levels are in the order of farthest point sampling, in which the
+    # first points are evenly spread.
+    order = rng.permutation(len(xyz))
+    for count, radius_m, neighbours in sizes:
+        centres = farthest_points(xyz, count)
+        result.append((centres, ball_query(xyz, centres, radius_m, neighbours, order)))
+        xyz = xyz[centres]
+        order = np.arange(len(xyz))
+    return result
+
+
+def farthest_points(xyz: np.ndarray, count: int) -> np.ndarray:
+    """Sample points [P,3] iteratively, each the farthest from the previous ones, starting with the first point.
+
+    Returns: indices int64 [min(count, P)] in sampling order. Ties take the first point.
+    """
+    axes = np.ascontiguousarray(xyz.T, np.float64)
+    sampled = np.zeros(min(count, len(xyz)), np.int64)
+    distance = np.full(len(xyz), np.inf)  # squared, to the nearest sample
+    for step in range(1, len(sampled)):
+        np.minimum(distance, _squared_distances(axes, sampled[step - 1]), out=distance)
+        sampled[step] = distance.argmax()
+    return sampled
+
+
+def ball_query(xyz: np.ndarray, centres: np.ndarray, radius_m: float, neighbours: int, order: np.ndarray) -> np.ndarray:
+    """Return the first `neighbours` points of the ball around each centre, int64 [M,neighbours].
+
+    `centres` [M] are rows of the points xyz [P,3]; `order` [P] is a permutation in which points are searched. Balls
+    with fewer points repeat the first, as in the reference; a maximum over the neighbours is not affected.
+    """
+    axes = np.ascontiguousarray(xyz[order].T, np.float64)
+    members = np.empty((len(centres), neighbours), np.int64)
+    for row, centre in enumerate(np.argsort(order)[centres]):
+        ball = np.flatnonzero(_squared_distances(axes, centre) <= radius_m**2)[:neighbours]
+        members[row] = ball[0]  # a centre is in its own ball
+        members[row, : len(ball)] = ball
+    return order[members]
+
+
+def _squared_distances(axes: np.ndarray, centre: int) -> np.ndarray:
+    """Return squared distances [P] of points [3,P], exact in float64 for the multiples of 1/1024 m that are stored.
+
+    Rows of coordinates are four times faster than points in rows.
+    """
+    return np.asarray(((axes - axes[:, centre, None]) ** 2).sum(axis=0))

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from pipeline.base import store
 from pipeline.base.params import FrameKind
@@ -44,20 +43,16 @@ class Column(NamedTuple):
 Columns = dict[str, Column]
 
 
-class Contents(BaseModel):
+class Contents(NamedTuple):
     """Kind of the frames, and the sizes that a network takes from them."""
 
-    model_config = ConfigDict(frozen=True)
     kind: FrameKind
-    levels: int = 0
-    image_size: tuple[int, int] | None = None
+    levels: int = 0  # of PointNet++
+    image_size: tuple[int, int] | None = None  # (H, W)
 
     def __str__(self) -> str:
-        if self.kind == "image":
-            return "images of {} x {} pixels".format(*self.image_size or ("?", "?"))
-        return (
-            "kNN graphs" if self.kind == "graph" else f"points with PointNet++ neighbourhoods in {self.levels} levels"
-        )
+        sizes = {"pointnet2": f" with {self.levels} levels", "image": f" of {self.image_size} (H, W) pixels"}
+        return f"frames of kind {self.kind}{sizes.get(self.kind, '')}"
 
 
 class MeasuredMotion(NamedTuple):
@@ -92,12 +87,11 @@ def write(
 
 def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveReader) -> None:
     """Write the measured motion of frame numbers [F]; 0 and not valid for frames that the motion file lacks."""
-    row = np.searchsorted(motion.frame, frame)
-    measured = np.isin(frame, motion.frame)
+    _, here, measured = np.intersect1d(frame, motion.frame, return_indices=True)
     for name, (source, unit) in MOTION.items():
         values = motion[source]
         column = np.zeros(len(frame), values.dtype)
-        column[measured] = values[row[measured]]
+        column[here] = values[measured]
         file.put(name, column, unit)
 
 
@@ -106,7 +100,6 @@ class Graphs(store.DriveReader):
 
     @cached_property
     def contents(self) -> Contents:
-        """Kind and sizes of the frames."""
         if "image" in self:
             _, height, width, _ = self.shape("image")
             return Contents(kind="image", image_size=(height, width))

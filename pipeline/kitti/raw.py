@@ -15,9 +15,8 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError, closest, error_context
 from pipeline.base.resume import file_hash
 from pipeline.base.store import replacing
-from pipeline.camera.camera import Camera
+from pipeline.camera.camera import Camera, camera_height
 from pipeline.camera.images import Size
-from pipeline.camera.mount import camera_height
 from pipeline.kitti.oxts import STEERING
 
 HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons

@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
-from pipeline.camera.drive_frames import open_frames
+from pipeline.camera.camera import open_frames
 from pipeline.motion.step import LEAST_NOISE, PROBLEMS, durations, filter_speed, rates
 from pipeline.motion.visual import Odometry
 

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.perception.truth import read_truth
 
 CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch

@@ -7,8 +7,7 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera
-from pipeline.camera.geometry import scan_depth
+from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import to_metres
 
 OCCLUDER_RAD = 0.004

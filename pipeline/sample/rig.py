@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.camera.camera import Camera
-from pipeline.camera.mount import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
+from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
 from pipeline.kitti.raw import write_entries
 from pipeline.sample.route import IMU_HEIGHT_M
 

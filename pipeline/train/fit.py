@@ -93,7 +93,7 @@ def fit_run(run: Run, job: Job) -> None:
         torch.set_num_threads(1)
     torch.manual_seed(run.seed)
     with error_context(where=job.where):
-        net = entry.build(**contents.model_dump(), outputs=len(train[0].columns))
+        net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
     net.to(device, torch.float64 if settings.precision == "float64" else None)
     inputs = {
         "entry": entry.model_dump(mode="json"),
@@ -106,7 +106,7 @@ def fit_run(run: Run, job: Job) -> None:
         "kind": predict.KIND,
         "name": job.name,
         "seeds": settings.seeds,
-        "contents": contents.model_dump(exclude_defaults=True),
+        "contents": contents._asdict(),
         "settings": train[0].settings,
         "drives": [drive.name for drive in train],
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),

@@ -100,7 +100,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
         try:
             entry, contents = Entry.model_validate(content["entry"]), Contents(**content["contents"])
             scale = Scale.parse(content["scale"])
-            net = entry.build(**contents.model_dump(), outputs=len(scale.names))
+            net = entry.build(**contents._asdict(), outputs=len(scale.names))
             about = {key: content[key] for key in ("name", "seed", "seeds", "fold", "settings", "drives", "fps")}
         except (AttributeError, InputError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error

@@ -13,7 +13,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.outputs import WORK
 from pipeline.base.store import DriveReader
-from pipeline.camera.mount import CAMERA_HEIGHT_M
+from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.kitti.ingest import ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive

@@ -13,7 +13,7 @@ from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
 from models.encoder.unified_encoder import build, ray_slopes
 from pipeline.camera import classes
-from pipeline.camera.geometry import scan_depth
+from pipeline.camera.camera import scan_depth
 from pipeline.camera.images import read_image, resized
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.perception.perceive import perceive

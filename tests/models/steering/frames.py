@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from models.steering.core.batch import Batch, from_arrays
-from pipeline.graphs import neighbourhoods
+from pipeline.graphs.graph import levels
 from pipeline.graphs.graph_file import Arrays
 
 REFERS_TO = {"indices": "xyz", "centres_1": "xyz", "neighbours_1": "xyz"}
@@ -30,8 +30,8 @@ def graph(count: int, seed: int = 0) -> Arrays:
 def sets(count: int, seed: int = 0) -> Arrays:
     """Return a frame with two levels of neighbourhoods."""
     arrays = points(count, seed)
-    levels = neighbourhoods.levels(arrays["xyz"], [(12, 8.0, 5), (4, 16.0, 6)], np.random.default_rng(seed))
-    for number, (centres, neighbours) in enumerate(levels, start=1):
+    made = levels(arrays["xyz"], [(12, 8.0, 5), (4, 16.0, 6)], np.random.default_rng(seed))
+    for number, (centres, neighbours) in enumerate(made, start=1):
         arrays |= {f"centres_{number}": centres, f"neighbours_{number}": neighbours}
     return arrays
 

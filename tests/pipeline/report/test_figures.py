@@ -9,10 +9,11 @@ import pytest
 from pipeline.base import store
 from pipeline.camera.camera import read_camera
 from pipeline.camera.classes import VOID
-from pipeline.graphs import cloud
+from pipeline.graphs.cloud import clouds_drive
 from pipeline.report import figures
 from pipeline.report.path import wheel_tracks
 from pipeline.report.results import load_groups
+from pipeline.settings.clouds import Clouds
 from tests import street
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics
@@ -28,10 +29,8 @@ def test_pictures_show_what_the_encoder_has(
     monkeypatch.setattr("matplotlib.axes.Axes.set_title", lambda _, title, **style: titles.append(title))
     street.write_drive(tmp_path / "ingest", DRIVE, 9)
     street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
-    with store.DriveWriter(tmp_path / f"clouds/pseudo/{DRIVE}.h5", stage="clouds", drive=DRIVE, params={}) as file:
-        scenes = [street.scene(frame)[1:] for frame in range(9)]
-        clouds = [cloud.pseudo_cloud(*scene, street.K, 80.0) for scene in scenes]
-        cloud.write(file, np.arange(9), np.arange(9) / 10, clouds)
+    files = [tmp_path / f"{stage}/{DRIVE}.h5" for stage in ("clouds/pseudo", "ingest", "perception")]
+    clouds_drive(files[0], "pseudo", *files[1:], Clouds(max_points=2048, max_depth_m=80.0, seed=0))
     if not with_classes:
         for name in (f"perception/{DRIVE}.h5", f"clouds/pseudo/{DRIVE}.h5"):
             with h5py.File(tmp_path / name, "a") as file:

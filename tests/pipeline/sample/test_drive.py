@@ -1,5 +1,6 @@
 """The sample: routes, motion, sensors and rays; images, depths, scans and packets show the same scene."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,15 @@ from pipeline.kitti.oxts import COLUMNS, VF, WU, read_times
 from pipeline.kitti.raw import KittiDrive, cameras_in, read_calibration, read_scan
 from pipeline.labels.label import steering_angle
 from pipeline.sample import motion, shapes
-from pipeline.sample.drive import render_drive
+from pipeline.sample.drive import random_of, render_drive, theme
 from pipeline.sample.light import draw_ground_colours
 from pipeline.sample.manoeuvres import DECK, draw_route
-from pipeline.sample.motion import FRAMES_AFTER, Journey, draw_body, frame_times, speed_profile
+from pipeline.sample.motion import FRAMES_AFTER, Journey, draw_body, draw_journey, frame_times, speed_profile
 from pipeline.sample.oxts import ALTITUDE_M, RATES_LATE_S, oxts_rows
-from pipeline.sample.plan import ASPHALT, GRASS, KERB_M, Plan
+from pipeline.sample.plan import ASPHALT, GRASS, KERB_M, Plan, draw_character, draw_plan
 from pipeline.sample.rig import make_rig, rotation, write_calibration
-from pipeline.sample.route import AHEAD_M, STEP_M
+from pipeline.sample.route import AHEAD_M, IMU_LEFT_M, STEP_M, unit
+from pipeline.sample.street import build_street
 from pipeline.sample.world import World
 from pipeline.settings.ingest import Ingest
 
@@ -121,6 +123,26 @@ def test_rays_hit_road_grass_and_wall(world: World) -> None:
     np.testing.assert_array_equal(hits.cls, [classes.ROAD, classes.TERRAIN, classes.BUILDING, classes.SKY])
     np.testing.assert_allclose(hits.distance_m, [3, 3 - KERB_M, 9.5, np.inf], rtol=1e-5)
     np.testing.assert_allclose(hits.normal.T, [[0, 0, 1], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("drive", ["2026_01_01_drive_0001", "2026_01_06_drive_0003"])
+def test_ego_touches_nothing(drive: str) -> None:
+    """In a tight right turn and a narrow street: the outline is on road, and rays from frame to frame hit nothing."""
+    rng, (quarter, first) = random_of(drive, seed=0), theme(drive)
+    character = draw_character(rng, quarter)
+    journey = draw_journey(rng, 60, character, first)
+    plan = draw_plan(journey.route, rng, character)
+    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
+    ahead, left = unit(journey.heading_rad), unit(journey.heading_rad + np.pi / 2)
+    for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):  # from the centre of the rear axle
+        places = journey.xy + forward * ahead + (aside - IMU_LEFT_M) * left
+        assert (plan.to_road_m[plan.cells(*places.T)] == 0).all()
+        steps = np.diff(places, axis=0)
+        length = np.linalg.norm(steps, axis=1)
+        for height in (0.4, 1.5):
+            starts = np.column_stack([places[:-1], np.full(len(steps), height)])
+            rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(np.float32)
+            assert (world.cast(rays.T).distance_m > length).all()
 
 
 NAME = "2026_01_01_drive_0001"

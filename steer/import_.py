@@ -21,10 +21,8 @@ steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_0
 
 import dataclasses
 import math
-import shlex
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -33,9 +31,8 @@ from pipeline.base.params import SPLITS
 from steer import options
 
 Offset = Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")]
-Gap = Annotated[float, options.number(0, 3600, "longest interval between samples that is interpolated, seconds")]
 Start = Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")]
-End = Annotated[float | None, options.number(0, 1e10, "leave out this and later images")]
+End = Annotated[float, options.number(0, math.inf, "leave out this and later images")]
 _SPLIT = "write three consecutive drives with these shares of the time in %, and presets/DRIVE.yaml"
 Horizon = Annotated[float | None, options.number(-10000, 10000, "row of the road's horizon; default: estimated")]
 Split = Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)]
@@ -56,49 +53,45 @@ def import_recording(
     times: options.Times = None,
     fps: options.Fps = None,
     offset: Offset = 0.0,
-    max_gap: Gap = 2.0,
     start: Start = 0.0,
-    end: End = None,
+    end: End = math.inf,
     split: Split = None,
     camera_height: options.CameraHeight = None,
     replace: Annotated[bool, typer.Option("--replace", help="replace unchanged drives of an earlier import")] = False,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
     """Write drives and print what to do next; the module's docstring is the help text."""
     from pipeline.settings.preset import PRESETS
     from pipeline.video import drive_preset
-    from pipeline.video.import_recording import Import
+    from pipeline.video.import_recording import import_drives
     from pipeline.video.lens import find_horizon, pinhole, undistortion
-    from pipeline.video.log import check_ratio, read_motion, read_wheel
+    from pipeline.video.log import Logs
     from pipeline.video.recording import open_recording
 
-    output = options.Output(quiet, as_json)
-    check_ratio(wheel, steering_ratio)
-    if end is not None and end <= start:
-        raise InputError(f"--end {end:g} is not after --start {start:g}")
-    shares = _shares(split)
-    preset = PRESETS / f"{drive}.yaml" if split else None
+    shares, preset = _shares(split), PRESETS / f"{drive}.yaml" if split else None
     if preset:
         drive_preset.check_unchanged(preset)
-    log = read_motion(motion, offset) if motion else None
-    angles = read_wheel(wheel, steering_ratio, offset) if wheel and steering_ratio else None
-    opened = open_recording(recording, fps, times)
-    if opened.fps is None and opened.times_s is None:
-        raise InputError("images have no times", recording, "Pass --fps N, or --times FILE")
+    logs, opened = Logs.read(wheel, steering_ratio, motion, offset), open_recording(recording, fps, times)
     camera = pinhole(opened.size, calib=calib, fov_deg=fov, K=k)
     if distortion:
         opened.straighten = undistortion(camera, distortion)
     camera = dataclasses.replace(camera, horizon=find_horizon(opened.frames(), camera) if horizon is None else horizon)
-    work = Import(opened, camera, log, angles, max_gap, start, math.inf if end is None else end)
-    summary = work.write(out, drive, shares, replace=replace, visible=output.visible)
-    labels = "oxts" if log else "wheel" if angles else "visual"
+    imported = import_drives(opened, camera, logs, out, drive, shares, start_s=start, end_s=end, replace=replace)
+    labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
+    for name, images in imported.images.items():
+        print(f"{out / name[:10] / name}_sync: {images} images")
+    row = (
+        "not found, assuming a level camera (or pass --horizon)" if camera.horizon is None else f"{camera.horizon:.0f}"
+    )
+    print(f"{imported.angles} steering angles; row of the horizon: {row}")
     if preset:
-        drive_preset.write(preset, summary["manifests"], labels, summary["hz"], camera, camera_height)
-    for line in _lines(summary, out, labels, camera_height, preset):
-        output.line(line)
-    output.result(summary | {"preset": preset, "K": camera.K.tolist()})
+        drive_preset.write(preset, imported.manifests, labels, imported.hz, camera, camera_height)
+        print(f"next: make street && make {preset.stem}")
+        return
+    height = f", perception.camera_height_m: {camera_height:g}" if camera_height else ""
+    manifest = f"{{{drive}: {imported.manifests[drive]}}}"
+    settings = f"ingest.source: kitti, ingest.manifests: {manifest}, labels.source: {labels}{height}"
+    print(f"next: set {settings} in params.yaml, replace ingest.drives by {drive} and others, run dvc repro")
 
 
 def _shares(split: str | None) -> list[float]:
@@ -112,27 +105,3 @@ def _shares(split: str | None) -> list[float]:
     if len(shares) != len(SPLITS) or not all(share > 0 for share in shares) or not math.isclose(sum(shares), 100):
         raise InputError(f"expected three shares above 0 with the sum 100, got {split!r}", "--split", "Pass 60,20,20")
     return shares
-
-
-def _lines(
-    summary: Mapping[str, Any], out: Path, labels: str, height_m: float | None, preset: Path | None
-) -> Iterator[str]:
-    """Yield what was written, and how to train; with a preset, the commands can be copied."""
-    from pipeline.base.resume import ROOT
-
-    for (drive, frames), folder in zip(summary["drives"].items(), summary["folders"], strict=True):
-        yield f"{drive}: {frames} of {summary['images']} images, written to {folder}"
-    row = summary["horizon"]
-    yield "{first_s:.3f} to {last_s:.3f} s, {steering_angles} steering angles".format_map(summary)
-    yield f"horizon: {'not found, assuming a level camera (or pass --horizon)' if row is None else f'row {row:.0f}'}"
-    first, manifest = next(iter(summary["manifests"].items()))
-    if preset is None:
-        height = f", perception.camera_height_m: {height_m:g}" if height_m else ""
-        settings = f"ingest.source: kitti, ingest.manifests: {{{first}: {manifest}}}, labels.source: {labels}{height}"
-        yield f"next: set {settings} in params.yaml, replace ingest.drives by {first} and others, run dvc repro"
-        return
-    yield f"settings: {preset}"
-    raw, date = ROOT / "data" / "raw", first[:10]
-    link = f"mkdir -p {raw} && ln -sfT {shlex.quote(str(out.resolve() / date))} {raw / date} && "
-    place = "" if Path.cwd() == ROOT else f" -C {shlex.quote(str(ROOT))}"
-    yield f"next: {'' if out.resolve() == raw.resolve() else link}make{place} street && make{place} {preset.stem}"

@@ -38,26 +38,19 @@ def measure(
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
         "weights/street"
     ),
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
     from pipeline.labels.label import Car
     from pipeline.perception.perceive import FILE
     from pipeline.video import measure as video_measure
-    from pipeline.video.results import Logs
+    from pipeline.video.log import Logs
     from pipeline.video.source import open_source
 
-    output, logs = options.Output(quiet, as_json), Logs.read(wheel, steering_ratio, motion)
+    logs = Logs.read(wheel, steering_ratio, motion)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     opened = open_source(source, video_measure.CAMERAS, camera_height, max_frames=max_frames, **how)
-    show = {"video": video, "visible": output.visible}
-    results, quality, files = video_measure.measure(opened, out, encoder, Car(wheelbase, MIN_SPEED_MPS), logs, **show)
-    comparison = results.compare("measured")
-    for line in (*opened.notes, *results.lines(comparison), *quality["remarks"], ", ".join(map(str, files))):
-        output.line(line)
-    content = {"source": opened.name, **results.summary(), "notes": opened.notes, "quality": quality}
-    output.result({**content, "comparison": comparison, "files": files})
+    lines, files = video_measure.measure(opened, out, encoder, Car(wheelbase, MIN_SPEED_MPS), logs, video=video)
+    print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")

@@ -38,33 +38,23 @@ def predict(
     encoder: Annotated[
         Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
     ] = None,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
     debug: options.Debug = False,
 ) -> None:
     """Write the predicted angles and print their errors; the module's docstring is the help text."""
     from pipeline.train.predict import load
     from pipeline.video import predict as video_predict
-    from pipeline.video.results import Logs
+    from pipeline.video.log import Logs
     from pipeline.video.source import open_source
 
-    output, logs = options.Output(quiet, as_json), Logs.read(wheel, steering_ratio, motion)
+    logs = Logs.read(wheel, steering_ratio, motion)
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
     model = TRAINED / model if named else model
     trained, encoder = load(model), encoder or _encoder_beside(model)
     how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
     opened = open_source(source, video_predict.reading(trained).cameras, height_m, **how)
-    show = {"video": video, "visible": output.visible}
-    results, files = video_predict.predict(trained, opened, out, encoder, logs, **show)
-    horizon, summary = trained.entry.horizon, results.summary()
-    comparison = results.compare("predicted", horizon)
-    ahead = f", each {horizon} frames ahead" if horizon else ""
-    counts = f"{trained.name}: {{predicted}} predictions for {{frames}} frames{ahead}".format_map(summary)
-    for line in (*opened.notes, *results.lines(comparison), counts, ", ".join(map(str, files))):
-        output.line(line)
-    about = {"model": trained.name, "source": opened.name, "horizon": horizon, **summary}
-    output.result({**about, "notes": opened.notes, "comparison": comparison, "files": files})
+    lines, files = video_predict.predict(trained, opened, out, encoder, logs, video=video)
+    print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")
 
 
 def _encoder_beside(model: Path) -> Path:

@@ -3,46 +3,15 @@
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.motion.visual import MAX_DEPTH_M, WIDE
-
-_TEXT = """\
-# Train networks on this recording and test them on its end: make street, then make {name}
-ingest:
-  source: kitti                 # data/raw
-  image_size: [192, 640]        # the depth network's training size
-  lidar: false
-  drives: {{{drives}}}
-  manifests:                    # hashes of the imported files: a repeated import runs the stages again
-{manifests}
-
-encoder:                        # of real streets, by make street
-  backbone: street
-  weights: weights/street/encoder.pt
-  epochs: 0
-
-{perception}labels:
-  source: {source}
-
-clouds:
-  max_depth_m: {max_depth_m:.0f}{depth_comment}
-
-graphs:
-  "*": null                     # removes those of params.yaml
-  depth: {{source: clouds/pseudo, points: 1000, k: 6}}
-
-models:                         # {models_comment}
-  "*": null
-  motion: {{input: depth, {network}, motion: visual{base}{horizon}}}
-  scene: {{input: depth, {network}{horizon}}}
-
-train:
-  epochs: 40                    # a single recording is small{rescale}
-"""
 
 
 def check_unchanged(path: Path) -> None:
@@ -69,20 +38,31 @@ def write(
         camera: of the images. Depth grows with focal length / width, and so does its limit.
         height_m: of the camera over the road, which gives measured motion its scale; None: KITTI's.
     """
-    ratio = float(camera.K[0, 0]) / camera.size[1] / WIDE
-    text = _TEXT.format(
-        name=path.stem,
-        drives=", ".join(f"{split}: [{drive}]" for split, drive in zip(SPLITS, manifests, strict=True)),
-        manifests="\n".join(f"    {drive}: {manifest}" for drive, manifest in manifests.items()),
-        source=source,
-        perception=f"perception:\n  camera_height_m: {height_m:g}\n\n" if height_m else "",
-        max_depth_m=MAX_DEPTH_M * max(1.0, ratio),
-        depth_comment="              # far things are large in a narrow view" if ratio > 1 else "",
-        models_comment="the angle a second ahead" if source == "visual" else "the present angle",
-        network="spatial: gnn, temporal: ncp, semantics: 0.0, equivariant: true",
-        base=", base: none" if source == "wheel" else "",
-        horizon=f", horizon: {max(1, round(hz))}" if source == "visual" else "",
-        rescale="\n  rescale: 1.0                  # recorded angles do not scale with the scene" * (source == "wheel"),
-    )
+    network = {"input": "depth", "spatial": "gnn", "temporal": "ncp", "semantics": 0.0, "equivariant": True}
+    if source == "visual":
+        network["horizon"] = max(1, round(hz))
+    settings: dict[str, Any] = {
+        "ingest": {
+            "source": "kitti",
+            "image_size": [192, 640],  # the depth network's training size
+            "lidar": False,
+            "drives": {split: [drive] for split, drive in zip(SPLITS, manifests, strict=True)},
+            "manifests": dict(manifests),
+        },
+        "encoder": {"backbone": "street", "weights": "weights/street/encoder.pt", "epochs": 0},
+        "perception": {"camera_height_m": height_m} if height_m else {},
+        "labels": {"source": source},
+        "clouds": {"max_depth_m": float(round(MAX_DEPTH_M * max(1.0, camera.K[0, 0] / camera.size[1] / WIDE)))},
+        "graphs": {"*": None, "depth": {"source": "clouds/pseudo", "points": 1000, "k": 6}},
+        "models": {
+            "*": None,
+            "motion": network | {"motion": "visual"} | ({"base": "none"} if source == "wheel" else {}),
+            "scene": network,
+        },
+        # A single recording is small. Recorded angles do not scale with the scene.
+        "train": {"epochs": 40} | ({"rescale": 1.0} if source == "wheel" else {}),
+    }
+    text = f"# Train on this recording and test on its end: make street, then make {path.stem}\n"
+    text += yaml.safe_dump(settings, sort_keys=False)
     with replacing(path) as unfinished:
         unfinished.write_text(f"{_first_line(text)}\n{text}", encoding="utf-8")

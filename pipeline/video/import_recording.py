@@ -3,19 +3,16 @@
 import json
 import math
 import shutil
-import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from tqdm import tqdm
 
 from pipeline.base.errors import InputError
-from pipeline.base.executors import default_workers
 from pipeline.base.params import Drive
 from pipeline.base.resume import file_hash
 from pipeline.base.store import replacing
@@ -23,8 +20,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import write_png
 from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering
 from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration, write_entries
-from pipeline.train.loop import side_by_side
-from pipeline.video.log import ROUNDING_S, MotionLog, WheelLog
+from pipeline.video.log import ROUNDING_S, Logs
 from pipeline.video.recording import Recording
 
 CAMERA = 2  # left colour camera, the default of stage ingest
@@ -34,127 +30,112 @@ _NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
 _SAME_PX = 1e-6  # rounding of a calibration file's digits
 
 
-@dataclass(frozen=True)
-class Import:
-    """A recording, with logs of the car's motion and of its steering wheel."""
+class Imported(NamedTuple):
+    """What was written."""
 
-    recording: Recording
-    camera: Camera
-    motion: MotionLog | None
-    wheel: WheelLog | None
-    max_gap_s: float  # longest interval between samples of a log to interpolate over
-    start_s: float = 0.0  # images before and after are left out; since the first image
-    end_s: float = math.inf
+    images: dict[str, int]  # drive → number of images
+    manifests: dict[str, str]  # drive → hash of its manifest
+    angles: int  # images with an angle of the steering wheel
+    hz: float  # frame rate of the recording
 
-    def write(self, root: Path, drive: str, shares: Sequence[float], *, replace: bool, visible: bool) -> dict[str, Any]:
-        """Write drives below `root`, and return counts and times; images without motion are left out.
 
-        Args:
-            drive: name of the first; the others have the following numbers.
-            shares: of the duration, one for each drive; see :func:`cut`.
-            replace: replace drives of an earlier import.
-            visible: show a progress bar.
+def import_drives(
+    recording: Recording,
+    camera: Camera,
+    logs: Logs,
+    root: Path,
+    drive: str,
+    shares: Sequence[float],
+    *,
+    start_s: float = 0.0,
+    end_s: float = math.inf,
+    replace: bool = False,
+) -> Imported:
+    """Write a recording as drives below `root`; images without motion, if there is a log of it, are left out.
 
-        Raises InputError if a drive exists, no image is left or none of a drive has an angle, a part of the split is
-        too short, or the date has another camera.
-        """
-        drives = _drive_folders(root, drive, len(shares), replace)
-        folders, date = list(drives.values()), root / drive[:10]
-        calibrated = _is_calibrated(folders, self.camera, replace)
-        with ExitStack() as stack:
-            unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
-            time_s, usable = self._write_images(unfinished[0], visible)
-            parts = cut(usable, time_s, shares)
-            _distribute_images(unfinished, parts)
-            angles = [self._write_logs(folder, time_s, part) for folder, part in zip(unfinished, parts, strict=True)]
-            if not calibrated:
-                P = np.column_stack([self.camera.K, np.zeros(3)])
-                size = np.array(self.camera.size[::-1], float)
-                entries = {"R_rect_00": np.eye(3), f"S_rect_{CAMERA:02d}": size, f"P_rect_{CAMERA:02d}": P}
-                write_entries(date / _CALIBRATION, entries)
-            manifests = [_write_manifest(folder, date) for folder in unfinished]
-            for folder in folders:
-                shutil.rmtree(folder, ignore_errors=True)  # the earlier import
-        written_s = time_s[np.logical_or.reduce(parts)]
-        return {
-            "drives": {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)},
-            "folders": list(map(str, folders)),
-            "manifests": dict(zip(drives, manifests, strict=True)),
-            "images": len(time_s),
-            "size": list(self.recording.size),
-            "horizon": self.camera.horizon,
-            "first_s": float(written_s[0]),
-            "last_s": float(written_s[-1]),
-            "hz": (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else None,
-            "steering_angles": sum(angles),
-        }
+    Args:
+        recording: of undistorted images.
+        camera: of its images.
+        logs: of motion, and of the steering wheel.
+        root: a folder in KITTI raw's layout.
+        drive: name of the first; the others have the following numbers.
+        shares: of the duration, one for each drive; see :func:`cut`.
+        start_s, end_s: images before and after are left out; since the first image.
+        replace: replace drives of an earlier import.
 
-    def _write_logs(self, folder: Path, time_s: np.ndarray, usable: np.ndarray) -> int:
-        """Write horizon, times, packets and angles of a drive's `usable` images [F] at `time_s` [F]; count the angles.
-
-        Packets hold speed and yaw rate; the rest is unknown, 0.
-        """
-        if self.camera.horizon is not None:
-            write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([self.camera.horizon])})
-        times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
-        (_images(folder).parent / "timestamps.txt").write_bytes(times)
-        numbers = np.flatnonzero(usable)
-        if self.motion:
-            (folder / "oxts" / "data").mkdir(parents=True)
-            (folder / "oxts" / "timestamps.txt").write_bytes(times)
-            speed_mps, yaw_rate_radps = self.motion.at(time_s[usable], self.max_gap_s)
-            for number, row in zip(numbers, make_rows(len(numbers), vf=speed_mps, wu=yaw_rate_radps), strict=True):
-                (folder / "oxts" / "data" / f"{number:010d}.txt").write_bytes(format_packet(row))
-        if self.wheel is None:
-            return 0
-        steering_rad = self.wheel.at(numbers, time_s[usable], self.max_gap_s)
-        known = np.isfinite(steering_rad)
-        if not known.any():
-            problem = f"no image of {folder.name} has an angle"
-            raise InputError(problem, "--wheel", "Check its times or frames, or raise --max-gap")
-        write_steering(folder / STEERING, dict(zip(numbers[known].tolist(), steering_rad[known].tolist(), strict=True)))
-        return int(known.sum())
-
-    def _write_images(self, folder: Path, visible: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Write the usable images as PNG files, encoded by threads; a few images are in memory.
-
-        Usable are images from start to end with motion, if there is a log of it. Returns the times of all images up to
-        the end, and the mask of usable ones.
-        """
-        all_s: list[float] = []
-        hidden = not (visible and sys.stderr.isatty())
-        frames = tqdm(self.recording.frames(), total=self.recording.count, unit=" images", disable=hidden)
-
-        def images() -> Generator[tuple[Path, np.ndarray]]:
-            for frame in frames:
-                if all_s and frame.time_s - all_s[0] > self.end_s - ROUNDING_S:
-                    return
-                all_s.append(frame.time_s)
-                assert frame.image is not None
-                if self._usable(np.array([frame.time_s]), all_s[0])[0]:
-                    yield _images(folder) / f"{frame.number:010d}.png", frame.image
-            if self.wheel:
-                self.wheel.check_frames(len(all_s) - 1)
-
-        _images(folder).mkdir(parents=True)
-        threads = default_workers()
-        for _ in side_by_side(lambda image: write_png(*image), images(), threads, ahead=2 * threads):
-            pass
-        time_s = np.array(all_s)
-        usable = self._usable(time_s, all_s[0])
+    Raises InputError if a drive exists, no image is left or none of a drive has an angle, a part of the split is too
+    short, or the date has another camera.
+    """
+    drives = _drive_folders(root, drive, len(shares), replace)
+    folders, date = list(drives.values()), root / drive[:10]
+    calibrated = _is_calibrated(folders, camera, replace)
+    with ExitStack() as stack:
+        unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
+        time_s = _write_images(unfinished[0], recording, start_s, end_s)
+        if logs.wheel:
+            logs.wheel.check_frames(len(time_s) - 1)
+        usable = time_s - time_s[0] > start_s - ROUNDING_S
+        if logs.motion:
+            usable &= np.isfinite(logs.motion.at(time_s)[0])
         if not usable.any():
-            problem = f"no image from {time_s[0]:.3f} to {time_s[-1]:.3f} s is left"
-            if self.motion:
-                log_s, gap = self.motion.time_s, f"{self.max_gap_s:g} s"
-                problem += f" between samples from {log_s[0]:.3f} to {log_s[-1]:.3f} s, at most {gap} apart"
-            raise InputError(problem, fix="Change --start, --end, --offset or --max-gap")
-        return time_s, usable
+            problem = f"no image from {time_s[0]:.3f} to {time_s[-1]:.3f} s is left, or none with motion"
+            raise InputError(problem, fix="Change --start, --end or --offset")
+        parts = cut(usable, time_s, shares)
+        _distribute_images(unfinished, parts)
+        angles = [
+            _write_logs(folder, time_s, part, camera, logs) for folder, part in zip(unfinished, parts, strict=True)
+        ]
+        if not calibrated:
+            P = np.column_stack([camera.K, np.zeros(3)])
+            size = np.array(camera.size[::-1], float)
+            entries = {"R_rect_00": np.eye(3), f"S_rect_{CAMERA:02d}": size, f"P_rect_{CAMERA:02d}": P}
+            write_entries(date / _CALIBRATION, entries)
+        manifests = [_write_manifest(folder, date) for folder in unfinished]
+        for folder in folders:
+            shutil.rmtree(folder, ignore_errors=True)  # the earlier import
+    images = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
+    hz = (len(time_s) - 1) / float(np.ptp(time_s) or 1.0)
+    return Imported(images, dict(zip(drives, manifests, strict=True)), sum(angles), hz)
 
-    def _usable(self, time_s: np.ndarray, first_s: float) -> np.ndarray:
-        """Return a mask of the images at `time_s` [F] to write; `first_s` is the time of the first image."""
-        elapsed_s = time_s - first_s
-        inside = (elapsed_s > self.start_s - ROUNDING_S) & (elapsed_s < self.end_s - ROUNDING_S)
-        return inside & np.isfinite(self.motion.at(time_s, self.max_gap_s)[0]) if self.motion else inside
+
+def _write_images(folder: Path, recording: Recording, start_s: float, end_s: float) -> np.ndarray:
+    """Write the images from start to end as PNG files; return the times [F] of all images up to the end."""
+    all_s: list[float] = []
+    _images(folder).mkdir(parents=True)
+    for frame in tqdm(recording.frames(), total=recording.count, unit=" images", disable=None):
+        elapsed_s = frame.time_s - all_s[0] if all_s else 0.0
+        if elapsed_s > end_s - ROUNDING_S:
+            break
+        all_s.append(frame.time_s)
+        if elapsed_s > start_s - ROUNDING_S and frame.image is not None:
+            write_png(_images(folder) / f"{frame.number:010d}.png", frame.image)
+    return np.array(all_s)
+
+
+def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Camera, logs: Logs) -> int:
+    """Write horizon, times, packets and angles of a drive's `usable` images [F] at `time_s` [F]; count the angles.
+
+    Packets hold speed and yaw rate; the rest is unknown, 0.
+    """
+    if camera.horizon is not None:
+        write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([camera.horizon])})
+    times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
+    (_images(folder).parent / "timestamps.txt").write_bytes(times)
+    numbers = np.flatnonzero(usable)
+    if logs.motion:
+        (folder / "oxts" / "data").mkdir(parents=True)
+        (folder / "oxts" / "timestamps.txt").write_bytes(times)
+        speed_mps, yaw_rate_radps = logs.motion.at(time_s[usable])
+        for number, row in zip(numbers, make_rows(len(numbers), vf=speed_mps, wu=yaw_rate_radps), strict=True):
+            (folder / "oxts" / "data" / f"{number:010d}.txt").write_bytes(format_packet(row))
+    if logs.wheel is None:
+        return 0
+    steering_rad = logs.wheel.at(numbers, time_s[usable])
+    known = np.isfinite(steering_rad)
+    if not known.any():
+        raise InputError(f"no image of {folder.name} has an angle", "--wheel", "Check its times or frames")
+    write_steering(folder / STEERING, dict(zip(numbers[known].tolist(), steering_rad[known].tolist(), strict=True)))
+    return int(known.sum())
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:

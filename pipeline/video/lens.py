@@ -1,7 +1,7 @@
 """Intrinsics of a camera from a calibration file, a field of view or four numbers; undistortion; the horizon's row."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from pipeline.motion.visual import Corners, track
 
 WAYS = "--calib FILE (a KITTI calib_cam_to_cam.txt), --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
 _CAMERAS = (2, 0, 3, 1)  # first match wins: rectified cameras share one K
-_FOV_DEG = (5.0, 170.0)
 WIDTH = 640  # px, of the images that are tracked
 CELL, MIN_QUALITY = 24, 2e-5
 MIN_TRACKS, MIN_INLIERS = 60, 0.4
@@ -39,7 +38,17 @@ def pinhole(size: Size, *, calib: Path | None = None, fov_deg: float | None = No
         raise InputError(f"expected one source of camera intrinsics, got {len(given)}", fix=f"Pass one of {WAYS}")
     if calib is not None:
         return _from_file(calib, size)
-    return Camera(_from_angle(fov_deg, size) if fov_deg is not None else _from_numbers(str(K), size), size)
+    height, width = size
+    if fov_deg is not None:
+        fx = fy = width / 2 / math.tan(math.radians(fov_deg) / 2)
+        # Integer coordinates are pixel centres, so the image's middle is half a pixel before W / 2.
+        cx, cy = (width - 1) / 2, (height - 1) / 2
+    else:
+        fx, fy, cx, cy = _numbers(str(K), (4,), "--K 721.5,721.5,609.6,172.9")
+    camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size)
+    with error_context(fix="For images that were resized, scale all four numbers"):
+        check_pinhole(camera.K, size, "--K")
+    return camera
 
 
 def _from_file(path: Path, size: Size) -> Camera:
@@ -54,49 +63,28 @@ def _from_file(path: Path, size: Size) -> Camera:
     return Camera(P[:, :3], calib_size).scaled(size)
 
 
-def _from_angle(fov_deg: float, size: Size) -> np.ndarray:
-    lowest, highest = _FOV_DEG
-    if not lowest <= fov_deg <= highest:
-        raise InputError(f"expected {lowest:g} to {highest:g} degrees, got {fov_deg:g}", "--fov")
-    height, width = size
-    focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
-    # Integer coordinates are pixel centres, so the image's middle is half a pixel before W / 2.
-    return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-
-
-def _from_numbers(text: str, size: Size) -> np.ndarray:
+def _numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
+    """Return the numbers of an option, as many as one of `counts`. Raises InputError."""
     try:
-        fx, fy, cx, cy = (float(word) for word in text.split(","))
+        numbers = [float(word) for word in text.split(",")]
     except ValueError:
-        raise InputError(f"expected fx,fy,cx,cy, got {text!r}", "--K", "Example: --K 721.5,721.5,609.6,172.9") from None
-    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    with error_context(fix="For images that were resized, scale all four numbers"):
-        check_pinhole(K, size, "--K")
-    return K
+        numbers = []
+    if len(numbers) not in counts:
+        expected = " or ".join(map(str, counts))
+        raise InputError(f"expected {expected} numbers, got {text!r}", example.split()[0], f"Example: {example}")
+    return numbers
 
 
 def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function that rectifies images uint8 [H,W,3] of a camera with this distortion; K stays as it is.
 
-    `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError if the model folds the image over.
+    `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other texts.
     """
     import cv2
 
-    try:
-        coefficients = np.array([float(word) for word in text.split(",")])
-        if len(coefficients) not in (4, 5) or not np.isfinite(coefficients).all():
-            raise ValueError
-    except ValueError:
-        problem = f"expected k1,k2,p1,p2 or k1,k2,p1,p2,k3, got {text!r}"
-        raise InputError(problem, "--distortion", "Example: --distortion=-0.37,0.2,0,0") from None
-    height, width = camera.size
-    corners = np.array([[u, v, 1.0] for u in (0, width - 1) for v in (0, height - 1)])
-    farthest = np.linalg.norm(np.linalg.solve(camera.K, corners.T)[:2], axis=0).max()
-    r2, (k1, k2, k3) = np.linspace(0, farthest, 50) ** 2, np.append(coefficients, 0)[[0, 1, 4]]
-    if (1 + 3 * k1 * r2 + 5 * k2 * r2**2 + 7 * k3 * r2**3 <= 0).any():  # the slope of the distorted radius
-        problem = f"{text} maps several directions to one pixel of these {format_size(camera.size)} images"
-        raise InputError(problem, "--distortion", "Pass the coefficients of this lens, and its --K")
-    maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, (width, height), cv2.CV_16SC2)
+    coefficients = np.array(_numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
+    size = camera.size[::-1]
+    maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
     return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
 
 

@@ -1,5 +1,6 @@
 """Predict steering on the frames of a source with a trained model, which knows the settings of its own chain."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,9 @@ from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import SAMPLE, Reading
 from pipeline.settings.perception import Perception
 from pipeline.train.predict import Trained
+from pipeline.video.log import Logs
 from pipeline.video.pictures import draw_track, write_overlay
-from pipeline.video.results import Logs, Results
+from pipeline.video.results import Results
 from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, publish, run_chain, work_folder
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
@@ -31,13 +33,13 @@ def reading(model: Trained) -> Reading:
 
 
 def predict(
-    model: Trained, source: Source, out: Path | None, encoder: Path, logs: Logs, *, video: bool, visible: bool
-) -> tuple[Results, list[Path]]:
-    """Write steering.csv, track.png and overlay.mp4; return results and files.
+    model: Trained, source: Source, out: Path | None, encoder: Path, logs: Logs, *, video: bool
+) -> tuple[list[str], list[Path]]:
+    """Write steering.csv, track.png and overlay.mp4; return lines for the user, and the files.
 
     Args:
         model: from :func:`pipeline.train.predict.load`.
-        source, out, encoder, logs, video, visible: as of :func:`pipeline.video.measure.measure`.
+        source, out, encoder, logs, video: as of :func:`pipeline.video.measure.measure`.
     Raises:
         InputError: the source lacks an input of the model, `out` is not free, no frame can be read, or a log is
             unusable.
@@ -47,9 +49,8 @@ def predict(
     lidar = variant.source == "clouds/lidar"
     if lidar and not (source.drive and source.drive.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
-    source.notes.extend(f"warning: model {model.name}: {text}" for text in _differences(model, source, encoder))
     work = work_folder(out, source, encoder, settings=settings)
-    run_chain(source, work, reading(model), perception, encoder, visible=visible)
+    run_chain(source, work, reading(model), perception, encoder)
     clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
     if not clouds.exists():
         kind = variant.source.removeprefix("clouds/")
@@ -61,7 +62,8 @@ def predict(
         rows = np.isin(graphs.frame, results.table["frame"])  # a frame with a scan may lack an image
         mean, sigma = (None if values is None else values[rows] for values in model.predict(graphs)[:2])
     assert mean is not None
-    results.table["predicted_rad"] = np.full(len(mean), np.nan) if model.ahead_m else mean[:, 0]
+    frames, horizon = len(mean), model.entry.horizon
+    results.table["predicted_rad"] = np.full(frames, np.nan) if model.ahead_m else mean[:, 0]
     if model.ahead_m:
         results.ahead_m, results.path_1pm, results.path_sigma_1pm = model.ahead_m, mean, sigma
     elif sigma is not None:
@@ -70,16 +72,18 @@ def predict(
     draw_track(work / "new/track.png", results)
     if video:
         write_overlay(work / "new/overlay.mp4", source, results, model.car.wheelbase_m)
-    return results, publish(work)
+    ahead = f", each {horizon} frames ahead" if horizon else ""
+    predicted = f"{model.name}: {np.isfinite(mean[:, 0]).sum()} predictions for {frames} frames{ahead}"
+    warnings = _differences(model, source, encoder, results.table["time_s"])
+    return [*warnings, *results.lines(results.compare("predicted", horizon)), predicted], publish(work)
 
 
-def _differences(model: Trained, source: Source, encoder: Path) -> list[str]:
-    """Return where a source or an encoder differs from what the model was fitted to."""
-    texts = []
+def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:
+    """Yield where a source or an encoder differs from what the model was fitted to."""
     if all(drive.startswith(SAMPLE) for drive in model.drives) and not source.name.startswith(SAMPLE):
-        texts.append("it was fitted to the rendered sample alone, so expect wrong angles on real streets")
-    if source.fps and abs(source.fps / model.fps - 1) > TOLERANCE:
-        texts.append(f"it was fitted to {model.fps:.1f} frames/s, got {source.fps:.1f}")
+        yield f"warning: {model.name} was fitted to the rendered sample alone, so expect wrong angles on real streets"
+    step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1 / model.fps
+    if abs(1 / step_s / model.fps - 1) > TOLERANCE:
+        yield f"warning: {model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
     if file_hash(weights_file(encoder)) != model.settings["encoder"]["sha256"]:
-        texts.append(f"it was fitted to depth and classes of another encoder than {encoder}")
-    return texts
+        yield f"warning: {model.name} was fitted to depth and classes of another encoder than {encoder}"

@@ -46,33 +46,31 @@ class Recording:
     path: Path
     images: Callable[[], Images]  # timestamp in seconds, if there is one, and RGB uint8 [H,W,3] of each image
     size: Size
-    count: int | None  # of the images; None: unknown
-    fps: float | None  # None: frames have no times
+    count: int | None  # of the images, by the header of a video; None: unknown
+    start_s: float  # the first timestamp
     times_s: np.ndarray | None  # [F] of all images, if they are known in advance
-    fixed: bool  # times follow from fps
+    fps: float | None = None  # replaces timestamps
     straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image  # without the lens' distortion
 
     def frames(self) -> Iterator[Frame]:
         """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
 
-        Times count from the first frame, or are those of the file of times; NaN without times.
+        Times count from the first frame, or are those of the file of times.
 
         Raises DamagedFile if an image cannot be decoded, or images are missing at the end; InputError if the size
         changes, there are more or fewer images than times, or a video's timestamps do not increase.
         """
-        first_s, last_s, number = 0.0, -math.inf, -1
+        last_s, number = -math.inf, -1
         for number, (stamp_s, image) in enumerate(self.images()):
             if image.shape[:2] != self.size:
                 sizes = f"{format_size(image.shape)} pixels (expected {format_size(self.size)}, as the first one)"
                 raise InputError(f"image {number} has {sizes}", self.path, "Images of one recording have one size")
-            if number == 0:
-                first_s = stamp_s or 0.0
             if self.times_s is not None:
                 time_s = float(self.times_s[number]) if number < len(self.times_s) else math.nan
-            elif self.fixed or self.fps is None:
-                time_s = math.nan if self.fps is None else number / self.fps
+            elif self.fps:
+                time_s = number / self.fps
             else:
-                time_s = math.nan if stamp_s is None else stamp_s - first_s
+                time_s = math.nan if stamp_s is None else stamp_s - self.start_s
                 if not time_s > last_s:
                     raise DamagedFile(f"timestamps do not increase at image {number}", self.path, "Pass --fps")
             last_s = time_s
@@ -91,39 +89,38 @@ def open_recording(path: Path, fps: float | None = None, times: Path | None = No
         fps: images per second; replaces timestamps of a video, and timestamps in ns as names of images.
         times: a file with the time of each image instead, see :func:`read_times`.
 
-    Raises InputError if there are no images, they are mirrored or have pixels that are not square, or `times` cannot be
-    used; DamagedFile if the first cannot be decoded.
+    Raises InputError if there are no images, they have no times, are mirrored or have pixels that are not square, or
+    `times` cannot be used; DamagedFile if the first image cannot be decoded.
     """
     if fps and times:
         raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
     if not path.exists():
         raise InputError("path is missing", path, "Pass a video, or a folder of images")
-    times_s, rate, count = read_times(times) if times else None, None, None
+    times_s, stamped = read_times(times) if times else None, False
+    count: int | None
     if path.is_dir():
         files = _image_files(path)
         images, count = partial(_read, files), len(files)
-        if not fps and times_s is None and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
+        if not fps and not times and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
             times_s = np.array([(int(file.stem) - int(files[0].stem)) / 1e9 for file in files])  # ns since 1970
     else:
         images = partial(_decode, path)
         with _container(path) as container:
             stream = container.streams.video[0]
             shape, count = float(stream.sample_aspect_ratio or 1), stream.frames or None
-            # FFmpeg assumes 25 frames per second for a stream without a container.
-            rate = None if container.format.name in _WITHOUT_TIMES else stream.average_rate or stream.guessed_rate
+            stamped = container.format.name not in _WITHOUT_TIMES  # elsewhere FFmpeg assumes 25 frames per second
         if abs(shape - 1) > 0.01:
             fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
             raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+    if not (fps or stamped or times_s is not None):
+        raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
     if (first := next(images(), None)) is None:
         raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
-    fixed = fps is not None
-    if times_s is not None and len(times_s) > 1:
-        fps = float((len(times_s) - 1) / (times_s[-1] - times_s[0]))
-    return Recording(path, images, first[1].shape[:2], count, fps or (float(rate) if rate else None), times_s, fixed)
+    return Recording(path, images, first[1].shape[:2], count, first[0] or 0.0, times_s, fps)
 
 
 def _decode(path: Path) -> Images:
-    """Yield the frames of a video; raw streams, such as .h264 and .mjpeg files, have no times of their own."""
+    """Yield timestamps and images of a video."""
     with _container(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"

@@ -15,41 +15,18 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
 from pipeline.labels import sources
+from pipeline.labels.comparison import INVERTED
 from pipeline.labels.label import Car, steering_angle, steering_labels
 from pipeline.labels.means import YAW_NOISE_RADPS, Rates, means
 from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.evaluate import Evaluate
-from pipeline.video.log import MotionLog, WheelLog, check_ratio, read_motion, read_wheel
+from pipeline.video.log import Logs
 from pipeline.video.source import INGEST, MOTION, Source
 
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
 HEIGHT_SCALE = 0.2  # relative standard deviation of the speed if the camera's height over the road is unknown
-MAX_GAP_S = 2.0  # between samples of a log that are interpolated, as by steer import
-BLOCK_S = 5.0  # errors of nearer frames are correlated
-INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
-BOOTSTRAP = Evaluate(
-    bootstrap_samples=2000, bootstrap_block_frames=1, curvature_bins_1pm=[1.0], seed=0
-)  # for the interval of nmse
+BLOCK_S = 5.0  # errors of nearer frames are correlated, for the interval of nmse
 DIGITS = {"driven_rad": 9, "residual": 3}  # others: 6
-
-
-class Logs(NamedTuple):
-    """A log of the front wheels' angles, one of the car's motion, and the names of their files."""
-
-    wheel: WheelLog | None = None
-    motion: MotionLog | None = None
-    name: str = ""
-
-    @classmethod
-    def read(cls, wheel: Path | None, steering_ratio: float | None, motion: Path | None) -> "Logs":
-        """Read a log of the steering wheel's angles, its ratio to the front wheels', and a log of the motion.
-
-        Raises InputError for unusable logs.
-        """
-        check_ratio(wheel, steering_ratio)
-        name = " and ".join(path.name for path in (wheel, motion) if path)
-        angles = read_wheel(wheel, steering_ratio) if wheel and steering_ratio else None
-        return cls(angles, read_motion(motion) if motion else None, name)
 
 
 class Truth(NamedTuple):
@@ -74,11 +51,11 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
         return Truth(name, column, np.where(labels.valid, labels.steering_rad, np.nan), labels.speed_mps)
     column, driven_rad, driven_mps = "yaw_rate_radps", unknown, unknown
     if logs.motion:
-        driven_mps, yaw_rate_radps = logs.motion.at(time_s, MAX_GAP_S)
+        driven_mps, yaw_rate_radps = logs.motion.at(time_s)
         angles, valid = steering_labels(yaw_rate_radps, driven_mps, **vars(car))
         driven_rad = np.where(valid, angles, np.nan)
     if logs.wheel:
-        column, driven_rad = "wheel_rad", logs.wheel.at(frame, time_s, MAX_GAP_S)
+        column, driven_rad = "wheel_rad", logs.wheel.at(frame, time_s)
     return Truth(logs.name, column, driven_rad, driven_mps)
 
 
@@ -190,21 +167,11 @@ class Results:
             writer.writerow(["drive", *table])
             writer.writerows([self.name, *row] for row in zip(*texts, strict=True))
 
-    def summary(self) -> dict[str, int]:
-        """Return the numbers of frames, of those with measured motion, and of predictions."""
-        angles = self.table.get("predicted_rad", np.full(1, np.nan))
-        predicted = int(np.isfinite(angles if self.path_1pm is None else self.path_1pm[:, 0]).sum())
-        return {"frames": len(self.problems), "valid": int(self.table["valid"].sum()), "predicted": predicted}
-
     def lines(self, comparison: Mapping[str, Any] | None) -> Iterator[str]:
-        """Yield text for the user: gaps, why motion could not be measured, and the result of :meth:`compare`."""
-        frame = self.table["frame"].tolist()
-        for before, after in pairwise(frame):
-            if after > before + 1:
-                yield f"no frames between {before} and {after}"
+        """Yield text for the user: why motion could not be measured, and the result of :meth:`compare`."""
         counts = Counter(problem for problem in self.problems if problem).most_common()
         reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
-        measured = f"motion measured in {int(self.table['valid'].sum())} of {len(frame)} frames"
+        measured = f"motion measured in {int(self.table['valid'].sum())} of {len(self.problems)} frames"
         yield f"{measured}; not measured: {reasons}" if reasons else measured
         if comparison is None:
             return
@@ -215,8 +182,7 @@ class Results:
                 nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
                 text = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
                 yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{text}"
-        correlation = comparison.get("measured", {}).get("correlation")
-        if correlation is not None and correlation < INVERTED:
+        if (comparison["measured"]["correlation"] or 0.0) < INVERTED:
             yield f"the sign of {self.truth.column} is inverted: left is positive"
 
     def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
@@ -226,21 +192,18 @@ class Results:
             column: predicted or measured; errors are computed on its frames. Elsewhere the measured angle repeats the
                 last one, or 0.
         """
-        table = self.table
-        driven = dict(zip(table["frame"].tolist(), table["driven_rad"].tolist(), strict=True))
-        target_rad = np.array([driven.get(frame + horizon, math.nan) for frame in table["frame"].tolist()])
-        angle_rad, measured_rad, time_s = table[f"{column}_rad"], table["measured_rad"], table["time_s"]
-        used = np.isfinite(target_rad) & np.isfinite(angle_rad)
+        frame, time_s, measured_rad = (self.table[name] for name in ("frame", "time_s", "measured_rad"))
+        driven = dict(zip(frame.tolist(), self.table["driven_rad"].tolist(), strict=True))
+        target_rad = np.array([driven.get(number + horizon, math.nan) for number in frame.tolist()])
+        used = np.isfinite(target_rad) & np.isfinite(self.table[f"{column}_rad"])
         if not used.any():
             return None
-        rows = {column: angle_rad}
-        if np.isfinite(measured_rad).any():
-            last = np.maximum.accumulate(np.where(np.isfinite(measured_rad), np.arange(len(time_s)), -1))
-            rows["measured"] = np.where(last >= 0, measured_rad[last], 0.0)
-        rows["zero"] = np.zeros(len(time_s))
+        last = np.maximum.accumulate(np.where(np.isfinite(measured_rad), np.arange(len(frame)), 0))
+        angles = {column: self.table[f"{column}_rad"], "measured": np.nan_to_num(measured_rad[last])}
+        angles["zero"] = np.zeros(len(frame))
         block = max(1, round(BLOCK_S / float(np.median(np.diff(time_s))))) if len(time_s) > 1 else 1
-        settings = BOOTSTRAP.model_copy(update={"bootstrap_block_frames": block})
-        scores = {name: _errors(target_rad[used], angle[used], settings) for name, angle in rows.items()}
+        settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, curvature_bins_1pm=[1.0], seed=0)
+        scores = {name: _errors(target_rad[used], angle[used], settings) for name, angle in angles.items()}
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **scores}
 
 
@@ -252,11 +215,11 @@ def _format(name: str, value: float) -> str:
 
 def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:
     """Return nmse, its 95 % interval, rmse_deg and correlation of angles [N]; None where not defined."""
-    error, zero, drive = (angle_rad - target_rad) ** 2, float((target_rad**2).mean()), np.zeros(len(target_rad), int)
+    scores, drive = errors.scores(target_rad, angle_rad), np.zeros(len(target_rad), int)
     varies = np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0
     return {
-        "nmse": float(error.mean()) / zero if zero else None,
-        "nmse_ci95": errors.interval(error, target_rad, drive, settings) if zero else None,
-        "rmse_deg": math.degrees(math.sqrt(error.mean())),
+        "nmse": scores["nmse"],
+        "nmse_ci95": errors.interval((angle_rad - target_rad) ** 2, target_rad, drive, settings),
+        "rmse_deg": math.degrees(scores["rmse"]),
         "correlation": float(np.corrcoef(target_rad, angle_rad)[0, 1]) if varies else None,
     }

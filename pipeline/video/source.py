@@ -27,8 +27,6 @@ from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
 from pipeline.video.recording import open_recording
 
-DEFAULT_FPS = 10.0  # KITTI's
-ROTATE = "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
 INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"
 BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1
 
@@ -42,7 +40,6 @@ class Source:
     camera: Camera  # of complete images; height_m is KITTI's unless height_known
     frames: Callable[[], Iterator[Frame]]  # complete, rectified images; again with each call
     count: int | None  # number of frames, if known
-    fps: float | None = None  # None: a KITTI drive, whose times are read with its frames
     height_known: bool = True  # of the camera over the road
     complete: bool = True  # False: only the first frames
     drive: KittiDrive | None = None  # None: a video, or a folder of images
@@ -100,29 +97,24 @@ def _open_recording(
     **lens: Any,
 ) -> Source:
     """Open the first `max_frames` frames of a recording; other arguments as of the three functions that get them."""
-    recording, notes = open_recording(path, fps, times), []
+    recording = open_recording(path, fps, times)
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
-        raise InputError(sizes, path, ROTATE)
+        raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
     camera = pinhole(recording.size, **lens)
     if distortion:
         recording.straighten = undistortion(camera, distortion)
-    if recording.fps is None:
-        notes.append(f"images have no times: assuming {DEFAULT_FPS:g} per second. Other? Pass --fps or --times")
-        recording.fps, recording.fixed = DEFAULT_FPS, True
     horizon = find_horizon(recording.frames(), camera)
     found = "not found, since too few images show a drive; assuming a level camera"
-    notes.append(f"horizon: {found if horizon is None else f'row {horizon:.0f} of {recording.size[0]}'}")
     return Source(
         path,
         path.stem,
         replace(camera, horizon=horizon),
         lambda: islice(recording.frames(), max_frames),
         min(max_frames, recording.count or max_frames) if max_frames else recording.count,
-        recording.fps,
         height_known=False,
         complete=not max_frames,
-        notes=notes,
+        notes=[f"horizon: {found if horizon is None else f'row {horizon:.0f} of {recording.size[0]}'}"],
     )
 
 
@@ -147,9 +139,7 @@ def publish(work: Path) -> list[Path]:
     return files
 
 
-def run_chain(
-    source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path, *, visible: bool
-) -> None:
+def run_chain(source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path) -> None:
     """Write ingest.h5, perception.h5 and motion.h5 to the folder `work`; files of an earlier run are kept.
 
     Args:
@@ -158,7 +148,6 @@ def run_chain(
         reading: settings of ingest.
         perception: settings; the camera's height is that of the source.
         encoder: folder of an encoder.
-        visible: show a progress bar.
     Raises:
         InputError: no frame can be read, or the disk is too small.
     """
@@ -178,7 +167,7 @@ def run_chain(
         PERCEPTION: partial(perceive_drive, ingest=ingest, encoder=encoder, settings=perception),
         MOTION: partial(measure_drive, ingest=ingest, perception=perceived, road_scale=known),
     }
-    with tqdm(total=source.count, unit=" frames", disable=None if visible else True) as bar:
+    with tqdm(total=source.count, unit=" frames", disable=None) as bar:
         for name, job in jobs.items():
             bar.reset()
             bar.set_description(name.removesuffix(".h5"))

@@ -1,13 +1,18 @@
-"""The command steer: quick help, one line for an error, a traceback with --debug."""
+"""The command steer: quick help, one line for an error, a traceback with --debug; its verb show."""
 
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import pytest
+import yaml
 from typer.testing import CliRunner
 
 from pipeline.base.resume import ROOT
+from pipeline.train import checkpoint
 from steer.app import app
+from tests.artefacts import write_dataset
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
 VERBS = {"measure", "predict", "import", "show"}
@@ -35,3 +40,58 @@ def test_error_is_one_line_and_debug_shows_the_traceback(tmp_path: Path) -> None
     assert done.stderr.count("\n") == 1
     done = subprocess.run([*command, "--debug"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert "Traceback" in done.stderr
+
+
+DRIVE = "2011_09_26_drive_0001"
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    write_dataset(tmp_path / "data", {DRIVE: "train"}, frames=5, points=30)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    return tmp_path / "data"
+
+
+def show(*arguments: object, status: int = 0) -> str:
+    result = CliRunner().invoke(app, ["show", *map(str, arguments)])
+    assert result.exit_code == status, result.output
+    return result.output
+
+
+def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_weights(data: Path) -> None:
+    import torch
+
+    content = yaml.safe_load(show(data / f"graphs/semantic/{DRIVE}.h5"))
+    assert content["datasets"]["xyz"][:3] == ["float32 150 × 3", "m", "rows of a frame: ptr"]
+    assert (content["stage"], content["settings"]["graphs"]["keep_inter_class"]) == ("graphs", 0.2)
+    net = {"weight": torch.zeros(2)}
+    checkpoint.write(data / "best.pt", {"kind": "steering net", "entry": {"window": 8}, "net": net})
+    content = yaml.safe_load(show(data / "best.pt"))
+    assert (content["kind"], content["entry"], "net" in content) == ("steering net", {"window": 8}, False)
+
+
+def test_a_frame_is_printed_and_drawn(data: Path) -> None:
+    file = data / f"graphs/semantic/{DRIVE}.h5"
+    assert yaml.safe_load(show(file, "--frame", 2, "--out", "a.png"))["edges_knn"] == 180
+    assert cv2.imread("a.png").std() > 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.h5"], "nowhere.h5: "),
+        (["."], "expected a drive's file (.h5) or a checkpoint (.pt)"),
+        (["GRAPHS", "--frame", 77], "has no frame 77"),
+        (["GRAPHS", "--frame", 1, "--out", "photo.png"], "photo.png: exists already"),
+        (["LABELS", "--frame", 1, "--out", "a.png"], "neither an image nor points"),
+    ],
+)
+def test_wrong_input_is_one_line(data: Path, arguments: list[object], message: str) -> None:
+    files = {"GRAPHS": data / f"graphs/semantic/{DRIVE}.h5", "LABELS": data / f"labels/{DRIVE}.h5"}
+    Path("photo.png").write_bytes(b"precious")
+    text = show(*(files.get(str(argument), argument) for argument in arguments), status=1)
+    assert text.startswith("error: ")
+    assert message in text
+    assert text.count("\n") == 1
+    assert Path("photo.png").read_bytes() == b"precious"

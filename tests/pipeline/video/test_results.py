@@ -15,8 +15,9 @@ from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.ingest import Reading
+from pipeline.video.log import Logs
 from pipeline.video.pictures import draw_track, write_overlay
-from pipeline.video.results import Logs, Results, Truth, read_course, read_truth
+from pipeline.video.results import Results, Truth, read_course, read_truth
 from pipeline.video.source import Source
 from tests.motion_files import write_motion
 
@@ -59,6 +60,7 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> N
     ("wheel", "motion", "expected_rad"),
     [
         (None, None, [np.nan, 0.1, np.nan, -0.2]),
+        (None, "oxts", [np.arctan(2.7 * 0.05), np.nan, np.arctan(2.7 * 0.05), np.nan]),
         (None, "0.05,10,0.5\n0.25,20,0.5\n", [np.nan, np.arctan(1.35 / 12.5), np.arctan(1.35 / 17.5), np.nan]),
         ("frame,wheel_rad\n1,1.4\n3,-0.7\n", None, [np.nan, 0.1, np.nan, -0.05]),
         ("time_s,wheel_rad\n0,1.4\n0.2,2.8\n", "0.05,10,0.5\n0.25,20,0.5\n", [0.1, 0.15, 0.2, np.nan]),
@@ -67,32 +69,26 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> N
 def test_truth_is_that_of_the_logs_or_of_the_drive(
     tmp_path: Path, wheel: str | None, motion: str | None, expected_rad: list[float]
 ) -> None:
-    frames = [Frame(number, number / 10) for number in range(4)]
-    recorded = {1: 0.1, 3: -0.2}
-    ingest_drive(frames, tmp_path / "a.h5", drive="a", camera=None, settings=READING, steering_rad=recorded)
-    files = [tmp_path / name for name in ("wheel.csv", "motion.csv")]
+    frames, files = (
+        [Frame(number, number / 10) for number in range(4)],
+        [tmp_path / "wheel.csv", tmp_path / "motion.csv"],
+    )
+    recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
+    if motion == "oxts":  # whose angles are unknown at standstill
+        motion, recorded = None, {"oxts": dict(enumerate(make_rows(4, vf=np.array([10, 0.5, 10, 0.5]), wu=0.5)))}
+    ingest_drive(frames, tmp_path / "a.h5", drive="a", camera=None, settings=READING, **recorded)
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
     logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
         truth = read_truth(raw, raw.frame, logs, CAR)
+    np.testing.assert_allclose(truth.driven_rad, expected_rad)
+    if motion:
+        np.testing.assert_allclose(truth.driven_mps, [np.nan, 12.5, 17.5, np.nan])
+    names = [name for name, log in (("wheel.csv", wheel), ("motion.csv", motion)) if log]
+    assert truth.name == (" and ".join(names) or ("oxts" if "oxts" in recorded else "steering.csv"))
     with pytest.raises(InputError, match="--steering-ratio"):
         Logs.read(files[0], None, None)
-    np.testing.assert_allclose(truth.driven_rad, expected_rad)
-    np.testing.assert_allclose(truth.driven_mps, [np.nan, 12.5, 17.5, np.nan] if motion else [np.nan] * 4)
-    names = [name for name, log in (("wheel.csv", wheel), ("motion.csv", motion)) if log]
-    assert truth.name == (" and ".join(names) or "steering.csv")
-
-
-def test_truth_of_oxts_is_unknown_at_standstill(tmp_path: Path) -> None:
-    rows = dict(enumerate(make_rows(2, vf=np.array([10.0, 0.5]), wu=0.5)))
-    frames = [Frame(number, number / 10) for number in rows]
-    ingest_drive(frames, tmp_path / "a.h5", drive="a", camera=None, settings=READING, oxts=rows)
-    with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
-        truth = read_truth(raw, raw.frame, Logs(), CAR)
-    assert truth.name == "oxts"
-    np.testing.assert_allclose(truth.driven_rad, [np.arctan(2.7 * 0.05), np.nan])
-    np.testing.assert_allclose(truth.driven_mps, [10, 0.5])
 
 
 def test_comparison_by_its_definition(tmp_path: Path) -> None:
@@ -140,32 +136,28 @@ def test_path_and_legend_are_inside_the_picture(
     fx, fy, cx, cy = K
     results, black = quarter(), np.zeros((*size, 3), np.uint8)
     results.table["measured_rad"] = results.table["measured_rad"] / 20
-    more: dict[str, Any] = {"angle": {"predicted_rad": np.full(COUNT, 0.01), "sigma_rad": np.full(COUNT, 0.001)}}
-    results.table |= more.get(predicted, {"predicted_rad": np.full(COUNT, np.nan)} if predicted == "path" else {})
+    if predicted != "none":
+        results.table["predicted_rad"] = np.full(COUNT, 0.01 if predicted == "angle" else np.nan)
     if predicted == "path":
         results.ahead_m, results.path_1pm = (0, 10, 30), np.full((COUNT, 2), 0.01)
-        results.path_sigma_1pm = np.full((COUNT, 2), 0.02)
     camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size, 1.5)
     frames = [Frame(number, number / 10, black) for number in range(COUNT + 1)]  # the last one has no result
-    source = Source(tmp_path, "drive", camera, lambda: iter(frames), None, 10.0)
+    source = Source(tmp_path, "drive", camera, lambda: iter(frames), None)
     write_overlay(tmp_path / "a.mp4", source, results, 2.7)
     with av.open(str(tmp_path / "a.mp4")) as file:
         images = [picture.to_ndarray(format="rgb24") for picture in file.decode(video=0)]
     assert len(images) == COUNT
     for image, measured in zip(images, results.table["valid"], strict=True):
-        lit = (image.max(axis=2) > 60) & (np.arange(size[0])[:, None] > cy)
-        assert lit.any() or not measured  # the paths, below the horizon
-        text = (image.max(axis=2) > 60) & (np.arange(size[0])[:, None] < 0.6 * cy)
-        assert text.any()
-        assert not text[:, -8:].any()
+        lit = image.max(axis=2) > 60
+        assert lit[cy:].any() or not measured  # the paths, below the horizon
+        assert lit[: int(0.6 * cy)].any()  # the legend
+        assert not lit[: int(0.6 * cy), -8:].any()
     assert not black.any()  # the frame is not changed
 
 
 def test_the_picture_is_drawn_with_and_without_measured_frames(tmp_path: Path) -> None:
     still = quarter()
-    still.table["valid"] = np.zeros(COUNT, np.uint8)
-    turn = quarter()
-    turn.ahead_m, turn.path_1pm = (0, 1, 2), np.full((COUNT, 2), 0.1)
-    for number, results in enumerate((still, quarter(), turn)):
+    still.table |= {name: np.full(COUNT, np.nan) for name in ("x_m", "y_m", "speed_mps", "measured_rad")}
+    for number, results in enumerate((still, quarter())):
         draw_track(tmp_path / f"{number}.png", results)
-    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 3
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 2

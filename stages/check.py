@@ -26,13 +26,11 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
 
 def check_encoder(encoder: Encoder) -> None:
-    """Check that the files of the encoder exist. Raises InputError."""
-    from pipeline.perception import create, precomputed
+    """Check that the files and the package of the encoder exist. Raises InputError."""
+    from pipeline.perception import create
 
-    if encoder.weights:
-        with error_context("encoder.weights"):
-            check = precomputed.find if encoder.backbone == "precomputed" else create.check_weights
-            check(encoder.weights)
+    with error_context("encoder"):
+        create.check(encoder)
 
 
 def check_model(entry: Entry, settings: Params) -> None:

@@ -33,6 +33,15 @@ def scaled_by_focal(depth: Tensor, K: Tensor, trained: float) -> Tensor:
     return depth * (K[:, 0, 0] / depth.shape[-1] / trained).to(depth.dtype)[:, None, None]
 
 
+def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
+    """Return x/z and y/z of each pixel's ray, [B,2,H,W], for intrinsics [B,3,3] without skew."""
+    v = torch.arange(size[0], dtype=K.dtype, device=K.device).view(1, -1, 1)
+    u = torch.arange(size[1], dtype=K.dtype, device=K.device).view(1, 1, -1)
+    x = (u - K[:, 0, 2, None, None]) / K[:, 0, 0, None, None]  # [B,1,W]
+    y = (v - K[:, 1, 2, None, None]) / K[:, 1, 1, None, None]  # [B,H,1]
+    return torch.stack([x.expand(-1, size[0], -1), y.expand(-1, -1, size[1])], dim=1).float()
+
+
 class Pointwise(nn.Conv2d):
     """A 1x1 convolution as a matrix product on channels last.
 

@@ -14,7 +14,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from models.encoder.heads import rgb_0_1
+from models.encoder.dinov2 import DinoV2
+from models.encoder.heads import ray_slopes, rgb_0_1
+from models.encoder.hugging_face import HuggingFace, Pair
 from models.encoder.small import small
 from models.encoder.street import Street
 
@@ -52,6 +54,9 @@ class UnifiedEncoder(nn.Module):
 BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "small": lambda architecture: UnifiedEncoder(*small()),
     "street": lambda architecture: Street(),
+    "pair": Pair,
+    "hugging_face": HuggingFace,
+    "dinov2": DinoV2,
 }
 
 
@@ -63,12 +68,3 @@ def build(architecture: Architecture) -> nn.Module:
     if architecture["backbone"] not in BUILD:
         raise ValueError(f"unknown backbone {architecture['backbone']!r} (known: {', '.join(BUILD)})")
     return BUILD[architecture["backbone"]](architecture)
-
-
-def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
-    """Return x/z and y/z of each pixel's ray, [B,2,H,W], for intrinsics [B,3,3] without skew."""
-    v = torch.arange(size[0], dtype=K.dtype, device=K.device).view(1, -1, 1)
-    u = torch.arange(size[1], dtype=K.dtype, device=K.device).view(1, 1, -1)
-    x = (u - K[:, 0, 2, None, None]) / K[:, 0, 0, None, None]  # [B,1,W]
-    y = (v - K[:, 1, 2, None, None]) / K[:, 1, 1, None, None]  # [B,H,1]
-    return torch.stack([x.expand(-1, size[0], -1), y.expand(-1, -1, size[1])], dim=1).float()

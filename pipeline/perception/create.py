@@ -8,12 +8,12 @@ from pathlib import Path
 
 from torch import hub, nn
 
-from models.encoder import street
+from models.encoder import dinov2, hugging_face, street
 from models.encoder.unified_encoder import Architecture, build
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
-from pipeline.perception import perceive
-from pipeline.settings.encoder import Encoder
+from pipeline.perception import perceive, precomputed
+from pipeline.settings.encoder import NEEDED, Encoder
 from pipeline.train import checkpoint
 
 WEIGHTS = Path("weights")  # downloaded files
@@ -40,6 +40,27 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
     return architecture, model
 
 
+def check(settings: Encoder) -> None:
+    """Raise InputError if a file, a folder or a package is missing; the hub is not asked."""
+    if settings.targets:
+        with error_context("targets"):
+            precomputed.find(settings.targets)
+    if settings.backbone in NEEDED:
+        with error_context("backbone"):
+            hugging_face.transformers()
+    if settings.weights:
+        with error_context("weights"):
+            (precomputed.find if settings.backbone == "precomputed" else check_weights)(settings.weights)
+        return
+    for key in NEEDED.get(settings.backbone, ()):
+        with error_context(key):
+            value = getattr(settings, key)
+            if settings.backbone == "dinov2" and key != "model":
+                check_weights(Path(value))  # of a head
+            elif isinstance(value, str):
+                hugging_face.check(value)
+
+
 def check_weights(path: Path) -> None:
     """Raise InputError if there is no file at `path`."""
     if not path.is_file():
@@ -64,6 +85,9 @@ def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
 CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
     "small": _create_small,
     "street": _create_street,
+    "pair": hugging_face.create_pair,
+    "hugging_face": hugging_face.create_backbone,
+    "dinov2": dinov2.create_dinov2,
 }
 """Kind → its description, with `sources` where weights were published: a line each; and the network with weights."""
 

@@ -9,7 +9,11 @@ from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
 FilePath = Annotated[Path, Field(strict=False)]
 Hub = Annotated[str, Field(min_length=1, description="a name on the hub, or a folder")]
-NEEDED = {"pair": ("depth", "classes", "focal_by_width"), "hugging_face": ("model",), "dinov2": ("model",)}
+NEEDED = {
+    "pair": ("depth", "classes", "focal_by_width"),
+    "hugging_face": ("model",),
+    "dinov2": ("model", "depth", "classes"),
+}
 FITTED = {"small", "hugging_face"}
 
 

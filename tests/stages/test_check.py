@@ -1,3 +1,4 @@
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ MODEL = "models.sa-gnn-ncp"
 PAPER = {"cnn-ncp", "gnn-lstm", "gnn-ncp", "pointnet2-lstm", "pointnet2-ncp", "do-gnn-ncp", "sa-gnn-ncp"}
 GRAPH = {"input": "semantic", "temporal": "lstm", "semantics": 1.0}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
+PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
+DINOV2 = {"backbone": "dinov2", "model": "a/b", "depth": "depth.pth", "classes": "classes.pth", **FIT}
 
 
 def changed(where: str, value: Any, name: str = "table2") -> dict[str, Any]:
@@ -49,6 +52,13 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
     assert own["graphs"].items() <= table2["graphs"].items()
     assert own["models"].items() <= table2["models"].items()
     assert table2["models"].keys() >= PAPER
+
+
+def test_a_missing_package_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(tmp_path, changed("encoder", PAIR))
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(InputError, match=r"encoder: backbone: .* needs the package transformers: pip install"):
+        run(tmp_path, changed("encoder", PAIR))
 
 
 def test_a_label_is_not_its_models_input(tmp_path: Path) -> None:
@@ -106,6 +116,14 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         ("encoder", {"backbone": "precomputed", "weights": "pngs", **FIT}, "folder has no PNG files"),
         ("encoder", {"backbone": "precomputed", **FIT}, "folder of PNG files"),
         ("encoder", {"backbone": "street", **FIT, "epochs": 1}, "street is not fitted"),
+        (
+            "encoder",
+            {"backbone": "pair", "depth": "a/b", **FIT},
+            "pair needs classes and focal_by_width, or an encoder.pt",
+        ),
+        ("encoder", PAIR | {"depth": "some/where/else"}, "depth: 'some/where/else' is not a folder with a config.json"),
+        ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
+        ("encoder", PAIR | {"targets": "pngs"}, "targets: pngs: folder has no PNG files"),
         ("models." + "n" * 101, {"input": "depth", "spatial": "gnn", "temporal": "ncp", "window": 8}, "at most 100"),
         ("model", {}, "model.*did you mean models"),
     ],

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
+from models.encoder.heads import ray_slopes
 from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
-from models.encoder.unified_encoder import build, ray_slopes
+from models.encoder.unified_encoder import build
 from pipeline.camera import classes
 from pipeline.camera.camera import scan_depth
 from pipeline.camera.images import read_image, resized

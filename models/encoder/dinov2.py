@@ -1,0 +1,104 @@
+"""DINOv2 (Oquab et al. 2023) with its authors' linear heads: KITTI depth in metres and ADE20K classes.
+
+The backbone is transformers' Dinov2Model, by name or folder. The heads are the authors' files, for instance
+``dinov2_vits14_kitti_linear_head.pth`` and ``dinov2_vits14_ade20k_linear_head.pth``.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy._core.multiarray import scalar
+from torch import Tensor, nn
+
+from models.encoder.heads import scaled_by_focal
+from models.encoder.hugging_face import CityscapesLogits, Network, describe, loading, local
+from models.encoder.rtmonodepth_s import KITTI_FOCAL
+
+MIN_DEPTH_M, MAX_DEPTH_M, BINS = 0.001, 80.0, 256  # of the KITTI heads; the authors' hub code has NYU's maximum of 10 m
+ADE20K = (
+    "wall", "building", "sky", "floor", "tree", "ceiling", "road", "bed", "windowpane", "grass", "cabinet", "sidewalk",
+    "person", "earth", "door", "table", "mountain", "plant", "curtain", "chair", "car", "water", "painting", "sofa",
+    "shelf", "house", "sea", "mirror", "rug", "field", "armchair", "seat", "fence", "desk", "rock", "wardrobe", "lamp",
+    "bathtub", "railing", "cushion", "base", "box", "column", "signboard", "chest of drawers", "counter", "sand",
+    "sink", "skyscraper", "fireplace", "refrigerator", "grandstand", "path", "stairs", "runway", "case", "pool table",
+    "pillow", "screen door", "stairway", "river", "bridge", "bookcase", "blind", "coffee table", "toilet", "flower",
+    "book", "hill", "bench", "countertop", "stove", "palm", "kitchen island", "computer", "swivel chair", "boat",
+    "bar", "arcade machine", "hovel", "bus", "towel", "light", "truck", "tower", "chandelier", "awning", "streetlight",
+    "booth", "television", "airplane", "dirt track", "apparel", "pole", "land", "bannister", "escalator", "ottoman",
+    "bottle", "buffet", "poster", "stage", "van", "ship", "fountain", "conveyer belt", "canopy", "washer", "plaything",
+    "swimming pool", "stool", "barrel", "basket", "waterfall", "tent", "bag", "minibike", "cradle", "oven", "ball",
+    "food", "step", "tank", "trade name", "microwave", "pot", "animal", "bicycle", "lake", "dishwasher", "screen",
+    "blanket", "sculpture", "hood", "sconce", "vase", "traffic light", "tray", "ashcan", "fan", "pier", "crt screen",
+    "plate", "monitor", "bulletin board", "shower", "radiator", "glass", "clock", "flag",
+)  # fmt: skip
+
+
+class DinoV2(nn.Module):
+    """The backbone, and the heads with the authors' names of tensors."""
+
+    def __init__(self, architecture: Mapping[str, Any], folder: Path | None = None) -> None:
+        """`folder`: of the backbone's weights; without it they are random, as those of the heads."""
+        super().__init__()
+        self.backbone = Network("AutoModel", architecture["model"], folder)
+        width = self.backbone.network.config.hidden_size
+        self.depth_head = nn.ModuleDict({"conv_depth": nn.Conv2d(2 * width, BINS, 1)})
+        self.class_head = nn.ModuleDict({"bn": nn.BatchNorm2d(width), "conv_seg": nn.Conv2d(width, len(ADE20K), 1)})
+        self.cityscapes = CityscapesLogits(ADE20K)
+
+    def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+        size, patch = image.shape[-2:], self.backbone.network.config.patch_size
+        states = self.backbone(image, output_hidden_states=True)
+        last, normed = states.hidden_states[-1], states.last_hidden_state  # [B,1+h·w,C], the class token first
+        summary = last[:, :1].expand(-1, last.shape[1] - 1, -1)
+        tokens = torch.cat([last[:, 1:], summary, normed[:, 1:]], dim=2)  # [B,h·w,3C]
+        h, w = (side // patch for side in self.backbone.padded(size))
+        maps = tokens.mT.reshape(len(tokens), -1, h, w)  # [B,3C,h,w]
+        width = normed.shape[2]
+        depth, logits = self.depth(maps[:, : 2 * width]), self.classes(maps[:, 2 * width :])
+        depth = self.backbone.enlarged(depth[:, None], size)[:, 0]
+        return scaled_by_focal(depth, K, KITTI_FOCAL), self.backbone.enlarged(logits, size)
+
+    def depth(self, features: Tensor) -> Tensor:
+        """Return the weighted mean [B,4h,4w] of 256 depths in metres from features [B,2C,h,w]."""
+        # The authors interpolate first. Both steps are linear, and the weights of an interpolation add up to 1.
+        bins = self.depth_head["conv_depth"](features).float()
+        shares = F.interpolate(bins, scale_factor=4, mode="bilinear", align_corners=False).relu() + 0.1  # [B,256,4h,4w]
+        depth_m = torch.linspace(MIN_DEPTH_M, MAX_DEPTH_M, BINS, device=bins.device)
+        with torch.autocast(bins.device.type, enabled=False):  # a sum of 256 terms is inaccurate in half precision
+            return torch.einsum("bnhw,n->bhw", shares, depth_m) / shares.sum(dim=1)
+
+    def classes(self, features: Tensor) -> Tensor:
+        """Return logits of Cityscapes' classes and void [B,20,h,w] from features [B,C,h,w]."""
+        logits: Tensor = self.cityscapes(self.class_head["conv_seg"](self.class_head["bn"](features)))
+        return logits
+
+
+def create_dinov2(settings: Any) -> tuple[dict[str, Any], nn.Module]:
+    """Return architecture and network of section ``encoder``, where `depth` and `classes` are the heads' files.
+
+    Raises ValueError.
+    """
+    folder, sources = local(settings.model)
+    description = describe(folder)
+    architecture = {"backbone": "dinov2", "model": description, "sources": sources}
+    with loading(settings.model):
+        if description["config"]["model_type"] != "dinov2":
+            raise ValueError("expected a network of type dinov2")
+        network = DinoV2(architecture, folder)
+    for head, file in ((network.depth_head, settings.depth), (network.class_head, settings.classes)):
+        with loading(file):
+            head.load_state_dict(read_head(Path(file)))
+    return architecture, network
+
+
+def read_head(path: Path) -> dict[str, Tensor]:
+    """Return the tensors of a head's file, which stand beside numbers of its training."""
+    # numpy 1's name of the type, and its present one
+    numbers: list[Any] = [(scalar, "numpy.core.multiarray.scalar"), scalar, np.dtype, np.dtypes.Float64DType]
+    with torch.serialization.safe_globals(numbers):
+        state = torch.load(path, weights_only=True, map_location="cpu")["state_dict"]
+    return {name.removeprefix("decode_head."): tensor for name, tensor in state.items()}

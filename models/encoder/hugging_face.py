@@ -1,0 +1,254 @@
+"""Networks of Hugging Face, by name or folder: a pair of two networks, and one backbone with the heads of this project.
+
+A network is described by ``{"config", "mean", "std"}``, its configuration and the normalisation of its images, so that
+it is built again without a hub. No code of a hub runs; weights are tensors only.
+"""
+
+import json
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, rgb_0_1, scaled_by_focal
+from pipeline.camera.classes import COUNT, NAMES
+
+IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
+STRIDE, LEVELS, WIDTH = 4, 4, 64  # of the feature pyramid: stride of its finest map, number of maps, channels
+# Weights that published files lack: a unit of DPT that its forward pass does not use, and norms that a fit trains.
+UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
+SYNONYMS = {
+    "road": "runway, dirt track, service lane, bike lane, crosswalk - plain, lane marking - crosswalk, "
+    "lane marking - general, manhole, catch basin, pothole",
+    "sidewalk": "path, floor, pedestrian area, curb, curb cut",
+    "building": "house, skyscraper, tower, hovel, booth, grandstand, awning, canopy, windowpane, door, screen door, "
+    "blind, column, stairs, stairway, step, trade name",
+    "fence": "railing, bannister, barrier",
+    "pole": "streetlight, street light, utility pole",
+    "traffic sign": "signboard, traffic sign (front)",
+    "vegetation": "tree, plant, palm, flower",
+    "terrain": "grass, earth, field, land, sand, rock, hill, mountain",
+    "rider": "bicyclist, motorcyclist, other rider",
+    "car": "van",
+    "train": "on rails",
+    "motorcycle": "minibike",
+}
+"""ADE20K's and Mapillary's names for Cityscapes' classes. All others are void, bridges among them, as in Cityscapes."""
+NUMBERS = {name: number for number, name in enumerate(NAMES)} | {
+    synonym: NAMES.index(name) for name, synonyms in SYNONYMS.items() for synonym in synonyms.split(", ")
+}
+
+
+class CityscapesLogits(nn.Module):
+    """Logits of other classes [B,C,h,w] → logits of Cityscapes' classes and void [B,20,h,w]."""
+
+    members: Tensor
+
+    def __init__(self, labels: Sequence[str]) -> None:
+        super().__init__()
+        self.void = [label for label in labels if label.strip().lower() not in NUMBERS]
+        numbers = torch.tensor([NUMBERS.get(label.strip().lower(), COUNT) for label in labels])
+        self.register_buffer("members", F.one_hot(numbers, COUNT + 1).float().T[..., None, None], persistent=False)
+
+    def forward(self, logits: Tensor) -> Tensor:
+        """Add the probabilities of a class's members. One without members has a finite loss and is not predicted."""
+        with torch.autocast(logits.device.type, enabled=False):
+            return F.conv2d(logits.float().softmax(dim=1), self.members).clamp(min=1e-6).log()
+
+
+def transformers() -> ModuleType:
+    """Return Hugging Face's package, without its reports. Raises ValueError if it is not installed."""
+    try:
+        import transformers
+    except ImportError as error:
+        raise ValueError("this backbone needs the package transformers: pip install '.[pretrained]'") from error
+    transformers.logging.set_verbosity_error()  # type: ignore[no-untyped-call]
+    transformers.logging.disable_progress_bar()  # type: ignore[no-untyped-call]
+    logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
+    return transformers
+
+
+@contextmanager
+def loading(name: str | Path) -> Iterator[None]:
+    """Raise the errors of transformers as ValueError of one line."""
+    try:
+        yield
+    except (OSError, ValueError, LookupError, ImportError, RuntimeError) as error:
+        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+        raise ValueError(f"cannot load {str(name)!r}: {reason}") from error
+
+
+def check(name: str) -> None:
+    """Raise ValueError if a name that can only be a folder is none of a network, or if the package is missing."""
+    transformers()
+    path = Path(name)
+    is_folder = path.is_absolute() or path.parent.is_dir() or len(path.parts) > 2
+    if is_folder and not (path / "config.json").is_file():
+        raise ValueError(f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub")
+
+
+def local(name: str) -> tuple[Path, list[str]]:
+    """Return a folder; or the folder of a downloaded network of the hub, and a line with its revision.
+
+    Raises ValueError.
+    """
+    check(name)
+    if Path(name).is_dir():
+        return Path(name), []
+    from huggingface_hub import snapshot_download
+
+    with loading(name):
+        for weights in ("*.safetensors*", "pytorch_model*"):
+            folder = Path(snapshot_download(name, allow_patterns=["*config.json", weights]))
+            if any(folder.glob(weights)):
+                break
+    return folder, [f"https://huggingface.co/{name}/tree/{folder.name}"]
+
+
+def describe(folder: Path) -> dict[str, Any]:
+    """Return the description of the network in a folder. Raises ValueError."""
+    with loading(folder):
+        config = transformers().AutoConfig.from_pretrained(folder, trust_remote_code=False)
+        content = json.loads(config.to_json_string(use_diff=False))
+        file = folder / "preprocessor_config.json"
+        images = json.loads(file.read_text()) if file.is_file() else IMAGENET
+    del content["_name_or_path"]
+    normalised = images.get("do_normalize", "image_mean" in images)
+    images = IMAGENET | images if normalised else {"image_mean": [0.0] * 3, "image_std": [1.0] * 3}
+    return {"config": content, "mean": images["image_mean"], "std": images["image_std"]}
+
+
+class Network(nn.Module):
+    """A network of transformers with its normalisation, on images padded at the right and bottom for its patches."""
+
+    mean_std: Tensor
+
+    def __init__(self, auto: str, description: Mapping[str, Any], folder: Path | None = None) -> None:
+        """`auto` is the class of transformers that builds it. Without a `folder` of weights they are random."""
+        super().__init__()
+        library = transformers()
+        config = library.AutoConfig.for_model(**description["config"])
+        patch = getattr(getattr(config, "backbone_config", None) or config, "patch_size", None)
+        # Others than a ViT halve the image up to five times. Maps of a ViT are resized to strides from 4 on.
+        self.multiple = math.lcm(patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
+        if auto == "AutoBackbone":
+            stages = len(getattr(config, "stage_names", ())) - 1  # without the stem
+            config.out_indices = sorted({max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)})
+        with loading(folder or config.model_type):
+            self.network = getattr(library, auto).from_config(config, trust_remote_code=False)
+            if folder:
+                self.network, report = type(self.network).from_pretrained(
+                    folder, config=config, dtype=torch.float32, weights_only=True, output_loading_info=True
+                )
+                missing = sorted(name for name in report["missing_keys"] if not name.startswith(UNPUBLISHED))
+                if missing:
+                    raise ValueError(f"its weights lack {missing[0]}, {len(missing)} tensors in all")
+        mean_std = torch.tensor([description["mean"], description["std"]])[..., None, None]
+        self.register_buffer("mean_std", mean_std, persistent=False)  # [2,3,1,1]
+
+    def forward(self, image: Tensor, **options: Any) -> Any:
+        """Return the network's output for an RGB image [B,3,H,W]."""
+        rgb = rgb_0_1(image)
+        (mean, std), (height, width) = self.mean_std.to(rgb.dtype), rgb.shape[-2:]
+        return self.network(
+            F.pad((rgb - mean) / std, (0, -width % self.multiple, 0, -height % self.multiple)), **options
+        )
+
+    def padded(self, size: Sequence[int]) -> list[int]:
+        """Return the size of an image of `size` (H, W) after padding."""
+        return [side + -side % self.multiple for side in size]
+
+    def enlarged(self, x: Tensor, size: Sequence[int]) -> Tensor:
+        """Interpolate a map [B,C,h,w] of the padded image and crop it to the image of `size`, [B,C,H,W]."""
+        x = F.interpolate(x.float(), self.padded(size), mode="bilinear", align_corners=False)
+        return x[..., : size[0], : size[1]]
+
+
+class Pair(nn.Module):
+    """Two networks, one for depth and one for classes."""
+
+    def __init__(self, architecture: Mapping[str, Any], depth: Path | None = None, classes: Path | None = None) -> None:
+        """`depth` and `classes`: folders of the weights; without them they are random."""
+        super().__init__()
+        self.depth = Network("AutoModelForDepthEstimation", architecture["depth"], depth)
+        self.classes = Network("AutoModelForSemanticSegmentation", architecture["classes"], classes)
+        self.cityscapes = CityscapesLogits([name for _, name in sorted(self.classes.network.config.id2label.items())])
+        self.focal_by_width = architecture["focal_by_width"]
+
+    def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+        size = image.shape[-2:]
+        depth = self.depth.enlarged(self.depth(image).predicted_depth[:, None], size)[:, 0]
+        logits = self.classes.enlarged(self.cityscapes(self.classes(image).logits), size)
+        return scaled_by_focal(depth, K, self.focal_by_width), logits
+
+
+class HuggingFace(nn.Module):
+    """The paper's unified encoder: one backbone, a depth head and a class head."""
+
+    def __init__(self, architecture: Mapping[str, Any], folder: Path | None = None) -> None:
+        """`folder`: of the backbone's weights; without it they are random."""
+        super().__init__()
+        self.backbone = Network("AutoBackbone", architecture["model"], folder)
+        channels = self.backbone.network.channels
+        self.depth_head = Pyramid(channels, CellDepth(WIDTH, STRIDE))
+        self.class_head = Pyramid(channels, CellClasses(WIDTH, STRIDE))
+
+    def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+        (height, width), size = image.shape[-2:], self.backbone.padded(image.shape[-2:])
+        maps = [
+            resized(x, [math.ceil(side / (STRIDE * 2**level)) for side in size])  # of a ViT: their strides are equal
+            for level, x in enumerate(self.backbone(image).feature_maps)
+        ]
+        rays = ray_slopes(K, torch.Size(size))
+        depth, logits = self.depth_head(maps, rays), self.class_head(maps, rays)
+        return depth[..., :height, :width], logits[..., :height, :width]
+
+
+class Pyramid(nn.Module):
+    """Feature pyramid (Lin et al. 2017) from coarse to fine maps, then a head on the finest."""
+
+    def __init__(self, channels: Sequence[int], head: nn.Module) -> None:
+        super().__init__()
+        self.sides = nn.ModuleList(nn.Conv2d(count, WIDTH, 1) for count in channels)
+        self.smooth = nn.Sequential(
+            nn.Conv2d(WIDTH + 2, WIDTH, 3, padding=1), nn.ReLU(), nn.Conv2d(WIDTH, WIDTH, 3, padding=1), nn.ReLU()
+        )
+        self.head = head
+
+    def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
+        """Return the head's output for maps at 1/4, 1/8, … of the image of `rays` [B,2,H,W]."""
+        y = self.sides[-1](maps[-1])
+        for side, finer in zip(reversed(self.sides[:-1]), reversed(maps[:-1]), strict=True):
+            y = side(finer) + F.interpolate(y, finer.shape[-2:], mode="bilinear", align_corners=False)
+        result: Tensor = self.head(self.smooth(torch.cat([y, resized(rays, y.shape[-2:])], dim=1)), rays)
+        return result
+
+
+def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
+    """Return architecture and network of section ``encoder``. Raises ValueError, also if depth is not in metres."""
+    (depth, source), (classes, other) = local(settings.depth), local(settings.classes)
+    descriptions = {"depth": describe(depth), "classes": describe(classes)}
+    numbers = {"focal_by_width": settings.focal_by_width, "sources": source + other}
+    architecture = {"backbone": "pair", **descriptions, **numbers}
+    network = Pair(architecture, depth, classes)
+    unit = descriptions["depth"]["config"].get("depth_estimation_type") or settings.depth_unit
+    if unit != "metric":
+        problem = "is relative" if unit else "has an unknown unit. If it is metres, set depth_unit: metric"
+        raise ValueError(f"the depth of {settings.depth!r} {problem}")
+    print(f"encoder: classes that are void: {', '.join(network.cityscapes.void) or 'none'}", flush=True)
+    return architecture, network
+
+
+def create_backbone(settings: Any) -> tuple[dict[str, Any], nn.Module]:
+    """Return architecture and network of section ``encoder``; its heads are random. Raises ValueError."""
+    folder, sources = local(settings.model)
+    architecture = {"backbone": "hugging_face", "model": describe(folder), "sources": sources}
+    published = any(folder.glob("*.safetensors")) or any(folder.glob("pytorch_model*.bin"))
+    return architecture, HuggingFace(architecture, folder if published else None)

@@ -115,7 +115,6 @@ class Entry(Section):
             equivariant=self.equivariant,
             motion=self.motion != "none",
             uncertainty=self.uncertainty,
-            path=self.predict == "path",
         )
 
 

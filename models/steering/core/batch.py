@@ -1,7 +1,4 @@
-"""Input of the spatial networks: B frames as images, or as concatenated point clouds.
-
-:func:`from_arrays` alone maps the arrays of a graph file (pipeline/graphs/graph_file.py) to a batch.
-"""
+"""Input of the spatial networks: B frames as images, or as concatenated point clouds."""
 
 import dataclasses
 from bisect import bisect_right
@@ -57,21 +54,16 @@ class GraphBatch(_Points):
         to = torch.arange(len(self.degree), device=self.degree.device).repeat_interleave(self.degree.long())
         return torch.stack([self.indices.long(), to])
 
-    def blocks(self, points: int) -> Iterator[Self]:
+    def blocks(self, points: int) -> Iterator["GraphBatch"]:
         """Split the batch into blocks of complete frames with at most `points` points, or of one larger frame."""
-        ptr = self.ptr.tolist()
-        ends = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # edges before each frame
-        first, frames = 0, len(ptr) - 1
-        while first < frames:
+        edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # before each frame
+        ptr, first = self.ptr.tolist(), 0
+        while first < self.frames:
             last = max(first + 1, bisect_right(ptr, ptr[first] + points) - 1)
-            rows = slice(ptr[first], ptr[last])
-            yield type(self)(
-                self.xyz[rows],
-                self.cls[rows],
-                self.ptr[first : last + 1] - ptr[first],
-                self.degree[rows],
-                self.indices[ends[first] : ends[last]] - ptr[first],
-            )
+            start, rows = ptr[first], slice(ptr[first], ptr[last])
+            indices = self.indices[edges[first] : edges[last]] - start
+            ends = self.ptr[first : last + 1] - start
+            yield GraphBatch(self.xyz[rows], self.cls[rows], ends, self.degree[rows], indices)
             first = last
 
 
@@ -110,7 +102,7 @@ Batch = GraphBatch | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
-    """Return a batch on `device` of arrays by name, as :func:`graph_file.collate` reads them; others are ignored.
+    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them; others are ignored.
 
     Pointers stay on the CPU: reading them from a GPU would stall each step.
     """

@@ -12,11 +12,9 @@ from models.steering.core.batch import FrameKind
 
 Part = Literal["spatial", "temporal"]
 Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Semantics = Annotated[Fraction, Field(description="weight of the classes, paper eq. 7; 0: geometry alone")]
 Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
 """Channels after each layer."""
+Semantics = Annotated[float, Field(ge=0, le=1, description="weight of the classes, paper eq. 7; 0: geometry alone")]
 
 
 class OptionGroup(BaseModel):
@@ -58,8 +56,9 @@ def load(part: Part, name: str) -> type[NetworkOptions]:
     if name not in (known := names(part)):
         raise ValueError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
     options = getattr(importlib.import_module(f"models.steering.{part}.{name}"), "Options", None)
-    if not (isinstance(options, type) and issubclass(options, NetworkOptions)):
-        raise ValueError(f"{path} defines no class Options(NetworkOptions), see models/steering/core/steering_net.py")
-    if part == "spatial" and options.kind not in (kinds := get_args(FrameKind)):
-        raise ValueError(f"{path}: Options.kind = {options.kind!r}, expected one of {', '.join(kinds)}")
+    kinds = get_args(FrameKind) if part == "spatial" else (None,)
+    if not (isinstance(options, type) and issubclass(options, NetworkOptions) and options.kind in kinds):
+        raise ValueError(
+            f"{path} has no class Options(NetworkOptions) with one of the kinds {kinds}. See docs/models.md"
+        )
     return options

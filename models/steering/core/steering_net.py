@@ -1,20 +1,9 @@
 """The network of the paper's figure: a spatial network on each frame, a recurrent one over the frames.
 
-A network is a file. `spatial: mean` in params.yaml is models/steering/spatial/mean.py, listed nowhere else:
-
-    class Mean(nn.Module):                      # batch of B frames (core/batch.py) → features [B,F]
-        def __init__(self, features: int, scale_m: float) -> None: ...
-
-    class Options(NetworkOptions):              # the options that an entry of `models` may set
-        kind: ClassVar[FrameKind] = "graph"     # its input: "graph" | "pointnet2" | "image"; spatial networks only
-        scale_m: Annotated[float, Field(gt=0)] = 10.0
-
-        def build(self, sizes: Sizes) -> nn.Module:
-            return Mean(sizes.features, self.scale_m)
-
-A temporal file is the same with a RecurrentCell (core/recurrent.py). A cell of `temporal: ncp` is a file of core/cell/
-and a line of temporal/ncp.py. DVC retrains a model when core or one of its two files changes, so a network's file may
-import only core and pipeline.camera.classes; tests/test_dvc_yaml.py checks it.
+A network is a file, listed nowhere else: `spatial: mean` in params.yaml is models/steering/spatial/mean.py. It has an
+nn.Module from a batch of B frames (core/batch.py) to features [B,F], and a class Options(NetworkOptions) with a field
+per option, `kind`, the frames that it reads, and `build`. A temporal file has a RecurrentCell (core/cell/__init__.py)
+and options without `kind`. docs/models.md has an example.
 """
 
 from collections.abc import Mapping
@@ -49,7 +38,6 @@ class SteeringNet(nn.Module):
             angle, in units of its standard deviation. The paper has no such input.
         uncertainty: a network from the recurrent network's state [W,U] to log σ [W,R], the logarithm of the error's
             standard deviation. Its gradient ends at the state: it does not change what the mean is learned from.
-        path: predict the path ahead, R numbers per window, and not an angle.
     Raises:
         ValueError: an option is out of range.
     """
@@ -65,11 +53,10 @@ class SteeringNet(nn.Module):
         equivariant: bool = False,
         motion: bool = False,
         uncertainty: bool = False,
-        path: bool = False,
     ) -> None:
         super().__init__()
         self.file, self.features = f"{type(spatial).__module__.replace('.', '/')}.py", sizes.features
-        self.equivariant, self.motion, self.path = equivariant, motion, path
+        self.equivariant, self.motion = equivariant, motion
         # Random numbers are drawn in this order: a seed's weights depend on it.
         self.spatial = spatial.build(sizes)
         inputs = sizes.features + motion * len(MOTION_MIRROR_SIGNS)
@@ -80,7 +67,7 @@ class SteeringNet(nn.Module):
             units = temporal_net.state_size(inputs)
             self.uncertainty = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, sizes.outputs))
         # Of the output for the mirrored scene: steering changes its sign, its σ does not.
-        signs = torch.tensor([-1.0] * sizes.outputs + [1.0] * sizes.outputs if uncertainty else -1.0)
+        signs = torch.tensor([-1.0] * sizes.outputs + [1.0] * sizes.outputs * uncertainty)
         self.register_buffer("signs", signs, persistent=False)
 
     def forward(
@@ -95,7 +82,7 @@ class SteeringNet(nn.Module):
             motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
             pairs: predict for the windows and for their mirror images.
         Returns:
-            [W], of a path [W,R]; with uncertainty [W,2] or [W,2R], the second half is log σ. With pairs the mirror
+            [W,R], R = 1 for an angle; with uncertainty [W,2R], the second half is log σ. With pairs [2W,..], the mirror
             images follow.
         Raises:
             ValueError: the spatial network returns another number of features.
@@ -124,7 +111,7 @@ class SteeringNet(nn.Module):
                 inputs = torch.cat([inputs, torch.cat([-odd, even], dim=1)])
             projected = self.temporal.project_inputs(inputs)  # [B,S]
             states, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
-            out: Tensor = states[:, -1] if self.path or self.uncertainty is not None else states[:, -1, 0]
+            out: Tensor = states[:, -1]
             if self.uncertainty is not None:
                 out = torch.cat([out, self.uncertainty(torch.cat(state, dim=1).detach())], dim=1)
             if not self.equivariant:
@@ -138,15 +125,14 @@ class SteeringNet(nn.Module):
 
         Names: those of the frames, `windows` [W,T], `dt_s` [W,T], and with motion `motion` [B,4].
         """
-        device = next(self.parameters()).device
-        tensors = {name: torch.as_tensor(arrays[name]) for name in ("windows", "dt_s", "motion") if name in arrays}
-        moved = {name: tensor.to(device, non_blocking=True) for name, tensor in tensors.items()}
-        return from_arrays(arrays, device), moved["windows"], moved["dt_s"], moved.get("motion")
+        device, names = self.signs.device, [name for name in ("windows", "dt_s", "motion") if name in arrays]
+        there = {name: torch.as_tensor(arrays[name]).to(device, non_blocking=True) for name in names}
+        return from_arrays(arrays, device), there["windows"], there["dt_s"], there.get("motion")
 
     @property
     def device(self) -> torch.device:
         """Device of the weights."""
-        return next(self.parameters()).device
+        return self.signs.device
 
 
 def odd_and_even(motion: Tensor) -> tuple[Tensor, Tensor]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor, nn
 
-from models.steering.core.options import Count, OptionGroup, Seed
+from models.steering.core.options import Count, OptionGroup
 
 Polarity = NDArray[np.int8]
 Neurons = NDArray[np.int64]
@@ -42,7 +42,7 @@ class Layout(OptionGroup):
     inter_fanout: Count = 4
     recurrent_command_synapses: Annotated[int, Field(ge=0)] = 6
     motor_fanin: Count = 6
-    seed: Seed = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
 
 def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:

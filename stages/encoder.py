@@ -36,7 +36,10 @@ def main(
     curve: Sequence[Any] = []
     with stage_folder("encoder", out) as stage:
         if settings.epochs:
-            drives = store.drives_in(store.read_index(ingest, stage="ingest"), "train")
+            splits, targets = store.read_index(ingest, stage="ingest"), settings.targets
+            drives = store.drives_in(splits, "train")
+            if targets:  # an image needs no label: drives of any split
+                drives = [drive for drive in splits if (targets / drive).is_dir()]
             curve, fitted_on = _fit(model, settings, ingest, drives)
             config |= fitted_on
         perceive.save(stage.new, architecture, model.state_dict())
@@ -57,13 +60,13 @@ def main(
 
 
 def _fit(model: Any, settings: Encoder, ingest: Path, drives: Sequence[str]) -> tuple[Sequence[Any], dict[str, Any]]:
-    """Fit the encoder to the training drives. Returns the loss curve and the frames for config.json."""
+    """Fit the encoder to drives. Returns the loss curve and the frames for config.json."""
     import torch
 
     from pipeline.perception import fit
     from pipeline.perception.examples import Examples
 
-    with Examples(ingest, drives, settings.frames) as examples:
+    with Examples(ingest, drives, settings.frames, settings.targets) as examples:
         curve = fit.fit(
             model.to("cuda" if torch.cuda.is_available() else "cpu"),
             examples,

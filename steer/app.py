@@ -3,7 +3,7 @@
 import typer
 
 from pipeline.base.console import guarded
-from steer import import_, measure, predict, show
+from steer import import_, measure, perceive, predict, show
 
 app = typer.Typer(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
@@ -16,6 +16,7 @@ app = typer.Typer(
 
 app.command("predict", no_args_is_help=True, help=predict.__doc__)(guarded(predict.predict))
 app.command("measure", no_args_is_help=True, help=measure.__doc__)(guarded(measure.measure))
+app.command("perceive", no_args_is_help=True, help=perceive.__doc__)(guarded(perceive.perceive))
 app.command("import", no_args_is_help=True, help=import_.__doc__)(guarded(import_.import_recording))
 app.command("show", no_args_is_help=True)(guarded(show.show))
 

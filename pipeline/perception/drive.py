@@ -52,7 +52,7 @@ def perceive_drive(
         file.append("cls", np.zeros((0, *camera.size), np.uint8), "Cityscapes trainId")
         postprocess = DepthPostprocessor(settings, camera)
         size = max(settings.batch, GPU_BATCH) if torch.cuda.is_available() else settings.batch
-        batches = _read_batches(source, camera, with_image, size)
+        batches = read_batches(source, camera, with_image, size)
         # One thread reads, others run the network, this one scales and writes.
         with closing(passes(predict, batches)) as results:
             for depth, cls in results:
@@ -62,7 +62,7 @@ def perceive_drive(
     return {"frames": len(with_image)}
 
 
-def _read_batches(source: DriveReader, camera: Camera, rows: np.ndarray, size: int) -> Generator[EncoderInput]:
+def read_batches(source: DriveReader, camera: Camera, rows: np.ndarray, size: int) -> Generator[EncoderInput]:
     """Yield the frames in `rows` of a file of stage ingest in batches of `size`."""
     for start in range(0, len(rows), size):
         batch = rows[start : start + size]

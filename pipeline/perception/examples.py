@@ -12,6 +12,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.perception import precomputed
 from pipeline.perception.truth import read_truth
 
 CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch
@@ -39,20 +40,22 @@ def spread(count: int, wanted: int) -> np.ndarray:
 class Examples:
     """Training frames by number, read on access; a context manager."""
 
-    def __init__(self, ingest: Path, drives: Sequence[str], frames: int) -> None:
+    def __init__(self, ingest: Path, drives: Sequence[str], frames: int, targets: Path | None = None) -> None:
         """Choose `frames` frames with an image and a target, evenly spread over `drives` of stage ingest.
 
-        Raises InputError unless at least one of the drives' frames with an image has depth, and one classes.
+        `targets` is a folder of PNG files in place of the drives' own depth and classes. Raises InputError unless at
+        least one of the drives' frames with an image has depth, and one classes.
         """
+        self._folder = targets
         self._stack = ExitStack()
         files = [self._stack.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
         # The fit does not use the height.
-        self._drives = [(file, read_camera(file, CAMERA_HEIGHT_M), _targets(file)) for file in files]
+        self._drives = [(file, read_camera(file, CAMERA_HEIGHT_M), _has_targets(file, targets)) for file in files]
         for column, kind in enumerate(("depth or LiDAR", "classes")):
-            if not any(targets[:, column].any() for _, _, targets in self._drives):
+            if not any(has_targets[:, column].any() for _, _, has_targets in self._drives):
                 self._stack.close()
                 fix = "Name a fitted encoder.pt in encoder.weights and set encoder.epochs: 0"
-                raise InputError(f"no image of the training drives has {kind}", ingest, fix)
+                raise InputError(f"no image of the training drives has {kind}", targets or ingest, fix)
         rows = [(i, int(row)) for i, drive in enumerate(self._drives) for row in np.flatnonzero(drive[2].any(axis=1))]
         self._frames = [rows[int(i)] for i in spread(len(rows), frames)]
         chosen = [i for i, _ in self._frames]
@@ -69,8 +72,12 @@ class Examples:
             return self._cache[i]
         drive, row = self._frames[i]
         file, camera, _ = self._drives[drive]
-        truth = read_truth(file, camera, row)
-        example = Example(file.row("image", row), camera, truth.depth_m, truth.cls)
+        if self._folder:
+            depth_m, cls = precomputed.read(self._folder, file.drive, int(file.frame[row]), camera.size)
+        else:
+            truth = read_truth(file, camera, row)
+            depth_m, cls = truth.depth_m, truth.cls
+        example = Example(file.row("image", row), camera, depth_m, cls)
         if self._cached:
             self._cache[i] = example
         return example
@@ -82,9 +89,11 @@ class Examples:
         self._stack.close()
 
 
-def _targets(file: DriveReader) -> np.ndarray:
+def _has_targets(file: DriveReader, folder: Path | None) -> np.ndarray:
     """Return whether each frame has an image with depth, and with classes, bool [F,2]."""
     depth, lidar, cls, image = (file[f"has_{kind}"].astype(bool) for kind in ("depth", "lidar", "cls", "image"))
+    if folder:
+        return np.stack([image, image], axis=1)
     return np.stack([depth | lidar, cls], axis=1) & image[:, None]
 
 

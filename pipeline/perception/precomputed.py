@@ -9,7 +9,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
 from pipeline.camera import classes
-from pipeline.camera.images import nearest, read_classes, read_depth, to_metres
+from pipeline.camera.images import nearest, read_classes, read_depth, to_metres, to_units, write_png
 
 FILE = "config.json"
 LAYOUT = (
@@ -38,6 +38,14 @@ def fingerprint(folder: Path) -> tuple[int, str]:
     files = find(folder)
     listing = "".join(f"{file.relative_to(folder)} {file_hash(file)}\n" for file in files)
     return len(files), hashlib.sha256(listing.encode()).hexdigest()
+
+
+def write(folder: Path, drive: str, frame: int, depth_m: np.ndarray, cls: np.ndarray) -> None:
+    """Write a frame's depth [H,W] in metres, except that of the sky, and trainIds uint8 [H,W]."""
+    depth = to_units(np.where(cls == classes.SKY, 0, depth_m))
+    for kind, pixels in (("depth", depth), ("cls", cls)):
+        with store.replacing(folder / drive / kind / f"{frame:010d}.png") as tmp:
+            write_png(tmp, pixels)
 
 
 def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

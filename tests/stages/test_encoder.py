@@ -1,19 +1,28 @@
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+from typer.testing import CliRunner
 
 from models.encoder.street import SOURCES
 from pipeline.base import store
 from pipeline.base.resume import ROOT
+from pipeline.base.store import DriveReader
+from pipeline.camera import classes
+from pipeline.camera.camera import read_camera
+from pipeline.perception import perceive, precomputed
 from pipeline.settings import preset
 from stages.encoder import main
+from steer.app import app
 from tests import street
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
+SWIN = ROOT / "models/encoder/swin-t"
 SETTINGS = {
     "backbone": "small", "weights": None, "epochs": 1, "frames": 6, "batch": 3, "learning_rate": 0.003, "seed": 0,
 }  # fmt: skip
@@ -73,6 +82,26 @@ def test_without_epochs_weights_are_used_as_they_are(ingest: Path, fitted: Path)
     out = run(ingest, epochs=0, weights=str(path), seed=5)
     assert (out / "encoder.pt").read_bytes() == path.read_bytes()
     assert "losses" not in config(out)
+
+
+def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ingest: Path, fitted: Path) -> None:
+    for drive in (VAL, TEST):
+        street.write_drive(ingest, drive, 4, dense=False)
+    targets = ingest.parent / "targets"
+    command = ["perceive", "--encoder", str(fitted), "--ingest", str(ingest), "--out", str(targets)]
+    result = CliRunner().invoke(app, command)
+    assert result.output.splitlines()[-1] == f"{TEST}: 4 frames"
+    again = CliRunner().invoke(app, command)
+    assert (again.exit_code, again.output.count("\n")) == (1, 1), "the folder is not free"
+    with DriveReader(ingest / f"{TEST}.h5", stage="ingest") as file:
+        depth, cls = perceive.perceive(perceive.load(fitted), file["image"], read_camera(file))
+    for frame in range(4):
+        found = precomputed.read(targets, TEST, frame, street.SIZE)
+        np.testing.assert_allclose(found[0], np.where(cls[frame] == classes.SKY, 0, depth[frame]), atol=1 / 256)
+        np.testing.assert_array_equal(found[1], cls[frame])
+    shutil.rmtree(targets / VAL)
+    content = config(run(ingest, "taught", targets=str(targets), backbone="hugging_face", model=str(SWIN), frames=3))
+    assert content["frames_per_drive"] == {TRAIN: 2, TEST: 1}
 
 
 @pytest.mark.real

@@ -15,7 +15,7 @@ from steer.app import app
 from tests.artefacts import write_dataset
 
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
-VERBS = {"measure", "predict", "import", "show"}
+VERBS = {"measure", "predict", "perceive", "import", "show"}
 
 
 def test_help_imports_nothing_large() -> None:

@@ -24,12 +24,12 @@ $(PRESETS): setup
 	@python -m pipeline.settings.run "$@"
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
-	@mkdir -p runs/encoder && python -m pipeline.settings.preset encoder --out runs/encoder/params.yaml
+	@python -m pipeline.settings.preset encoder runs/encoder
 	@cd runs/encoder && export PYTHONPATH=../.. && for stage in sample ingest encoder; do python -m stages.$$stage || exit; done
 	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample
 
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
-	@mkdir -p runs/street && python -m pipeline.settings.preset street --out runs/street/params.yaml
+	@python -m pipeline.settings.preset street runs/street
 	@python -m stages.encoder --params runs/street/params.yaml --out weights/street
 
 UDACITY ?= data/raw/udacity

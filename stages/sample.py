@@ -27,7 +27,12 @@ def main(
     """
     settings, ingest = load(Sample, params), load(Ingest, params)
     sources, splits = ingest.sources(), ingest.drives.splits()
-    frames = {drive: getattr(settings.frames, splits[drive]) for drive in splits if sources[drive] == "sample"}
+    frames = {
+        drive: count
+        for split, count in settings.frames.items()
+        for drive in getattr(ingest.drives, split)
+        if sources[drive] == "sample"
+    }
     if not frames:
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
     elif real := [drive for drive in splits if sources[drive] == "kitti"]:

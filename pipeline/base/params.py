@@ -65,6 +65,7 @@ class Section(BaseModel):
 
 
 S = TypeVar("S", bound=Section)
+M = TypeVar("M", bound=BaseModel)
 
 
 def load(section: type[S], path: Path) -> S:
@@ -94,17 +95,25 @@ def entries(mapping: str, path: Path) -> dict[str, Any]:
     return content
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Return the content of a params file or a preset. Raises InputError if it is missing or has no sections."""
+def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
+    """Return the sections of a YAML 1.2 file, with `comments` for ruamel's writer. Raises InputError."""
+    from ruamel.yaml import YAML  # here, as workers read no YAML
+    from ruamel.yaml.error import YAMLError
+
     if not path.is_file():
         raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
-    content = read_yaml(path)
+    try:
+        content = YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text("utf-8-sig"))
+    except (YAMLError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"{path}:{mark.line + 1}" if mark else path
+        raise InputError(f"invalid YAML: {getattr(error, 'problem', error)}", where) from error
     if not isinstance(content, dict):
         raise InputError("expected sections", path)
     return content
 
 
-def parse(kind: type[S], value: Any, where: str, path: Path | None = None) -> S:
+def parse(kind: type[M], value: Any, where: str, path: Path | None = None) -> M:
     """Validate `value` at the dotted key `where` of the file at `path`. Raises InputError."""
     try:
         return kind.model_validate(value)
@@ -116,16 +125,3 @@ def parse(kind: type[S], value: Any, where: str, path: Path | None = None) -> S:
             problem += f" (got {first['input']!r:.80})"
         place = ": ".join(str(part) for part in (path, key) if part)
         raise InputError(problem, place, _COPY if first["type"] == "missing" else "") from error
-
-
-def read_yaml(path: Path, *, comments: bool = False) -> Any:
-    """Return the content of a YAML 1.2 file, with `comments` for ruamel's writer. Raises InputError."""
-    from ruamel.yaml import YAML  # here, as workers read no YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        return YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text("utf-8-sig"))
-    except (YAMLError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"{path}:{mark.line + 1}" if mark else path
-        raise InputError(f"invalid YAML: {getattr(error, 'problem', error)}", where) from error

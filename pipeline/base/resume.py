@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
-from pipeline.base.params import read_yaml
+from pipeline.base.params import read
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
@@ -40,7 +40,7 @@ def file_hash(path: Path) -> str:
 @cache
 def _stage_code_hash(stage: str) -> str:
     """Hash the code that the stage's entry in dvc.yaml names; of ``${…}``, all alternatives."""
-    entry = read_yaml(ROOT / "dvc.yaml")["stages"][stage]
+    entry = read(ROOT / "dvc.yaml")["stages"][stage]
     dependencies = entry.get("do", entry)["deps"]
     patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
     return _hash_code(path for pattern in patterns for path in ROOT.glob(pattern))

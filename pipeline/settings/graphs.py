@@ -39,9 +39,7 @@ class Variant(Section):
 
     @property
     def kind(self) -> FrameKind:
-        if self.source == "ingest":
-            return "image"
-        return "pointnet2" if self.neighbourhood == "pointnet2" else "graph"
+        return "image" if self.source == "ingest" else "graph" if self.neighbourhood == "knn" else "pointnet2"
 
     @property
     def levels(self) -> list[tuple[int, float, int]]:
@@ -51,10 +49,10 @@ class Variant(Section):
     @model_validator(mode="after")
     def _keys_fit_kind(self) -> Self:
         what, required, allowed = _KEYS[self.kind]
-        for key in sorted(key for key in required if getattr(self, key) is None):
-            raise ValueError(f"{what} needs {key}")
+        if missing := [key for key in sorted(required) if getattr(self, key) is None]:
+            raise ValueError(f"{what} needs {missing[0]}")
         for key in sorted(self.model_fields_set - allowed):
-            raise ValueError(f"{key} does not apply to {what}: remove it (allowed: {', '.join(sorted(allowed))})")
+            raise ValueError(f"{key} does not apply to {what}: remove it")
         if len({len(self.centres), len(self.radius_m), len(self.neighbours)}) > 1:
             raise ValueError("centres, radius_m and neighbours need one number per level each")
         if self.crop_m and not (self.crop_m[0] < self.crop_m[2] and self.crop_m[1] < self.crop_m[3]):

@@ -7,16 +7,12 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.base.params import SPLITS, Drive, ImageSize, Section
 
-SAMPLE = "2026_"
-"""Prefix of the embedded sample's drives; KITTI's is 2011_."""
+SAMPLE = "2026_"  # prefix of the embedded sample's drives; KITTI's is 2011_
 _RANGE = re.compile(r"([0-9]{4}_[0-9]{2}_[0-9]{2}_drive_)([0-9]{4})\.\.([0-9]{4})")
 
 
 class Drives(Section):
-    """Drives of each split. An empty `val` turns early stopping off.
-
-    2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a date.
-    """
+    """Drives of each split. 2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a date."""
 
     train: list[Drive] = Field(min_length=1)
     val: list[Drive] = []
@@ -25,15 +21,12 @@ class Drives(Section):
     @field_validator(*SPLITS, mode="before")
     @classmethod
     def _expand(cls, names: Any) -> Any:
-        if not isinstance(names, list):
-            return names
-        return [drive for name in names for drive in (_expand_range(name) if isinstance(name, str) else [name])]
+        return [drive for name in names for drive in _expand_range(name)] if isinstance(names, list) else names
 
     @model_validator(mode="after")
     def _disjoint(self) -> Self:
         names = self.train + self.val + self.test
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"{', '.join(twice)} is listed more than once (expected one split per drive)")
         return self
 
@@ -42,15 +35,11 @@ class Drives(Section):
         return {drive: split for split in SPLITS for drive in getattr(self, split)}
 
 
-def _expand_range(name: str) -> list[str]:
-    """Return the drives of a range; a name without a range stays."""
-    match = _RANGE.fullmatch(name)
-    if not match:
-        return [name]
-    date, first, last = match[1], int(match[2]), int(match[3])
-    if last < first:
-        raise ValueError(f"range {name} is empty: {last:04d} is below {first:04d}")
-    return [f"{date}{number:04d}" for number in range(first, last + 1)]
+def _expand_range(name: Any) -> list[Any]:
+    """Return the drives of a range. Any other name stays, and an empty range, which is no drive's name."""
+    match = _RANGE.fullmatch(str(name))
+    numbers = range(int(match[2]), int(match[3]) + 1) if match else ()
+    return [f"{name[:17]}{number:04d}" for number in numbers] or [name]
 
 
 class Reading(Section):
@@ -66,8 +55,7 @@ class Ingest(Reading):
     key = "ingest"
     source: Literal["sample", "kitti", "both"]
     drives: Drives
-    manifests: dict[Drive, str] = {}
-    """Imported drive → hash of its manifest, see `steer import`."""
+    manifests: dict[Drive, str] = {}  # imported drive → hash of its manifest, see steer import
 
     def reading(self) -> Reading:
         """Return the settings that determine a drive's file."""

@@ -17,8 +17,7 @@ FRAMES = {"graph": "kNN graphs", "pointnet2": "points with neighbourhood: pointn
 class Entry(Section):
     """One entry of ``models``: a spatial and a temporal network on a graph variant.
 
-    Further keys are options of the two networks: the fields of class Options in models/steering/spatial/<spatial>.py
-    and models/steering/temporal/<temporal>.py. A validated entry has them all.
+    Further keys are fields of class Options of the two networks. A validated entry has them all.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -31,20 +30,16 @@ class Entry(Section):
     learning_rate: Rate | None = None  # overrides train.learning_rate
     alpha: Annotated[float, Field(ge=0, le=100)] = 0.0  # per rad; weight exp(alpha |steering|) of eq. 9
     features: Annotated[int, Field(ge=1, le=1024)] = 32  # numbers per frame between the two networks
-    predict: Literal["angle", "path"] = (
-        "angle"  # path: mean curvature of the path ahead in the ranges of labels.ahead_m
-    )
+    # path: mean curvature of the path ahead in the ranges of labels.ahead_m
+    predict: Literal["angle", "path"] = "angle"
     horizon: Annotated[int, Field(ge=0, le=10_000)] = 0  # frames between the last input frame and the predicted angle
     motion: Literal["none", "visual"] = "none"  # visual: measured motion is an input, too
-    # Value that the output is added to: the last frame's measured angle (0 without motion) or, for motion whose speed
-    # is uncertain, 0. For a path, its regression on this angle.
+    # What the output is added to: the last frame's measured angle, for a path its regression on it, or 0.
     base: Literal["motion", "none"] = "motion"
-    # another: a control that gets the scene of another frame of the drive, in training a random one, otherwise the one
-    # half a drive away.
+    # another: a control with the scene of another frame of the drive, random in training, else half a drive away
     scene: Literal["same", "another"] = "same"
     uncertainty: bool = False  # predict the standard deviation of the error, too
-    # others: leave-one-out, a network per test drive, trained on the other test drives without validation; both:
-    # leave-one-out on training and test drives.
+    # others: a network per test drive, trained on the other test drives; both: on these and the training drives
     fit_to: Literal["train", "others", "both"] = "train"
     roads: Count | None = None  # use only the first n training drives; null: all
 
@@ -64,19 +59,17 @@ class Entry(Section):
         if not isinstance(value, dict) or not {"spatial", "temporal"} <= value.keys():
             return value
         networks = _networks(value["spatial"], value["temporal"])
-        known = [*cls.model_fields, *(name for network in networks for name in network.model_fields)]
-        for key in value:
-            if key not in known:
-                where = f"spatial = {value['spatial']}, temporal = {value['temporal']}"
-                raise ValueError(f"unknown key {key!r} for {where}: {closest(str(key), known)}")
+        fields = {name: field for network in networks for name, field in network.model_fields.items()}
+        known, where = [*cls.model_fields, *fields], f"spatial = {value['spatial']}, temporal = {value['temporal']}"
+        for key in value.keys() - known:
+            raise ValueError(f"unknown key {key!r} for {where}: {closest(str(key), known)}")
+        for name, field in fields.items():
+            if field.is_required() and name not in value:
+                raise ValueError(f"{name} is missing: {field.description}")
         complete = dict(value)
         for network in networks:
-            for name, field in network.model_fields.items():
-                if field.is_required() and name not in value:
-                    raise ValueError(f"{name} is missing: {field.description}")
-            given = {name: value[name] for name in network.model_fields if name in value}
             try:
-                options = parse(network, given, "")  # type: ignore[type-var]
+                options = parse(network, {name: value[name] for name in network.model_fields if name in value}, "")
             except InputError as error:
                 raise ValueError(f"{error.where}: {error.problem}") from error
             complete |= options.model_dump()
@@ -92,11 +85,8 @@ class Entry(Section):
     ) -> "SteeringNet":
         """Build the network with new weights from torch's random state.
 
-        Args:
-            kind, levels, image_size: of the frames in the entry's input, see graph_file.Contents.
-            outputs: R ranges of a path.
-        Raises:
-            ValueError: the network reads frames of another kind, or an option is out of range.
+        `kind`, `levels` and `image_size` describe the frames of the entry's input, see graph_file.Contents; `outputs`:
+        R ranges of a path. Raises ValueError if the network reads another kind or an option is out of range.
         """
         from models.steering.core import options, steering_net  # imports torch
 
@@ -104,10 +94,9 @@ class Entry(Section):
             network.model_validate({name: getattr(self, name) for name in network.model_fields})
             for network in _networks(self.spatial, self.temporal)
         )
-        expected = spatial.kind
-        if expected != kind:
-            holds = f"input: {self.input} holds {FRAMES[kind]}"
-            raise ValueError(f"spatial = {self.spatial!r} expects {FRAMES[str(expected)]}, but {holds}")
+        if spatial.kind != kind:
+            expects = f"spatial = {self.spatial!r} expects {FRAMES[str(spatial.kind)]}"
+            raise ValueError(f"{expects}, but input: {self.input} holds {FRAMES[kind]}")
         return steering_net.SteeringNet(
             spatial,
             temporal,

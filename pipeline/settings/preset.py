@@ -1,11 +1,10 @@
 """All sections of ``params.yaml`` as one type, and presets: sets of changes, ``presets/NAME.yaml``.
 
-``python -m pipeline.settings.preset NAME`` writes a preset's changes into params.yaml and keeps its comments.
+``python -m pipeline.settings.preset NAME`` writes a preset's changes into params.yaml, whose comments stay.
 """
 
 import hashlib
 import io
-import re
 import subprocess
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,8 +13,8 @@ import typer
 from pydantic import Field
 
 from pipeline.base import console
-from pipeline.base.errors import InputError, error_context
-from pipeline.base.params import Name, Section, parse, read, read_yaml
+from pipeline.base.errors import InputError
+from pipeline.base.params import Name, Section, parse, read
 from pipeline.base.resume import ROOT
 from pipeline.base.store import replacing
 from pipeline.settings.clouds import Clouds
@@ -31,8 +30,7 @@ from pipeline.settings.train import Train
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
-_ALL = "*"
-_HEAD = re.compile(r"# Includes the changes of (.*), written by make params \(([0-9a-f]{16})\)\n")
+_AUTHOR = "make params"
 
 
 class Params(Section):
@@ -52,69 +50,54 @@ class Params(Section):
 
 def validate(content: dict[str, Any], where: Path) -> Params:
     """Return the content of a complete params file as :class:`Params`. Raises InputError, which names `where`."""
-    with error_context(where):
-        return parse(Params, content, "")
+    return parse(Params, content, "", where)
 
 
 def main(
     name: Annotated[str, typer.Argument(metavar="PRESET", help="a name in presets/, or a file")],
-    out: Annotated[Path, typer.Option(help="the file to write")] = Path("params.yaml"),
-    params: Annotated[Path, typer.Option(help="the file that the preset changes")] = Path("params.yaml"),
+    folder: Annotated[Path, typer.Argument(help="where to write params.yaml")] = Path(),
 ) -> None:
-    """Apply a preset. Raises InputError if `out` is no params file, or has edits that git and this function lack."""
-    result = text(name, params)
-    if out.exists():
-        content = read(out)
-        if content.keys() != Params.model_fields.keys():
-            raise InputError("expected a params file to replace", out, "Pass another path")
-        if _is_modified(out) and not _presets_in(out.read_text(encoding="utf-8")):
-            raise InputError("has edits that are not committed", out, f"Commit them, or undo: git checkout {out}")
+    """Write params.yaml with the changes of a preset. Raises InputError if it was edited by hand since its commit."""
+    result, out = text(name, Path("params.yaml")), folder / "params.yaml"
+    status = ["git", "status", "--porcelain", "--untracked-files=no", out.name]
+    if out.exists() and not is_unedited(out) and subprocess.run(status, cwd=folder, capture_output=True).stdout:
+        raise InputError("has edits that are not committed", out, f"Commit them, or undo: git checkout {out}")
     with replacing(out) as path:
         path.write_text(result, encoding="utf-8")
-    print(f"wrote {out}: {_short(params)} with the changes of {_short(find(name))}")
+    print(f"wrote {out}: params.yaml with the changes of preset {name}")
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
-    """Return the content of a complete `params` file with the changes of preset `name`, of presets/ or a path.
+    """Return a complete `params` file with the changes of preset `name`, of presets/ or a path, and with its comments.
 
     Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
     and ``"*": null`` removes all earlier keys, so that a list of models is replaced. Raises InputError.
     """
-    preset = find(name)
-    content, changes = read(params), read(preset)
-    validate(content, _short(params))
-    _merge(content, changes)
-    validate(content, _short(preset))
+    preset = Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
+    if not preset.is_file():
+        names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
+        raise InputError("there is no such preset", name, f"Choose one of {names}")
+    content = read(params, comments=True)
+    validate(content, params)
+    _merge(content, read(preset))
+    validate(content, preset)
     return content
 
 
 def text(name: str, params: Path = PARAMS) -> str:
-    """Return :func:`merged` as YAML; its first line names the presets and has a hash of the other lines."""
+    """Return :func:`merged` as YAML, :func:`stamped`."""
     from ruamel.yaml import YAML
 
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
-    merged(name, params)  # raises
-    document = read_yaml(params, comments=True)
-    _merge(document, read(find(name)))
-    writer.dump(document, stream)
-    written = _HEAD.sub("", stream.getvalue(), count=1)
-    presets = dict.fromkeys([*_presets_in(params.read_text(encoding="utf-8")), str(_short(find(name)))])
-    return f"# Includes the changes of {', '.join(presets)}, written by make params ({_hash(written)})\n{written}"
+    writer.dump(merged(name, params), stream)
+    first, _, rest = stream.getvalue().partition("\n")
+    return stamped(rest if first.startswith(f"# Written by {_AUTHOR}") else stream.getvalue(), _AUTHOR)
 
 
-def find(name: str) -> Path:
-    """Return the file of preset `name`, which may be a path. Raises InputError if it does not exist."""
-    path = Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
-    if not path.is_file():
-        names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
-        raise InputError("there is no such preset", name, f"Choose one of {names}")
-    return path
-
-
-def _merge(content: Any, changes: dict[str, Any]) -> None:
+def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:
     """Apply changes to nested mappings, which may have comments; equal values keep their comments and style."""
-    if changes.get(_ALL, 0) is None:
+    if changes.get("*", 0) is None:
         content.clear()
     for key, value in changes.items():
         if value is None:
@@ -125,24 +108,16 @@ def _merge(content: Any, changes: dict[str, Any]) -> None:
             content[key] = value
 
 
-def _presets_in(written: str) -> list[str]:
-    """Return the presets that the first line of a file of :func:`text` names; none if it was edited since."""
-    head = _HEAD.match(written)
-    return head[1].split(", ") if head and head[2] == _hash(written[head.end() :]) else []
+def stamped(content: str, author: str) -> str:
+    """Return the content of a file below a line with its hash, for :func:`is_unedited`."""
+    digest = hashlib.sha256(content.encode()).hexdigest()
+    return f"# Written by {author}; SHA-256 of the other lines: {digest}\n{content}"
 
 
-def _hash(written: str) -> str:
-    return hashlib.sha256(written.encode()).hexdigest()[:16]
-
-
-def _is_modified(path: Path) -> bool:
-    """Return whether git tracks `path` and its content is not committed."""
-    command = ["git", "status", "--porcelain", "--untracked-files=no", "--", path.name]
-    return bool(subprocess.run(command, cwd=path.absolute().parent, capture_output=True, check=False).stdout)
-
-
-def _short(path: Path) -> Path:
-    return path.relative_to(ROOT) if path.is_relative_to(ROOT) else path
+def is_unedited(path: Path) -> bool:
+    """Return whether a file is as :func:`stamped` returned it."""
+    first, _, rest = path.read_text("utf-8", errors="replace").partition("\n")
+    return first.endswith(f" {hashlib.sha256(rest.encode()).hexdigest()}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Run a preset in a copy of the code, runs/NAME, with the cache of this checkout: ``make NAME``."""
 
-import hashlib
 import json
 import shutil
 import subprocess
@@ -11,7 +10,8 @@ from filelock import FileLock, Timeout
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
-from pipeline.base.store import replacing
+from pipeline.base.resume import file_hash
+from pipeline.base.store import write_json
 from pipeline.settings import preset
 
 CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")
@@ -26,7 +26,7 @@ def main(name: str) -> None:
     try:
         with FileLock(f"{run}.lock", timeout=0):
             copy_code(run)
-            preset.main(name, run / "params.yaml")
+            preset.main(name, run)
             for link, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
                 link.unlink(missing_ok=True)
                 link.symlink_to(target)
@@ -48,8 +48,7 @@ def copy_code(run: Path) -> None:
     listed, lock = run / "copied.json", run / "dvc.lock"
     before = json.loads(listed.read_text(encoding="utf-8")) if listed.exists() else {}
     paths = [file for name in CODE for file in ([Path(name)] if Path(name).is_file() else Path(name).rglob("*.*"))]
-    files = [path for path in paths if path.is_file() and path.suffix != ".pyc"]
-    now = {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    now = {str(path): file_hash(path) for path in paths if path.is_file() and path.suffix != ".pyc"}
     if now != before and lock.exists():
         shutil.copyfile(lock, run / "dvc.lock.before")
     for name in before.keys() - now.keys():
@@ -57,8 +56,7 @@ def copy_code(run: Path) -> None:
     for name in now:
         (run / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(name, run / name)
-    with replacing(listed) as path:
-        path.write_text(json.dumps(now, indent=1), encoding="utf-8")
+    write_json(listed, now)
 
 
 if __name__ == "__main__":

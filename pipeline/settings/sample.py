@@ -1,23 +1,15 @@
 """Section ``sample``: the embedded sample."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from pipeline.base.params import Count, ImageSize, Section, Seed
 
 
-class Frames(Section):
-    """Frames per drive of each split."""
-
-    train: Count
-    val: Count
-    test: Count
-
-
 class Sample(Section):
     key = "sample"
     seed: Seed
     image_size: ImageSize
-    frames: Frames
+    frames: Annotated[dict[Literal["train", "val", "test"], Count], Field(min_length=3)]  # per drive of each split
     scan_rays: Annotated[tuple[Count, Count], Field(strict=False)]

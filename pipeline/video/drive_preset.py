@@ -1,6 +1,5 @@
 """Write the preset of an imported recording that is split into drives for training, validation and testing."""
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,18 +11,13 @@ from pipeline.base.params import SPLITS
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.motion.visual import MAX_DEPTH_M, WIDE
+from pipeline.settings.preset import is_unedited, stamped
 
 
 def check_unchanged(path: Path) -> None:
     """Raise InputError if there is a file at `path` that is not as steer import wrote it."""
-    if path.exists():
-        first, _, rest = path.read_text("utf-8", errors="replace").partition("\n")
-        if first != _first_line(rest):
-            raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --drive")
-
-
-def _first_line(rest: str) -> str:
-    return f"# Written by steer import; SHA-256 of the other lines: {hashlib.sha256(rest.encode()).hexdigest()}"
+    if path.exists() and not is_unedited(path):
+        raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --drive")
 
 
 def write(
@@ -65,4 +59,4 @@ def write(
     text = f"# Train on this recording and test on its end: make street, then make {path.stem}\n"
     text += yaml.safe_dump(settings, sort_keys=False)
     with replacing(path) as unfinished:
-        unfinished.write_text(f"{_first_line(text)}\n{text}", encoding="utf-8")
+        unfinished.write_text(stamped(text, "steer import"), encoding="utf-8")

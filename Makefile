@@ -44,8 +44,7 @@ test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92
 
 bench: setup           ## measure this project beside its alternatives; ROWS="ltc load": these rows
-	@rm -f benchmarks/results.json
-	python -m benchmarks.bench $(ROWS) --out benchmarks/results.json
+	python -m benchmarks.bench $(ROWS)
 
 lint: setup            ## check style, types and import contracts
 	ruff check . && ruff format --check . && mypy && lint-imports

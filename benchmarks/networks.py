@@ -1,7 +1,6 @@
 """Measure networks and graph files beside PyTorch Geometric and ncps: convolutions, LTC, a training step, loading."""
 
 import tempfile
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -19,16 +18,14 @@ from models.steering.core.batch import GraphBatch
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
-from models.steering.spatial.gnn import GCN, GCNLayer, Options
-from pipeline.graphs import graph_file
+from models.steering.spatial.gnn import GCN, GCNLayer, Options, normalised_adjacency
 from pipeline.settings.models import Entry
 
 GCN_FRAMES = 4  # per batch
 WINDOW, FEATURES = 8, 32
 WINDOWS = FRAMES - WINDOW + 1
 REPEATS = 10  # of the LTC cell
-MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "features": FEATURES}
-MODEL |= {"semantics": 1.0}
+MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "semantics": 1.0}
 
 
 def gcn(street: Street, csr: bool) -> Row:
@@ -37,31 +34,23 @@ def gcn(street: Street, csr: bool) -> Row:
     The CSR matrix is made once and is not timed.
     """
     batch, net = street.batch(GCN_FRAMES), GCN(1, Options(semantics=0.0)).to(DEVICE)
-    layers, matrix = pyg_layers(net), sparse(batch) if csr else None
+    layers, matrix = pyg_layers(net), adjacency(batch, csr=True)
     return compare(
         milliseconds(lambda: _backward(net(batch)), GCN_FRAMES),
         milliseconds(
-            lambda: _backward(net.read_out(pooled(layers, (matrix,) if csr else normalised(batch), batch)).tanh()),
-            GCN_FRAMES,
+            lambda: _backward(peer(net, layers, batch, matrix if csr else adjacency(batch, csr=False))), GCN_FRAMES
         ),
         "ms/frame",
         f"{street.title}: three graph convolutions / PyG GCNConv on {'CSR' if csr else 'edge_index'}, both ways",
     )
 
 
-def normalised(batch: GraphBatch) -> tuple[Tensor, Tensor]:
-    """Return edges [2,E+N] with self-loops and their weights [E+N] by Kipf's normalisation."""
+def adjacency(batch: GraphBatch, csr: bool) -> tuple[Tensor, ...]:
+    """Return Kipf's normalised adjacency for GCNConv: a sparse matrix [N,N], or edges [2,E+N] and weights [E+N]."""
+    if csr:
+        return (normalised_adjacency(batch.degree, batch.indices, torch.float32),)
     index, weight = gcn_norm(batch.edge_index, None, len(batch.xyz))
     return index, weight
-
-
-def sparse(batch: GraphBatch) -> Tensor:
-    """Return the normalised adjacency [N,N] as torch's sparse CSR matrix."""
-    index, weight = normalised(batch)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sparse (CSR tensor support is in beta|invariant checks)")
-        shape = (len(batch.xyz), len(batch.xyz))
-        return torch.sparse_coo_tensor(index.flip(0), weight, shape).coalesce().to_sparse_csr()
 
 
 def pyg_layers(net: GCN, normalize: bool = False) -> nn.ModuleList:
@@ -74,12 +63,12 @@ def pyg_layers(net: GCN, normalize: bool = False) -> nn.ModuleList:
     return layers.to(net.read_out.weight.device)
 
 
-def pooled(layers: nn.ModuleList, graph: tuple[Tensor | None, ...], batch: GraphBatch) -> Tensor:
-    """Return the pooled node features [B, 2 width] after the layers."""
+def peer(net: GCN, layers: nn.ModuleList, batch: GraphBatch, graph: tuple[Tensor, ...]) -> Tensor:
+    """Return what `net` computes, by PyTorch Geometric's `layers`."""
     x = node_features(batch.xyz, batch.cls, 0.0)
     for layer in layers:
         x = layer(x, *graph).relu()
-    return mean_max_pool(x, batch.ptr)
+    return net.read_out(mean_max_pool(x, batch.ptr)).tanh()
 
 
 def ltc() -> Row:
@@ -87,16 +76,13 @@ def ltc() -> Row:
     x, (windows, dt_s) = torch.randn(FRAMES, FEATURES, device=DEVICE), _windows()
     ours, alternative = LTC(ncp(FEATURES)).to(DEVICE), ncps_ltc().to(DEVICE)
 
-    def repeat(forward: Callable[[], Tensor]) -> Callable[[], float]:
-        def work() -> None:
-            for _ in range(REPEATS):
-                _backward(forward()[:, -1, 0])
-
-        return milliseconds(work, REPEATS)
+    def repeat(forward: Callable[[], Tensor]) -> None:
+        for _ in range(REPEATS):
+            _backward(forward()[:, -1, 0])
 
     return compare(
-        repeat(lambda: ours(ours.project_inputs(x)[windows], dt_s)[0]),
-        repeat(lambda: alternative(x[windows])[0]),
+        milliseconds(lambda: repeat(lambda: ours(ours.project_inputs(x)[windows], dt_s)[0]), REPEATS),
+        milliseconds(lambda: repeat(lambda: alternative(x[windows])[0]), REPEATS),
         "ms",
         f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, both ways",
     )
@@ -171,10 +157,10 @@ def _backward(output: Tensor) -> None:
 def size(street: Street) -> Row:
     """Compare bytes on disk."""
     with tempfile.TemporaryDirectory() as folder:
-        alternative = sum(path.stat().st_size for path in save(street, Path(folder), FRAMES)) / FRAMES
-    with graph_file.open_graphs(street.file) as file:
-        ours = street.file.stat().st_size / len(file.frame)
-    return row(ours / 1e6, alternative / 1e6, "MB/frame", f"{street.title}: graph file / PyG Data by torch.save")
+        alternative = sum(path.stat().st_size for path in save(street, Path(folder), FRAMES))
+    ours = street.file.stat().st_size
+    what = f"{street.title}: graph file / PyG Data by torch.save"
+    return row(ours / FRAMES / 1e6, alternative / FRAMES / 1e6, "MB/frame", what)
 
 
 def load(street: Street) -> Row:
@@ -192,11 +178,9 @@ def load(street: Street) -> Row:
 def save(street: Street, folder: Path, count: int) -> list[Path]:
     """Write the first `count` frames, a file each: float32 points and int64 edges, as PyG's operators need them."""
     batch, paths = street.batch(count, "cpu"), [folder / f"{number}.pt" for number in range(count)]
-    index = batch.edge_index
-    for path, start, end in zip(paths, batch.ptr[:-1], batch.ptr[1:], strict=True):
-        edges = index[:, (index[0] >= start) & (index[0] < end)] - start
+    for path, frame in zip(paths, batch.blocks(1), strict=True):
         # Clones: a view would save the storage of all frames.
-        torch.save(Data(pos=batch.xyz[start:end].clone(), cls=batch.cls[start:end].long(), edge_index=edges), path)
+        torch.save(Data(pos=frame.xyz.clone(), cls=frame.cls.long(), edge_index=frame.edge_index), path)
     return paths
 
 

@@ -3,9 +3,8 @@
 python -m benchmarks.udacity VIDEO CSV LEADERBOARD
 
 VIDEO has the frames of the test drive Ch2_001, CSV their time_s and wheel_rad (left positive, by CAN), LEADERBOARD the
-teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. It fits the wheel's angle to the angle that
-steer measure finds, and to its yaw rate alone, by three constants on the first FITTED_S, and compares all rows on the
-rest.
+teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. Three constants turn the angle that steer
+measure finds, or its yaw rate alone, into the wheel's. They are fitted on the first FITTED_S; the rest is compared.
 """
 
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import typer
 
-from pipeline.base.console import guarded
+from pipeline.base import console
 from pipeline.base.outputs import claim
 
 FITTED_S = 30.0
@@ -27,7 +26,7 @@ TEAMS = ("komanda", "rambo", "autumn")
 
 
 class Wheel(NamedTuple):
-    """The wheel's angle by a measured angle or rate: gain · measured + offset, and the lag of the measurement."""
+    """The wheel's angle by a measured angle or rate: gain · measured + offset, and the measurement's lag."""
 
     gain: float
     offset_rad: float
@@ -62,12 +61,12 @@ def compare(
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
     out: Annotated[Path | None, typer.Option(help="folder for motion.csv and table.md; default: out/udacity")] = None,
 ) -> None:
-    """Measure the drive, fit three constants on its first FITTED_S, and compare with the teams on the rest."""
+    """Measure the drive, and compare with the teams."""
     from steer.measure import measure
 
+    truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
     out = claim(out, "udacity")
     measure(video, out=out, k=K, distortion=DISTORTION, camera_height=CAMERA_HEIGHT_M, video=False)
-    truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
     time_s, wheel_rad = truth["time_s"], truth["wheel_rad"]
     first, rest = time_s < FITTED_S, time_s >= FITTED_S
@@ -84,6 +83,4 @@ def compare(
 
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(guarded(compare))
-    app()
+    console.run(compare)

@@ -85,7 +85,7 @@ def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) ->
     ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared: without oxts and steering
     angles, nothing.
     """
-    errors: dict[str, list[comparison.Errors]] = {}
+    errors: dict[str, list[np.ndarray]] = {}
     for drive in drives:
         with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
             references = sources.recorded(raw)

@@ -34,7 +34,7 @@ EDITS: dict[str, set[str]] = {  # file → the stages that run again; those afte
     "pipeline/camera/images.py": ALL - {"labels"} - TRAINING,
     "pipeline/motion/visual.py": {"check", "motion", "labels", "scores"},
     "pipeline/labels/label.py": {"check", "labels", "scores"} | TRAINING,
-    "pipeline/labels/means.py": {"check", "labels", "scores"},
+    "pipeline/labels/sources.py": {"check", "labels", "scores"},
     "pipeline/perception/scores.py": {"check", "encoder", "scores"},
     "pipeline/graphs/graph.py": {"check", "graphs", "report"},
     "pipeline/train/fit.py": {"check"} | TRAINING,

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.store import DriveWriter
 from pipeline.labels.label import REVERSING_MPS, Labels
 
 STANDING_MPS = 0.2  # measured speed at standstill stays below: in KITTI it reaches 0.15 m/s
@@ -57,9 +56,3 @@ def _without_gap(time_s: np.ndarray, labels: Labels, edges_m: np.ndarray, max_st
 def _integral(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Return the integral of `values` [F] over time from the first frame to each, by the trapezoidal rule."""
     return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2 * np.diff(time_s))])
-
-
-def write(file: DriveWriter, ahead: Ahead) -> None:
-    """Write the path ahead into a drive's file of labels; the edges are `labels.ahead_m` of its params."""
-    file.put("ahead_1pm", ahead.curvature_1pm, "1/m, left positive")
-    file.put("ahead_valid", ahead.valid.astype(np.uint8))

@@ -1,7 +1,7 @@
 """Errors of the labels from one source against those of another: speed, yaw rate and steering angle."""
 
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,53 +10,42 @@ from pipeline.labels.label import Labels
 INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
 
 
-class Errors(NamedTuple):
-    """Errors of the frames of one drive, for :func:`score`."""
+def errors(measured: Labels, true: Labels) -> np.ndarray:
+    """Return errors of the labels from one source against those of another, for the same frames, for :func:`score`.
 
-    measured: np.ndarray  # bool [F], frames with a valid label
-    yaw_radps: np.ndarray  # [M] measured minus true, in frames that are valid in both; NaN where unknown
-    speed_ratio: np.ndarray  # [M] measured / true, in the same frames; NaN where unknown
-    angle_rad: np.ndarray  # [V] last measured minus true angle, where that is valid, from the first measured frame on
-    true_rad: np.ndarray  # [V]
-
-
-def errors(measured: Labels, true: Labels) -> Errors:
-    """Return the errors of the labels from one source against those of another, for the same frames."""
+    [5,F]: measured, 0 or 1; then, NaN where not compared, the error of the yaw rate in rad/s, measured / true speed,
+    the error of the angle in rad, and the true angle. An angle that is not measured repeats the last one.
+    """
     both, started = measured.valid & true.valid, np.maximum.accumulate(measured.valid)
     last = np.maximum.accumulate(np.where(measured.valid, np.arange(len(started)), 0))
-    scored = true.valid & started
-    return Errors(
-        measured.valid,
-        (measured.yaw_rate_radps - true.yaw_rate_radps)[both],
-        measured.speed_mps[both] / true.speed_mps[both],
-        (measured.steering_rad[last] - true.steering_rad)[scored],
-        true.steering_rad[scored],
-    )
+    yaw_radps = np.where(both, measured.yaw_rate_radps - true.yaw_rate_radps, np.nan)
+    ratio = np.divide(measured.speed_mps, true.speed_mps, out=np.full(len(both), np.nan), where=both)
+    true_rad = np.where(true.valid & started, true.steering_rad, np.nan)
+    return np.stack([measured.valid, yaw_radps, ratio, measured.steering_rad[last] - true_rad, true_rad])
 
 
-def score(drives: Iterable[Errors]) -> dict[str, Any] | None:
-    """Return the scores over all frames of `drives`; None without frames. Undefined values are None.
+def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
+    """Return the scores over all frames of `drives`, each of :func:`errors`; None without frames. Undefined: None.
 
     ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of measured / true speed;
     ``nmse``: MSE of the last measured steering angle / that of predicting zero; ``correlation``: about zero.
     """
-    parts = list(drives)
-    joined = Errors(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else None
-    if joined is None or not len(joined.measured):
+    measured, *compared = np.concatenate([np.zeros((5, 0)), *drives], axis=1)
+    if not len(measured):
         return None
-    yaw_degps, ratio = (values[np.isfinite(values)] for values in (np.degrees(joined.yaw_radps), joined.speed_ratio))
-    zero, found = float((joined.true_rad**2).sum()), joined.angle_rad + joined.true_rad
+    yaw_radps, ratio, error_rad, true_rad = (values[np.isfinite(values)] for values in compared)
+    yaw_degps, zero, found = np.degrees(yaw_radps), float((true_rad**2).sum()), error_rad + true_rad
     norm = float(np.sqrt(zero * (found**2).sum()))
     return {
-        "drives": sum(len(one.measured) > 0 for one in parts),
-        "frames": len(joined.measured),
-        "valid": float(joined.measured.mean()),
-        "judged": len(joined.true_rad),
+        "drives": sum(drive.size > 0 for drive in drives),
+        "frames": len(measured),
+        "valid": float(measured.mean()),
+        "judged": len(true_rad),
         "yaw_rmse_degps": float(np.sqrt((yaw_degps**2).mean())) if len(yaw_degps) else None,
         "yaw_median_degps": float(np.median(np.abs(yaw_degps))) if len(yaw_degps) else None,
         "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
-        "nmse": float((joined.angle_rad**2).sum() / zero) if zero else None,
-        "correlation": float((found * joined.true_rad).sum() / norm) if norm else None,
+        "nmse": float((error_rad**2).sum() / zero) if zero else None,
+        "correlation": float((found * true_rad).sum() / norm) if norm else None,
     }
 
 

@@ -1,11 +1,11 @@
-"""Compute steering labels (paper section 4.1), their file and plausibility, and the path a steering angle leads to.
+"""Compute steering labels (paper section 4.1), their file, and the path that a steering angle leads to.
 
 Signs: yaw rate and steering angle are positive to the left. The speed v is oxts' ``vf``, parallel to the earth's
 surface, and the yaw rate ψ̇ the corresponding ``wu``.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +13,6 @@ from pipeline.base.store import DriveWriter
 
 # Forward speed at standstill dips to -0.15 m/s in KITTI; below this limit the car rolls backwards.
 REVERSING_MPS = -0.5
-# Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
-# the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
-SIDEWAYS_MPS = 1.0
-TURNING_RAD = 0.02  # a radius of 135 m
 
 
 @dataclass(frozen=True)
@@ -89,30 +85,7 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labe
     file.put("curvature_1pm", np.tan(labels.steering_rad) / wheelbase_m, "1/m, left positive")
 
 
-def plausibility(labels: Labels, sideways_mps: np.ndarray) -> dict[str, Any]:
-    """Return statistics that show whether a drive's labels are plausible.
-
-    ``zero_mse_rad2`` is the error of always predicting 0; None without valid frames, as the mean and maximum.
-    """
-    angle = np.abs(labels.steering_rad[labels.valid])
-    return {
-        "frames": len(labels.valid),
-        "valid": len(angle),
-        "turning": int((angle > TURNING_RAD).sum()),
-        "mean_abs_steering_rad": float(angle.mean()) if len(angle) else None,
-        "max_abs_steering_rad": float(angle.max()) if len(angle) else None,
-        "zero_mse_rad2": float((angle**2).mean()) if len(angle) else None,
-        "reversing": int((labels.speed_mps < REVERSING_MPS).sum()),
-        "sideways": int((np.abs(sideways_mps) > SIDEWAYS_MPS).sum()),
-    }
-
-
-def path(
-    steering_rad: np.ndarray,
-    speed_mps: np.ndarray,
-    time_s: np.ndarray,
-    wheelbase_m: float,
-) -> np.ndarray:
+def path(steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float) -> np.ndarray:
     """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ + v/L tan Θ dt.
 
     The paper's formula as printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle as the heading.

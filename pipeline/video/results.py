@@ -17,8 +17,7 @@ from pipeline.evaluate import errors
 from pipeline.labels import sources
 from pipeline.labels.comparison import INVERTED
 from pipeline.labels.label import Car, steering_angle, steering_labels
-from pipeline.labels.means import YAW_NOISE_RADPS, Rates, means
-from pipeline.motion.step import PROBLEMS, STANDSTILL
+from pipeline.motion.step import PROBLEMS
 from pipeline.settings.evaluate import Evaluate
 from pipeline.video.log import Logs
 from pipeline.video.source import INGEST, MOTION, Source
@@ -72,18 +71,9 @@ def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known
         height_known: of the camera over the road.
     """
     valid, time_s = motion["valid"].astype(bool), motion.time_s
-    names = ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma", "road_height_m")
-    yaw, speed, filtered, sigma, road_m = (motion[name][valid].astype(np.float64) for name in names)
-    rates = Rates(yaw, filtered, np.full(len(yaw), YAW_NOISE_RADPS), sigma)
-    if look_ahead:
-        rates = means(time_s[valid], yaw, speed, road_m > 0)
-    columns = np.full((4, len(time_s)), np.nan)
-    columns[:, valid] = rates
-    yaw_rate, speed_mps, yaw_sigma, speed_sigma = columns
+    yaw_rate, speed_mps, yaw_sigma, speed_sigma = sources.measured_rates(motion, look_ahead=look_ahead)
     speed_sigma = np.hypot(speed_sigma, 0.0 if height_known else HEIGHT_SCALE)
-
-    stands = np.isin(motion["problem"], [PROBLEMS.index(problem) for problem in STANDSTILL])
-    pose = _track(time_s, valid, stands, yaw_rate, speed_mps)
+    pose = _track(time_s, valid, sources.stands(motion), yaw_rate, speed_mps)
     fast_mps = np.where(np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps, speed_mps, np.nan)
     curvature, angle = yaw_rate / fast_mps, steering_angle(yaw_rate, fast_mps, car.wheelbase_m)
     angle_sigma = np.hypot(yaw_sigma / fast_mps, curvature * speed_sigma) * car.wheelbase_m * np.cos(angle) ** 2

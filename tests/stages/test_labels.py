@@ -1,6 +1,5 @@
 """Stage labels, down to KITTI's own packets."""
 
-import json
 import re
 import tarfile
 from pathlib import Path
@@ -65,10 +64,9 @@ def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     np.testing.assert_array_equal(left.frame, [5, 6, 7, 8])
     assert read_index(tmp_path / "labels", stage="labels") == DRIVES
 
-    summary = json.loads((tmp_path / "labels/summary.json").read_text())[left.drive]
-    assert (summary["frames"], summary["valid"], summary["turning"], summary["reversing"]) == (4, 3, 2, 1)
-    assert summary["zero_mse_rad2"] == pytest.approx((expected[[0, 1, 3]] ** 2).mean())
-    assert "too few" not in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "4 frames, 3 valid, 2 turning" in text
+    assert "too few" not in text
 
 
 def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
@@ -129,7 +127,7 @@ def test_a_split_that_stands_or_never_turns_gets_a_line(
 
 @pytest.mark.slow
 @pytest.mark.real
-def test_real_drives_follow_the_formula(real_kitti: Path, tmp_path: Path) -> None:
+def test_real_drives_follow_the_formula(real_kitti: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Second route: KITTI's own files and column numbers, and atan2 instead of atan."""
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         members = [member for member in archive if re.search(r"_0(09\d|10\d)_sync", member.name)]
@@ -153,5 +151,4 @@ def test_real_drives_follow_the_formula(real_kitti: Path, tmp_path: Path) -> Non
             frames += len(packets)
     assert frames > 1000
 
-    summary = json.loads((tmp_path / "labels/summary.json").read_text())
-    assert [drive for drive in summary if summary[drive]["sideways"]] == ["2011_09_26_drive_0093"]
+    assert "sliding sideways: 2011_09_26_drive_0093\n" in capsys.readouterr().out

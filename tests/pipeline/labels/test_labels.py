@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.labels import ahead, comparison, label
 from pipeline.labels.label import Labels, steering_angle
-from pipeline.labels.means import REACH, YAW_SIGMA_S, means
+from pipeline.labels.sources import REACH, YAW_SIGMA_S, means
 
 L = 2.7
 CAR = {"wheelbase_m": L, "min_speed_mps": 1.0}

@@ -12,11 +12,6 @@ from pipeline.kitti.ingest import describe, ingest_kitti
 from pipeline.kitti.raw import KittiDrive, find_drives
 from pipeline.settings.ingest import Ingest
 
-_FIXES = {
-    "sample": "Make it: dvc repro sample",
-    "kitti": "Link it: ln -s /path/to/kitti {root}. Only training? dvc pull labels graphs",
-}
-
 
 def main(
     sample: Path = Path("data/sample"),
@@ -34,32 +29,19 @@ def main(
     drives: dict[str, KittiDrive] = {}
     for source, root in {"sample": sample, "kitti": raw}.items():
         names = [drive for drive in splits if sources[drive] == source]
-        if names and not root.is_dir():
-            raise InputError("folder is missing", root, _FIXES[source].format(root=root))
         drives |= find_drives(root, names) if names else {}
     for drive, manifest in settings.manifests.items():
         if drive in drives and drives[drive].manifest() != manifest:
             fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"
             raise InputError("drive was imported again, ingest.manifests has the one before", drives[drive].folder, fix)
-    for drive in splits:
-        folder = raw / drive[:10] / f"{drive}_sync"
-        if settings.source == "both" and sources[drive] == "sample" and folder.is_dir():
-            fix = "Rename its folder to another year, or read it with ingest.source: kitti"
-            raise InputError(
-                "drive has a name of the sample, so ingest.source: both does not read it here", folder, fix
-            )
     jobs, reading = [], settings.reading()
     for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
         fingerprint = files.fingerprint(settings.cameras, by_content=sources[drive] == "sample")
         work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)
         jobs.append(Job(drive, f"{drive}.h5", [fingerprint], work))
     with stage_folder("ingest", out) as stage:
-        summaries = make_drives(stage, jobs, reading, describe, workers)
+        make_drives(stage, jobs, reading, describe, workers)
         store.write_index(stage.new, splits)
-    for name, plural in (("image", "images"), ("lidar", "scans"), ("oxts", "oxts")):
-        missing = [drive for drive in splits if not summaries[drive][name]]
-        if missing:
-            print(f"no {plural}: {'all drives' if len(missing) == len(splits) else ', '.join(missing)}")
     return out
 
 

@@ -9,9 +9,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 
 
-def read_columns(
-    path: Path, required: Sequence[str], optional: Sequence[str], expected: str, least: int = 0
-) -> dict[str, np.ndarray]:
+def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
     """Return name → column, float64 [N], for the `required` and those of the `optional` columns that the file has.
 
     The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
@@ -23,32 +21,27 @@ def read_columns(
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         separator = max(",;\t", key=file.readline().count)
         file.seek(0)
-        reader = csv.reader(file, delimiter=separator, skipinitialspace=True)
-        names = [name.strip() for name in next(reader, [])]
-        if missing := [name for name in required if name not in names]:
-            raise InputError(f"has no column {', '.join(missing)} (got {', '.join(names)})", path, expected)
-        columns = {name: names.index(name) for name in (*required, *optional) if name in names}
-        rows: list[list[float]] = []
+        reader = csv.DictReader(file, delimiter=separator, skipinitialspace=True, restkey="", restval="")
+        reader.fieldnames = found = [name.strip() for name in reader.fieldnames or []]
+        if missing := [name for name in required if name not in found]:
+            raise InputError(f"has no column {', '.join(missing)} (got {', '.join(found)})", path, expected)
+        names, rows = [name for name in (*required, *optional) if name in found], list[list[float]]()
         for fields in reader:
-            where = f"{path} line {reader.line_num}"
-            if any(field.strip() for field in fields[len(names) :]):
-                problem = f"has {len(fields)} values, the header {len(names)} names"
-                raise InputError(problem, where, "Write numbers with a decimal point, not a comma")
-            if fields:
-                try:
-                    rows.append([float(fields[column]) for column in columns.values()])
-                except (ValueError, IndexError):
-                    problem = f"expected numbers in {', '.join(columns)}, got {separator.join(fields)!r}"
-                    raise InputError(problem, where, "Correct or remove the line") from None
-    if len(rows) < least:
-        raise InputError(f"expected at least {least} samples, got {len(rows)}", path)
-    table = np.array(rows, np.float64).reshape(-1, len(columns))
-    return {name: table[:, at].copy() for at, name in enumerate(columns)}
+            try:
+                rows.append([float(fields[name]) for name in names])
+                if any(surplus.strip() for surplus in fields.get("", [])):
+                    raise ValueError
+            except ValueError:
+                fix = "Write numbers with a decimal point, not a comma"
+                where = f"{path} line {reader.line_num}"
+                raise InputError("expected numbers, as many as the header names", where, fix) from None
+    return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T.copy(), strict=True))
 
 
-def check_limit(
-    name: str, values: np.ndarray, limit: float, path: Path, fix: str = "Correct or remove the sample"
-) -> None:
+_CORRECT = "Correct or remove the sample"
+
+
+def check_limit(name: str, values: np.ndarray, limit: float, path: Path, fix: str = _CORRECT) -> None:
     """Raise InputError if one of `values` [N] is not finite or its magnitude exceeds `limit`."""
     wrong = ~(np.abs(values) <= limit)
     if wrong.any():
@@ -62,5 +55,4 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path)
     if wrong.any():
         at = int(np.argmax(wrong))
         problem = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2}"
-        fix = "Sort the file and remove repeated rows"
-        raise InputError(f"{problem} (expected an increase of {least_step:g} or more)", path, fix)
+        raise InputError(f"{problem} (expected an increase of {least_step:g} or more)", path, _CORRECT)

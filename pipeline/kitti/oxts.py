@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.errors import DamagedFile, InputError, error_context
 from pipeline.kitti.columns import check_increase, check_limit, read_columns
 
 COLUMNS = (
@@ -73,26 +73,17 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
 
     Raises InputError if the file or a line is missing, or time does not increase.
     """
-    extract = f"Extract the drive's {path.parent.name} folder again"
     if not path.is_file():
-        raise InputError("file is missing", path, extract)
+        raise InputError("file is missing", path, f"Extract the drive's {path.parent.name} folder again")
     lines = path.read_text("ascii", errors="replace").rstrip().split("\n")
     numbers = list(frames) if len(lines) > frames[-1] else list(range(len(frames)))
     if len(lines) <= frames[-1] and len(lines) != len(frames):
-        problem = f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}"
-        raise InputError(problem, path, extract)
-    texts = [lines[number].strip() for number in numbers]
-    try:
-        stamps = np.array(texts, dtype="datetime64[ns]")
-    except ValueError as error:
-        raise InputError(f"expected times ({error})", path, extract) from error
+        raise InputError(f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}", path)
+    with error_context(path):
+        stamps = np.array([lines[number].strip() for number in numbers], dtype="datetime64[ns]")
     # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
     time_s = (stamps - stamps[0]).astype(np.int64) / 1e9
-    wrong = np.diff(time_s) <= 0
-    if wrong.any():
-        at = int(np.argmax(wrong)) + 1
-        problem = f"time goes from {texts[at - 1]!r} to {texts[at]!r} (expected an increase)"
-        raise InputError(problem, f"{path} line {numbers[at] + 1}", extract)
+    check_increase("time_s", time_s, 1e-9, path)
     return time_s
 
 

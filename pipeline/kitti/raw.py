@@ -95,7 +95,8 @@ class KittiDrive:
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
     """Return the named drives (such as 2011_09_26_drive_0052) below `root`. Raises InputError if one is missing."""
     if not root.is_dir():
-        raise InputError("folder is missing", root, f"Link it: ln -s /path/to/kitti {root}")
+        fix = f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
+        raise InputError("folder is missing", root, fix)
     known = sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
     for drive in drives:
         if drive not in known:
@@ -189,14 +190,11 @@ def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
     """Raise InputError if K [3,3] is implausible for images of `size` (H, W): focal length, centre, skew."""
     height, width = size
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
+    pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     if not (focal and 0 <= cx <= width and 0 <= cy <= height and np.allclose(K, pinhole, atol=1e-3)):
-        raise InputError(
-            f"implausible intrinsics: focal lengths {fx:g}, {fy:g} (expected 1 to {_FOCAL_PER_WIDTH * width:g}), "
-            f"centre {cx:g}, {cy:g} (expected within {width} x {height} pixels)",
-            where,
-        )
+        numbers = f"focal lengths {fx:g}, {fy:g} and centre {cx:g}, {cy:g}"
+        raise InputError(f"implausible intrinsics of {width} x {height} pixels: {numbers}", where)
 
 
 def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:

@@ -89,7 +89,7 @@ def read_motion(path: Path, offset_s: float = 0.0) -> MotionLog:
 
     Raises InputError if a column is missing, values are implausible, or times do not increase or are not in seconds.
     """
-    columns = read_columns(path, ("time_s", "speed_mps", "yaw_rate_radps"), (), _MOTION, least=2)
+    columns = read_columns(path, ("time_s", "speed_mps", "yaw_rate_radps"), (), _MOTION)
     time_s, speed_mps, yaw_rate_radps = columns.values()
     check_times(time_s, path)
     check_limit("speed_mps", speed_mps, LIMITS["vf"], path)
@@ -102,7 +102,7 @@ def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> Whee
 
     With both, time_s counts. `offset_s` is added to it. Raises InputError as :func:`read_motion` does.
     """
-    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), _WHEEL, least=2)
+    columns = read_columns(path, ("wheel_rad",), ("frame", "time_s"), _WHEEL)
     steering_rad, frame, time_s = columns["wheel_rad"] / steering_ratio, columns.get("frame"), columns.get("time_s")
     check_angles(steering_rad, path)
     if time_s is not None:

@@ -196,7 +196,9 @@ def check_times(times_s: np.ndarray, path: Path) -> None:
     """Raise InputError if times [N] of the file at `path` are implausible, not in seconds, or do not increase."""
     check_increase("time_s", times_s, 1e-5, path)
     lowest_s, highest_s = MEDIAN_STEP_S
-    if len(times_s) > 1 and not lowest_s <= (step_s := float(np.median(np.diff(times_s)))) <= highest_s:
+    if len(times_s) < 2:
+        raise InputError(f"expected at least 2 times, got {len(times_s)}", path)
+    if not lowest_s <= (step_s := float(np.median(np.diff(times_s)))) <= highest_s:
         problem = f"median time step is {step_s:g} (expected {lowest_s:.3f} to {highest_s:g} s)"
         raise InputError(problem, path, "Times are in seconds: divide milliseconds by 1000")
     check_limit("time_s", times_s, 4e9, path)  # since 1970: year 2096

@@ -136,9 +136,6 @@ def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
         with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
             assert len(file.frame) == frames
             assert ("cls" in file) == (source == "sample")
-    write_drive(tmp_path / "raw", sample)
-    with pytest.raises(InputError, match="name of the sample"):
-        ingest.main(**folders, params=params, workers=1)
 
 
 @pytest.mark.real

@@ -1,17 +1,36 @@
-"""The runner's contract, on a toy stage: whatever ends a run, finished drives are kept and no file is half-written."""
+"""Whatever ends a run, finished drives are kept and no file is half-written; here, in processes and on a cluster."""
 
 import errno
 import os
 import shutil
 import signal
+import sys
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pipeline.base import console, resume
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.executors import SCHEDULER, run_jobs
+from pipeline.base.resume import ROOT, stage_key
 from tests.pipeline.base import toy_stage
-from tests.pipeline.base.toy_stage import DRIVES, alive, calls, end_trouble, outputs, start, trouble, wait_for, waiting
+from tests.pipeline.base.toy_stage import DRIVES, alive, calls, outputs, start, trouble, wait_for
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return toy_stage.prepare(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The files that one process writes."""
+    folder = toy_stage.prepare(tmp_path_factory.mktemp("serial"))
+    toy_stage.main(folder, workers=1)
+    return outputs(folder)
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -19,8 +38,7 @@ def test_bytes_do_not_depend_on_workers(
     folder: Path, expected: dict[str, bytes], workers: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     summaries = toy_stage.main(folder, workers=workers)
-    assert summaries == {drive: {"frames": toy_stage.FRAMES[drive]} for drive in DRIVES}
-    assert list(summaries) == DRIVES
+    assert list(summaries.items()) == [(drive, {"frames": toy_stage.FRAMES[drive]}) for drive in DRIVES]
     assert outputs(folder) == expected
     assert calls(folder) == DRIVES
     lines = capsys.readouterr().out.splitlines()
@@ -48,37 +66,29 @@ def test_only_what_changed_is_made_again(folder: Path, expected: dict[str, bytes
     assert sorted(kept) == DRIVES, "without the drives of other settings"
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_an_error_names_the_drive_and_keeps_finished_drives(
-    folder: Path, expected: dict[str, bytes], workers: int
+@pytest.mark.parametrize(
+    ("kind", "workers"), [("fail", 1), *(pytest.param(kind, 2, marks=pytest.mark.slow) for kind in ("die", "full"))]
+)
+def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
+    folder: Path, expected: dict[str, bytes], kind: str, workers: int
 ) -> None:
-    trouble(folder, c="fail")
-    with pytest.raises(DamagedFile) as raised:
-        toy_stage.main(folder, workers=workers)
-    assert raised.value.where == "c: 0.png"
-    assert outputs(folder) == {}, "the stage's folder is filled at the end"
-    assert "b" in calls(folder)
-    end_trouble(folder)
-    toy_stage.main(folder, workers=workers)
-    repeated = calls(folder)
-    assert "c" in repeated
-    assert "b" not in repeated
-    assert outputs(folder) == expected
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["die", "full"])
-def test_a_dead_worker_and_a_full_disk_are_one_error(folder: Path, expected: dict[str, bytes], kind: str) -> None:
     trouble(folder, c=kind)
     with pytest.raises((InputError, OSError)) as raised:
-        toy_stage.main(folder, workers=2)
-    if isinstance(raised.value, InputError):
-        assert "STEER_WORKERS=1" in raised.value.fix
-    else:
-        assert raised.value.errno == errno.EFBIG
-        assert raised.value.filename.endswith("c.h5")
-    end_trouble(folder)
+        toy_stage.main(folder, workers=workers)
+    match raised.value:
+        case DamagedFile() as error:
+            assert error.where == "c: 0.png"
+        case InputError() as error:
+            assert "STEER_WORKERS=1" in error.fix
+        case OSError() as error:
+            assert error.errno == errno.EFBIG
+            assert error.filename.endswith("c.h5")
+    assert outputs(folder) == {}, "the stage's folder is filled at the end"
+    trouble(folder)
+    calls(folder)
     toy_stage.main(folder, workers=1)
+    assert "c" in (repeated := calls(folder))
+    assert "b" not in repeated or kind == "die"
     assert outputs(folder) == expected
 
 
@@ -88,8 +98,10 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(
     folder: Path, expected: dict[str, bytes], number: signal.Signals
 ) -> None:
     trouble(folder, a="wait", c="wait")
-    with start(folder, "--workers", "2") as process:
-        pids = waiting(folder, "ac")
+    with start(folder) as process:
+        paths = [folder / f"trouble/{drive} waits" for drive in "ac"]
+        wait_for(lambda: all(path.exists() and path.read_text() for path in paths))
+        pids = [int(path.read_text()) for path in paths]
         wait_for(lambda: any((folder / "data/.drives/toy").glob("b-*")))
         if number == signal.SIGINT:
             os.killpg(process.pid, number)  # as a terminal sends Ctrl-C
@@ -102,27 +114,117 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(
         assert errors.count("\n") == 1
     wait_for(lambda: not any(alive(pid) for pid in pids))
     assert outputs(folder) == {}
-    end_trouble(folder)
+    trouble(folder)
     calls(folder)
     toy_stage.main(folder, workers=1)
     assert "b" not in calls(folder)
     assert outputs(folder) == expected
 
 
-def test_a_kill_before_the_index_keeps_all_drives(folder: Path, expected: dict[str, bytes]) -> None:
-    trouble(folder, index="wait")
-    with start(folder) as process:
-        waiting(folder, ["index"])
-        process.kill()
-    assert outputs(folder) == {}
-    assert calls(folder) == DRIVES
-    end_trouble(folder)
-    toy_stage.main(folder, workers=1)
-    assert calls(folder) == []
+def processes(job: int) -> tuple[int, str | None]:
+    return os.getpid(), os.environ.get("OMP_NUM_THREADS")
+
+
+@pytest.mark.slow
+def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the number of threads, which may change the last bits of a training, would depend on the workers."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    ((_, (process, used)),) = run_jobs(processes, [0], workers=1, threads=1)
+    assert (process != os.getpid(), used) == (True, "1")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A scheduler and two workers."""
+    distributed = pytest.importorskip("distributed")
+    local = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **local) as started:
+        yield started
+
+
+@pytest.fixture
+def dask(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setenv(SCHEDULER, cluster.scheduler_address)
+    return cluster
+
+
+@pytest.mark.slow
+def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(
+    folder: Path, expected: dict[str, bytes], dask: Any
+) -> None:
+    trouble(folder, b="die once")
+    toy_stage.main(folder)
+    assert str(os.getpid()) not in (folder / "calls").read_text().split()
+    assert calls(folder).count("b") == 2
     assert outputs(folder) == expected
+    dask.scheduler.allowed_failures, before = 0, dask.scheduler.allowed_failures
+    trouble(folder, b="die")
+    with pytest.raises(InputError, match="died"):
+        toy_stage.main(folder, k=3)
+    dask.scheduler.allowed_failures = before
 
 
-def test_a_worker_count_that_is_no_number_is_refused(folder: Path, monkeypatch: Any) -> None:
-    monkeypatch.setenv("STEER_WORKERS", "all")
-    with pytest.raises(InputError, match="expected a number of processes"):
-        toy_stage.main(folder)
+def pretend(code: str) -> None:
+    resume.code_hash = partial(str, code)  # type: ignore[assignment]
+
+
+@pytest.mark.slow
+def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
+    import distributed
+
+    with distributed.Client(dask, set_as_default=False) as client:
+        client.wait_for_workers(2)  # an earlier test may have killed them
+        client.run(pretend, "0123456789")
+        with pytest.raises(InputError, match="other code") as raised:
+            toy_stage.main(folder)
+        client.run(pretend, resume.code_hash())
+    assert raised.value.where.startswith("worker tcp://")
+    assert calls(folder) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "stages"),
+    [
+        ("pipeline/labels/label.py", {"labels", "train"}),
+        ("pipeline/base/store.py", {"labels", "clouds", "train"}),
+        ("models/steering/spatial/gnn.py", {"train"}),  # a file that dvc.yaml names by ${item.spatial}
+        ("pipeline/sample/world.py", set()),
+        ("pipeline/base/.store.py.swp", set()),
+    ],
+)
+def test_the_code_that_dvc_yaml_names_is_in_a_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, stages: set[str]
+) -> None:
+    for package in resume.PACKAGES:
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copyfile(ROOT / "dvc.yaml", tmp_path / "dvc.yaml")
+    monkeypatch.setattr(resume, "ROOT", tmp_path)
+
+    def keys() -> dict[str, str]:
+        resume._stage_code_hash.cache_clear()  # as in a new process
+        return {stage: stage_key(stage, {}, []) for stage in ("labels", "clouds", "train")}
+
+    before = keys()
+    with (tmp_path / file).open("a") as code:
+        code.write("# an edit\n")
+    assert {stage for stage, key in keys().items() if key != before[stage]} == stages
+    resume._stage_code_hash.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (InputError("wrong:\n  value", "a", "Do b"), "a: wrong: value. Do b"),
+        (OSError(errno.ENOSPC, "No space left", "data/x.h5"), "data/x.h5: No space left"),
+        (KeyboardInterrupt(), "interrupted. Repeat the command to continue: complete files are kept"),
+    ],
+    ids=repr,
+)
+def test_errors_are_one_line_and_a_status(monkeypatch: pytest.MonkeyPatch, error: BaseException, line: str) -> None:
+    def main() -> None:
+        raise error
+
+    monkeypatch.setattr(sys, "argv", ["stage"])
+    with pytest.raises(SystemExit) as end:
+        console.run(main)
+    assert end.value.code == f"error: {line}"  # Python prints it to stderr and exits with status 1

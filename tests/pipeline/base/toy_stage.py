@@ -1,7 +1,4 @@
-"""A stage of arithmetic on four drives.
-
-A file ``trouble/<drive>`` makes it fail, wait or die at a frame, ``trouble/index`` before the stage's index.
-"""
+"""A stage of arithmetic on four drives. A file ``trouble/<drive>`` makes it fail, wait or die at a frame."""
 
 import os
 import resource
@@ -16,27 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base import store
+from pipeline.base import console, store
 from pipeline.base.errors import DamagedFile
 from pipeline.base.outputs import stage_folder
 from pipeline.base.resume import ROOT
 from pipeline.base.runner import Job, make_drives
-from pipeline.base.store import DriveWriter
 from tests.kitti_drive import contents
 
 FRAMES = {"a": 3, "b": 6, "c": 5, "empty": 0}
 DRIVES = list(FRAMES)
-BAD_FRAME = 2
 
 
 def work(drive: str, folder: Path, k: int, path: Path) -> dict[str, Any]:
     with (folder / "calls").open("a") as calls:
-        calls.write(f"{drive} {os.getpid()} {os.environ.get('OMP_NUM_THREADS')}\n")
+        calls.write(f"{drive} {os.getpid()}\n")
     rng = np.random.default_rng(len(drive))
-    with DriveWriter(path, stage="labels", drive=drive, params={"k": k}) as file:
+    with store.DriveWriter(path, stage="labels", drive=drive, params={"k": k}) as file:
         file.put("frame", np.arange(FRAMES[drive], dtype=np.int32))
         for frame in range(FRAMES[drive]):
-            if frame == BAD_FRAME:
+            if frame == 2:
                 _trouble(folder / "trouble" / drive)
             file.append("xyz", rng.normal(size=(3000, 3)).astype(np.float32) * k)
     return {"frames": FRAMES[drive]}
@@ -56,24 +51,24 @@ def _trouble(path: Path) -> None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
         case "wait":
             path.with_name(f"{path.name} waits").write_text(str(os.getpid()))
-            while path.exists():
-                time.sleep(0.02)
+            wait_for(lambda: not path.exists())
 
 
 def main(folder: Path, k: int = 2, workers: int | None = None, drives: Sequence[str] = DRIVES) -> dict[str, Any]:
     jobs = [Job(drive, f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k)) for drive in drives]
     with stage_folder("labels", folder / "data/toy") as stage:
         summaries = make_drives(stage, jobs, {"k": k}, "{frames} frames".format_map, workers)
-        _trouble(folder / "trouble/index")
         store.write_index(stage.new, dict.fromkeys(drives, "train"))
     return summaries
 
 
-def write_inputs(folder: Path) -> None:
+def prepare(folder: Path) -> Path:
     """Write a file for each drive, as large as the drive has frames."""
-    (folder / "input").mkdir()
+    for name in ("input", "trouble"):
+        (folder / name).mkdir()
     for drive, frames in FRAMES.items():
         (folder / "input" / drive).write_bytes(bytes(frames))
+    return folder
 
 
 def outputs(folder: Path) -> dict[str, bytes]:
@@ -89,38 +84,25 @@ def calls(folder: Path) -> list[str]:
 
 
 def trouble(folder: Path, **drives: str) -> None:
+    """Ask for trouble in these drives only."""
+    for path in (folder / "trouble").iterdir():
+        path.unlink()
     for drive, kind in drives.items():
         (folder / "trouble" / drive).write_text(kind)
 
 
-def end_trouble(folder: Path) -> None:
-    for path in (folder / "trouble").iterdir():
-        path.unlink()
-
-
-def start(folder: Path, *options: str, **variables: str) -> "subprocess.Popen[str]":
-    environment = {name: value for name, value in os.environ.items() if name != "DVC_STAGE"}
+def start(folder: Path) -> "subprocess.Popen[str]":
+    """Start the stage with two workers in a session of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "tests.pipeline.base.toy_stage", str(folder), *options],
+        [sys.executable, "-m", "tests.pipeline.base.toy_stage", str(folder)],
         cwd=ROOT,
-        env=environment | {"PYTHONPATH": str(ROOT)} | variables,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         start_new_session=True,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=_default_interrupt,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored if the tests run in the background
     )
-
-
-def _default_interrupt() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored if the tests run in the background
-
-
-def waiting(folder: Path, drives: Sequence[str]) -> list[int]:
-    """Wait until these drives have begun to wait; return the ids of their processes."""
-    paths = [folder / f"trouble/{drive} waits" for drive in drives]
-    wait_for(lambda: all(path.exists() and path.read_text() for path in paths))
-    return [int(path.read_text()) for path in paths]
 
 
 def alive(pid: int) -> bool:
@@ -139,11 +121,9 @@ def wait_for(condition: Callable[[], bool]) -> None:
     raise TimeoutError
 
 
-def run(folder: Path, workers: int = 1) -> None:
-    main(folder, workers=workers)
+def run(folder: Path) -> None:
+    main(folder, workers=2)
 
 
 if __name__ == "__main__":
-    from pipeline.base import console
-
     console.run(run)

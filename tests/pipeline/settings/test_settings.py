@@ -1,0 +1,168 @@
+"""params.yaml: values, faults with file, key, value and what is expected, and presets that keep its comments."""
+
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from pipeline.base import params
+from pipeline.base.errors import InputError
+from pipeline.settings import preset
+from pipeline.settings.clouds import Clouds
+from pipeline.settings.graphs import Variant
+from pipeline.settings.ingest import Ingest
+from pipeline.settings.labels import Labels
+from pipeline.settings.train import Train
+
+NAMES = [path.stem for path in sorted(preset.PRESETS.glob("[a-z]*.yaml"))]
+
+
+def edited(tmp_path: Path, key: str, value: Any) -> Path:
+    """Return a copy of params.yaml with one dotted key replaced; value None removes it."""
+    content = yaml.safe_load(preset.PARAMS.read_text())
+    *outer, last = key.split(".")
+    section = content
+    for name in outer:
+        section = section[name]
+    if value is None:
+        del section[last]
+    else:
+        section[last] = value
+    path = tmp_path / "params.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
+    drives = {
+        "train": ["2026_01_04_drive_0008..0010", "2011_09_26_drive_0001"],
+        "test": ["2026_01_03_drive_0001..0001"],
+    }
+    read = params.load(Ingest, edited(tmp_path, "ingest.drives", drives)).drives
+    assert read.train == [*(f"2026_01_04_drive_{number:04d}" for number in (8, 9, 10)), "2011_09_26_drive_0001"]
+    assert read.test == ["2026_01_03_drive_0001"]
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value", "problem"),
+    [
+        (Labels, "labels.min_speed_mps", "fast", r"labels.min_speed_mps: .*valid number.*got 'fast'."),
+        (Labels, "labels.min_speed_mps", float("nan"), "finite number"),
+        (Labels, "labels.minspeed_mps", 1, r"labels: unknown key 'minspeed_mps': did you mean min_speed_mps\?"),
+        (Labels, "labels.min_speed_mps", None, "min_speed_mps: Field required. Copy it"),
+        (Ingest, "ingest.cameras", [], "at least 1 item"),
+        (Ingest, "ingest.drives.test", ["0001"], "expected a drive's name, such as 2011_09_26_drive_0052 .got '0001'"),
+        (Ingest, "ingest.drives.test", ["2026_01_04_drive_0010..0008"], "expected a drive's name"),
+        (Ingest, "ingest.drives.tset", [], r"ingest.drives: unknown key 'tset': did you mean test\?"),
+        (Ingest, "ingest.image_size", ["96", 320], "valid integer"),
+        (Train, "train.epochs", 1.5, "valid integer"),
+        (Train, "train.learning_rate", True, "valid number"),
+        (Train, "train.mirror", 1, "valid boolean"),
+        (Train, "train", None, "no section 'train'"),
+    ],
+)
+def test_faults_name_file_key_and_value(
+    tmp_path: Path, section: type[params.Section], key: str, value: Any, problem: str
+) -> None:
+    path = edited(tmp_path, key, value)
+    with pytest.raises(InputError, match=problem) as raised:
+        params.load(section, path)
+    assert raised.value.where.startswith(str(path))
+
+
+def test_a_missing_key_that_is_misspelt_is_reported_as_unknown() -> None:
+    with pytest.raises(InputError, match="did you mean max_points"):
+        params.parse(Clouds, {"max_point": 1, "max_depth_m": 80.0}, "clouds")
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"train: 1\ntrain: 2\n", "invalid YAML.*duplicate key"),
+        (b"trian: {}", r"no section 'train': did you mean trian\?"),
+        (b"", "expected sections"),
+        (None, "file is missing"),
+    ],
+)
+def test_faulty_files(tmp_path: Path, content: bytes | None, problem: str) -> None:
+    path = tmp_path / "params.yaml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=problem) as raised:
+        params.load(Train, path)
+    assert raised.value.where.startswith(str(path))
+
+
+@pytest.mark.parametrize("name", ["", "..", "a b", "a/b", "-a", "x;touch pwned", "$(x)", "ä", "a\n", "x" * 300, 7])
+def test_invalid_names(tmp_path: Path, name: Any) -> None:
+    with pytest.raises(InputError, match="expected at most 100 letters"):
+        params.load_entry(Variant, "graphs", name, edited(tmp_path, "graphs", {name: {}}))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_preset_is_written_as_its_merged_content_with_all_comments(name: str) -> None:
+    text = preset.text(name)
+    assert yaml.safe_load(text) == preset.merged(name)
+    _, *rest = text.splitlines()
+    original = preset.PARAMS.read_text()
+    assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(r"^ *#.*", original, re.MULTILINE)
+    for line in original.splitlines():
+        key, _, comment = line.partition(" # ")
+        if comment and any(other.startswith(key.partition(":")[0] + ":") for other in rest):
+            assert any(comment in other for other in rest), line
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("train:\n  epoch: 3\n", "train: unknown key 'epoch': did you mean epochs"),
+        ("models:\n  sa-gnn-ncp: null\n", "models.*at least 1"),
+        ("train:\n  epochs: null\n", r"train\.epochs: Field required"),
+    ],
+)
+def test_a_fault_of_a_preset_is_named_with_its_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as raised:
+        preset.text(str(path))
+    assert str(path) in str(raised.value)
+
+
+def test_a_star_removes_all_earlier_entries(tmp_path: Path) -> None:
+    """An entry of the same name does not inherit their settings."""
+    model = "{input: semantic, spatial: gnn, temporal: lstm, semantics: 0.5}"
+    (tmp_path / "mine.yaml").write_text(f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
+    assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
+
+
+def test_params_are_replaced_unless_they_have_edits_that_git_lacks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def git(*words: str) -> None:
+        who = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
+        subprocess.run(["git", *who, *words], check=True)
+
+    monkeypatch.chdir(tmp_path)
+    params = Path("params.yaml")
+    params.write_text(preset.PARAMS.read_text())
+    git("init", "-q")
+    git("add", "params.yaml")
+    git("commit", "-qm", "params")
+    for name in ("real", "real", "table2"):  # one after another; the second time changes nothing
+        preset.main(name)
+    assert params.read_text().count("# Written by make params") == 1
+    content = yaml.safe_load(params.read_text())
+    assert content["models"] == preset.merged("real")["models"] | preset.merged("table2")["models"]
+    assert content["ingest"] == preset.merged("real")["ingest"]
+
+    edited = params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
+    params.write_text(edited)
+    with pytest.raises(InputError, match="not committed"):
+        preset.main("table2")
+    assert params.read_text() == edited
+    git("commit", "-qam", "edits")
+    preset.main("table2")
+    assert yaml.safe_load(params.read_text())["evaluate"]["bootstrap_samples"] == 100

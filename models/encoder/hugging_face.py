@@ -21,7 +21,7 @@ from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, rg
 from pipeline.camera.classes import COUNT, NAMES
 
 IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
-STRIDE, LEVELS, WIDTH = 4, 4, 64  # of the feature pyramid: stride of its finest map, number of maps, channels
+STRIDE, LEVELS, WIDTH = 4, 4, 64  # of the maps that our heads read: stride, number, channels
 # Weights that published files lack: a unit of DPT that its forward pass does not use, and norms that a fit trains.
 UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
 SYNONYMS = {
@@ -136,7 +136,7 @@ class Network(nn.Module):
         library = transformers()
         config = library.AutoConfig.for_model(**description["config"])
         patch = getattr(getattr(config, "backbone_config", None) or config, "patch_size", None)
-        # Others than a ViT halve the image up to five times. Maps of a ViT are resized to strides from 4 on.
+        # Others than a ViT halve the image up to five times.
         self.multiple = math.lcm(patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
         if auto == "AutoBackbone":
             stages = len(getattr(config, "stage_names", ())) - 1  # without the stem
@@ -161,14 +161,13 @@ class Network(nn.Module):
             F.pad((rgb - mean) / std, (0, -width % self.multiple, 0, -height % self.multiple)), **options
         )
 
-    def padded(self, size: Sequence[int]) -> list[int]:
+    def padded(self, size: Sequence[int]) -> torch.Size:
         """Return the size of an image of `size` (H, W) after padding."""
-        return [side + -side % self.multiple for side in size]
+        return torch.Size(side + -side % self.multiple for side in size)
 
     def enlarged(self, x: Tensor, size: Sequence[int]) -> Tensor:
         """Interpolate a map [B,C,h,w] of the padded image and crop it to the image of `size`, [B,C,H,W]."""
-        x = F.interpolate(x.float(), self.padded(size), mode="bilinear", align_corners=False)
-        return x[..., : size[0], : size[1]]
+        return resized(x.float(), self.padded(size))[..., : size[0], : size[1]]
 
 
 class Pair(nn.Module):
@@ -201,18 +200,14 @@ class HuggingFace(nn.Module):
         self.class_head = Pyramid(channels, CellClasses(WIDTH, STRIDE))
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        (height, width), size = image.shape[-2:], self.backbone.padded(image.shape[-2:])
-        maps = [
-            resized(x, [math.ceil(side / (STRIDE * 2**level)) for side in size])  # of a ViT: their strides are equal
-            for level, x in enumerate(self.backbone(image).feature_maps)
-        ]
-        rays = ray_slopes(K, torch.Size(size))
+        height, width = image.shape[-2:]
+        maps, rays = self.backbone(image).feature_maps, ray_slopes(K, self.backbone.padded((height, width)))
         depth, logits = self.depth_head(maps, rays), self.class_head(maps, rays)
         return depth[..., :height, :width], logits[..., :height, :width]
 
 
 class Pyramid(nn.Module):
-    """Feature pyramid (Lin et al. 2017) from coarse to fine maps, then a head on the finest."""
+    """The sum of maps of any strides, enlarged to STRIDE, then a head of this project."""
 
     def __init__(self, channels: Sequence[int], head: nn.Module) -> None:
         super().__init__()
@@ -223,22 +218,20 @@ class Pyramid(nn.Module):
         self.head = head
 
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
-        """Return the head's output for maps at 1/4, 1/8, … of the image of `rays` [B,2,H,W]."""
-        y = self.sides[-1](maps[-1])
-        for side, finer in zip(reversed(self.sides[:-1]), reversed(maps[:-1]), strict=True):
-            y = side(finer) + F.interpolate(y, finer.shape[-2:], mode="bilinear", align_corners=False)
-        result: Tensor = self.head(self.smooth(torch.cat([y, resized(rays, y.shape[-2:])], dim=1)), rays)
+        """Return the head's output for maps of the image of `rays` [B,2,H,W]."""
+        size = [side // STRIDE for side in rays.shape[-2:]]
+        y = torch.stack([resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]).sum(dim=0)
+        result: Tensor = self.head(self.smooth(torch.cat([y, resized(rays, size)], dim=1)), rays)
         return result
 
 
 def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
     """Return architecture and network of section ``encoder``. Raises ValueError, also if depth is not in metres."""
     (depth, source), (classes, other) = local(settings.depth), local(settings.classes)
-    descriptions = {"depth": describe(depth), "classes": describe(classes)}
-    numbers = {"focal_by_width": settings.focal_by_width, "sources": source + other}
-    architecture = {"backbone": "pair", **descriptions, **numbers}
+    architecture: dict[str, Any] = {"backbone": "pair", "depth": describe(depth), "classes": describe(classes)}
+    architecture |= {"focal_by_width": settings.focal_by_width, "sources": source + other}
     network = Pair(architecture, depth, classes)
-    unit = descriptions["depth"]["config"].get("depth_estimation_type") or settings.depth_unit
+    unit = architecture["depth"]["config"].get("depth_estimation_type") or settings.depth_unit
     if unit != "metric":
         problem = "is relative" if unit else "has an unknown unit. If it is metres, set depth_unit: metric"
         raise ValueError(f"the depth of {settings.depth!r} {problem}")

@@ -64,8 +64,9 @@ class SteeringNet(nn.Module):
         self.temporal = temporal_net
         self.uncertainty = None
         if uncertainty:
-            units = temporal_net.state_size(inputs)
-            self.uncertainty = nn.Sequential(nn.Linear(units, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, sizes.outputs))
+            _, state = temporal_net(temporal_net.project_inputs(torch.zeros(1, 1, inputs)), torch.ones(1, 1))
+            layers = nn.Linear(state.shape[1], HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, sizes.outputs)
+            self.uncertainty = nn.Sequential(*layers)
         # Of the output for the mirrored scene: steering changes its sign, its σ does not.
         signs = torch.tensor([-1.0] * sizes.outputs + [1.0] * sizes.outputs * uncertainty)
         self.register_buffer("signs", signs, persistent=False)
@@ -113,7 +114,7 @@ class SteeringNet(nn.Module):
             states, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
             out: Tensor = states[:, -1]
             if self.uncertainty is not None:
-                out = torch.cat([out, self.uncertainty(torch.cat(state, dim=1).detach())], dim=1)
+                out = torch.cat([out, self.uncertainty(state.detach())], dim=1)
             if not self.equivariant:
                 return out
             original, mirrored = out.chunk(2)

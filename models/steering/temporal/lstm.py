@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.cell import RecurrentCell, State
+from models.steering.core.cell import RecurrentCell
 from models.steering.core.options import Count, NetworkOptions, Sizes
 
 
@@ -30,12 +30,12 @@ class LSTM(RecurrentCell):
     def project_inputs(self, x: Tensor) -> Tensor:
         return nn.functional.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)  # [..., 4U]
 
-    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
-        h, c = state or 2 * (projected.new_zeros(len(projected), self.weight_hh.shape[1]),)
+    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+        h = c = projected.new_zeros(len(projected), self.weight_hh.shape[1])
         hidden = []
         for frame in projected.unbind(1):
             i, f, g, o = torch.addmm(frame, h, self.weight_hh.T).chunk(4, dim=1)  # each [W,U]
             c = f.sigmoid() * c + i.sigmoid() * g.tanh()
             h = o.sigmoid() * c.tanh()
             hidden.append(h)
-        return self.read_out(torch.stack(hidden, dim=1)), (h, c)
+        return self.read_out(torch.stack(hidden, dim=1)), torch.cat([h, c], dim=1)

@@ -1,7 +1,6 @@
 """Small irregular frames of each kind, and their concatenation, written without the code under test."""
 
 import numpy as np
-import torch
 
 from models.steering.core.batch import Batch, from_arrays
 from pipeline.graphs.graph import levels
@@ -81,10 +80,3 @@ def permuted(frame: Arrays, seed: int = 0) -> Arrays:
         result[f"neighbours_{level}"] = place[frame[f"neighbours_{level}"][turn]][:, ::-1].copy()
         place, level = np.argsort(turn), level + 1
     return result
-
-
-def dense(batch: Batch) -> torch.Tensor:
-    """Return the adjacency matrix [N,N] of a graph batch, without loops."""
-    matrix = torch.zeros(len(batch.xyz), len(batch.xyz), dtype=torch.float64)
-    matrix[tuple(batch.edge_index)] = 1
-    return matrix

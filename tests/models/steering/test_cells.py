@@ -38,21 +38,12 @@ def cell(request):
     return options.build(Sizes(features=5, window=9)).double()
 
 
-def test_windows_are_independent_and_equal_pieces_with_carried_state(cell):
-    x = torch.randn(4, 9, 5, dtype=torch.float64)
-    dt_s = torch.rand(4, 9, dtype=torch.float64) * 0.2 + 0.05
-    complete, last = cell(cell.project_inputs(x), dt_s)
-    assert complete.shape == (4, 9, 1)
-    alone = torch.cat([cell(cell.project_inputs(x[w : w + 1]), dt_s[w : w + 1])[0] for w in range(4)])
-    torch.testing.assert_close(complete, alone, **TOLERANCE)
-
-    state, pieces = None, []
-    for frames in (slice(0, 1), slice(1, 5), slice(5, 9)):
-        out, state = cell(cell.project_inputs(x[:, frames]), dt_s[:, frames], state)
-        pieces.append(out)
-    torch.testing.assert_close(torch.cat(pieces, dim=1), complete, **TOLERANCE)
-    torch.testing.assert_close(state, last, **TOLERANCE)
-    assert not torch.allclose(cell(cell.project_inputs(x[:, 5:]), dt_s[:, 5:])[0], complete[:, 5:])  # the state matters
+def test_windows_are_independent(cell):
+    x, dt_s = torch.randn(4, 9, 5, dtype=torch.float64), torch.rand(4, 9, dtype=torch.float64) * 0.2 + 0.05
+    together = cell(cell.project_inputs(x), dt_s)
+    assert together[0].shape == (4, 9, 1)
+    alone = (cell(cell.project_inputs(x[w : w + 1]), dt_s[w : w + 1]) for w in range(4))
+    torch.testing.assert_close(together, tuple(map(torch.cat, zip(*alone, strict=True))), **TOLERANCE)
 
 
 def test_lstm_equals_torch_forward_and_gradients():
@@ -62,13 +53,11 @@ def test_lstm_equals_torch_forward_and_gradients():
     for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh"):
         getattr(peer, f"{name}_l0").data = getattr(cell, name).data.clone()
     x = torch.randn(3, 6, 5, dtype=torch.float64, requires_grad=True)
-    h0, c0 = torch.randn(2, 3, 7, dtype=torch.float64)
-
-    out, (h, c) = cell(cell.project_inputs(x), torch.full((3, 6), 0.1), (h0, c0))
-    hidden, (h_peer, c_peer) = peer(x, (h0[None], c0[None]))
+    out, state = cell(cell.project_inputs(x), torch.full((3, 6), 0.1))
+    hidden, (h, c) = peer(x)
     expected = cell.read_out(hidden)
     torch.testing.assert_close(out, expected, **TOLERANCE)
-    torch.testing.assert_close((h, c), (h_peer[0], c_peer[0]), **TOLERANCE)
+    torch.testing.assert_close(state, torch.cat([h[0], c[0]], dim=1), **TOLERANCE)
 
     ours = torch.autograd.grad(out.square().sum(), [x, cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh])
     peers = torch.autograd.grad(expected.square().sum(), [x, *peer.parameters()])
@@ -121,7 +110,7 @@ def test_ltc_equals_ncps_forward_and_gradients(motor):
     ours, peer, matches = pair(wiring)
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
 
-    out, (v,) = ours(ours.project_inputs(x), DT_S)
+    out, v = ours(ours.project_inputs(x), DT_S)
     state, outs = torch.zeros(3, wiring.units, dtype=torch.float64), []
     for t in range(5):
         motor_out, state = peer(x[:, t], state, DT_S[:, t, None] / NOMINAL_STEP_S)
@@ -144,10 +133,9 @@ def test_ltc_equals_ncps_forward_and_gradients(motor):
 def test_explicit_gradients_of_the_unfolded_ltc():
     torch.manual_seed(0)
     cell = LTC(ncp(5, Layout(inter=4, command=3, sensory_fanout=2, inter_fanout=2, motor_fanin=2))).double()
-    v = torch.rand(2, 8, dtype=torch.float64)
     c = torch.rand(2, 2, 8, dtype=torch.float64) * 30 + 1
     fixed = cell.project_inputs(torch.randn(2, 2, 5, dtype=torch.float64)) + 0.1
-    inputs = [tensor.detach().requires_grad_() for tensor in (v, c, fixed, *cell.internal.matrices())]
+    inputs = [tensor.detach().requires_grad_() for tensor in (c, fixed, *cell.internal.matrices())]
     assert torch.autograd.gradcheck(lambda *tensors: Unfolded.apply(*tensors, cell.internal.place, 3), inputs)
 
 
@@ -172,12 +160,12 @@ def test_cfc_equals_ncps_forward_and_gradients(motor):
         outs.append(motor_out * ours.output_scale + ours.output_shift)
     expected = torch.stack(outs, dim=1)
     torch.testing.assert_close(out, expected, **TOLERANCE)
-    torch.testing.assert_close(torch.cat(state, dim=1), hidden, **TOLERANCE)
+    torch.testing.assert_close(state, hidden, **TOLERANCE)
 
     upstream = torch.randn_like(out)
     theirs = [getattr(getattr(cell, head), kind) for _, cell in pairs for head in HEADS for kind in ("weight", "bias")]
     mine = [parameter for layer, _ in pairs for parameter in (layer.weight.w, layer.bias)]
-    of_x, *gradients = torch.autograd.grad((out * upstream).sum() + torch.cat(state, dim=1).square().sum(), [x, *mine])
+    of_x, *gradients = torch.autograd.grad((out * upstream).sum() + state.square().sum(), [x, *mine])
     of_x_peer, *peers = torch.autograd.grad((expected * upstream).sum() + hidden.square().sum(), [x, *theirs])
     torch.testing.assert_close(of_x, of_x_peer, **TOLERANCE)
     for number, (layer, _) in enumerate(pairs):
@@ -238,7 +226,7 @@ def test_small_steps_of_eq4_reach_the_ode_solvers_solution():
         runs = []
         for steps in unfolds:
             cell = cell_of(steps)
-            out, (last,) = cell(cell.project_inputs(x), DT_EQ4_S)
+            out, last = cell(cell.project_inputs(x), DT_EQ4_S)
             y = exact[..., :2].sigmoid() * cell.output_scale + cell.output_shift
             runs.append(torch.cat([(out - y).flatten(), (last - exact[:, -1]).flatten()]))  # errors
     sizes = [run.abs().max().item() for run in runs]

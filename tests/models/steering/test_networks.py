@@ -1,4 +1,4 @@
-"""The contract of the spatial networks, and each one's oracle."""
+"""The contract of the spatial networks, each one's oracle, node features and pooling."""
 
 import math
 import sys
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
-from models.steering.core.features import node_features
+from models.steering.core.features import FEATURE_MIRROR_SIGNS, GEOMETRY, mean_max_pool, node_features
 from models.steering.core.options import Sizes, load, names
 from models.steering.spatial import gnn, polar, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
@@ -222,3 +222,21 @@ def test_cnn_has_the_layers_of_the_ncp_paper() -> None:
         dense = [x[0, number].flatten() @ net.weight[number] + net.bias[number] for number in range(8)]
         expected.append(torch.cat(dense).relu())
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
+
+
+def test_classes_enter_in_proportion_to_semantics() -> None:
+    batch: Any = frames.batch([40])
+    none, half, full = (node_features(batch.xyz, batch.cls, weight) for weight in (0.0, 0.5, 1.0))
+    assert torch.equal(none[:, :GEOMETRY], full[:, :GEOMETRY])
+    assert not none[:, GEOMETRY:].any()
+    assert torch.equal(half[:, GEOMETRY:], full[:, GEOMETRY:] / 2)
+    known = batch.cls < classes.COUNT
+    assert torch.equal(full[known, GEOMETRY:].argmax(1), batch.cls[known].long())
+    assert torch.equal(full[:, GEOMETRY:].sum(1), known.double())  # void has no class
+    mirrored = node_features(batch.mirrored().xyz, batch.cls, 1.0)
+    assert torch.equal(mirrored, full * torch.tensor(FEATURE_MIRROR_SIGNS))
+
+
+def test_pooling_is_mean_and_max_of_each_frame() -> None:
+    x, ptr = torch.tensor([[1.0, -4.0], [3.0, -2.0], [5.0, -9.0]]), torch.tensor([0, 2, 2, 3])
+    assert mean_max_pool(x, ptr).tolist() == [[2, -3, 3, -2], [0, 0, 0, 0], [5, -9, 5, -9]]

@@ -1,12 +1,16 @@
-"""Networks of each combination: shared frames, mirroring, motion, uncertainty, paths, mixed precision."""
+"""Networks of each combination: shared frames, mirroring, motion, uncertainty, paths, mixed precision, launches."""
 
+from contextlib import nullcontext
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from models.steering.core.options import load, names
 from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, odd_and_even
+from models.steering.spatial import gnn
 from models.steering.temporal.ncp import CELLS
 from pipeline.settings.models import Entry
 from tests.models.steering import frames
@@ -147,22 +151,6 @@ def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
         net(batch(), WINDOWS, DT_S)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"layerz": [3]}, "unknown key 'layerz'.*did you mean layers"),
-        ({"layers": [0]}, r"layers\.0: .*greater than or equal to 1"),
-        ({"wiring": {"comand": 5}}, r"wiring\.comand: Extra inputs"),
-        ({"spatial": "gmn"}, r"spatial = 'gmn': there is no .*gmn\.py \(known: blind, cnn"),
-        ({"spatial": "../temporal/lstm"}, "known: blind"),
-        ({"predict": "path", "horizon": 3}, "predict: path has no horizon"),
-    ],
-)
-def test_a_wrong_entry_names_its_key(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        Entry.model_validate(entry().model_dump() | changes)
-
-
 def test_columns_are_of_order_one_and_the_odd_ones_are_odd() -> None:
     corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
     motion = torch.tensor([corner, motorway, [0.0] * 4, [-1.5, 0.0, 0.1, 0.0]])
@@ -173,3 +161,33 @@ def test_columns_are_of_order_one_and_the_odd_ones_are_odd() -> None:
     there, same = odd_and_even(motion * MIRROR)
     assert torch.equal(there, -odd)
     assert torch.equal(same, even)
+
+
+class Counter(TorchDispatchMode):
+    """Counts operators but views, which launch nothing."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.count += not func.is_view
+        return func(*args, **(kwargs or {}))
+
+
+def operators(count: int) -> int:
+    """Return the operators of forward and backward of sa-gnn-ncp with `count` frames of 20 points."""
+    net = entry(equivariant=True, window=8).build("graph").to("meta")
+    batch = frames.join([frames.graph(20, seed) for seed in range(count)], "meta")
+    windows = torch.from_numpy(np.lib.stride_tricks.sliding_window_view(np.arange(count), 8).copy())
+    with Counter() as counter:
+        net(batch, windows.to("meta"), torch.full(windows.shape, 0.1, device="meta"), pairs=True).sum().backward()
+    return counter.count
+
+
+def test_a_training_step_has_as_many_operators_for_any_number_of_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pooling or encoding frame by frame would add at least two for each; the recursion has six steps a frame."""
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())  # this device has none, nor sparse matrices
+    monkeypatch.setattr(gnn, "normalised_adjacency", lambda degree, *_: torch.empty(2 * degree.shape, device="meta"))
+    few, many = operators(10), operators(40)
+    assert few == many < 550

@@ -6,7 +6,7 @@ from numpy import int8
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell, State
+from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import SparseMatrix, Wiring
 
 
@@ -33,10 +33,10 @@ class CfC(RecurrentCell):
     def project_inputs(self, x: Tensor) -> Tensor:
         return x @ self.inter.weight.dense()[: self.inputs] + self.inter.bias  # [..., 4 inter], share of f ‖ g ‖ a ‖ b
 
-    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
         layers = [self.inter, self.command, self.motor]
         weights = [layer.weight.dense() for layer in layers]
-        inter, command, motor = state or (projected.new_zeros(len(projected), layer.neurons) for layer in layers)
+        inter, command, motor = (projected.new_zeros(len(projected), layer.neurons) for layer in layers)
         out = []
         for frame, dt in zip(projected.unbind(1), (dt_s[..., None] / NOMINAL_STEP_S).unbind(1), strict=True):
             inter = closed_form(torch.addmm(frame, inter, weights[0][self.inputs :]), dt)  # [W, inter]
@@ -45,7 +45,8 @@ class CfC(RecurrentCell):
             below = torch.cat([command, motor], dim=1)
             motor = closed_form(torch.addmm(self.motor.bias, below, weights[2]), dt)  # [W, motor]
             out.append(motor)
-        return torch.stack(out, dim=1) * self.output_scale + self.output_shift, (inter, command, motor)
+        state = torch.cat([inter, command, motor], dim=1)
+        return torch.stack(out, dim=1) * self.output_scale + self.output_shift, state
 
 
 class Layer(nn.Module):

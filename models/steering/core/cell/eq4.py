@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell, State
+from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import SparseMatrix, Wiring
 
 # Beyond e^±20 frames a neuron is instantaneous or frozen; float32 would overflow at e^88.
@@ -42,10 +42,10 @@ class Eq4(RecurrentCell):
     def project_inputs(self, x: Tensor) -> Tensor:
         return torch.cat([x @ self.sensory.dense() + self.bias, self.theta(x)], dim=-1)  # [..., 2U], drive ‖ log τ
 
-    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
         internal = self.internal.dense()
         drive, log_tau = projected.chunk(2, dim=-1)  # each [W,T,U]
-        (h,) = state or (torch.zeros_like(drive[:, 0]),)  # [W,U]
+        h = torch.zeros_like(drive[:, 0])  # [W,U]
         z = dt_s[..., None] / (NOMINAL_STEP_S * self.unfolds) / log_tau.clamp(-MAX_LOG_TAU, MAX_LOG_TAU).exp()
         share = -torch.expm1(-z)  # relaxation of h towards N per step, [W,T,U]
         correction = 1 - share / z  # weight of N's change during the step, [W,T,U]
@@ -59,4 +59,4 @@ class Eq4(RecurrentCell):
                 h = torch.addcmul(a, correction_frame, torch.addmm(drive_frame, a.sigmoid(), internal) - n)
             states.append(h)
         y = torch.stack(states, dim=1)[..., : self.motor].sigmoid()  # [W,T,motor]
-        return y * self.output_scale + self.output_shift, (h,)
+        return y * self.output_scale + self.output_shift, h

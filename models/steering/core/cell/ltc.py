@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import softplus
 
-from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell, State
+from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import Wiring
 
 EPSILON = 1e-8
@@ -42,15 +42,14 @@ class LTC(RecurrentCell):
         open_ = torch.sigmoid((x * self.input_scale + self.input_shift) @ slope - threshold)  # [..., synapses]
         return open_ @ sums  # [..., 2U], Σ w σ e ‖ Σ w σ
 
-    def forward(self, projected: Tensor, dt_s: Tensor, state: State | None = None) -> tuple[Tensor, State]:
+    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
         leak = softplus(self.leak)
-        (v,) = state or (projected.new_zeros(len(projected), len(leak)),)  # [W,U]
         c = softplus(self.capacity) * (self.unfolds * NOMINAL_STEP_S / dt_s[..., None])  # [W,T,U]
         fixed = projected + torch.cat([leak * self.rest, leak + EPSILON])  # numerator ‖ denominator, [W,T,2U]
         potentials: Tensor = Unfolded.apply(  # type: ignore[no-untyped-call]
-            v, c, fixed, *self.internal.matrices(), self.internal.place, self.unfolds
+            c, fixed, *self.internal.matrices(), self.internal.place, self.unfolds
         )
-        return potentials[..., : self.motor] * self.output_scale + self.output_shift, (potentials[:, -1],)
+        return potentials[..., : self.motor] * self.output_scale + self.output_shift, potentials[:, -1]
 
 
 class Unfolded(torch.autograd.Function):
@@ -59,26 +58,18 @@ class Unfolded(torch.autograd.Function):
     On arrays this small, starting an operator costs more than its arithmetic. So backward has one product per
     step, with the Jacobians of all steps from a few operators on all of them.
 
-    Args: v [W,U] before; c [W,T,U]; fixed [W,T,2U], the part of numerator ‖ denominator that is constant in a frame;
-        slope [U,S], threshold [S] and sums [S,2U] of the internal synapses; place [S], their entries in a flattened
-        matrix [U,U]; steps a frame.
+    Args: c [W,T,U]; fixed [W,T,2U], the part of numerator ‖ denominator that is constant in a frame; slope [U,S],
+        threshold [S] and sums [S,2U] of the internal synapses; place [S], their entries in a flattened matrix [U,U];
+        steps a frame.
     Returns: v after each frame [W,T,U].
     """
 
     @staticmethod
     def forward(
-        ctx: Any,
-        v: Tensor,
-        c: Tensor,
-        fixed: Tensor,
-        slope: Tensor,
-        threshold: Tensor,
-        sums: Tensor,
-        place: Tensor,
-        unfolds: int,
+        ctx: Any, c: Tensor, fixed: Tensor, slope: Tensor, threshold: Tensor, sums: Tensor, place: Tensor, unfolds: int
     ) -> Tensor:
         fixed = torch.cat([fixed[..., : c.shape[2]], fixed[..., c.shape[2] :] + c], dim=2)
-        below = -threshold.expand(len(v), -1)  # [W,S]; expanded, addmm is faster
+        below, v = -threshold.expand(len(c), -1), torch.zeros_like(c[:, 0])  # [W,S]; expanded, addmm is faster
         potentials, opened, denominators = [v], [], []
         for c_frame, fixed_frame in zip(c.unbind(1), fixed.unbind(1), strict=True):
             for _ in range(unfolds):
@@ -113,14 +104,13 @@ class Unfolded(torch.autograd.Function):
 
         grad_frames = grad_potentials.transpose(0, 1)[:, :, None]  # [T,W,1,U]
         upstream = [grad_frames[-1]]  # of v after the last step, the one before, …, [W,1,U]
-        for step in reversed(range(steps)):
+        for step in reversed(range(1, steps)):
             frame, within = divmod(step, unfolds)
             gradient, matrix = upstream[-1], transposed[step]
-            if frame and not within:  # v before the step is also the output of the frame before
+            if not within:  # v before the step is also the output of the frame before
                 upstream.append(torch.baddbmm(grad_frames[frame - 1], gradient, matrix))
             else:
                 upstream.append(torch.bmm(gradient, matrix))
-        grad_v = upstream.pop()[:, 0]
         grad_terms = (shares * torch.stack(upstream[::-1])).flatten(2)  # of numerator ‖ denominator, [K,W,2U]
         grad_gates = sigmoid_backward(grad_terms @ sums.T, opened).flatten(0, 1)  # of the argument of σ, [KW,S]
         grad_c = torch.addcmul(grad_terms[..., units:], grad_terms[..., :units], before)
@@ -128,7 +118,7 @@ class Unfolded(torch.autograd.Function):
             gradient.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1) for gradient in (grad_terms, grad_c)
         )
         grad_slope, grad_sums = before.flatten(0, 1).T @ grad_gates, opened.flatten(0, 1).T @ grad_terms.flatten(0, 1)
-        return grad_v, grad_c, grad_fixed, grad_slope, -grad_gates.sum(0), grad_sums, None, None
+        return grad_c, grad_fixed, grad_slope, -grad_gates.sum(0), grad_sums, None, None
 
 
 class Synapses(nn.Module):

@@ -21,31 +21,31 @@ def main(
 
     Models of the params file that are not evaluated on this machine are named.
     """
-    from pipeline.report import dvc_files, perception, tables
+    from pipeline.report import results, tables
     from pipeline.report.figures import draw
     from pipeline.report.page import write_page
-    from pipeline.report.results import load_groups
     from pipeline.report.story import sentences
 
     models = entries("models", params)
     evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
-    groups = load_groups(data / "evaluate", evaluated)
+    groups = results.load_groups(data / "evaluate", evaluated)
     path = data / "scores" / "metrics.json"
     scores = store.read_json(path, stage="scores") if path.is_file() else None
     steering = tables.steering_tables(groups, load(Evaluate, params))
-    perceived = perception.tables(scores) if scores else []
+    perceived = tables.perception_tables(scores) if scores else []
     story = sentences(groups, [model for model in models if model not in evaluated])
     text = "\n\n".join([*(fill(line, 110) for line in story), *(table.markdown() for table in (*steering, *perceived))])
     with stage_folder("report", out, shared=True) as folder:
         new = folder.new
         (new / "table.md").write_text(f"{text}\n", encoding="utf-8")
-        store.write_json(new / "metrics.json", dvc_files.metrics(groups))
+        store.write_json(new / "metrics.json", results.flat_metrics(groups))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (new / name).mkdir()
-        for model in evaluated:
-            dvc_files.write_learning(data / "train" / model, new / "learning")
+        curves = results.load_curves(data / "train", evaluated)
+        for network, curve in curves.items():  # DVC draws an empty field as 0, and nan as a gap
+            curve.to_csv(new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         captions = draw(new / "figures", groups, data)
-        write_page(new / "index.html", story, groups, steering, perceived, captions, data)
+        write_page(new / "index.html", story, groups, steering, perceived, captions, curves)
     print(text)
     return out
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.store import replacing
-from pipeline.evaluate import decisions, errors, paths
+from pipeline.evaluate import errors
+from pipeline.evaluate.turns import Track, Turns, drift, near_onsets, read_turns
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train.labelled_drive import LabelledDrive
@@ -27,9 +28,9 @@ class Case:
     scale: Scale
 
     @cached_property
-    def turns(self) -> decisions.Turns:
+    def turns(self) -> Turns:
         """The onsets of turns in the drive."""
-        return decisions.read_turns(self.drive)
+        return read_turns(self.drive)
 
     def baselines(self) -> dict[str, np.ndarray]:
         """Return the values [G,R] of predictors that do not use the scene.
@@ -53,17 +54,17 @@ class Case:
         return values
 
     @property
-    def track(self) -> paths.Track:
+    def track(self) -> Track:
         """The drive's true path, of a model that predicts the angle."""
         drive, onsets = self.drive, np.flatnonzero(np.isin(self.drive.frame, self.turns.frame))
         steering_rad = np.nan_to_num(drive.target[:, 0])
-        return paths.Track(drive.time_s, drive.speed_mps, steering_rad, onsets, drive.car.wheelbase_m)
+        return Track(drive.time_s, drive.speed_mps, steering_rad, onsets, drive.car.wheelbase_m)
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
     """Return column → errors, confidence interval, baselines, and errors by curvature, by drive, without decisions.
 
-    Only frames with a valid target and a prediction are scored; `without_decisions` leaves out `decisions.near_onsets`.
+    Only frames with a valid target and a prediction are scored; `without_decisions` leaves out `near_onsets`.
     """
     baselines = [case.baselines() for case in cases]
     common = [name for name in baselines[0] if all(name in others for others in baselines)]
@@ -86,7 +87,7 @@ def _values(case: Case) -> dict[str, np.ndarray]:
     values = {"truth": case.drive.truth, "curvature": case.drive.curvature_1pm, "predicted": np.stack(mean)}
     if sigma[0] is not None:
         values |= {"sigma": np.stack(sigma), "half_95": np.stack(half_95)}
-    return values | {"near_onset": decisions.near_onsets(case.drive, case.turns)}
+    return values | {"near_onset": near_onsets(case.drive, case.turns)}
 
 
 def _scores(
@@ -122,12 +123,12 @@ def _scores(
 
 
 def _drift(cases: Sequence[Case]) -> float | None:
-    """Return the mean over seeds of :func:`paths.drift`; None with a horizon and for a path."""
+    """Return the mean over seeds of :func:`drift`; None with a horizon and for a path."""
     if cases[0].drive.horizon or cases[0].drive.ahead_m:
         return None
     tracks = [case.track for case in cases]
     by_seed = [
-        paths.drift(zip(tracks, (seed.mean[:, 0] for seed in seeds), strict=True))
+        drift(zip(tracks, (seed.mean[:, 0] for seed in seeds), strict=True))
         for seeds in zip(*(case.predictions for case in cases), strict=True)
     ]
     values = [value for value in by_seed if value is not None]
@@ -165,7 +166,7 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     """Write one row per frame with the predictions of seed number `seed`; unknown values are empty fields.
 
     `frame`, `time_s` and `speed_mps` belong to the last input frame, `onset` is 1 where a turn begins
-    (decisions.py). For each column C of the model, `true_C` and `predicted_C` are those `horizon` frames later,
+    (turns.py). For each column C of the model, `true_C` and `predicted_C` are those `horizon` frames later,
     `odometry_C` is measured at the last input frame, and models with uncertainty have `sigma_C`.
     """
     with replacing(path) as tmp, tmp.open("w", newline="", encoding="utf-8") as file:

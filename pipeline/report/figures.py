@@ -14,12 +14,12 @@ from pipeline.base import store
 from pipeline.camera.camera import read_camera
 from pipeline.graphs import graph, graph_file
 from pipeline.report import street_view
-from pipeline.report.path import COLOURS, STEP_M, path_steps, wheel_tracks
 from pipeline.report.results import Group, Row
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 CHAIN_POINTS, BEND_DEG = 300, 5.0  # of the chain: points of its graph, and the least angle of a bend
 MAX_ERRORS, APART_S = 6, 1.0  # frames with the largest errors, and the least time between them
+_COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
 Captions = dict[str, str]
 """Name of the file without suffix → caption."""
 
@@ -31,7 +31,7 @@ def draw(out: Path, groups: Sequence[Group], data: Path) -> Captions:
     """
     captions = _draw_typical_bend(out / "chain.png", groups[0], data) if groups else {}
     for group in groups:
-        captions |= _draw_errors(out / f"errors-{group.key}", group, data / "ingest")
+        captions |= _draw_errors(out / f"errors-{group.key}.png", group, data / "ingest")
     return captions
 
 
@@ -76,8 +76,9 @@ def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.Dat
     assert view.points_cls is not None
     street_view.draw_points(panels["d"], view.xyz, view.points_cls)
     panels["d"].set_title(f"cloud from above: {len(view.xyz):,} points")
-    chosen = np.random.default_rng(0).choice(len(view.xyz), min(CHAIN_POINTS, len(view.xyz)), replace=False)
-    xyz, cls, variant = view.xyz[np.sort(chosen)], view.points_cls[np.sort(chosen)], model["variant"]
+    rng, variant = np.random.default_rng(0), model["variant"]
+    chosen = np.sort(rng.choice(len(view.xyz), min(CHAIN_POINTS, len(view.xyz)), replace=False))
+    xyz, cls = view.xyz[chosen], view.points_cls[chosen]
     built = graph.build(xyz, cls, variant["k"], variant.get("keep_inter_class", 1.0), np.random.default_rng(0))
     street_view.draw_points(panels["e"], xyz, cls, graph_file.edge_pairs(built.degree, built.indices))
     kept = f"{built.edges_kept:,} of " if built.edges_kept < built.edges_knn else ""
@@ -85,11 +86,10 @@ def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.Dat
     for key in "de":
         street_view.look_ahead(panels[key])
     panel = panels["f"]
-    curves = {"true": ("0.15", "-"), "odometry": ("tab:orange", "--"), "predicted": ("tab:blue", "-")}
-    for kind, (colour, style) in curves.items():
+    for kind, style in {"true": "-", "odometry": "--", "predicted": "-"}.items():
         if steering[f"{kind}_deg"].notna().any():
             label = "driven" if kind == "true" else kind
-            panel.plot(steering["elapsed_s"], steering[f"{kind}_deg"], style, color=colour, label=label)
+            panel.plot(steering["elapsed_s"], steering[f"{kind}_deg"], style, color=_COLOURS[kind], label=label)
     panel.axvline(steering["elapsed_s"][steering["frame"] == view.frame].iloc[0], color="0.7", linewidth=1)
     panel.set(xlabel="time in s", title="steering in deg, left +; grey: this frame")
     panel.margins(x=0)
@@ -117,16 +117,15 @@ def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(largest).assign(share=shares)
 
 
-def _draw_errors(file: Path, group: Group, ingest: Path) -> Captions:
+def _draw_errors(path: Path, group: Group, ingest: Path) -> Captions:
     """Draw the last image that the best model got before each of its largest errors; nothing without images.
 
     On the path ahead, both paths are drawn on the street.
     """
     model, shown = group.by_error[0], []
     for _, row in largest_errors(group.first_seed(model["model"])).iterrows():
-        path = ingest / f"{row['drive']}.h5"
-        if path.is_file():
-            with store.DriveReader(path, stage="ingest") as images:
+        if (file := ingest / f"{row['drive']}.h5").is_file():
+            with store.DriveReader(file, stage="ingest") as images:
                 if row["frame"] in images.frame and images["has_image"][number := images.row_of(row["frame"])]:
                     shown.append((row, images.row("image", number), read_camera(images)))
     if not shown:
@@ -137,30 +136,29 @@ def _draw_errors(file: Path, group: Group, ingest: Path) -> Captions:
     for panel in panels:
         panel.set_axis_off()
     on_path = any(group.labels.values())
+    edges_m = [0.0, *(column["to_m"] for column in model["columns"].values())]
     for panel, (row, image, camera) in zip(panels, shown, strict=False):
         panel.imshow(image)
         for kind in ("driven", "predicted") if on_path else ():
             path_1pm = [row[f"{'true' if kind == 'driven' else kind}_{column}"] for column in group.labels]
-            edges_m = [0.0, *(column["to_m"] for column in model["columns"].values())]
-            draw_path(panel, wheel_tracks(path_steps(path_1pm, edges_m, STEP_M), camera), kind)
+            draw_path(panel, street_view.wheel_tracks(street_view.path_steps(path_1pm, edges_m), camera), kind)
         text = f"driven {row['true_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
         title = f"{row['drive']}, frame {row['frame']}: {text}, share {row['share']:.0%}"
         panel.set_title(title, fontsize="small", loc="left")
-    street_view.save(figure, file.with_suffix(".png"))
+    street_view.save(figure, path)
     about = "paths (red: driven, green: predicted) and the angles by which they turn" if on_path else "angles"
     caption = (
         f"Largest errors of {model['model']}, {group.title}, first seed: the last image of its input, {about} (left "
         f"+), and the share of the squared error within {APART_S:g} s."
     )
-    return {file.name: caption}
+    return {path.stem: caption}
 
 
 def draw_path(panel: Axes, tracks: Sequence[np.ndarray], kind: str) -> None:
-    """Draw the tracks of both wheels, :func:`wheel_tracks`, over the image in a panel; `kind`: a key of COLOURS."""
-    limits = panel.get_xlim(), panel.get_ylim()
-    left, right = tracks
-    colour = [value / 255 for value in COLOURS[kind]]
+    """Draw the tracks of both wheels over the image in a panel; `kind`: a key of street_view.PATHS."""
+    limits, (left, right) = panel.axis(), tracks
+    colour = [value / 255 for value in street_view.PATHS[kind]]
     panel.fill(*np.concatenate([left, right[::-1]]).T, color=colour, alpha=0.3, linewidth=0)
     for side in tracks:
         panel.plot(*side.T, color=colour, linewidth=1.5)
-    panel.set(xlim=limits[0], ylim=limits[1])
+    panel.axis(limits)

@@ -1,23 +1,34 @@
-"""Write the page: one HTML file that needs no other file and no network, from page.html.j2."""
+"""Write the page: one HTML file that needs no other file and no network, from page.html.j2.
+
+Plots are the data and layout of Plotly, with angles in degrees, left +.
+"""
 
 import base64
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from pipeline.report import plots
-from pipeline.report.dvc_files import load_curves
-from pipeline.report.results import Group
+from pipeline.report.results import Group, Row
 from pipeline.report.tables import Table
+
+COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
+FIXED = {"driven": "#1b2027", "odometry": "#e08e0b", "zero": "#9aa3ad"}
+MODELS_SHOWN = 3  # the best at first; a click in the legend adds others
+SLIDER_S = 20.0  # drives longer than this get a range slider
+Figure = dict[str, Any]
+Styles = Mapping[str, dict[str, Any]]
 
 
 class Plot(NamedTuple):
     caption: str
-    figure: plots.Plot
+    figure: Figure
 
 
 class Picture(NamedTuple):
@@ -35,29 +46,26 @@ def write_page(
     tables: Sequence[Table],
     perception: Sequence[Table],
     figures: Mapping[str, str],
-    data: Path,
+    curves: dict[str, pd.DataFrame],
 ) -> None:
-    """Write the page.
+    """Write the page to an HTML file.
 
-    Args:
-        path: the HTML file; the files of `figures` are in folder figures beside it.
-        story: sentences about the results.
-        groups: all results.
-        tables: of models and baselines, the first ones with a row per model and baseline of each group.
-        perception: tables of depth, classes and motion.
-        figures: name of a PNG file without suffix → caption; the chain is shown first.
-        data: holds a folder per stage; folders may be missing.
+    The files of `figures` (name without suffix → caption) are in folder figures beside it; the chain is shown first.
+    The first of the `tables` are the results of each group. `curves`: see :func:`results.load_curves`.
     """
     pictures = {
         name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))
         for name, caption in figures.items()
     }
-    chain, look = pictures.pop("chain", None), plots.styles(groups)
+    chain, look = pictures.pop("chain", None), styles(groups)
+    first = {name.split(".")[0]: curve for name, curve in reversed(curves.items())}
+    learnt = {row["model"]: first[row["model"]] for group in groups for row in group.models if row["model"] in first}
+    caption = "Training loss (dotted) and validation nmse of each model's first network"
     sections: dict[str, Content] = {
         "Results": tables[: len(groups)],
         **{f"Test drives: {group.title}": _test_drives(group, look) for group in groups},
         "Largest errors": [*pictures.values()],
-        "Learning curves": _learning(groups, look, data / "train"),
+        "Learning curves": [Plot(caption, learning(learnt, look))] if learnt else [],
         "Models in detail": tables[len(groups) :],
         "Depth, classes and motion": perception,
     }
@@ -74,26 +82,99 @@ def write_page(
     path.write_text(html, encoding="utf-8")
 
 
-def _test_drives(group: Group, look: plots.Styles) -> Content:
+def _test_drives(group: Group, look: Styles) -> Content:
     predictions = group.predictions[group.predictions["run"] == ""]
     drives, count = group.worst_drives(), predictions["drive"].nunique()
     chosen = f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
-    shown = [(drive, predictions[predictions["drive"] == drive]) for drive in drives]
     angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
     content: list[str | Plot] = [
         f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide "
-        "a line.",
-        *(Plot(f"{drive}: {group.title} over time", plots.over_time(table, look)) for drive, table in shown),
+        "a line."
     ]
+    for drive in drives:
+        plot = over_time(predictions[predictions["drive"] == drive], look)
+        content.append(Plot(f"{drive}: {group.title} over time", plot))
     for column, label in group.labels.items():
         caption = f"Error by curvature of the road{label and f', {label} ahead'}, mean over seeds"
-        content.append(Plot(caption, plots.by_curvature(group.models, column, look)))
+        content.append(Plot(caption, by_curvature(group.models, column, look)))
     return content
 
 
-def _learning(groups: Sequence[Group], look: plots.Styles, train: Path) -> Content:
-    models = [row["model"] for group in groups for row in group.models]
-    curves = {model: load_curves(train / model) for model in models}
-    first = {model: next(iter(runs.values())) for model, runs in curves.items() if runs}
-    caption = "Training loss (dotted) and validation nmse of each model's first network"
-    return [Plot(caption, plots.learning(first, look))] if first else []
+def styles(groups: Sequence[Group]) -> Styles:
+    """Return model or baseline → name, colour and visibility of its traces in all plots."""
+    models = [model["model"] for group in groups for model in group.models]
+    shown = {row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN]} | {*FIXED}
+    colours = dict(zip(models, cycle(COLOURS), strict=False)) | FIXED
+    return {
+        name: {"name": name, "marker": {"color": colour}, "visible": True if name in shown else "legendonly"}
+        for name, colour in colours.items()
+    }
+
+
+def over_time(predictions: pd.DataFrame, look: Styles) -> Figure:
+    """Plot driven angle, odometry and the predictions of each model over the time of one drive."""
+    traces = []
+    truth = predictions.drop_duplicates("frame").sort_values("frame")
+    lines = {"driven": (truth, "true_deg"), "odometry": (truth, "odometry_deg")}
+    lines |= {name: (rows, "predicted_deg") for name, rows in predictions.groupby("model", sort=False)}
+    special: dict[str, dict[str, Any]] = {"driven": {"line": {"width": 3}}, "odometry": {"line": {"dash": "dash"}}}
+    for name, (rows, column) in lines.items():
+        if rows[column].isna().all():
+            continue
+        hover = {"text": rows["frame"].tolist(), "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}"}
+        line = look[name] | _points(rows, "elapsed_s", column) | hover | {"mode": "lines"}
+        traces.append(line | special.get(name, {}))
+        band = rows.dropna(subset="sigma_deg")
+        if name not in special and len(band):
+            edges = [band.assign(edge=band[column] + side * band["sigma_deg"]) for side in (1, -1)]
+            outline = _points(pd.concat([edges[0], edges[1][::-1]]), "elapsed_s", "edge")
+            fill = {"fill": "toself", "mode": "none", "fillcolor": f"{look[name]['marker']['color']}26"}
+            traces.append(look[name] | outline | fill | {"name": f"{name} ± σ", "hoverinfo": "skip"})
+    slider = {"visible": bool(predictions["elapsed_s"].max() > SLIDER_S)}
+    return _plot(traces, 400, xaxis={**_title("time in s"), "rangeslider": slider}, yaxis=_title("deg, left +"))
+
+
+def by_curvature(models: Sequence[Row], column: str, look: Styles) -> Figure:
+    """Plot the RMSE of models and baseline zero in the ranges of |curvature| that have frames.
+
+    In degrees for an angle, in 1/km for a curvature.
+    """
+    factor, unit = (180 / np.pi, "deg") if models[0]["columns"][column]["unit"] == "rad" else (1000, "1/km")
+    parts = {row["model"]: [part for part in row["test"][column]["by_curvature"] if part["frames"]] for row in models}
+    parts["zero"] = [part | part["zero"] for part in parts[models[0]["model"]]]
+    bars = [
+        look[name]
+        | {"type": "bar", "x": [_range(part) for part in bins], "y": [round(factor * part["rmse"], 4) for part in bins]}
+        | {"text": [f"{part['frames']} frames" for part in bins], "hovertemplate": "%{y:.2f}, %{text}"}
+        for name, bins in parts.items()
+    ]
+    return _plot(bars, 380, xaxis=_title("|curvature| of the road in 1/m"), yaxis=_title(f"RMSE in {unit}"))
+
+
+def _range(part: Mapping[str, Any]) -> str:
+    return f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
+
+
+def learning(curves: Mapping[str, pd.DataFrame], look: Styles) -> Figure:
+    """Plot training loss (dotted) and validation nmse of networks: name → epoch, train_loss, val_nmse."""
+    traces = []
+    for name, curve in curves.items():
+        for column, dash in (("train_loss", "dot"), ("val_nmse", "solid")):
+            line = {"name": f"{name}, {column}", "mode": "lines", "line": {"dash": dash}}
+            traces.append(look[name] | _points(curve.astype(float), "epoch", column) | line)
+    error = {**_title("error; 1: a constant angle"), "type": "log"}
+    return _plot(traces, 400, xaxis=_title("epoch"), yaxis=error)
+
+
+def _points(rows: pd.DataFrame, *columns: str) -> dict[str, list[float | None]]:
+    """Return the coordinates of a trace: x and y from `columns`; None, which Plotly draws as a gap, for NaN."""
+    values = {axis: rows[column].round(4).tolist() for axis, column in zip("xy", columns, strict=True)}
+    return {axis: [None if np.isnan(value) else value for value in column] for axis, column in values.items()}
+
+
+def _title(text: str) -> dict[str, Any]:
+    return {"title": {"text": text}}
+
+
+def _plot(data: list[dict[str, Any]], height: int, **layout: Any) -> Figure:
+    return {"data": data, "layout": {"height": height, **layout}}

@@ -17,6 +17,7 @@ from pipeline.report import paper
 
 SHOWN_DRIVES = 6
 """Test drives that the page draws one by one; the tables have all."""
+_LEARNING = ["epoch", "train_loss", "val_nmse"]
 BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression")
 Row = dict[str, Any]
 """A model's metrics.json with ``paper`` (its :class:`paper.Published` or None) and ``baseline`` False; or a baseline
@@ -121,3 +122,37 @@ def _baseline(name: str, model: Row) -> Row:
         if model[split]
     }
     return {"train": None, "val": None} | splits | {"model": name, "baseline": True, "columns": model["columns"]}
+
+
+def flat_metrics(groups: Sequence[Group]) -> dict[str, float]:
+    """Return all metrics under flat names, for `dvc metrics`; values that do not exist are left out.
+
+    - ``<model>.nmse`` and its 95 % interval ``nmse_low`` to ``nmse_high``; of a range of the path ahead
+      ``<model>.nmse_5-10m`` and so on; names of the other splits start with ``train_`` or ``val_``
+    - ``odometry-angle-<horizon>`` and ``odometry-path-<horizon>``: the same of odometry
+    """
+    values: dict[str, Any] = {}
+    for group in groups:
+        named = {row["model"]: row for row in group.models}
+        named |= {f"odometry-{group.key}": row for row in group.rows if row["model"] == "odometry"}
+        for name, row in named.items():
+            for column, label in group.labels.items():
+                nmse, test = f"nmse_{label}".strip("_").replace(" ", ""), row["test"][column]
+                low, high = test.get("nmse_ci95") or (None, None)
+                values |= {f"{name}.{nmse}": test["nmse"], f"{name}.{nmse}_low": low, f"{name}.{nmse}_high": high}
+                for split in ("train", "val"):
+                    values[f"{name}.{split}_{nmse}"] = row[split] and row[split][column]["nmse"]
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def load_curves(train: Path, models: Sequence[str]) -> dict[str, pd.DataFrame]:
+    """Load the learning curves of `models` from their folders below `train`: network → epoch, train_loss, val_nmse.
+
+    A network is named as its folder: ``<model>``, ``<model>.seed-<n>``, ``<model>.seed-<n>.fold-<drive>``. Numbers stay
+    text, as written.
+    """
+    paths = [path for model in models for path in sorted((train / model).rglob("curve.csv"))]
+    return {
+        ".".join(path.relative_to(train).parts[:-1]): pd.read_csv(path, usecols=_LEARNING, dtype=str)[_LEARNING]
+        for path in paths
+    }

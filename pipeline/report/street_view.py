@@ -1,5 +1,9 @@
-"""Draw a frame: its image, depth and classes beside its cloud or graph from above (the paper's Figures 1 and 2)."""
+"""Draw a frame: its image, depth and classes beside its cloud or graph from above (the paper's Figures 1 and 2).
 
+And the path of a car on a plane road: from curvature to places, and to the tracks of its wheels in an image.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +18,16 @@ from matplotlib.patches import Patch
 
 from pipeline.base.store import DriveReader, replacing
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera
+from pipeline.camera.geometry import project
 from pipeline.camera.images import to_metres
 from pipeline.graphs.graph_file import edge_pairs
 
 NEAR_M, FAR_M = 4.0, 80.0  # ends of the depth scale; depth beyond them has the colour of the end
 LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # area shown from above
+PATHS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}  # RGB
+HALF_TRACK_M, STEP_M = 0.8, 0.5  # of a path
+NEAREST_M = 1.0  # drawn distance of a path from the camera
 
 
 @dataclass(frozen=True)
@@ -140,3 +149,43 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> None:
     """Write `figure` to a PNG file in one step, without a version number: the same figure gives the same bytes."""
     with replacing(path) as unfinished:
         figure.savefig(unfinished, format="png", dpi=dpi, metadata={"Software": "semantic-steering"})
+
+
+def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) -> list[np.ndarray]:
+    """Return the pixels (u, v) of the left and the right wheel's track, each [N,2], until they turn back.
+
+    Args:
+        curvature_1pm: of each step of STEP_M [N], left positive.
+        camera: at its height over the road.
+        slope: metres that the road falls per metre ahead in the camera's frame.
+    """
+    middle, heading_rad = follow(curvature_1pm)
+    tracks, width = [], camera.size[1]
+    for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
+        wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)
+        down = camera.height_m + slope * wheel.real
+        uv, z = project(np.stack([-wheel.imag, down, wheel.real], axis=1), camera.K)
+        start = int(np.argmax(z > NEAREST_M))
+        behind = np.flatnonzero(z[start:] <= NEAREST_M)  # where a path turns back
+        seen = uv[start : start + behind[0] if len(behind) else None]
+        tracks.append(np.clip(seen, -5 * width, 5 * width))  # OpenCV's coordinates end at 32,767
+    return tracks
+
+
+def follow(curvature_1pm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places ahead + left i in metres, complex, and headings in rad, both [N+1], after steps of STEP_M [N].
+
+    `curvature_1pm` of each step, left positive.
+    """
+    heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
+    halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
+    return np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad))), heading_rad
+
+
+def path_steps(path_1pm: Sequence[float] | np.ndarray, ahead_m: Sequence[float]) -> np.ndarray:
+    """Return the curvature [N] of each STEP_M of a path with mean curvature `path_1pm` [R] in ranges of edges [R+1].
+
+    Before the first edge, the path has the curvature of the first range.
+    """
+    middles_m = np.arange(STEP_M / 2, ahead_m[-1], STEP_M)
+    return np.asarray(path_1pm)[np.searchsorted(np.asarray(ahead_m)[1:-1], middles_m)]

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import resized
-from pipeline.report.path import COLOURS, STEP_M, path_steps, wheel_tracks
+from pipeline.report.street_view import PATHS, STEP_M, path_steps, wheel_tracks
 from pipeline.video.results import Results
 from pipeline.video.source import Source
 
@@ -65,9 +65,9 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
 def _paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
     """Return name → curvature of each step of the path of each frame [N,F], NaN where unknown."""
     paths = {}
-    for name in COLOURS:
+    for name in PATHS:
         if name == "predicted" and results.path_1pm is not None:
-            paths[name] = path_steps(results.path_1pm.T, results.ahead_m, STEP_M)
+            paths[name] = path_steps(results.path_1pm.T, results.ahead_m)
         elif np.isfinite(angle_rad := results.table.get(f"{name}_rad", np.zeros(0))).any():
             paths[name] = np.tile(np.tan(angle_rad) / wheelbase_m, (round(REACH_M / STEP_M), 1))
     return paths
@@ -82,7 +82,7 @@ def _draw(image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray], resul
     for name, path in paths.items():
         if np.isfinite(path[:, row]).all():
             sides = [np.rint(side).astype(np.int32) for side in wheel_tracks(path[:, row], camera, slope)]
-            cv2.polylines(image, sides, False, COLOURS[name], max(1, round(camera.size[1] / 480)), cv2.LINE_AA)
+            cv2.polylines(image, sides, False, PATHS[name], max(1, round(camera.size[1] / 480)), cv2.LINE_AA)
     size = max(0.3, min(0.7, camera.size[1] / 960, camera.size[0] / 300))  # 0.5: the longest text has 400 px
     for line, (text, colour) in enumerate(_legend(paths, results, row), start=1):
         place = round(16 * size), round(36 * size * line)
@@ -103,4 +103,4 @@ def _legend(paths: dict[str, np.ndarray], results: Results, row: int) -> Iterato
             text = f"turns {np.degrees(path[:, row].sum() * STEP_M):+.1f} deg in {results.ahead_m[-1]:g} m"
         elif name == "measured":
             text = results.problems[row] or "low speed"
-        yield f"{name}: {text}", COLOURS[name]
+        yield f"{name}: {text}", PATHS[name]

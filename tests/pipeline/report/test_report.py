@@ -1,0 +1,464 @@
+"""The report: groups of models, tables, sentences, curves, pictures and the page."""
+
+import html
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+
+from pipeline.base import store
+from pipeline.base.store import DriveReader
+from pipeline.camera.camera import Camera, read_camera
+from pipeline.camera.classes import VOID
+from pipeline.graphs.cloud import clouds_drive
+from pipeline.perception.scores import Scores
+from pipeline.report import figures, page, paper, results, tables
+from pipeline.report.page import write_page
+from pipeline.report.results import load_groups
+from pipeline.report.story import sentences
+from pipeline.report.street_view import HALF_TRACK_M, STEP_M, follow, path_steps, read_view, wheel_tracks
+from pipeline.settings.clouds import Clouds
+from pipeline.settings.evaluate import Evaluate
+from tests import street
+from tests.artefacts import write_graphs
+from tests.pipeline.report import examples
+from tests.pipeline.report.examples import metrics
+
+DRIVE, OTHER = examples.DRIVES
+SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, curvature_bins_1pm=[0.1], seed=0)
+
+
+# Groups and networks of the paper
+
+
+def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path: Path) -> None:
+    found = examples.groups(
+        tmp_path,
+        metrics("path", predict="path"),
+        metrics("far", odometry={"odometry": 0.5}, horizon=10),
+        metrics("ours", spatial="pyg", odometry={"odometry": 0.04}),
+        metrics("do", input="depth", semantics=0.0),
+        metrics("lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
+    )
+    assert [group.title for group in found] == ["steering angle", "steering angle, 10 frames ahead", "path ahead"]
+    rows = {row["model"]: row for row in found[0].rows}
+    assert [*rows] == ["lstm", "do", "ours", "zero", "train_mean", "persistence", "odometry"]
+    assert [row["baseline"] for row in rows.values()] == [False] * 3 + [True] * 4
+    assert rows["odometry"]["test"]["steering_rad"]["nmse"] == 0.04
+    assert rows["do"]["paper"].test_mse == 0.081
+    assert rows["ours"]["paper"] is None
+    assert [*found[2].labels.values()] == ["0-5 m", "5-10 m"]
+
+
+@pytest.mark.parametrize(
+    ("change", "network"),
+    [
+        ({}, "sa-gnn-ncp"),
+        ({"cell": "eq4", "features": 64}, "sa-gnn-ncp"),
+        ({"cell": "cfc"}, None),
+        ({"accumulate": {"frames": 8}}, None),
+        ({"semantics": 0.0}, None),
+        ({"input": "depth", "semantics": 0.0}, "do-gnn-ncp"),
+        *(
+            ({key: values[0] for key, values in published.settings.items()}, name)
+            for name, published in paper.PAPER.items()
+        ),
+    ],
+)
+def test_a_network_of_the_paper_is_known_by_its_settings(change: dict[str, Any], network: str | None) -> None:
+    assert paper.name(examples.ENTRY | change) == network
+
+
+def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:
+    (group,) = examples.groups(tmp_path, metrics("net") | {"seeds": [3, 7]}, metrics("other"))
+    counts = group.predictions.groupby(["model", "run"]).size().to_dict()
+    assert counts == {("net", ""): 60, ("net", "seed-7"): 60, ("other", ""): 60}
+    row = group.first_seed("net").iloc[[0, 6, 10, 20]]
+    assert row["elapsed_s"].tolist() == pytest.approx([0, 0.6, 1.0, 2.0])
+    np.testing.assert_allclose(row["true_deg"], np.rad2deg([0, 0.06, 0.1, np.nan]))
+    np.testing.assert_allclose(row["predicted_deg"], np.rad2deg([np.nan, np.nan, 0.11, 0.21]))
+    np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([np.nan, 0.061, 0.101, 0.201]))
+    (group,) = examples.groups(tmp_path, metrics("path", predict="path"))  # turns by curvature times length
+    row = group.first_seed("path").iloc[10]
+    assert (row["true_deg"], row["predicted_deg"]) == pytest.approx((np.rad2deg(0.1 * 10), np.rad2deg(0.11 * 10)))
+
+
+def test_the_drives_with_the_largest_error_of_the_best_model_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results, "SHOWN_DRIVES", 1)
+    table = examples.predictions(0.01)
+    table.loc[table["drive"] == OTHER, "predicted_steering_rad"] += 0.1
+    examples.write_model(tmp_path, metrics("worse", nmse=0.2))
+    examples.write_model(tmp_path, metrics("best", nmse=0.1), table)
+    (group,) = load_groups(tmp_path / "evaluate", ["worse", "best"])
+    assert group.worst_drives() == [OTHER]
+
+
+def test_flat_metrics_have_no_missing_values(tmp_path: Path) -> None:
+    net = metrics("net") | {"val": {"steering_rad": examples.scores(0.15)}}
+    path = metrics("path", odometry={"odometry": 0.4}, predict="path")
+    found = results.flat_metrics(examples.groups(tmp_path, net, metrics("straight", None), path))
+    of_net = {"nmse": 0.2, "nmse_low": 0.1, "nmse_high": 0.2 * 1.5, "train_nmse": 0.1, "val_nmse": 0.15}
+    expected = {f"net.{name}": value for name, value in of_net.items()}
+    expected |= {"path.nmse_5-10m": 0.2, "path.nmse_5-10m_low": 0.1, "odometry-path-0.nmse_0-5m": 0.4}
+    assert expected.items() <= found.items()
+    assert not any(name.startswith("straight") or "odometry-angle" in name for name in found)
+
+
+def test_each_network_has_a_learning_curve(tmp_path: Path) -> None:
+    for folder in ("", "seed-1/", "seed-1/fold-a/"):
+        path = tmp_path / f"net/{folder}curve.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("epoch,learning_rate,train_loss,val_nmse\n1,0.003,0.70,0.6\n2,0.001,0.5,\n")
+    curves = results.load_curves(tmp_path, ["net", "absent"])
+    assert sorted(curves) == ["net", "net.seed-1", "net.seed-1.fold-a"]
+    assert next(iter(curves)) == "net"
+    assert curves["net"].fillna("").to_numpy().tolist() == [["1", "0.70", "0.6"], ["2", "0.5", ""]]
+
+
+# Tables and sentences
+
+
+def build(data: Path, *contents: dict[str, object]) -> dict[str, tables.Table]:
+    return {table.title: table for table in tables.steering_tables(examples.groups(data, *contents), SETTINGS)}
+
+
+def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
+    content = metrics("pointnet2-lstm", odometry={"odometry": 0.04}, horizon=10)
+    content["test"]["steering_rad"]["nmse_std"] = 0.03
+    content["parameters"] = 1_408_259
+    table = build(tmp_path, content)["Results: steering angle, 10 frames ahead"]
+    assert max(map(len, table.markdown().splitlines())) <= 110
+    rows = {row["model"]: row for row in table.rows}
+    assert rows["pointnet2-lstm"] == {
+        "model": "pointnet2-lstm", "nmse": "0.200 ± 0.030 (0.100 to 0.300)", "MAE deg": "2.05", "no onsets": "0.100",
+        "parameters": "1,408,259", "edges": "5,160",
+    }  # fmt: skip
+    assert build(tmp_path, metrics("net"))["Results: steering angle"].rows[0]["drift"] == "3.0"
+    assert (rows["*odometry*"]["nmse"], rows["*odometry*"]["parameters"]) == ("0.040", tables.NONE)
+
+
+def test_a_path_has_a_column_per_range(tmp_path: Path) -> None:
+    built = build(tmp_path, metrics("path", predict="path", odometry={"odometry": 0.4}))
+    rows = {row["model"]: row for row in built["Results: path ahead"].rows}
+    assert (rows["path"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.100 to 0.300)", "0.400")
+    rows = {row["model"]: row for row in built["Without onsets: path ahead"].rows}
+    assert rows["path"]["nmse 0-5 m"] == "0.100 (0.100 to 0.300)"
+    assert "MSE as in the paper's Table 2" not in built
+
+
+def test_points_without_edges_are_not_pruned(tmp_path: Path) -> None:
+    content = metrics("polar") | {"edges_per_frame": 0.0, "edges_per_frame_unpruned": 0.0}
+    (row,) = build(tmp_path, content)["Models"].rows
+    assert (row["edges"], row["pruned"]) == ("0", tables.NONE)
+
+
+@pytest.mark.parametrize("predict", ["angle", "path"])
+def test_the_difference_is_paired_on_common_frames(tmp_path: Path, predict: str) -> None:
+    """Predictions are multiples of the truth, so each error is known: (1 - scale)² of zero's."""
+    columns = examples.PATH if predict == "path" else examples.ANGLE
+    for model, scale, first in (("scene", 0.8, 7), ("blind", 0.5, 0)):
+        table = examples.predictions(0.0, columns)
+        for column in columns:
+            table[f"predicted_{column}"] = (scale * table[f"true_{column}"]).where(table["frame"] >= first)
+        content = metrics(model, 0.1 / scale, predict=predict) | {"seeds": [0, 1] if model == "scene" else [0]}
+        examples.write_model(tmp_path, content, table)
+    groups = load_groups(tmp_path / "evaluate", ["blind", "scene"])
+    for column in columns:
+        nmse, bounds = tables.difference(groups[0].predictions, "scene", "blind", column, SETTINGS)
+        assert [nmse, *(bounds or [])] == pytest.approx([0.04 - 0.25] * 3)
+    built = {table.title: table for table in tables.steering_tables(groups, SETTINGS)}
+    (row,) = built[f"Differences: {groups[0].title}"].rows
+    assert row["models"] == "scene − blind"
+    assert row["5-10 m" if predict == "path" else "nmse"] == "-0.210 (-0.210 to -0.210)"
+
+
+def test_models_without_common_frames_have_no_difference(tmp_path: Path) -> None:
+    table = examples.predictions(0.01)
+    for model, drive in zip(("scene", "blind"), examples.DRIVES, strict=True):
+        examples.write_model(tmp_path, metrics(model), table[table["drive"] == drive])
+    built = tables.steering_tables(load_groups(tmp_path / "evaluate", ["scene", "blind"]), SETTINGS)
+    assert next(table for table in built if table.title.startswith("Differences")).rows[0]["nmse"] == tables.NONE
+
+
+def test_a_predicted_uncertainty_has_a_row(tmp_path: Path) -> None:
+    content = metrics("net")
+    known = {"nll": -2.0, "nll_constant": -1.5, "coverage_68": 0.7, "coverage_95": 0.94, "mae_certain": 0.02}
+    content["test"]["steering_rad"] |= {"uncertainty": known, "mae": 0.04}
+    (row,) = build(tmp_path, content)["Uncertainty: steering angle"].rows
+    assert [*row.values()] == ["net", "-2.000", "-1.500", "70.0%", "94.0%", "50%"]
+
+
+def test_perception_has_a_row_per_split_with_ground_truth() -> None:
+    scores = {split: Scores() for split in ("train", "val", "test")}
+    truth = np.full((40, 50), 10.0)
+    scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
+    scores["val"].add_depth("ground_plane_lidar", 1.5 * truth, truth)
+    scores["test"].add_depth("depth_dense", truth, np.where(np.arange(40)[:, None] < 2, truth, 0))  # outside the crop
+    scores["test"].add_classes(np.array([[0, 0, 1, 1]]), np.array([[0, 0, 0, 1]]))
+    measured = {"drives": 2, "frames": 153, "valid": 0.99, "judged": 140, "speed_ratio": 0.977, "nmse": 0.0005}
+    measured |= {"yaw_rmse_degps": 0.16, "yaw_median_degps": 0.11}
+    motion = {"visual": {"train": None, "val": None, "test": measured}}
+    report = {split: score.report() for split, score in scores.items()} | {"motion": motion}
+    depth, classes, motion = tables.perception_tables(report)
+    encoder, flat = "0.200, 2.00, 1.000", "0.500, 5.00, 0.000"
+    assert depth.cells == [
+        ["val", "lidar", "1", "100.0%", encoder, flat, encoder, flat],
+        ["test", "dense", "1", "100.0%", "0.000, 0.00, 1.000", tables.NONE, tables.NONE, tables.NONE],
+    ]
+    assert classes.cells == [["test", "1", "0.750", "0.583", "2"]]
+    assert motion.cells == [["visual", "test", "2", "153", "99.0%", "140", "0.160", "0.110", "0.977", "0.0005"]]
+
+
+NONE = "the best row without learning"
+
+
+@pytest.mark.parametrize(
+    ("nmse", "baselines", "verdict"),
+    [
+        (0.2, {"zero": 1.0}, f"beats zero, {NONE} (1.000)."),
+        (0.99, {"zero": 1.0}, f"is as good as zero, {NONE} (1.000)."),
+        (0.2, {"odometry": 0.6, "regression": 0.4}, f"beats regression, {NONE} (0.400)."),
+        (0.2, {"train_mean": 0.25}, f"is not shown to be better than train_mean, {NONE} (0.250): 80% of its"),
+        (0.6, {"odometry": 0.05}, f"is worse than odometry, {NONE} (0.050): 12 times its squared error."),
+        (1.2, {"zero": 1.0}, f"is worse than zero, {NONE} (1.000): 1.2 times its squared error."),
+    ],
+)
+@pytest.mark.parametrize("predict", ["angle", "path"])
+def test_the_best_model_is_compared_with_the_best_row_without_learning(
+    tmp_path: Path, nmse: float, baselines: dict[str, float], verdict: str, predict: str
+) -> None:
+    models = metrics("worse", 3.0, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
+    (text,) = sentences(examples.groups(tmp_path, *models))
+    title = {"angle": "steering angle", "path": "path ahead"}[predict]
+    assert text.startswith(f"net predicts the {title} with a test nmse of {nmse:.3f} ({nmse / 2:.3f} to ")
+    assert verdict in text
+
+
+def test_without_an_interval_nothing_is_beaten(tmp_path: Path) -> None:
+    content = metrics("net")
+    content["test"]["steering_rad"]["nmse_ci95"] = None
+    (text,) = sentences(examples.groups(tmp_path, content))
+    assert "(too short for an interval) and is not shown to be better than zero" in text
+
+
+@pytest.mark.parametrize(("gain", "inverted"), [(-1.19, True), (0.4, False), (None, False)])
+def test_a_negative_gain_means_that_left_and_right_are_exchanged(tmp_path: Path, gain: Any, inverted: bool) -> None:
+    content = metrics("net")
+    content["columns"] = {"steering_rad": content["columns"]["steering_rad"] | {"odometry_gain": gain}}
+    texts = sentences(examples.groups(tmp_path, content))
+    assert ("The sign of wheel_rad is inverted: left is positive." in texts) == inverted
+
+
+def test_without_a_bend_or_a_model_nothing_is_said(tmp_path: Path) -> None:
+    assert sentences([]) == sentences(examples.groups(tmp_path, metrics("straight", None))) == []
+
+
+def test_models_without_a_result_are_named() -> None:
+    (text,) = sentences([], ["net", "other"])
+    assert text.startswith("No result here: net, other.")
+
+
+# Pictures
+
+
+def test_a_graph_has_each_edge_once(tmp_path: Path) -> None:
+    path = tmp_path / "graphs/a.h5"
+    write_graphs(path, DRIVE, np.zeros(3), np.array([3, 4, 6]), 40, np.random.default_rng(0))
+    with DriveReader(path, stage="graphs") as file:
+        view = read_view(4, file)
+        xyz, degree = file["xyz"][40:80], file["degree"][40:80]
+        start, stop = file["indices_ptr"][1:3]
+        indices = file["indices"][start:stop]
+    assert view.edges is not None
+    np.testing.assert_array_equal(view.xyz, xyz)
+    both = {(a, b) for a, row in enumerate(np.split(indices, np.cumsum(degree)[:-1])) for b in row.tolist()}
+    edges = [(a, b) for a, b in view.edges.tolist()]
+    assert len(edges) == len(set(edges)) == len(both) / 2
+    assert {*edges, *((b, a) for a, b in edges)} == both
+
+
+def test_a_later_file_replaces_what_an_earlier_one_has(tmp_path: Path) -> None:
+    """The image of ingest; depth and classes of perception, not the ground truth beside the image."""
+    street.write_drive(tmp_path / "ingest", DRIVE, 3)
+    street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
+    image, depth_m, cls = street.scene(2)
+    with (
+        DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as raw,
+        DriveReader(tmp_path / f"perception/{DRIVE}.h5", stage="perception") as perceived,
+    ):
+        view = read_view(2, raw, perceived)
+    np.testing.assert_array_equal(view.rgb, image)
+    np.testing.assert_allclose(view.depth_m, depth_m, atol=0.01)
+    np.testing.assert_array_equal(view.cls, cls)
+    assert [*view.images()] == ["frame 2", "depth", "classes"]
+    assert view.xyz is None
+
+
+CAMERA = Camera(np.array([[100.0, 0, 160], [0, 100, 40], [0, 0, 1]]), (96, 320), 1.5)
+
+
+def test_a_path_of_ranges_ends_where_its_arcs_do() -> None:
+    """5 m straight on, then a quarter of a circle of 10 m to the left."""
+    places, heading_rad = follow(path_steps([0.0, 0.1], [0, 5, 5 + 5 * np.pi]))
+    assert places[10] == pytest.approx(5.0)
+    assert places[-1] == pytest.approx(15 + 10j, abs=0.5)
+    assert heading_rad[-1] == pytest.approx(np.pi / 2, abs=0.05)
+
+
+def test_the_wheels_on_a_straight_road_meet_at_the_horizon() -> None:
+    left, right = wheel_tracks(np.zeros(200), CAMERA)
+    distance_m = STEP_M * np.arange(3, 201)  # nearer steps are not drawn
+    np.testing.assert_allclose(left[:, 0], 160 - 100 * HALF_TRACK_M / distance_m)
+    np.testing.assert_allclose(right[:, 0], 160 + 100 * HALF_TRACK_M / distance_m)
+    np.testing.assert_allclose(left[:, 1], 40 + 100 * 1.5 / distance_m)
+    uphill, _ = wheel_tracks(np.zeros(200), CAMERA, slope=-0.1)
+    np.testing.assert_allclose(uphill[:, 1], left[:, 1] - 10)
+
+
+def test_a_bend_to_the_left_is_on_the_left_and_ends_where_it_turns_back() -> None:
+    left, right = wheel_tracks(np.full(200, 0.1), CAMERA)  # circles of radius 10 m
+    assert left[-1, 0] < right[-1, 0] < 160
+    assert len(left) < len(right) < 100
+
+
+@pytest.mark.parametrize("with_classes", [True, False])
+def test_pictures_show_what_the_encoder_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_classes: bool
+) -> None:
+    titles: list[str] = []
+    monkeypatch.setattr("matplotlib.axes.Axes.set_title", lambda _, title, **style: titles.append(title))
+    street.write_drive(tmp_path / "ingest", DRIVE, 9)
+    street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
+    files = [tmp_path / f"{stage}/{DRIVE}.h5" for stage in ("clouds/pseudo", "ingest", "perception")]
+    clouds_drive(files[0], "pseudo", *files[1:], Clouds(max_points=2048, max_depth_m=80.0, seed=0))
+    if not with_classes:
+        for name in (f"perception/{DRIVE}.h5", f"clouds/pseudo/{DRIVE}.h5"):
+            with h5py.File(tmp_path / name, "a") as file:
+                file["cls"][:] = VOID
+    table = examples.predictions(0.01).query("drive == @DRIVE and frame < 9")
+    examples.write_model(tmp_path, metrics("without", 0.1) | {"variant": {}}, table)
+    examples.write_model(tmp_path, metrics("net"), table)
+    captions = figures.draw(tmp_path / "figures", load_groups(tmp_path / "evaluate", ["without", "net"]), tmp_path)
+    assert "of net, which" in captions["chain"]
+    assert [*captions] == ["chain", "errors-angle-0"]
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {f"{name}.png" for name in captions}
+    assert any("classes" in title for title in titles) == with_classes
+    (edges,) = [title for title in titles if "directed edges" in title]
+    assert (" of 1,800 " in edges) == with_classes
+
+
+@pytest.mark.parametrize("predict", ["angle", "path"])
+def test_the_largest_errors_of_the_best_model_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, predict: str
+) -> None:
+    drawn: list[tuple[str, np.ndarray]] = []
+    monkeypatch.setattr(figures, "draw_path", lambda _, tracks, kind: drawn.append((kind, tracks[0])))
+    street.write_drive(tmp_path / "ingest", DRIVE, 30)
+    columns = examples.PATH if predict == "path" else examples.ANGLE
+    for model, nmse in (("worse", 0.9), ("best", 0.2)):
+        table = examples.predictions(0.0, columns)
+        for column in columns:
+            table.loc[(table["drive"] == DRIVE) & (table["frame"] == 12), f"predicted_{column}"] = 0.3
+        examples.write_model(tmp_path, metrics(model, nmse, predict=predict), table)
+    captions = figures.draw(tmp_path / "figures", load_groups(tmp_path / "evaluate", ["worse", "best"]), tmp_path)
+    assert [*captions] == [f"errors-{predict}-0"]
+    assert captions[f"errors-{predict}-0"].startswith("Largest errors of best")
+    if predict == "path":
+        with store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
+            camera = read_camera(images)
+        for (kind, track), curvature_1pm in zip(drawn, (0.12, 0.3), strict=True):
+            assert kind == ("driven" if curvature_1pm == 0.12 else "predicted")
+            np.testing.assert_allclose(track, wheel_tracks(np.full(20, curvature_1pm), camera)[0])
+
+
+def test_shares_of_the_largest_errors_count_each_frame_once() -> None:
+    table = examples.predictions(0.0).assign(true_deg=0.0, predicted_deg=0.0, elapsed_s=lambda rows: rows["frame"] / 10)
+    first, frame = table["drive"] == DRIVE, table["frame"]
+    for number, error in ((10, 3.0), (16, 1.0), (25, -2.0)):  # 16 is within a second of both others
+        table.loc[first & (frame == number), "predicted_deg"] = error
+    table.loc[~first & (frame == 10), "predicted_deg"] = 2.5
+    found = figures.largest_errors(table)
+    assert found[["drive", "frame"]].to_numpy().tolist() == [[DRIVE, 10], [OTHER, 10], [DRIVE, 25]]
+    np.testing.assert_allclose(found["share"] * 20.25, [10, 6.25, 4])
+    assert found["share"].sum() == pytest.approx(1)
+
+
+# The page
+
+
+EVIL = "x</script><script>alert(1)</script>"
+MODELS = ("net", "ahead", "path")
+SECTIONS = [
+    "Results", "Test drives: steering angle", "Test drives: steering angle, 10 frames ahead",
+    "Test drives: path ahead", "Largest errors", "Learning curves", "Models in detail",
+]  # fmt: skip
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    for content in (metrics("net"), metrics("ahead", horizon=10), metrics("path", predict="path")):
+        examples.write_model(tmp_path, content)
+    (tmp_path / "figures").mkdir()
+    for name in ("errors-angle-0", "chain"):
+        cv2.imwrite(str(tmp_path / f"figures/{name}.png"), np.full((60, 200, 3), 90, np.uint8))
+    return tmp_path
+
+
+def write(data: Path) -> str:
+    groups = load_groups(data / "evaluate", MODELS)
+    captions = {"chain": "Figure 1.", "errors-angle-0": "Errors."}
+    built = tables.steering_tables(groups, SETTINGS)
+    curves = {"net": pd.DataFrame({"epoch": ["1", "2"], "train_loss": ["0.9", "0.5"], "val_nmse": ["0.8", None]})}
+    write_page(data / "index.html", ["A sentence <b>."], groups, built, [], captions, curves)
+    return (data / "index.html").read_text(encoding="utf-8")
+
+
+def test_the_page_is_complete_self_contained_and_repeats(data: Path) -> None:
+    text = write(data)
+    assert text == write(data)
+    assert [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", text)] == SECTIONS
+    assert re.findall(r'<a href="#(.*?)">', text) == re.findall(r'<section id="(.*?)">', text)
+    own = re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)  # without plotly
+    assert not re.findall(r'(?:src|href)="(?!#|data:)', own)
+    assert own.index("A sentence &lt;b&gt;.") < own.index("Figure 1.") < own.index("<h2>Results")
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>\s*<div class=\"plot\">", own)
+    assert captions[:2] == [f"{drive}: steering angle over time" for drive in examples.DRIVES]
+
+
+def test_a_name_with_a_script_is_text(data: Path) -> None:
+    for model in MODELS:
+        path = data / f"evaluate/{model}/predictions.csv"
+        path.write_text(path.read_text().replace(examples.DRIVES[0], EVIL))
+    text = write(data)
+    assert "alert(1)" in text
+    assert "<script>alert(1)" not in text
+
+
+def test_odometry_has_a_gap_where_it_is_not_measured(tmp_path: Path) -> None:
+    (group,) = examples.groups(tmp_path, metrics("net"))
+    drive = group.predictions[group.predictions["drive"] == examples.DRIVES[0]]
+    plot = page.over_time(drive, page.styles([group]))
+    lines = {trace["name"]: trace for trace in plot["data"]}
+    assert lines["odometry"]["y"][:2] == [None, round(np.rad2deg(0.011), 4)]
+    assert lines["net"]["y"][:8] == [None] * 7 + [round(np.rad2deg(0.08), 4)]
+    assert lines["driven"]["y"][20] is None
+
+
+def test_the_legend_shows_the_references_and_the_best_models(tmp_path: Path) -> None:
+    """Whatever their order: the paper's networks come first, and are not the best."""
+    worse = [metrics(f"cnn-{number}", 0.5 + number, input="image", spatial="cnn", window=16) for number in range(3)]
+    groups = examples.groups(tmp_path, *worse, metrics("a", 0.3), metrics("b", 0.1), metrics("c", 0.2))
+    look = page.styles(groups)
+    shown = {name for name, style in look.items() if style["visible"] is True}
+    assert shown == {"a", "b", "c", "driven", "odometry", "zero"}
+    bars = page.by_curvature(groups[0].models, "steering_rad", look)["data"]
+    assert [(bar["name"], bar["x"], bar["y"]) for bar in bars][-1] == (
+        "zero", ["0 to 0.03"], [round(np.rad2deg(0.1), 4)]
+    )  # fmt: skip

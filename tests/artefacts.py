@@ -45,7 +45,9 @@ def write_labels(
         labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
         label.write(file, frame, frame * 0.1, labels, WHEELBASE_M)
         if ahead_m:
-            ahead.write(file, ahead.path_ahead(frame, frame * 0.1, labels, ahead_m, 5.0))
+            curvature_1pm, known = ahead.path_ahead(frame, frame * 0.1, labels, ahead_m, 5.0)
+            file.put("ahead_1pm", curvature_1pm)
+            file.put("ahead_valid", known.astype(np.uint8))
 
 
 def write_graphs(

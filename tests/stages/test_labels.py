@@ -23,28 +23,25 @@ FIRST, SECOND = DRIVES
 
 
 def write_drive(
-    path: Path, oxts: np.ndarray | None, steering_rad: dict[int, float] | None = None, frames: int = 4
+    folder: Path, drive: str, oxts: np.ndarray | None, steering_rad: dict[int, float] | None = None, frames: int = 5
 ) -> None:
     """Write a drive without images as stage ingest does; its first frame is 5."""
-    frames = frames if oxts is None else len(oxts)
     ingest_drive(
-        [Frame(5 + row, row / 10) for row in range(frames)],
-        path,
-        drive=path.stem,
+        [Frame(5 + row, row / 10) for row in range(frames if oxts is None else len(oxts))],
+        folder / f"{drive}.h5",
+        drive=drive,
         camera=None,
         settings=Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail"),
         oxts=None if oxts is None else dict(enumerate(oxts, 5)),
         steering_rad=steering_rad,
     )
+    write_index(folder, DRIVES)
 
 
 def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> None:
     """Write two drives as stage ingest does; the second is the first's mirror image."""
-    frames = len(speed)
     for sign, drive in zip((1, -1), DRIVES, strict=True):
-        rows = make_rows(frames, vf=np.array(speed), wu=sign * np.array(yaw_rate))
-        write_drive(folder / f"{drive}.h5", rows)
-    write_index(folder, DRIVES)
+        write_drive(folder, drive, make_rows(len(speed), vf=np.array(speed), wu=sign * np.array(yaw_rate)))
 
 
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
@@ -60,7 +57,7 @@ def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     np.testing.assert_allclose(left["steering_rad"], expected, atol=1e-15)
     np.testing.assert_array_equal(right["steering_rad"], -left["steering_rad"])
     np.testing.assert_array_equal(left["valid"], [1, 1, 0, 1])
-    np.testing.assert_allclose(left["curvature_1pm"], [0, 0.1, 0.05, 0.1], atol=1e-15)
+    np.testing.assert_allclose(left["curvature_1pm"], np.tan(expected) / 2.7, atol=1e-15)
     np.testing.assert_array_equal(left.frame, [5, 6, 7, 8])
     assert read_index(tmp_path / "labels", stage="labels") == DRIVES
 
@@ -84,10 +81,9 @@ def recorded(tmp_path: Path) -> Path:
     """One drive with recorded angles and without oxts, one with both; motion is measured in both."""
     for drive in DRIVES:
         rows = None if drive == FIRST else make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
-        write_drive(tmp_path / f"ingest/{drive}.h5", rows, {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}, frames=5)
+        write_drive(tmp_path / "ingest", drive, rows, {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4})
         motion = {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5), 9: (0, 0)}
         write_motion(tmp_path / "motion", drive, motion, stands=[9])
-    write_index(tmp_path / "ingest", DRIVES)
     return tmp_path
 
 

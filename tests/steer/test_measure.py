@@ -70,8 +70,6 @@ def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsy
     assert quality["speed_sigma"] < 0.1
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
-    files = ["motion.csv", "overlay.mp4", "quality.json", "track.png"]
-    assert sorted(path.name for path in out.iterdir()) == files
 
 
 def test_a_drive_is_compared_with_its_recorded_angles(
@@ -96,22 +94,25 @@ def test_a_drive_is_compared_with_its_recorded_angles(
         measure(folder, out=tmp_path / "again", encoder=encoder, fov=80.0)
 
 
-def noisy(image: np.ndarray, count: int) -> list[np.ndarray]:
+def noisy(image: np.ndarray) -> list[np.ndarray]:
     """Return a still image with the noise of a camera."""
     rng = np.random.default_rng(0)
-    return [np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8) for _ in range(count)]
+    return [np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8) for _ in range(12)]
 
 
-GREY, NIGHT = np.full((*street.WIDE.size, 3), 90, np.uint8), np.full((*street.WIDE.size, 3), 3, np.uint8)
+SHAPE = (*street.WIDE.size, 3)
+STILL = {
+    "standing": lambda: noisy(drive(1)[0]),
+    "night": lambda: noisy(np.full(SHAPE, 3, np.uint8)),
+    "snow": lambda: np.random.default_rng(1).integers(0, 255, (12, *SHAPE), np.uint8),
+}
 
 
-@pytest.mark.parametrize("kind", ["standing", "without texture", "night", "snow"])
+@pytest.mark.parametrize("kind", STILL)
 def test_input_without_motion_gets_no_numbers(
     tmp_path: Path, encoder: Path, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stills = {"standing": drive(1)[0], "without texture": GREY, "night": NIGHT}
-    snow = np.random.default_rng(1).integers(0, 255, (12, *street.WIDE.size, 3), np.uint8)
-    images = write_folder(tmp_path / "images", noisy(stills[kind], 12) if kind in stills else snow)
+    images = write_folder(tmp_path / "images", STILL[kind]())
     measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     for row in rows(tmp_path / "out"):
         assert row["valid"] == "0"
@@ -185,24 +186,20 @@ def test_an_imported_drive_has_the_same_numbers(tmp_path: Path, encoder: Path, m
             np.testing.assert_allclose(stage[dataset], own[dataset], rtol=1e-5)
 
 
-def test_missing_and_unsuitable_inputs_are_named(
-    tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unsuitable_inputs(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = write_folder(tmp_path / "images", drive(4))
-    with pytest.raises(InputError, match="no encoder") as raised:
-        measure(images, out=tmp_path / "out", encoder=tmp_path, **LENS)
-    assert "make street" in raised.value.fix
-    wheel = tmp_path / "wheel.csv"
-    wheel.write_text("frame,wheel_rad\n0,0.1\n4,0.2\n")
-    log: dict[str, Any] = {"wheel": wheel, "steering_ratio": 10.0}
-    with pytest.raises(InputError, match=r"wheel\.csv: has frame 4, but the last image is 3"):
-        measure(images, out=tmp_path / "out", encoder=encoder, fov=80.0, fps=10.0, video=False, **log)
-    measure(images, out=tmp_path / "first", encoder=encoder, fov=80.0, fps=10.0, max_frames=3, video=False, **log)
-    assert len(rows(tmp_path / "first")) == 3
-    assert "typical car" in capsys.readouterr().out
     rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in drive(2)])
-    with pytest.raises(InputError, match="taller than wide"):
-        measure(rotated, out=tmp_path / "other", encoder=encoder, fov=80.0, fps=10.0)
-    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**6))
-    with pytest.raises(InputError, match=r"4 frames need up to 0\.0 GB"):
-        measure(images, out=tmp_path / "full", encoder=encoder, fov=80.0, fps=10.0)
+    (tmp_path / "wheel.csv").write_text("frame,wheel_rad\n0,0.1\n4,0.2\n")
+    log: dict[str, Any] = {"wheel": tmp_path / "wheel.csv", "steering_ratio": 10.0, "video": False}
+    measure(images, out=tmp_path / "first", encoder=encoder, max_frames=3, **log, **LENS)
+    assert len(rows(tmp_path / "first")) == 3
+    for path, options, problem in (
+        (images, {"encoder": tmp_path}, "no encoder"),
+        (rotated, {}, "taller than wide"),
+        (images, log, r"wheel\.csv: has frame 4, but the last image is 3"),
+        (images, {"max_frames": 4}, r"4 frames need up to 0\.0 GB"),
+    ):
+        if "max_frames" in options:
+            monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**6))
+        with pytest.raises(InputError, match=problem):
+            measure(path, out=tmp_path / problem[:6], **{"encoder": encoder, **LENS, **options})

@@ -43,13 +43,6 @@ def test_constant_steering_drives_a_circle(radius: float, speed: float) -> None:
     np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
 
 
-def test_mirrored_steering_drives_the_mirrored_path() -> None:
-    rng = np.random.default_rng(0)
-    angle, speed, time_s = rng.normal(0, 0.2, 30), rng.uniform(0, 10, 30), np.cumsum(rng.uniform(0.08, 0.12, 30))
-    left, right = (label.path(sign * angle, speed, time_s, L) for sign in (1, -1))
-    np.testing.assert_allclose(left * [1, -1], right, atol=1e-12)
-
-
 def test_measured_angle_repeats_where_motion_is_unusable() -> None:
     yaw_rate, speed = np.array([9.0, 0.3, 9.0, 0.5, -0.2]), np.array([9.0, 6.0, 6.0, 0.4, -3.0])
     angle = label.measured_angle(yaw_rate, speed, np.array([0, 1, 0, 1, 1]), L, 1.0)
@@ -69,11 +62,8 @@ def drive(
     return time_s, Labels(unused, unused.astype(bool), speed_mps, speed_mps * curvature(at_m)), at_m
 
 
-def compute(
-    time_s: np.ndarray, labels: Labels, max_stand_s: float = 5.0, frame: np.ndarray | None = None, **changes: np.ndarray
-) -> ahead.Ahead:
-    frame = np.arange(len(time_s)) if frame is None else frame
-    return ahead.path_ahead(frame, time_s, labels._replace(**changes), EDGES_M, max_stand_s)
+def compute(time_s: np.ndarray, labels: Labels, stand_s: float = 5, frame: np.ndarray | None = None) -> ahead.Ahead:
+    return ahead.path_ahead(np.arange(len(time_s)) if frame is None else frame, time_s, labels, EDGES_M, stand_s)
 
 
 def constant(value: float) -> Function:
@@ -116,7 +106,7 @@ def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_
     curvature, valid = compute(time_s, labels)
     assert valid[:50].all()
     np.testing.assert_allclose(curvature[valid], 0.02, rtol=0.1)
-    _, valid = compute(time_s, labels, max_stand_s=2.0)
+    _, valid = compute(time_s, labels, stand_s=2.0)
     beyond = at_m[:, None] + np.array(EDGES_M[1:]) > np.interp(7.0, time_s, at_m)
     np.testing.assert_array_equal(valid[time_s < 3], ~beyond[time_s < 3])
     assert not valid[(time_s > 3) & (time_s < 4.8)].any()
@@ -134,7 +124,7 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change: str
         yaw_rate[40] = np.nan
     else:
         speed[40] = -1.0 if change == "reverses" else np.nan
-    curvature, valid = compute(time_s, labels, frame=frame, speed_mps=speed, yaw_rate_radps=yaw_rate)
+    curvature, valid = compute(time_s, labels._replace(speed_mps=speed, yaw_rate_radps=yaw_rate), frame=frame)
     np.testing.assert_array_equal(valid[:40], (at_m[:, None] + EDGES_M[1:])[:40] <= at_m[39] + 1e-9)
     np.testing.assert_array_equal(valid[41:], complete[41:])
     assert np.isfinite(curvature).all()
@@ -145,53 +135,37 @@ def test_mirrored_motion_gives_the_mirrored_path_ahead(seed: int) -> None:
     rng = np.random.default_rng(seed)
     time_s, speed, yaw_rate = np.cumsum(rng.uniform(0.08, 0.12, 80)), rng.uniform(0, 12, 80), rng.normal(0, 0.2, 80)
     labels = Labels(speed, speed > 0, speed, yaw_rate)
-    left, right = compute(time_s, labels), compute(time_s, labels, yaw_rate_radps=-yaw_rate)
+    left, right = compute(time_s, labels), compute(time_s, labels._replace(yaw_rate_radps=-yaw_rate))
     np.testing.assert_array_equal(left.valid, right.valid)
     np.testing.assert_allclose(left.curvature_1pm, -right.curvature_1pm, atol=1e-15)
 
 
-MEASURED = np.array([0, 1, 0, 1, 1], bool)
-
-
-def moved(yaw_rate: float, speed: float, measured: np.ndarray) -> Labels:
+def moved(yaw_rate: float, speed: float, measured: list[int]) -> Labels:
     """Return the labels of five frames, of which the last is slow."""
-    rates = yaw_rate * measured, speed * np.array([1, 1, 1, 1, 0.03]) * measured
+    rates = yaw_rate * np.array(measured), speed * np.array([1, 1, 1, 1, 0.03]) * measured
     angle, valid = label.steering_labels(*rates, **CAR)
-    return Labels(angle, valid & measured.astype(bool), rates[1], rates[0])
+    return Labels(angle, valid & np.array(measured, bool), rates[1], rates[0])
 
 
 def test_scores_use_measured_frames_above_the_minimum_speed() -> None:
     true, held = np.arctan(L * 0.2 / 6), np.arctan(L * 0.21 / 6.6)
-    errors = comparison.errors(moved(0.21, 6.6, MEASURED), moved(0.2, 6.0, np.ones(5)))
-    scores = comparison.score([errors])
-    assert scores == pytest.approx(
-        {
-            "drives": 1,
-            "frames": 5,
-            "valid": 2 / 5,
-            "judged": 3,
-            "yaw_rmse_degps": np.degrees(0.01),
-            "yaw_median_degps": np.degrees(0.01),
-            "speed_ratio": 1.1,
-            "nmse": (held - true) ** 2 / true**2,  # frames 1 to 3: the first is not measured yet, the last too slow
-            "correlation": 1.0,
-        }
-    )
-    assert comparison.summary_line(scores).startswith("40% of 5 frames measured, yaw rate to 0.57 deg/s, speed x 1.100")
+    scores = comparison.score([comparison.errors(moved(0.21, 6.6, [0, 1, 0, 1, 1]), moved(0.2, 6.0, [1] * 5))])
+    expected = {"drives": 1, "frames": 5, "valid": 2 / 5, "judged": 3, "speed_ratio": 1.1, "correlation": 1.0}
+    expected |= dict.fromkeys(("yaw_rmse_degps", "yaw_median_degps"), np.degrees(0.01))
+    expected["nmse"] = (held - true) ** 2 / true**2  # frames 1 to 3: the first is not measured yet, the last too slow
+    assert scores == pytest.approx(expected)
     assert comparison.score([]) is None
 
 
 @pytest.mark.parametrize(("sign", "nmse", "inverted"), [(1, 0.01, False), (-1, 4.41, True)])
 def test_recorded_angles_have_no_speed_and_an_inverted_sign_is_named(sign: int, nmse: float, inverted: bool) -> None:
-    true, unknown = moved(0.2, 6.0, np.ones(5)), np.full(5, np.nan)
+    true, unknown = moved(0.2, 6.0, [1] * 5), np.full(5, np.nan)
     wheel = Labels(sign * 1.1 * true.steering_rad, true.valid, unknown, unknown)
     scores = comparison.score([comparison.errors(wheel, true)])
     assert scores
-    assert (scores["yaw_rmse_degps"], scores["speed_ratio"]) == (None, None)
-    assert scores["nmse"] == pytest.approx(nmse)
+    assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (None, None, pytest.approx(nmse))
     line = comparison.summary_line(scores, wheel=True)
     assert line.endswith("the sign of wheel_rad is inverted: left is positive") == inverted
-    assert "inverted" not in comparison.summary_line(scores)
 
 
 COUNT = 300

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from pickle import UnpicklingError
 from types import ModuleType
 from typing import Any
 
@@ -77,11 +78,13 @@ def transformers() -> ModuleType:
 
 @contextmanager
 def loading(name: str | Path) -> Iterator[None]:
-    """Raise the errors of transformers as ValueError of one line."""
+    """Raise the errors of transformers, which are of many kinds, as ValueError of one line."""
     try:
         yield
-    except (OSError, ValueError, LookupError, ImportError, RuntimeError) as error:
+    except Exception as error:
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+        if isinstance(error, UnpicklingError):  # its text explains how to run the code
+            reason = "a file is damaged, or has more than tensors"
         raise ValueError(f"cannot load {str(name)!r}: {reason}") from error
 
 

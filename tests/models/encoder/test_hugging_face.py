@@ -1,6 +1,7 @@
 """Encoders of Hugging Face, on tiny random networks in folders: nothing here needs a hub."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -181,6 +182,39 @@ def test_a_network_that_needs_other_weights_than_its_folder_has_is_refused(creat
     network.save_pretrained(folder / "headless")
     with pytest.raises(ValueError, match=r"headless': its weights lack decode_head\.\S+, \d+ tensors in all"):
         create("pair", classes="headless")
+
+
+class Trap:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.path,)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "file"),
+    [
+        ("hugging_face", {"model": "trap"}, "trap/pytorch_model.bin"),
+        ("dinov2", {"depth": "trap/head.pth"}, "trap/head.pth"),
+        ("hugging_face", {"model": "trap"}, "trap/trap.py"),
+    ],
+)
+def test_files_of_a_network_run_no_code(
+    create: Create, folder: Path, tmp_path: Path, kind: str, names: dict[str, str], file: str
+) -> None:
+    trap, sprung = folder / "trap", tmp_path / "sprung"
+    shutil.rmtree(trap, ignore_errors=True)
+    shutil.copytree(folder / "swin", trap, ignore=shutil.ignore_patterns("*.safetensors"))
+    if file.endswith(".py"):
+        (folder / file).write_text(f"import pathlib\npathlib.Path({str(sprung)!r}).touch()")
+        config = {"model_type": "trap", "auto_map": {"AutoConfig": "trap.Trap", "AutoBackbone": "trap.Trap"}}
+        (trap / "config.json").write_text(json.dumps(config))
+    else:
+        torch.save({"state_dict": Trap(sprung)}, folder / file)
+    with pytest.raises(ValueError, match="cannot load"):
+        create(kind, **names)
+    assert not sprung.exists()
 
 
 def test_a_hub_that_cannot_be_reached_is_one_line(create: Create, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,17 +22,21 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 SMALL = {"layers": [8, 16], "semantics": 0.7, "width": 0.125, "widths": [6, 8, 8]}
 HEADS = {"layer_options": {"heads": 2}}
 PYG: dict[str, Any] = {"GCNConv": {}, "GATv2Conv": HEADS, "SAGEConv": {}, "TransformerConv": HEADS, "EdgeConv": {}}
-NETWORKS = [*(set(names("spatial")) - {"pyg"}), *PYG]
+NETWORKS = sorted({*names("spatial"), *PYG} - {"pyg"})
 COUNTS = [30, 0, 1, 17, 45]  # points per frame
-each_network = pytest.mark.parametrize("name", sorted(NETWORKS))
+each_network = pytest.mark.parametrize("name", NETWORKS)
+
+
+def keys(name: str) -> dict[str, Any]:
+    """Return the keys of an entry with a network, by its file's name or by a layer of PyG."""
+    return {"spatial": "pyg", "layer": name, **PYG[name]} if name in PYG else {"spatial": name}
 
 
 def build(name: str) -> tuple[Any, str]:
-    """Return a small network in float64, by its file's name or by a layer of PyG, and the kind of its frames."""
+    """Return a small network in float64, and the kind of its frames."""
     torch.manual_seed(0)
-    own = {"layer": name, **PYG[name]} if name in PYG else {}
-    options = load("spatial", "pyg" if name in PYG else name)
-    values = {key: value for key, value in SMALL.items() if key in options.model_fields} | own
+    options = load("spatial", keys(name)["spatial"])
+    values = {key: value for key, value in (SMALL | keys(name)).items() if key in options.model_fields}
     net = options.model_validate(values).build(Sizes(8, **frames.CONTENTS[options.kind])).double()
     for parameter in net.parameters():  # biases, too
         torch.nn.init.normal_(parameter, std=0.3) if parameter.ndim == 1 else None

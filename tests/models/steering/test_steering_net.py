@@ -8,12 +8,13 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from models.steering.core.options import load, names
+from models.steering.core.options import NetworkOptions, load
 from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, odd_and_even
 from models.steering.spatial import gnn
 from models.steering.temporal.ncp import CELLS
 from pipeline.settings.models import Entry
 from tests.models.steering import frames
+from tests.models.steering.test_networks import NETWORKS, keys
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
@@ -23,9 +24,9 @@ MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manua
 )
 MIRROR = torch.tensor(MOTION_MIRROR_SIGNS)
 COUNTS = [20, 9, 30, 12, 0, 25]  # points per frame
-SPATIAL = [name for name in names("spatial") if name != "blind"]  # blind has no input
+SPATIAL = [name for name in NETWORKS if name != "blind"]  # blind has no input
 WIRING = {"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2, "motor_fanin": 3}
-SMALL = {"layer": "GATv2Conv", "layers": [8, 12], "semantics": 1.0, "width": 0.125, "units": 7}
+SMALL = {"layers": [8, 12], "semantics": 1.0, "width": 0.125, "units": 7}
 SMALL["wiring"] = WIRING | {"recurrent_command_synapses": 4}
 each_cell = pytest.mark.parametrize("cell", ["lstm", *CELLS])
 
@@ -33,27 +34,31 @@ each_cell = pytest.mark.parametrize("cell", ["lstm", *CELLS])
 def entry(spatial: str = "gnn", cell: str = "ltc", **changes: Any) -> Entry:
     """Return a small model's entry; `cell`: lstm, or a cell of ncp."""
     temporal = {"temporal": "lstm"} if cell == "lstm" else {"temporal": "ncp", "cell": cell}
-    known = {*load("spatial", spatial).model_fields, *load("temporal", temporal["temporal"]).model_fields}
+    known = {*options(spatial).model_fields, *load("temporal", temporal["temporal"]).model_fields}
     small = {key: value for key, value in SMALL.items() if key in known}
-    general = {"input": "semantic", "spatial": spatial, "window": 4, "features": 8}
-    return Entry.model_validate(general | temporal | small | changes)
+    general = {"input": "semantic", "window": 4, "features": 8}
+    return Entry.model_validate(general | keys(spatial) | temporal | small | changes)
+
+
+def options(spatial: str) -> type[NetworkOptions]:
+    return load("spatial", keys(spatial)["spatial"])
 
 
 def build(spatial: str = "gnn", cell: str = "ltc", outputs: int = 1, **changes: Any) -> SteeringNet:
     torch.manual_seed(0)
-    kind = load("spatial", spatial).kind
+    kind = options(spatial).kind
     return entry(spatial, cell, **changes).build(kind, **frames.CONTENTS[kind], outputs=outputs).double()
 
 
 def batch(spatial: str = "gnn") -> Any:
-    return frames.batch(COUNTS, load("spatial", spatial).kind)
+    return frames.batch(COUNTS, options(spatial).kind)
 
 
 @each_cell
 @pytest.mark.parametrize("spatial", SPATIAL)
 def test_shared_frames_equal_naive_windows(spatial: str, cell: str) -> None:
     """Values and gradients: each window read and encoded for itself."""
-    net, kind = build(spatial, cell), load("spatial", spatial).kind
+    net, kind = build(spatial, cell), options(spatial).kind
     parts = [frames.FRAME[kind](count, seed) for seed, count in enumerate(COUNTS)]
     shared = net(frames.join(parts), WINDOWS, DT_S)
     own = torch.arange(4)[None]

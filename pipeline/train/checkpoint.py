@@ -6,14 +6,16 @@ from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
+import numpy as np
+import torch
+from numpy._core.multiarray import scalar
+
 from pipeline.base.errors import InputError
 from pipeline.base.store import replacing
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
     """Write tensors and plain values by name, in one step."""
-    import torch
-
     # Through memory: on a full disk torch's own writer raises RuntimeError, a plain file OSError with the reason.
     buffer = io.BytesIO()
     torch.save(content, buffer)
@@ -22,7 +24,7 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:
-    """Read a file of :func:`write` onto the CPU; `kind` is its ``content["kind"]``.
+    """Read a file of :func:`write` whose ``content["kind"]`` is `kind` onto the CPU.
 
     Raises InputError if the file is missing, damaged or of another kind; callers add the fix.
     """
@@ -33,14 +35,7 @@ def read(path: Path, kind: str) -> dict[str, Any]:
 
 
 def load(path: Path) -> Any:
-    """Return the content of a file of torch.save on the CPU, without running code in it.
-
-    Raises InputError if the file is missing, damaged, or has more than tensors and plain values.
-    """
-    import numpy as np
-    import torch
-    from numpy._core.multiarray import scalar
-
+    """Return the content of a file of torch.save on the CPU. Code in it does not run: then it raises InputError."""
     # DINOv2's published depth heads have numpy numbers beside the tensors, pickled under numpy 1's name.
     numpy1_scalar = (scalar, "numpy.core.multiarray.scalar")
     numbers: list[Any] = [numpy1_scalar, scalar, np.dtype, np.dtypes.Float64DType, np.dtypes.Int64DType]
@@ -55,19 +50,9 @@ def load(path: Path) -> Any:
         raise InputError("file is damaged, or has more than tensors and plain values", path) from error
 
 
-def is_state(value: Any) -> bool:
-    """Return whether `value` is a dict of tensors by name."""
-    return isinstance(value, Mapping) and all(
-        isinstance(name, str) and hasattr(tensor, "isfinite") for name, tensor in value.items()
-    )
-
-
-def load_state(module: Any, state: Mapping[str, Any], path: Path) -> None:
-    """Copy tensors into a torch module.
-
-    Raises InputError unless all names and shapes agree and all numbers are finite. The module is of no use then.
-    """
-    if not is_state(state):
+def load_state(module: torch.nn.Module, state: Mapping[str, Any], path: Path) -> None:
+    """Copy tensors into a module. Raises InputError unless all names and shapes agree and all numbers are finite."""
+    if not isinstance(state, Mapping) or not all(isinstance(tensor, torch.Tensor) for tensor in state.values()):
         raise InputError("expected a state dict, tensors by name", path)
     try:
         module.load_state_dict(state, strict=True)

@@ -1,10 +1,8 @@
 """Fit a steering network to the training drives, with early stopping and resume."""
 
 import copy
-import csv
 import math
 import multiprocessing
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,14 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import torch
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
 from pipeline.base.resume import file_hash, stage_key
-from pipeline.base.store import replacing
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
@@ -35,12 +32,9 @@ if TYPE_CHECKING:
 SMALL = 8_000  # points per frame
 WARM_UP = 0.05  # share of the steps
 SMOOTHING = 3  # epochs
+# Share of the spans whose motion is hidden from a network that predicts ahead. Motion alone is a good first guess: a
+# network that always has it learns to use the scene late or never.
 MOTION_DROPOUT = 0.5
-"""Share of the spans whose motion is hidden from a network that predicts ahead.
-
-Motion alone is a good first guess, and a network that always has it learns to use the scene late or never. In these
-spans it has to predict from the scene alone. docs/results.md has the effect.
-"""
 
 
 class Epoch(NamedTuple):
@@ -58,11 +52,8 @@ def selected_epoch(curve: Sequence[Epoch]) -> int:
     It has the lowest mean of the validation errors of this epoch and the two before, since one epoch's error is noisy.
     """
     errors = [row.val_nmse for row in curve]
-    means = {
-        end: math.fsum(errors[max(0, end - SMOOTHING) : end]) / min(SMOOTHING, end) for end in range(1, len(curve) + 1)
-    }
-    validated = [epoch for epoch, mean in means.items() if not math.isnan(mean)]
-    return min(validated, key=means.__getitem__, default=len(curve))
+    means = {end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(curve) + 1)}
+    return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(curve))
 
 
 @dataclass(frozen=True)
@@ -80,7 +71,7 @@ class Job:
 def fit_run(run: Run, job: Job) -> None:
     """Train one network, from an interrupted run's state if there is one, and write best.pt and curve.csv.
 
-    Raises InputError: the network does not fit the graphs, or the loss is not finite.
+    Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
     entry, settings = job.entry, job.settings
     train, val = ([job.drives[name] for name in names] for names in (run.fold.train, run.fold.val))
@@ -116,44 +107,40 @@ def fit_run(run: Run, job: Job) -> None:
     fit.run(job.kept / f"{stage_key('train', inputs, files)}.pt", f"{job.name} {run}")
     best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)
-    with replacing(run.folder / "curve.csv") as tmp, tmp.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(Epoch._fields)
-        rows.writerows(["" if math.isnan(value) else f"{value:.6g}" for value in row] for row in fit.curve)
+    curve = pd.DataFrame(fit.curve)
+    curve.to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
 
 
+@dataclass
 class Fit:
     """One training run: a network, the moving average of its weights, an optimiser, and the learning curve.
 
     The average is validated and selected: at a high learning rate single steps fluctuate, their mean does not.
-    `best` holds the weights of the :func:`selected_epoch`.
     """
 
-    def __init__(
-        self,
-        net: "SteeringNet",
-        entry: Entry,
-        settings: Train,
-        seed: int,
-        train: Sequence[LabelledDrive],
-        val: Sequence[LabelledDrive],
-    ) -> None:
-        self.net, self.entry, self.settings, self.seed, self.train, self.val = net, entry, settings, seed, train, val
-        self.scale = Scale.from_drives(train)
-        self.average = copy.deepcopy(net)
+    net: "SteeringNet"
+    entry: Entry
+    settings: Train
+    seed: int
+    train: Sequence[LabelledDrive]
+    val: Sequence[LabelledDrive]
+
+    def __post_init__(self) -> None:
+        self.scale = Scale.from_drives(self.train)
+        self.average, self.best = copy.deepcopy(self.net), copy_weights(self.net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
-        matrices = [parameter for parameter in net.parameters() if parameter.ndim > 1]
-        vectors = [parameter for parameter in net.parameters() if parameter.ndim <= 1]
-        groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
-        self.optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, fused=True)
+        matrices = [parameter for parameter in self.net.parameters() if parameter.ndim > 1]
+        vectors = [parameter for parameter in self.net.parameters() if parameter.ndim <= 1]
+        decay = self.settings.weight_decay
+        groups = [{"params": matrices, "weight_decay": decay}, {"params": vectors, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=self.settings.learning_rate, fused=True)
         self.curve: list[Epoch] = []
-        self.best = copy_weights(net)
 
     def run(self, state: Path, title: str) -> None:
-        """Train until the last epoch, or until validation stops improving; results are `best`, `curve` and `scale`.
+        """Train until the last epoch, or until validation stops improving.
 
-        After each epoch the file `state` is written. If it exists, training continues from it, to the same result.
-        Raises InputError if the loss is not finite.
+        Results are `best`, the weights of the :func:`selected_epoch`, `curve` and `scale`. After each epoch the file
+        `state` is written. If it exists, training continues from it, to the same result.
         """
         epochs, val = self.settings.epochs, self.val
         if state.is_file():
@@ -212,15 +199,11 @@ class Fit:
         settings, device, net = self.settings, self.net.device, self.net
         steps, robust = self._plan(epoch), self.entry.predict == "path"
         net.train()
-        progress = (epoch - 1 + np.arange(len(steps)) / len(steps)) / settings.epochs
-        rates = [settings.learning_rate * warm_up_cosine(share, WARM_UP) for share in progress.tolist()]
         errors, masses, precision = [], [], autocast(device, settings.precision)
-        # Several bars on one terminal overwrite each other.
-        hidden = multiprocessing.parent_process() is not None or not sys.stderr.isatty()
-        bar = tqdm(reader.batches(steps), f"epoch {epoch}", len(steps), unit="step", leave=False, disable=hidden)
-        for step, batch in enumerate(bar):
+        for step, batch in enumerate(reader.batches(steps)):
+            progress = (epoch - 1 + step / len(steps)) / settings.epochs
             for parameters in self.optimiser.param_groups:
-                parameters["lr"] = rates[step]
+                parameters["lr"] = settings.learning_rate * warm_up_cosine(progress, WARM_UP)
             # Copied before the forward pass: the copies do not wait for it.
             targets = step_targets(batch, self.scale, self.entry.alpha, settings.mirror, next(net.parameters()).dtype)
             residual, weight = (tensor.to(device, non_blocking=True) for tensor in targets)
@@ -239,7 +222,7 @@ class Fit:
             errors.append(error.detach())
             masses.append(mass)
         error_sum, mass_sum = torch.stack(errors + masses).double().view(2, -1).sum(1).tolist()
-        return error_sum / mass_sum, rates[-1]
+        return error_sum / mass_sum, self.optimiser.param_groups[0]["lr"]
 
     def _resume(self, state: Mapping[str, Any]) -> None:
         for name in ("net", "average", "optimiser"):

@@ -1,7 +1,7 @@
 """A drive's frames by row: times, measured motion, and targets from its labels, matched by frame number.
 
 A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
-ahead. Letters: G frames of a graph file, R columns.
+ahead. Letters: G frames of a graph file, R columns. Arguments `horizon` to `scene` are as in a model's entry.
 """
 
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ class Timeline:
         predict: str = "angle",
         scene: str = "same",
     ) -> "Timeline":
-        """Read the times of an open graph file, and the measured motion of a `car`; other arguments as in an entry."""
+        """Read the times of an open graph file, and the measured motion of a `car`."""
         from models.steering.core.cell import NOMINAL_STEP_S
 
         stretches = consecutive(graphs.frame)
@@ -133,10 +133,9 @@ def read_drive(
     predict: str = "angle",
     scene: str = "same",
 ) -> LabelledDrive:
-    """Read a drive's labels from a folder of graphs and one of labels, matched by frame number; graphs stay on disk.
+    """Read a drive's labels from a folder of graphs and one of labels; graphs stay on disk.
 
-    Further arguments are as in a model's entry. Raises InputError if a label is missing, the file has no such motion,
-    or the car drives and no frame is measured.
+    Raises InputError if a label is missing, the file has no such motion, or the car drives and no frame is measured.
     """
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
     with graph_file.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:

@@ -15,6 +15,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.graphs.graph_file import Contents, Graphs
@@ -26,8 +27,6 @@ from pipeline.train.loop import prefetch
 from pipeline.train.scale import Prediction, Scale
 
 if TYPE_CHECKING:
-    import torch
-
     from models.steering.core.steering_net import SteeringNet
 
 KIND = "steering net"  # of checkpoint
@@ -39,9 +38,7 @@ class Trained:
     """A trained network with everything needed to use it."""
 
     name: str
-    seed: int
     seeds: list[int]  # of all networks of the model
-    fold: str | None  # the test drive that was left out of training, with fit_to: others or both
     entry: Entry
     contents: Contents  # of the graph files it was trained on
     scale: Scale
@@ -61,11 +58,10 @@ class Trained:
         return tuple(self.settings["labels"]["ahead_m"]) if self.entry.predict == "path" else ()
 
     def predict(self, graphs: Graphs) -> Prediction:
-        """Return a prediction for each frame of an open graph file, in the columns `scale.names`.
+        """Return a prediction for each of the file's frames, in the columns `scale.names`.
 
         The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
-        ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. Each frame is
-        read and encoded once, with at most WINDOWS windows at a time.
+        ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap.
 
         Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
         """
@@ -79,17 +75,11 @@ class Trained:
         return predict_spans(self.net, drive, spans, batches, self.scale)[0]
 
 
-def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trained:
-    """Load the selected epoch of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.
+def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:
+    """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.
 
-    Args:
-        folder: with best.pt, which is sufficient; params.yaml and graphs are not read.
-        device: None: a GPU if there is one.
-    Raises:
-        InputError: `folder` has no trained model, or this code cannot rebuild it.
+    `device` None: a GPU if there is one. Raises InputError if there is none, or if this code cannot rebuild it.
     """
-    import torch
-
     path = Path(folder) / "best.pt"
     if not path.is_file():
         models = sorted(str(best.parent) for at in (path.parent, path.parent.parent) for best in at.glob("*/best.pt"))
@@ -101,7 +91,7 @@ def load(folder: str | Path, device: "torch.device | str | None" = None) -> Trai
             entry, contents = Entry.model_validate(content["entry"]), Contents(**content["contents"])
             scale = Scale.parse(content["scale"])
             net = entry.build(**contents._asdict(), outputs=len(scale.names))
-            about = {key: content[key] for key in ("name", "seed", "seeds", "fold", "settings", "drives", "fps")}
+            about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
         except (AttributeError, InputError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
         checkpoint.load_state(net, content["net"], path)
@@ -117,8 +107,6 @@ def predict_spans(
     scale: Scale,
 ) -> list[Prediction]:
     """Return the predictions for each timeline's frames, from :func:`windows.spans` and the batch of each span."""
-    import torch
-
     net.eval()
     with torch.inference_mode():
         outputs = [net(*net.inputs(batch)) for batch in batches]

@@ -1,7 +1,7 @@
 """Scale of a network's outputs, from the training drives; predictions and loss. Angle and path differ in R alone."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -16,14 +16,11 @@ WITHIN = 0.6827  # share of a normal distribution within one standard deviation
 
 
 class Prediction(NamedTuple):
-    """Predictions for G frames in R columns, float64 [G,R], left positive; NaN where no complete window ends.
-
-    With uncertainty also the standard deviation, and half of the 95 % interval.
-    """
+    """Predictions for G frames in R columns, float64 [G,R], left positive; NaN where no complete window ends."""
 
     mean: np.ndarray
-    sigma: np.ndarray | None = None
-    half_95: np.ndarray | None = None
+    sigma: np.ndarray | None = None  # standard deviation, with uncertainty
+    half_95: np.ndarray | None = None  # half of the 95 % interval
 
 
 @dataclass(frozen=True)
@@ -70,9 +67,7 @@ class Scale:
     @property
     def content(self) -> dict[str, Any]:
         """The fields as lists."""
-        return {
-            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in asdict(self).items()
-        }
+        return {name: np.array(value).tolist() for name, value in vars(self).items()}
 
     def encode(self, y: np.ndarray, base: np.ndarray) -> np.ndarray:
         """Return the outputs [W,R] that the network should have, in the precision of y [W,R], for base [W]."""
@@ -91,10 +86,9 @@ class Scale:
     def calibrated(self, drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> "Scale":
         """Return the scale with σ and the 95 % interval fitted to the errors on drives of validation.
 
-        Training errors are smaller than those on new drives, so σ fitted to them is too small. The factor of an angle
-        has the highest likelihood, that of a path covers WITHIN of the errors, since those at junctions are large. The
-        interval covers 95 %, since large errors are more frequent than in a normal distribution. A column without
-        errors is left as it is.
+        Training errors are smaller than those on new drives. The factor of an angle has the highest likelihood, that of
+        a path covers WITHIN of the errors, since those at junctions are large. The interval covers 95 %, since large
+        errors are more frequent than in a normal distribution. A column without errors is left as it is.
         """
         truth = np.concatenate([drive.truth for drive in drives])
         mean, sigma = (np.concatenate(values) for values in list(zip(*predictions, strict=True))[:2])

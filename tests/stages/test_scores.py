@@ -52,8 +52,3 @@ def test_only_recorded_values_are_a_reference(tmp_path: Path, oxts: bool, wheel:
         assert result["speed_ratio"] == (pytest.approx(1.1) if with_rates else None), kind
         assert (result["yaw_rmse_degps"] is None) == (not with_rates), kind
         assert 0 < result["nmse"] < 0.1
-
-
-def test_the_log_names_both_sources() -> None:
-    lines = [scores._line(kind, None).split(":")[0] for kind in ("visual", "visual-wheel", "wheel")]
-    assert lines == ["visual against oxts", "visual against wheel", "wheel against oxts"]

@@ -19,10 +19,9 @@ steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_3
 steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_03_31_drive_0004
 """
 
-import dataclasses
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -45,7 +44,6 @@ def import_recording(
     wheel: options.Wheel = None,
     steering_ratio: options.SteeringRatio = None,
     out: Annotated[Path, typer.Option(help="root folder of drives in KITTI raw's layout")] = Path("data/raw"),
-    calib: options.Calib = None,
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
@@ -64,25 +62,20 @@ def import_recording(
     from pipeline.settings.preset import PRESETS
     from pipeline.video import drive_preset
     from pipeline.video.import_recording import import_drives
-    from pipeline.video.lens import find_horizon, pinhole, undistortion
     from pipeline.video.log import Logs
-    from pipeline.video.recording import open_recording
+    from pipeline.video.source import open_camera
 
     shares, preset = _shares(split), PRESETS / f"{drive}.yaml" if split else None
     if preset:
         drive_preset.check_unchanged(preset)
-    logs, opened = Logs.read(wheel, steering_ratio, motion, offset), open_recording(recording, fps, times)
-    camera = pinhole(opened.size, calib=calib, fov_deg=fov, K=k)
-    if distortion:
-        opened.straighten = undistortion(camera, distortion)
-    camera = dataclasses.replace(camera, horizon=find_horizon(opened.frames(), camera) if horizon is None else horizon)
+    logs = Logs.read(wheel, steering_ratio, motion, offset)
+    lens: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "horizon": horizon}
+    opened, camera = open_camera(recording, fps=fps, times=times, **lens)
     imported = import_drives(opened, camera, logs, out, drive, shares, start_s=start, end_s=end, replace=replace)
     labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
     for name, images in imported.images.items():
         print(f"{out / name[:10] / name}_sync: {images} images")
-    row = (
-        "not found, assuming a level camera (or pass --horizon)" if camera.horizon is None else f"{camera.horizon:.0f}"
-    )
+    row = "not found, assuming a level camera" if camera.horizon is None else f"{camera.horizon:.0f}"
     print(f"{imported.angles} steering angles; row of the horizon: {row}")
     if preset:
         drive_preset.write(preset, imported.manifests, labels, imported.hz, camera, camera_height)

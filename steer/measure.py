@@ -25,7 +25,6 @@ def measure(
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
-    calib: options.Calib = None,
     fps: options.Fps = None,
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
@@ -50,7 +49,7 @@ def measure(
     logs = Logs.read(wheel, steering_ratio, motion)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
+    how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     opened = open_source(source, video_measure.CAMERAS, camera_height, max_frames=max_frames, **how)
     lines, files = video_measure.measure(opened, out, encoder, Car(wheelbase, MIN_SPEED_MPS), logs, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")

@@ -23,7 +23,6 @@ Distortion = Annotated[
     str | None,
     typer.Option(metavar="K1,K2,P1,P2[,K3]", help="lens distortion by OpenCV's model; default: none"),
 ]
-Calib = Annotated[Path | None, typer.Option(help="intrinsics: a KITTI calib_cam_to_cam.txt")]
 Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; default: a video's own times")]
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
 CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]

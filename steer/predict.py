@@ -27,7 +27,6 @@ def predict(
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
-    calib: options.Calib = None,
     fps: options.Fps = None,
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
@@ -50,7 +49,7 @@ def predict(
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
     model = TRAINED / model if named else model
     trained, encoder = load(model), encoder or _encoder_beside(model)
-    how: dict[str, Any] = {"calib": calib, "fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
+    how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
     opened = open_source(source, video_predict.reading(trained).cameras, height_m, **how)
     lines, files = video_predict.predict(trained, opened, out, encoder, logs, video=video)

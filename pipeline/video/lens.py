@@ -1,20 +1,17 @@
-"""Intrinsics of a camera from a calibration file, a field of view or four numbers; undistortion; the horizon's row."""
+"""Intrinsics of a camera from a field of view or four numbers; undistortion; the horizon's row."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import islice, pairwise
-from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera, Frame
-from pipeline.camera.images import Size, format_size
-from pipeline.kitti.raw import check_pinhole, projection, read_entries
+from pipeline.camera.images import Size
+from pipeline.kitti.raw import check_pinhole
 from pipeline.motion.visual import Corners, track
 
-WAYS = "--calib FILE (a KITTI calib_cam_to_cam.txt), --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
-_CAMERAS = (2, 0, 3, 1)  # first match wins: rectified cameras share one K
 WIDTH = 640  # px, of the images that are tracked
 CELL, MIN_QUALITY = 24, 2e-5
 MIN_TRACKS, MIN_INLIERS = 60, 0.4
@@ -23,21 +20,18 @@ RANSAC_PX = 0.7
 PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
 
 
-def pinhole(size: Size, *, calib: Path | None = None, fov_deg: float | None = None, K: str | None = None) -> Camera:
-    """Return the camera of images of `size` (H, W); pass exactly one of `calib`, `fov_deg` and `K`.
+def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
+    """Return the camera of images of `size` (H, W); pass either `fov_deg` or `K`.
 
     Args:
-        calib: a file like KITTI's ``calib_cam_to_cam.txt``; a rectified camera of another size is scaled.
         fov_deg: horizontal angle between the image edges, for square pixels and a centred principal point.
         K: four numbers "fx,fy,cx,cy" for this size.
 
-    Raises InputError if none or several are given, or a value is implausible.
+    Raises InputError if none or both are given, or a value is implausible.
     """
-    given = [way for way in (calib, fov_deg, K) if way is not None]
-    if len(given) != 1:
-        raise InputError(f"expected one source of camera intrinsics, got {len(given)}", fix=f"Pass one of {WAYS}")
-    if calib is not None:
-        return _from_file(calib, size)
+    if (fov_deg is None) == (K is None):
+        fix = "Pass --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
+        raise InputError("expected one source of camera intrinsics", fix=fix)
     height, width = size
     if fov_deg is not None:
         fx = fy = width / 2 / math.tan(math.radians(fov_deg) / 2)
@@ -49,18 +43,6 @@ def pinhole(size: Size, *, calib: Path | None = None, fov_deg: float | None = No
     with error_context(fix="For images that were resized, scale all four numbers"):
         check_pinhole(camera.K, size, "--K")
     return camera
-
-
-def _from_file(path: Path, size: Size) -> Camera:
-    with error_context(fix="Pass a KITTI calib_cam_to_cam.txt with P_rect and S_rect of a camera to --calib"):
-        entries = read_entries(path)
-        number = next((number for number in _CAMERAS if f"P_rect_{number:02d}" in entries), _CAMERAS[0])
-        P, calib_size = projection(entries, number, path)
-    scale = size[1] / calib_size[1]
-    if abs(calib_size[0] * scale - size[0]) > max(1.0, scale):  # rounding may cost a pixel of either size
-        sizes = f"calibration is for {format_size(calib_size)} pixels, the images have {format_size(size)}"
-        raise InputError(f"{sizes}, another aspect ratio", path, "Pass the calibration of the cropped images, or --K")
-    return Camera(P[:, :3], calib_size).scaled(size)
 
 
 def _numbers(text: str, counts: Sequence[int], example: str) -> list[float]:

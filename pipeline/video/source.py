@@ -25,7 +25,7 @@ from pipeline.perception.perceive import weights_file
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
-from pipeline.video.recording import open_recording
+from pipeline.video.recording import Recording, open_recording
 
 INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"
 BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1
@@ -54,14 +54,14 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
         path: file or folder.
         cameras: of a KITTI drive; the first one with images is used.
         height_m: of the camera over the road; None: from a KITTI drive's calibration, else unknown.
-        how: to read other recordings, see :func:`_open_recording`.
+        how: ``max_frames``, and what :func:`open_camera` gets, of other recordings.
     Raises:
         InputError: it is none of them, lacks a calibration, or cannot be read.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     if drive and any(drive.images(camera) for camera in cameras):
         if any(how.values()):
-            fix = "Remove --calib, --fov, --K, --distortion, --fps, --times and --max-frames"
+            fix = "Remove --fov, --K, --distortion, --fps, --times and --max-frames"
             raise InputError("a KITTI drive has its own calibration, times and frames", path, fix)
         source = _open_drive(path, drive, cameras)
     elif drive and (drive.oxts or drive.scans):
@@ -88,15 +88,40 @@ def _open_drive(path: Path, drive: KittiDrive, cameras: Sequence[int]) -> Source
     return Source(path, drive.folder.name.removesuffix("_sync"), camera, frames, len(images), drive=drive)
 
 
-def _open_recording(
+def _open_recording(path: Path, max_frames: int | None = None, **how: Any) -> Source:
+    """Open the first `max_frames` frames of a recording; `how`: as of :func:`open_camera`."""
+    recording, camera = open_camera(path, **how)
+    found = "not found, since too few images show a drive; assuming a level camera"
+    note = f"horizon: {found if camera.horizon is None else f'row {camera.horizon:.0f} of {camera.size[0]}'}"
+    return Source(
+        path,
+        path.stem,
+        camera,
+        lambda: islice(recording.frames(), max_frames),
+        min(max_frames, recording.count or max_frames) if max_frames else recording.count,
+        height_known=False,
+        complete=not max_frames,
+        notes=[note],
+    )
+
+
+def open_camera(
     path: Path,
-    max_frames: int | None = None,
+    *,
     fps: float | None = None,
     times: Path | None = None,
     distortion: str | None = None,
+    horizon: float | None = None,
     **lens: Any,
-) -> Source:
-    """Open the first `max_frames` frames of a recording; other arguments as of the three functions that get them."""
+) -> tuple[Recording, Camera]:
+    """Open a recording of rectified images, and return it with its camera.
+
+    Args:
+        fps, times: as of :func:`open_recording`.
+        distortion: of the lens, as of :func:`undistortion`.
+        horizon: row; None: estimated.
+        lens: intrinsics, as of :func:`pinhole`.
+    """
     recording = open_recording(path, fps, times)
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
@@ -104,18 +129,9 @@ def _open_recording(
     camera = pinhole(recording.size, **lens)
     if distortion:
         recording.straighten = undistortion(camera, distortion)
-    horizon = find_horizon(recording.frames(), camera)
-    found = "not found, since too few images show a drive; assuming a level camera"
-    return Source(
-        path,
-        path.stem,
-        replace(camera, horizon=horizon),
-        lambda: islice(recording.frames(), max_frames),
-        min(max_frames, recording.count or max_frames) if max_frames else recording.count,
-        height_known=False,
-        complete=not max_frames,
-        notes=[f"horizon: {found if horizon is None else f'row {horizon:.0f} of {recording.size[0]}'}"],
-    )
+    if horizon is None:
+        horizon = find_horizon(recording.frames(), camera)
+    return recording, replace(camera, horizon=horizon)
 
 
 def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any) -> Path:
@@ -151,12 +167,8 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
     Raises:
         InputError: no frame can be read, or the disk is too small.
     """
-    crop, size = source.camera.crop_to(reading.image_size), reading.image_size
-    if crop.size != source.camera.size:
-        rows, columns = crop
-        part = f"rows {rows.start} to {rows.stop} and columns {columns.start} to {columns.stop}"
-        source.notes.append(f"images are cropped to {part}, the shape of the training images")
-    needed, free = (source.count or 0) * size[0] * size[1] * BYTES_PER_PIXEL, shutil.disk_usage(work).free
+    height, width = reading.image_size
+    needed, free = (source.count or 0) * height * width * BYTES_PER_PIXEL, shutil.disk_usage(work).free
     if needed > free:
         problem = f"{source.count} frames need up to {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
         raise InputError(problem, work, "Pass an --out on another disk")

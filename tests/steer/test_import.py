@@ -216,7 +216,7 @@ def test_drives_of_a_date_share_the_camera(take: Take, video: Path) -> None:
 
 
 PLAINLY_WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"fov": None}, "--calib FILE"),
+    ({"fov": None}, "--fov DEGREES"),
     ({"drive": "drive_1"}, "--drive"),
     ({"wheel": "frame,wheel_rad\n0,0\n12,0\n"}, "has frame 12, but the last image is 11"),
     ({"motion": HEAD + "-9,5,0\n-8,5,0\n9,5,0\n10,5,0\n"}, "--end or --offset"),

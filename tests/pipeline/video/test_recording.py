@@ -15,11 +15,10 @@ import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.geometry import rays
-from pipeline.kitti.raw import read_calibration
 from pipeline.video.lens import pinhole, undistortion
 from pipeline.video.log import interpolate, read_motion, read_wheel
 from pipeline.video.recording import open_recording, read_times
-from tests.kitti_drive import write_calibration, write_png
+from tests.kitti_drive import write_png
 from tests.recordings import SIZE, pictures, write_folder, write_video
 
 
@@ -222,18 +221,6 @@ def test_field_of_view_spans_the_edges() -> None:
     assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
     middle = rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
     np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-12)
-
-
-def test_calibration_file_as_ingest_reads_it(tmp_path: Path) -> None:
-    calib = tmp_path / "calib_cam_to_cam.txt"
-    write_calibration(tmp_path)
-    camera = read_calibration(tmp_path, 2)
-    np.testing.assert_array_equal(pinhole(SIZE, calib=calib).K, camera.K)
-    half = (SIZE[0] // 2, SIZE[1] // 2)
-    np.testing.assert_array_equal(pinhole(half, calib=calib).K, camera.scaled(half).K)
-    for name, size, problem in (("cam_to_cam", (40, 64), "aspect ratio"), ("velo_to_cam", SIZE, "no entry P_rect_02")):
-        with pytest.raises(InputError, match=problem):
-            pinhole(size, calib=tmp_path / f"calib_{name}.txt")
 
 
 @pytest.mark.parametrize(

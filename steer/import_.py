@@ -59,15 +59,14 @@ def import_recording(
     debug: options.Debug = False,
 ) -> None:
     """Write drives and print what to do next; the module's docstring is the help text."""
-    from pipeline.settings.preset import PRESETS
-    from pipeline.video import drive_preset
-    from pipeline.video.import_recording import import_drives
+    from pipeline.settings.preset import PRESETS, is_unedited
+    from pipeline.video.import_recording import import_drives, write_preset
     from pipeline.video.log import Logs
     from pipeline.video.source import open_camera
 
     shares, preset = _shares(split), PRESETS / f"{drive}.yaml" if split else None
-    if preset:
-        drive_preset.check_unchanged(preset)
+    if preset and preset.exists() and not is_unedited(preset):
+        raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --drive")
     logs = Logs.read(wheel, steering_ratio, motion, offset)
     lens: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "horizon": horizon}
     opened, camera = open_camera(recording, fps=fps, times=times, **lens)
@@ -75,10 +74,9 @@ def import_recording(
     labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
     for name, images in imported.images.items():
         print(f"{out / name[:10] / name}_sync: {images} images")
-    row = "not found, assuming a level camera" if camera.horizon is None else f"{camera.horizon:.0f}"
-    print(f"{imported.angles} steering angles; row of the horizon: {row}")
+    print(f"row of the horizon: {'not found, assuming a level camera' if camera.horizon is None else camera.horizon}")
     if preset:
-        drive_preset.write(preset, imported.manifests, labels, imported.hz, camera, camera_height)
+        write_preset(preset, imported, labels, camera, camera_height)
         print(f"next: make street && make {preset.stem}")
         return
     height = f", perception.camera_height_m: {camera_height:g}" if camera_height else ""

@@ -54,8 +54,8 @@ def format_size(shape: Sequence[int]) -> str:
     return f"{shape[1]} x {shape[0]}"
 
 
-def read_image(path: Path, size: Size) -> np.ndarray:
-    """Read an image of `size` (H, W) as RGB uint8 [H,W,3], grey repeated.
+def read_image(path: Path, size: Size | None = None) -> np.ndarray:
+    """Read an image of `size` (H, W), None: any, as RGB uint8 [H,W,3], grey repeated.
 
     Raises DamagedFile; InputError if the file has another size or pixel type.
     """

@@ -1,4 +1,4 @@
-"""Convert a recording with its logs to drives in KITTI raw's layout: images, packets, angles, and a manifest."""
+"""Convert a recording with its logs to drives in KITTI raw's layout: images, packets, angles, manifest, preset."""
 
 import json
 import math
@@ -6,20 +6,23 @@ import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from pydantic import TypeAdapter, ValidationError
 from tqdm import tqdm
 
 from pipeline.base.errors import InputError
-from pipeline.base.params import Drive
+from pipeline.base.params import SPLITS, Drive
 from pipeline.base.resume import file_hash
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import write_png
 from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering
 from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration, write_entries
+from pipeline.motion.visual import MAX_DEPTH_M, WIDE
+from pipeline.settings.preset import stamped
 from pipeline.video.log import ROUNDING_S, Logs
 from pipeline.video.recording import Recording
 
@@ -35,7 +38,6 @@ class Imported(NamedTuple):
 
     images: dict[str, int]  # drive → number of images
     manifests: dict[str, str]  # drive → hash of its manifest
-    angles: int  # images with an angle of the steering wheel
     hz: float  # frame rate of the recording
 
 
@@ -82,9 +84,8 @@ def import_drives(
             raise InputError(problem, fix="Change --start, --end or --offset")
         parts = cut(usable, time_s, shares)
         _distribute_images(unfinished, parts)
-        angles = [
-            _write_logs(folder, time_s, part, camera, logs) for folder, part in zip(unfinished, parts, strict=True)
-        ]
+        for folder, part in zip(unfinished, parts, strict=True):
+            _write_logs(folder, time_s, part, camera, logs)
         if not calibrated:
             P = np.column_stack([camera.K, np.zeros(3)])
             size = np.array(camera.size[::-1], float)
@@ -95,7 +96,7 @@ def import_drives(
             shutil.rmtree(folder, ignore_errors=True)  # the earlier import
     images = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
     hz = (len(time_s) - 1) / float(np.ptp(time_s) or 1.0)
-    return Imported(images, dict(zip(drives, manifests, strict=True)), sum(angles), hz)
+    return Imported(images, dict(zip(drives, manifests, strict=True)), hz)
 
 
 def _write_images(folder: Path, recording: Recording, start_s: float, end_s: float) -> np.ndarray:
@@ -112,8 +113,8 @@ def _write_images(folder: Path, recording: Recording, start_s: float, end_s: flo
     return np.array(all_s)
 
 
-def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Camera, logs: Logs) -> int:
-    """Write horizon, times, packets and angles of a drive's `usable` images [F] at `time_s` [F]; count the angles.
+def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Camera, logs: Logs) -> None:
+    """Write horizon, times, packets and angles of a drive's `usable` images [F] at `time_s` [F].
 
     Packets hold speed and yaw rate; the rest is unknown, 0.
     """
@@ -128,14 +129,12 @@ def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Ca
         speed_mps, yaw_rate_radps = logs.motion.at(time_s[usable])
         for number, row in zip(numbers, make_rows(len(numbers), vf=speed_mps, wu=yaw_rate_radps), strict=True):
             (folder / "oxts" / "data" / f"{number:010d}.txt").write_bytes(format_packet(row))
-    if logs.wheel is None:
-        return 0
-    steering_rad = logs.wheel.at(numbers, time_s[usable])
-    known = np.isfinite(steering_rad)
-    if not known.any():
-        raise InputError(f"no image of {folder.name} has an angle", "--wheel", "Check its times or frames")
-    write_steering(folder / STEERING, dict(zip(numbers[known].tolist(), steering_rad[known].tolist(), strict=True)))
-    return int(known.sum())
+    if logs.wheel:
+        steering_rad = dict(zip(numbers.tolist(), logs.wheel.at(numbers, time_s[usable]).tolist(), strict=True))
+        angles = {number: angle for number, angle in steering_rad.items() if math.isfinite(angle)}
+        if not angles:
+            raise InputError(f"no image of {folder.name} has an angle", "--wheel", "Check its times or frames")
+        write_steering(folder / STEERING, angles)
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
@@ -220,3 +219,43 @@ def _is_calibrated(folders: Sequence[Path], camera: Camera, replace: bool) -> bo
         return False
     fix = "Pass --drive another date: all drives of a date share the calibration"
     raise InputError("date has the calibration of another camera", date, fix)
+
+
+def write_preset(path: Path, imported: Imported, source: str, camera: Camera, height_m: float | None = None) -> None:
+    """Write a preset with two models, with and without measured motion as input.
+
+    Args:
+        imported: drives for training, validation and testing.
+        source: of the labels. Motion that is the label cannot be an input for the same frame, so visual labels are
+            predicted a second, ahead. A wheel's angle and measured motion may differ in scale: no base.
+        camera: of the images. Depth grows with focal length / width, and so does its limit.
+        height_m: of the camera over the road, which gives measured motion its scale; None: KITTI's.
+    """
+    network = {"input": "depth", "spatial": "gnn", "temporal": "ncp", "semantics": 0.0, "equivariant": True}
+    if source == "visual":
+        network["horizon"] = max(1, round(imported.hz))
+    settings: dict[str, Any] = {
+        "ingest": {
+            "source": "kitti",
+            "image_size": [192, 640],  # the depth network's training size
+            "lidar": False,
+            "drives": {split: [drive] for split, drive in zip(SPLITS, imported.manifests, strict=True)},
+            "manifests": imported.manifests,
+        },
+        "encoder": {"backbone": "street", "weights": "weights/street/encoder.pt", "epochs": 0},
+        "perception": {"camera_height_m": height_m} if height_m else {},
+        "labels": {"source": source},
+        "clouds": {"max_depth_m": float(round(MAX_DEPTH_M * max(1.0, camera.K[0, 0] / camera.size[1] / WIDE)))},
+        "graphs": {"*": None, "depth": {"source": "clouds/pseudo", "points": 1000, "k": 6}},
+        "models": {
+            "*": None,
+            "motion": network | {"motion": "visual"} | ({"base": "none"} if source == "wheel" else {}),
+            "scene": network,
+        },
+        # A single recording is small. Recorded angles do not scale with the scene.
+        "train": {"epochs": 40} | ({"rescale": 1.0} if source == "wheel" else {}),
+    }
+    text = f"# Train on this recording and test on its end: make street, then make {path.stem}\n"
+    text += yaml.safe_dump(settings, sort_keys=False)
+    with replacing(path) as unfinished:
+        unfinished.write_text(stamped(text, "steer import"), encoding="utf-8")

@@ -35,6 +35,8 @@ def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], e
                 fix = "Write numbers with a decimal point, not a comma"
                 where = f"{path} line {reader.line_num}"
                 raise InputError("expected numbers, as many as the header names", where, fix) from None
+    if not rows:
+        raise InputError("has no rows", path, expected)
     return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T.copy(), strict=True))
 
 

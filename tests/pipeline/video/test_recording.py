@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 import pytest
 
@@ -240,27 +239,6 @@ def test_plainly_wrong_intrinsics(given: dict[str, Any], where: str) -> None:
         undistortion(pinhole((48, 64), fov_deg=90), "0.1,0,0,x")
 
 
-def test_undistorted_images_show_each_direction_at_its_pixel() -> None:
-    camera = pinhole((120, 160), K="150,160,75,62")
-    coefficients = np.array([-0.25, 0.06, 0.003, -0.002, 0.01])
-    v, u = np.mgrid[:120, :160].astype(np.float64)
-    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-    directions = cv2.undistortPoints(pixels, camera.K, coefficients).reshape(120, 160, 2)
-
-    def colours(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return np.stack([128 + 150 * x, 128 + 150 * y, 128 + 80 * (x - y)], axis=-1)
-
-    recorded = np.rint(colours(directions[..., 0], directions[..., 1])).astype(np.uint8)
-    rectified = undistortion(camera, ",".join(map(str, coefficients)))(recorded)
-    expected = colours(*rays(camera.K, camera.size)[..., :2].transpose(2, 0, 1))
-    inside = rectified.any(axis=-1)
-    assert inside[10:-10, 10:-10].all()
-    assert np.abs(rectified - expected)[10:-10, 10:-10].max() < 2
-    assert np.abs(recorded - expected)[10:-10, 10:-10].max() > 5
-    same = undistortion(camera, "0,0,0,0")(recorded)
-    np.testing.assert_array_equal(same, recorded)
-
-
 HEAD = "time_s,speed_mps,yaw_rate_radps\n"
 
 
@@ -302,6 +280,7 @@ WHEEL = "frame,wheel_rad\n"
         (WHEEL + "1,0\n2,45\n", "steering_rad = 3 "),
         ("time_s,wheel_rad\n0,0\n1000,0\n", "divide milliseconds"),
         ("wheel_rad\n0\n1\n", "neither time_s nor frame"),
+        (WHEEL, "has no rows"),
         ("1\n2\n2\n", "from 2 to 2"),
         ("0\n100\n200\n", "divide milliseconds by 1000"),
         ("0\n1e-4\n2e-4\n", "in seconds"),
@@ -321,16 +300,6 @@ def test_times_count_before_frames(tmp_path: Path) -> None:
     wheel = read_wheel(log(tmp_path, "frame,time_s,wheel_rad\n" + rows), 10.0)
     number = np.arange(10)
     np.testing.assert_allclose(wheel.at(number, number / 10), angles[::2] / 10)
-
-
-def test_frames_count_images(tmp_path: Path) -> None:
-    wheel = read_wheel(log(tmp_path, "frame;wheel_rad\n2;0.5\n4;1.5\n"), 10.0)
-    np.testing.assert_array_equal(
-        wheel.at(np.arange(6), np.arange(6) / 10), [np.nan] * 2 + [0.05, np.nan, 0.15, np.nan]
-    )
-    wheel.check_frames(4)
-    with pytest.raises(InputError, match="has frame 4, but the last image is 3"):
-        wheel.check_frames(3)
 
 
 def test_interpolation_ends_at_gaps_and_at_the_ends() -> None:

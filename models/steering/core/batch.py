@@ -58,7 +58,7 @@ class GraphBatch(_Points):
         """Split the batch into blocks of complete frames with at most `points` points, or of one larger frame."""
         edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # before each frame
         ptr, first = self.ptr.tolist(), 0
-        while first < self.frames:
+        while first < len(ptr) - 1:
             last = max(first + 1, bisect_right(ptr, ptr[first] + points) - 1)
             start, rows = ptr[first], slice(ptr[first], ptr[last])
             indices = self.indices[edges[first] : edges[last]] - start

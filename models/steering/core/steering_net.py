@@ -22,8 +22,7 @@ MOTION_MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
 
 The columns are the measured angle (rad) and yaw rate (rad/s), both left +, speed (m/s) and valid (0 or 1).
 """
-# Scales: a sharp corner for the columns that change sign, a fast street for the others.
-ODD_SCALE, EVEN_SCALE = (0.25, 0.4), (15.0, 1.0)  # rad, rad/s; m/s, 1
+MOTION_SCALES = (0.25, 0.4, 15.0, 1.0)  # a sharp corner, a fast street
 
 
 class SteeringNet(nn.Module):
@@ -88,38 +87,36 @@ class SteeringNet(nn.Module):
         Raises:
             ValueError: the spatial network returns another number of features.
         """
-        if not (self.equivariant or pairs):
-            features = self.spatial(batch)
-        else:
+        if self.equivariant or pairs:  # the frames, then their mirror images
             both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
             original, mirrored = both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
-            features = original - mirrored if self.equivariant else torch.cat([original, mirrored])
+            if self.equivariant:
+                original = original - mirrored
+                mirrored = -original
+            features = torch.cat([original, mirrored])
             windows, dt_s = torch.cat([windows, windows + len(original)]), dt_s.repeat(2, 1)
+            if motion is not None:
+                motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
+        else:
+            features = self.spatial(batch)
         if features.shape[1:] != (self.features,):
             problem = f"the spatial network returns {list(features.shape[1:])} per frame, expected [{self.features}]"
             raise ValueError(f"{self.file}: {problem} (sizes.features)")
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
-            odd = features.to(next(self.temporal.parameters()).dtype)  # mirror-odd inputs, and even ones [B,..]
-            even = odd.new_empty(len(odd), 0)
+            inputs = features.to(next(self.temporal.parameters()).dtype)
             if self.motion:
                 assert motion is not None, "a network with motion needs the motion of each frame"
-                if pairs and not self.equivariant:
-                    motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
-                odd_motion, even = odd_and_even(motion.to(odd))
-                odd = torch.cat([odd, odd_motion], dim=1)
-            inputs = torch.cat([odd, even], dim=1)
-            if self.equivariant:
-                inputs = torch.cat([inputs, torch.cat([-odd, even], dim=1)])
-            projected = self.temporal.project_inputs(inputs)  # [B,S]
-            states, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
-            out: Tensor = states[:, -1]
+                inputs = torch.cat([inputs, scaled(motion.to(inputs))], dim=1)
+            projected = self.temporal.project_inputs(inputs)  # once for each frame
+            outputs, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R], [W,U]
+            out: Tensor = outputs[:, -1]
             if self.uncertainty is not None:
                 out = torch.cat([out, self.uncertainty(state.detach())], dim=1)
-            if not self.equivariant:
-                return out
-            original, mirrored = out.chunk(2)
-            out = (original + self.signs * mirrored) / 2
-            return torch.cat([out, self.signs * out]) if pairs else out
+            if self.equivariant:
+                original, mirrored = out.chunk(2)
+                out = (original + self.signs * mirrored) / 2
+                out = torch.cat([out, self.signs * out]) if pairs else out
+            return out
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
         """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
@@ -136,11 +133,8 @@ class SteeringNet(nn.Module):
         return self.signs.device
 
 
-def odd_and_even(motion: Tensor) -> tuple[Tensor, Tensor]:
-    """Split motion [B,4] into the columns that change sign in the mirror and the others, each [B,2] and O(1).
-
-    Odd columns saturate at ±1: a value far beyond a sharp corner is a measurement error.
-    """
-    # Numbers as scalars: a tensor made of them would be a blocking copy to a GPU in each step.
-    scaled = [column / scale for column, scale in zip(motion.unbind(1), ODD_SCALE + EVEN_SCALE, strict=True)]
-    return torch.tanh(torch.stack(scaled[:2], dim=1)), torch.stack(scaled[2:], dim=1)
+def scaled(motion: Tensor) -> Tensor:
+    """Return motion [B,4] with columns of O(1). A turn far beyond a sharp corner is a measurement error: ±1 at most."""
+    # Scales as numbers: a tensor made of them would be a blocking copy to a GPU in each step.
+    columns = [column / scale for column, scale in zip(motion.unbind(1), MOTION_SCALES, strict=True)]
+    return torch.cat([torch.tanh(torch.stack(columns[:2], dim=1)), torch.stack(columns[2:], dim=1)], dim=1)

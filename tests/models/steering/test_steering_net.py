@@ -9,7 +9,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from models.steering.core.options import NetworkOptions, load
-from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, odd_and_even
+from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, scaled
 from models.steering.spatial import gnn
 from models.steering.temporal.ncp import CELLS
 from pipeline.settings.models import Entry
@@ -156,16 +156,14 @@ def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
         net(batch(), WINDOWS, DT_S)
 
 
-def test_columns_are_of_order_one_and_the_odd_ones_are_odd() -> None:
+def test_scaled_motion_is_of_order_one_and_mirrors() -> None:
     corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
     motion = torch.tensor([corner, motorway, [0.0] * 4, [-1.5, 0.0, 0.1, 0.0]])
-    odd, even = odd_and_even(motion)
-    assert odd.abs().max() <= 1 < even.max() < 3
-    assert odd[0].min() > 0.8
-    assert not torch.cat([odd[2], even[2]]).any()
-    there, same = odd_and_even(motion * MIRROR)
-    assert torch.equal(there, -odd)
-    assert torch.equal(same, even)
+    columns = scaled(motion)
+    assert columns[:, :2].abs().max() <= 1 < columns[:, 2:].max() < 3
+    assert columns[0, :2].min() > 0.8
+    assert not columns[2].any()
+    assert torch.equal(scaled(motion * MIRROR), columns * MIRROR)
 
 
 class Counter(TorchDispatchMode):

@@ -36,19 +36,15 @@ def polar_map(batch: GraphBatch) -> Tensor:
     points = torch.arange(len(x), device=x.device)
     frame = torch.searchsorted(batch.ptr.to(x.device, non_blocking=True)[1:], points, right=True)
     cell = (frame * RANGES + row.clamp(0, RANGES - 1).long()) * BEARINGS + column.clamp(0, BEARINGS - 1).long()
+    ground = torch.stack([batch.cls == number for number in classes.GROUND]).any(0)
+    kind = torch.where(ground, GROUND, OBSTACLE).masked_fill(batch.cls == classes.ROAD, ROAD)
+    kind = kind.masked_fill(batch.cls >= classes.COUNT, VOID)
     # Sums of ones are exact in any order, so the map is deterministic on a GPU, too.
     counts = torch.zeros(batch.frames * RANGES * BEARINGS * 4, device=cell.device)
-    counts = counts.scatter_add(0, cell * 4 + _kind(batch.cls), inside.float()).view(-1, RANGES, BEARINGS, 4)
+    counts = counts.scatter_add(0, cell * 4 + kind, inside.float()).view(-1, RANGES, BEARINGS, 4)
     total = counts.sum(3, keepdim=True)
     shares = counts[..., :VOID] / total.clamp_min(1)
     return torch.cat([shares, (total == 0).float()], dim=3).permute(0, 3, 1, 2)
-
-
-def _kind(cls: Tensor) -> Tensor:
-    """Return ROAD, GROUND, OBSTACLE or VOID of each class, int64 [N]."""
-    ground = torch.stack([cls == number for number in classes.GROUND]).any(0)
-    kind = torch.where(ground, GROUND, OBSTACLE).masked_fill(cls == classes.ROAD, ROAD)
-    return kind.masked_fill(cls >= classes.COUNT, VOID)
 
 
 class Polar(nn.Module):
@@ -74,11 +70,10 @@ class Polar(nn.Module):
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         return self._read(polar_map(batch))
 
-    def both(self, batch: GraphBatch) -> tuple[Tensor, Tensor]:
+    def both(self, batch: GraphBatch) -> tuple[Tensor, ...]:
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
         frames = polar_map(batch)
-        original, mirrored = self._read(torch.cat([frames, frames.flip(3)])).chunk(2)
-        return original, mirrored
+        return self._read(torch.cat([frames, frames.flip(3)])).chunk(2)
 
     def _read(self, frames: Tensor) -> Tensor:
         maps = self.convolutions(frames.to(self.read_out.weight.dtype)).flatten(1)

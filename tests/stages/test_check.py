@@ -104,11 +104,15 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         ("models.motion-10-blind.spatial", "cnn", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
         (MODEL, {"input": "semantic", "spatial": "gnn", "temporal": "lstm"}, "semantics is missing: weight of the cl"),
-        (MODEL, GRAPH | {"spatial": "pyg", "layer": "GATv2"}, r"no layer 'GATv2': did you mean GATv2Conv"),
+        (
+            MODEL,
+            GRAPH | {"spatial": "pyg", "layer": "GATv2"},
+            r"no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv",
+        ),
         (
             MODEL,
             GRAPH | {"spatial": "pyg", "layer": "RGCNConv"},
-            "layer RGCNConv with layer_options {}: .*num_relations",
+            "RGCNConv with options {} fails: .*num_relations",
         ),
         (MODEL, GRAPH | {"spatial": "pyg"}, "layer is missing: a layer of torch_geometric.nn"),
         ("encoder.backbone", "smal", "backbone.*'small', 'street'"),

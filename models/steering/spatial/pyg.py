@@ -1,7 +1,7 @@
 """Layers of PyTorch Geometric by name: any that takes `x, edge_index`, for instance `layer: GATv2Conv`."""
 
-import inspect
 from difflib import get_close_matches
+from inspect import signature
 from typing import Annotated, Any, ClassVar
 
 import torch
@@ -43,7 +43,7 @@ class PyG(nn.Module):
         super().__init__()
         self.semantics, layer = options.semantics, layer_class(options.layer)
         x, edge_index = torch.zeros(2, NODE_FEATURES), torch.tensor([[0, 1], [1, 0]])
-        takes_module = "nn" in inspect.signature(layer).parameters
+        takes_module = "nn" in signature(layer).parameters
         self.layers = nn.ModuleList()
         try:
             for outputs in options.layers:
@@ -52,7 +52,7 @@ class PyG(nn.Module):
                 with torch.no_grad():  # a run for the width, which also gives a LazyLinear its weights
                     x = self.layers[-1](x, edge_index)
         except Exception as error:  # of any type, by the layer
-            raise ValueError(f"layer {options.layer} with layer_options {options.layer_options}: {error}") from error
+            raise ValueError(f"layer {options.layer} with options {options.layer_options} fails: {error}") from error
         self.read_out = nn.Linear(2 * x.shape[1], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
@@ -70,8 +70,9 @@ def layer_class(name: str) -> type[nn.Module]:
         from torch_geometric.nn import conv
     except ImportError as error:
         raise ValueError("spatial: pyg needs the package torch_geometric: pip install '.[pyg]'") from error
-    if name not in conv.__all__:
-        similar = get_close_matches(name, conv.__all__, cutoff=0)
-        raise ValueError(f"layer: torch_geometric.nn has no layer {name!r}: did you mean {' or '.join(similar)}?")
-    layer: type[nn.Module] = getattr(conv, name)
-    return layer
+    layers: dict[str, type[nn.Module]] = {known: getattr(conv, known) for known in conv.__all__}
+    suitable = [known for known in layers if [*signature(layers[known].forward).parameters][1:3] == ["x", "edge_index"]]
+    if name not in suitable:
+        similar = " or ".join(get_close_matches(name, suitable, cutoff=0))
+        raise ValueError(f"torch_geometric.nn has no layer {name!r} that takes x, edge_index: did you mean {similar}?")
+    return layers[name]

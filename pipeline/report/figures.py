@@ -83,8 +83,6 @@ def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.Dat
     street_view.draw_points(panels["e"], xyz, cls, graph_file.edge_pairs(built.degree, built.indices))
     kept = f"{built.edges_kept:,} of " if built.edges_kept < built.edges_knn else ""
     panels["e"].set_title(f"{len(xyz)} points, {kept}{built.edges_knn:,} directed edges")
-    for key in "de":
-        street_view.look_ahead(panels[key])
     panel = panels["f"]
     for kind, style in {"true": "-", "odometry": "--", "predicted": "-"}.items():
         if steering[f"{kind}_deg"].notna().any():

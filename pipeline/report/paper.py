@@ -7,10 +7,7 @@ Settings = dict[str, tuple[Any, ...]]
 
 
 class Published(NamedTuple):
-    """A network of the paper: settings as key → accepted values, and its MSE.
-
-    The keys are those of a model, and `accumulate` of its graph variant.
-    """
+    """A network of the paper: settings of a model and its graph variant as key → accepted values, and its MSE."""
 
     settings: Settings
     train_mse: float
@@ -42,12 +39,9 @@ PAPER = {  # in the order of Table 2
 }
 
 
-def name(settings: Mapping[str, Any]) -> str | None:
-    """Return the name of the paper's network with these settings, None if there is none.
-
-    `settings` are those of a model, and `accumulate` of its graph variant. The model's own name does not matter.
-    """
-    for network, published in PAPER.items():
+def find(settings: Mapping[str, Any]) -> Published | None:
+    """Return the paper's network with the settings of a model and its graph variant, None if there is none."""
+    for published in PAPER.values():
         if all(settings.get(key, values[0]) in values for key, values in published.settings.items()):
-            return network
+            return published
     return None

@@ -15,8 +15,7 @@ from pipeline.base import store
 from pipeline.base.params import SPLITS
 from pipeline.report import paper
 
-SHOWN_DRIVES = 6
-"""Test drives that the page draws one by one; the tables have all."""
+SHOWN_DRIVES = 6  # test drives that the page draws one by one; the tables have all
 _LEARNING = ["epoch", "train_loss", "val_nmse"]
 BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression")
 Row = dict[str, Any]
@@ -28,17 +27,14 @@ with ``model``, ``baseline`` True and the scores of each split."""
 class Group:
     """Models that predict the same columns equally far ahead, and their baselines."""
 
-    key: str
-    """Part of file names: angle-0, angle-10 or path-0."""
+    key: str  # part of file names: angle-0, angle-10 or path-0
     title: str
-    labels: dict[str, str]
-    """Column → label: empty for the steering angle, "5-10 m" for a range of the path ahead."""
-    models: list[Row]
-    """In the order of the paper, then as given."""
+    labels: dict[str, str]  # column → label: empty for the steering angle, "5-10 m" for a range of the path ahead
+    models: list[Row]  # in the order of the paper, then as given
+    # predictions.csv of all models and seeds, with columns model, run (empty for the first seed), elapsed_s since the
+    # drive's first frame, and in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering
+    # angle, or of the turn in all ranges of the path together (then without sigma).
     predictions: pd.DataFrame
-    """predictions.csv of all models and seeds, with columns model, run (empty for the first seed), elapsed_s since the
-    drive's first frame, and in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering
-    angle, or of the turn in all ranges of the path together (then without sigma)."""
 
     @property
     def rows(self) -> list[Row]:
@@ -76,8 +72,8 @@ def load_groups(evaluate: Path, models: Sequence[str]) -> list[Group]:
     loaded: dict[tuple[str, int], list[Row]] = {}
     for model in models:
         row = store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}")
-        network = paper.name(row["entry"] | {"accumulate": row["variant"].get("accumulate")})
-        row |= {"baseline": False, "paper": paper.PAPER[network] if network else None}
+        settings = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
+        row |= {"baseline": False, "paper": paper.find(settings)}
         loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)
     order = [*paper.PAPER.values(), None]
     groups = []
@@ -112,16 +108,13 @@ def _load_predictions(folder: Path, columns: Row) -> pd.DataFrame:
 
 def _baseline(name: str, model: Row) -> Row:
     """Return the row of a baseline, from the scores that stand beside a model's."""
-    splits = {
-        split: {
-            column: scores["baselines"][name]
-            | {"without_decisions": scores["without_decisions"]["baselines"].get(name)}
-            for column, scores in model[split].items()
-        }
-        for split in SPLITS
-        if model[split]
-    }
-    return {"train": None, "val": None} | splits | {"model": name, "baseline": True, "columns": model["columns"]}
+    row: Row = {"model": name, "baseline": True, "columns": model["columns"]}
+    for split in SPLITS:
+        row[split] = model[split] and {column: scores["baselines"][name] for column, scores in model[split].items()}
+    for column, scores in row["test"].items():
+        others = model["test"][column]["without_decisions"]["baselines"]
+        row["test"][column] = scores | {"without_decisions": others.get(name)}
+    return row
 
 
 def flat_metrics(groups: Sequence[Group]) -> dict[str, float]:

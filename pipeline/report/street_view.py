@@ -44,8 +44,10 @@ class View:
     edge_count: int = 0  # directed kNN edges after pruning, as in the paper and in all tables
 
     def images(self) -> dict[str, np.ndarray]:
-        """Return title → pixels of image, depth and classes; no classes if all pixels are void."""
-        depth = None if self.depth_m is None else colourise_depth(self.depth_m)
+        """Return title → pixels of image, depth (transparent where invalid) and classes (unless all are void)."""
+        depth = None
+        if self.depth_m is not None:
+            depth = np.asarray(depth_scale().to_rgba(np.ma.masked_equal(self.depth_m, 0), bytes=True))
         cls = None if self.cls is None or (self.cls == classes.VOID).all() else classes.colourise(self.cls)
         images = {f"frame {self.frame}": self.rgb, "depth": depth, "classes": cls}
         return {title: pixels for title, pixels in images.items() if pixels is not None}
@@ -81,11 +83,6 @@ def depth_scale() -> ScalarMappable:
     return ScalarMappable(LogNorm(NEAR_M, FAR_M), "turbo_r")
 
 
-def colourise_depth(depth_m: np.ndarray) -> np.ndarray:
-    """Return depth in metres [H,W] as uint8 RGBA [H,W,4]; transparent where it is invalid (0)."""
-    return np.asarray(depth_scale().to_rgba(np.ma.masked_equal(depth_m, 0), bytes=True))
-
-
 def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> None:
     """Draw pixels without axes, with a title in a `style`."""
     panel.imshow(pixels, interpolation="nearest")
@@ -105,12 +102,7 @@ def draw_points(panel: Axes, xyz: np.ndarray, cls: np.ndarray, edges: np.ndarray
     size = 1.0 if edges is None else float(np.clip(12_000 / max(len(xyz), 1), 1, 12))
     colours = classes.colourise(cls[order]) / 255
     panel.scatter(xyz[order, 0], xyz[order, 2], s=size, c=colours, linewidths=0)
-    panel.set(xlabel="x in m", ylabel="z in m", aspect="equal")
-
-
-def look_ahead(panel: Axes) -> None:
-    """Limit a panel's axes to the area ahead of the camera."""
-    panel.set(xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M))
+    panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M))
 
 
 def class_legend(figure: Figure, cls: np.ndarray, columns: int) -> None:
@@ -136,7 +128,6 @@ def sheet(title: str, view: View) -> Figure:
     if view.xyz is not None and view.points_cls is not None:
         above = right.subplots()
         draw_points(above, view.xyz, view.points_cls, view.edges)
-        look_ahead(above)
         name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
         void = "; black: no class" if (view.points_cls == classes.VOID).any() else ""
         above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)

@@ -19,16 +19,14 @@ _WIDTH = 110  # characters per line of a note
 _RESULTS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
     "in parentheses the 95 % interval for other roads (block bootstrap), given these networks. no onsets: without the "
-    "frames around the onset of a turn, where the driver's choice is unknown. drift: of a path of measured speed and "
-    "predicted angles, in m per 100 m (Figure 5 of the paper). edges: directed kNN edges per frame after pruning, as "
-    "in the paper. Baselines: zero and train_mean predict a constant; persistence repeats the last true angle, which "
-    "no model gets; odometry repeats the present measured motion; regression multiplies it by its regression "
-    "coefficient on the training drives."
+    "frames around the onset of a turn. drift: of a path of measured speed and predicted angles, in m per 100 m "
+    "(Figure 5 of the paper). edges: directed kNN edges per frame after pruning, as in the paper. Baselines: zero and "
+    "train_mean are constants; persistence repeats the last true angle, which no model gets; odometry repeats the "
+    "present measured motion; regression multiplies it by its regression coefficient on the training drives."
 )
 _PAPER = (
-    "MSE in rad². paper: its Table 2, for models with the settings of one of its networks. With the paper's own label, "
-    "always predicting zero has 0.0137 rad² on KITTI's longest drive, below all of its test errors, so the paper's "
-    "unit cannot be rad² of this label: compare order and ratio only."
+    "MSE in rad². paper: its Table 2, for models with the settings of one of its networks. Its unit cannot be rad² of "
+    "this label (docs/paper.md): compare order and ratio only."
 )
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats under a normal distribution with the predicted σ, which is scaled on "
@@ -40,7 +38,6 @@ _DIFFERENCES = (
     "nmse of the best model minus that of another on the same frames, mean over the seeds, with its 95 % interval: "
     "below 0, the best is better."
 )
-
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
     "count; coverage is their share. flat ground: a level road below the camera, with the encoder's classes, on the "
@@ -48,9 +45,8 @@ _DEPTH = (
 )
 _CLASSES = "Over the classes that occur in the ground truth."
 _MOTION = (
-    "Motion since the previous frame, measured without oxts and compared with it at or above labels.min_speed_mps; "
-    "wheel: recorded steering angles; rows named …-wheel are compared with these angles. "
-    "nmse: of the steering angle from the last measurement, from a drive's first measured frame on."
+    "Motion since the previous frame, measured from images, compared with oxts at or above labels.min_speed_mps. "
+    "wheel: recorded angles; …-wheel: compared with these. nmse: of the steering angle from the last measurement."
 )
 
 
@@ -88,8 +84,7 @@ def number(value: Any, form: str = "") -> str:
 
 def steering_tables(groups: Sequence[Group], settings: Evaluate) -> list[Table]:
     """Return the tables of all groups: first the errors of each group, then details."""
-    tables = [Table(f"Results: {group.title}", _results(group), _RESULTS) for group in groups[:1]]
-    tables += [Table(f"Results: {group.title}", _results(group)) for group in groups[1:]]
+    tables = [Table(f"Results: {group.title}", _results(group), _RESULTS * (group is groups[0])) for group in groups]
     for group in groups:
         if any(group.labels.values()):
             tables.append(Table(f"Without onsets: {group.title}", _results(group, "without_decisions")))
@@ -180,16 +175,12 @@ def _uncertainty(group: Group) -> list[dict[str, str]]:
 
 
 def _as_published(group: Group) -> list[dict[str, str]]:
-    rows = []
-    for row in group.rows:
-        mse = {split: (row[split] or {}).get("steering_rad", {}).get("mse") for split in SPLITS}
-        published = {split: getattr(row.get("paper"), f"{split}_mse", None) for split in ("train", "test")}
-        rows.append(
-            {"model": _name(row)}
-            | {split: number(value, ".5f") for split, value in mse.items()}
-            | {f"paper {split}": number(value) for split, value in published.items()}
-        )
-    return rows
+    return [
+        {"model": _name(row)}
+        | {split: number((row[split] or {}).get("steering_rad", {}).get("mse"), ".5f") for split in SPLITS}
+        | {f"paper {split}": number(getattr(row.get("paper"), f"{split}_mse", None)) for split in ("train", "test")}
+        for row in group.rows
+    ]
 
 
 def _model(row: Row) -> dict[str, str]:
@@ -239,11 +230,8 @@ def perception_tables(scores: dict[str, Any]) -> list[Table]:
         for (kind, splits), split in product(scores["motion"].items(), SPLITS)
         if (row := splits[split])
     ]
-    built = [
-        Table("Depth", _depth(scores), _DEPTH),
-        Table("Classes", classes, _CLASSES),
-        Table("Motion", motion, _MOTION),
-    ]
+    depth = Table("Depth", _depth(scores), _DEPTH)
+    built = depth, Table("Classes", classes, _CLASSES), Table("Motion", motion, _MOTION)
     return [table for table in built if table.rows]
 
 

@@ -71,7 +71,8 @@ def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path: Path) -> None:
     ],
 )
 def test_a_network_of_the_paper_is_known_by_its_settings(change: dict[str, Any], network: str | None) -> None:
-    assert paper.name(examples.ENTRY | change) == network
+    found = paper.find(examples.ENTRY | change)
+    assert found == (paper.PAPER[network] if network else None)
 
 
 def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:

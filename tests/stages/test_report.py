@@ -24,6 +24,10 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()} == {"learning", "figures"}
     examples.write_model(tmp_path, examples.metrics("sa-gnn-ncp"))
     examples.write_model(tmp_path, examples.metrics("scene", predict="path"))
+    for folder in ("", "seed-1/fold-a/"):
+        curve = tmp_path / f"train/sa-gnn-ncp/{folder}curve.csv"
+        curve.parent.mkdir(parents=True)
+        curve.write_text("epoch,learning_rate,train_loss,val_nmse\n1,0.003,0.70,0.6\n2,0.001,0.5,\n")
     scores = {split: Scores() for split in ("train", "val", "test")}
     scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
     reports = {split: score.report() for split, score in scores.items()}
@@ -38,4 +42,6 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
     assert text.index("No result here: absent.") < text.index("## Results: steering angle") < text.index("## Depth")
     metrics = json.loads(made[0]["metrics.json"])
     assert (metrics["sa-gnn-ncp.nmse"], metrics["scene.nmse_5-10m"]) == (0.2, 0.2)
+    assert made[0]["sa-gnn-ncp.csv"] == b"epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
+    assert "sa-gnn-ncp.seed-1.fold-a.csv" in made[0]
     assert b"No result here: absent." in made[0]["index.html"]

@@ -84,29 +84,25 @@ def test_each_drive_has_its_own_errors_and_training_mean(folder: Path) -> None:
 def test_odometry_needs_motion_in_all_drives_and_other_labels(
     folder: Path, monkeypatch: pytest.MonkeyPatch, source: str
 ) -> None:
-    """At horizon 0, labels from visual odometry are not compared with it. The second drive has no measurement."""
+    """At horizon 0, labels from visual odometry are not compared with it."""
     monkeypatch.setitem(artefacts.LABELS["labels"], "source", source)
-    artefacts.write_dataset(folder, dict.fromkeys(NAMES, "test"), frames=30, points=40)
     without = ["zero", "train_mean", "persistence"]
 
-    def baselines(horizon: int) -> dict[str, Any]:
+    def baselines(horizon: int, *measured: bool) -> dict[str, Any]:
+        """Return the baselines if the drives have motion, measured in all frames or in none."""
+        artefacts.write_dataset(folder, dict.fromkeys(NAMES, "test"), frames=30, points=40)
+        for drive, valid in zip(read(folder), measured, strict=False):
+            artefacts.add_motion(drive.graphs, drive.target[:, 0], np.full(30, valid))
         return scores([case(drive, np.zeros((30, 1))) for drive in read(folder, horizon)])["baselines"]
 
-    first, second = read(folder)
-    assert list(baselines(5)) == without
-    artefacts.add_motion(first.graphs, first.target[:, 0])
-    assert list(baselines(5)) == without
-    artefacts.add_motion(second.graphs, second.target[:, 0], np.zeros(30, bool))
-    assert baselines(5)["odometry"]["nmse"] is None
-    artefacts.write_dataset(folder, dict.fromkeys(NAMES, "test"), frames=30, points=40)
-    for drive in (first, second):
-        artefacts.add_motion(drive.graphs, drive.target[:, 0])
-    found = baselines(5)
+    assert list(baselines(5)) == list(baselines(5, True)) == without
+    assert baselines(5, True, False)["odometry"]["nmse"] is None
+    found = baselines(5, True, True)
     assert list(found) == [*without, "odometry", "regression"]
     for name, gain in {"odometry": 1.0, "regression": 0.5}.items():
-        ahead = np.concatenate([drive.target[5:] - gain * drive.target[:25] for drive in (first, second)])
+        ahead = np.concatenate([drive.target[5:] - gain * drive.target[:25] for drive in read(folder)])
         assert found[name]["mse"] == pytest.approx(np.mean(ahead**2), rel=1e-4)
-    assert list(baselines(0)) == without + ["odometry", "regression"] * (source == "oxts")
+    assert list(baselines(0, True, True)) == without + ["odometry", "regression"] * (source == "oxts")
 
 
 def test_scores_by_hand() -> None:
@@ -117,6 +113,9 @@ def test_scores_by_hand() -> None:
     assert result["mae"] == pytest.approx(0.1)
     assert result["rmse"] == pytest.approx(np.sqrt(0.05 / 3))
     assert set(errors.scores(np.empty(0), np.empty(0)).values()) == {0, None}
+    steering = np.sin(np.arange(300) / 20)
+    assert errors.scores(steering, 0 * steering)["nmse"] == 1.0
+    assert interval(steering, steering, np.zeros(300), 50, 200) == [1.0, 1.0]
 
 
 def settings(block: int, samples: int) -> Evaluate:
@@ -126,12 +125,6 @@ def settings(block: int, samples: int) -> Evaluate:
 def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> list[float]:
     """Return the interval for errors [N] or [S,N] in rad."""
     return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings(block, samples))
-
-
-def test_zero_prediction_has_nmse_one_and_a_degenerate_interval() -> None:
-    steering = np.sin(np.arange(300) / 20)
-    low, high = interval(steering, steering, np.zeros(300), 50, 200)
-    assert errors.scores(steering, np.zeros(300))["nmse"] == low == high == 1.0
 
 
 def test_interval_has_its_coverage() -> None:
@@ -378,25 +371,27 @@ def test_a_gap_before_a_turn_hides_its_onset() -> None:
     assert found_at((frames < 5) | (frames >= 26)) == []
 
 
+def around_a_corner(folder: Path, **reading: object) -> LabelledDrive:
+    """Return a drive whose turn begins at frame 30 and ends at frame 50."""
+    frame, path = np.arange(80), f"{NAMES[0]}.h5"
+    steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
+    artefacts.write_labels(folder / "labels" / path, NAMES[0], steering, frame, ahead_m=[0, 4, 20])
+    artefacts.write_graphs(folder / "graphs" / path, NAMES[0], steering, frame, 8, np.random.default_rng(0))
+    drive = read_drive(folder / "graphs", folder / "labels", NAMES[0], **reading)
+    assert turns.read_turns(drive).frame.tolist() == [30]
+    return drive
+
+
 @pytest.mark.parametrize(("horizon", "first"), [(0, 30), (10, 20)])
 def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: int, first: int) -> None:
-    frame = np.arange(80)
-    steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
-    artefacts.write_labels(tmp_path / f"labels/{NAMES[0]}.h5", NAMES[0], steering, frame)
-    artefacts.write_graphs(tmp_path / f"graphs/{NAMES[0]}.h5", NAMES[0], steering, frame, 8, np.random.default_rng(0))
-    drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAMES[0], horizon)
-    assert np.flatnonzero(turns.near_onsets(drive, turns.read_turns(drive))[:, 0]).tolist() == list(range(first, 41))
+    drive = around_a_corner(tmp_path, horizon=horizon)
+    near = turns.near_onsets(drive, turns.read_turns(drive))[:, 0]
+    assert np.flatnonzero(near).tolist() == list(range(first, 41))
 
 
 def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path: Path) -> None:
     """At 8 m/s and 10 Hz a frame is 0.8 m, so the far edges are 5 and 25 frames before the onset at frame 30."""
-    frame, edges_m = np.arange(80), [0, 4, 20]
-    steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
-    artefacts.write_labels(tmp_path / f"labels/{NAMES[0]}.h5", NAMES[0], steering, frame, ahead_m=edges_m)
-    artefacts.write_graphs(tmp_path / f"graphs/{NAMES[0]}.h5", NAMES[0], steering, frame, 8, np.random.default_rng(0))
-    drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAMES[0], predict="path")
-    begun = turns.read_turns(drive)
-    assert begun.frame.tolist() == [30]
-    near, far = turns.near_onsets(drive, begun).T
-    assert frame[near].tolist() == pytest.approx(np.arange(25, 41), abs=1)
-    assert frame[far].tolist() == pytest.approx(np.arange(5, 41), abs=1)
+    drive = around_a_corner(tmp_path, predict="path")
+    near, far = turns.near_onsets(drive, turns.read_turns(drive)).T
+    assert np.flatnonzero(near).tolist() == pytest.approx(np.arange(25, 41), abs=1)
+    assert np.flatnonzero(far).tolist() == pytest.approx(np.arange(5, 41), abs=1)

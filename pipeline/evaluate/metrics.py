@@ -182,6 +182,7 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
             if sigma is not None:
                 table[f"sigma_{name}"] = _text(sigma[:, number], 6)
         tables.append(table)
+    path.parent.mkdir(parents=True, exist_ok=True)
     pd.concat(tables).to_csv(path, index=False, lineterminator="\n")
 
 

@@ -8,6 +8,7 @@ import torch
 from benchmarks import bench, networks
 from benchmarks import street as measuring
 from benchmarks.street import Street, make_street
+from models.steering.core.features import node_features
 from models.steering.spatial.gnn import GCN, Options
 from pipeline.base.errors import InputError
 
@@ -52,5 +53,6 @@ def test_frames_saved_for_pyg_hold_the_same_graph(street: Street, tmp_path: Path
 def test_pyg_layers_compute_the_same(street: Street, csr: bool) -> None:
     torch.manual_seed(0)
     net, batch = GCN(1, Options(semantics=0.0)), street.batch(3)
-    expected = networks.peer(net, networks.pyg_layers(net), batch, networks.adjacency(batch, csr))
+    x, graph = node_features(batch.xyz, batch.cls, 0.0), networks.adjacency(batch, csr)
+    expected = networks.features(x, networks.pyg_layers(net), graph, batch.ptr, net.read_out)
     torch.testing.assert_close(net(batch), expected, rtol=1e-4, atol=1e-5)

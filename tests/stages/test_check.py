@@ -12,7 +12,7 @@ from stages import check
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
 PAPER = {"cnn-ncp", "gnn-lstm", "gnn-ncp", "pointnet2-lstm", "pointnet2-ncp", "do-gnn-ncp", "sa-gnn-ncp"}
-GRAPH = {"input": "semantic", "temporal": "lstm", "semantics": 1.0}
+PYG = {"input": "semantic", "spatial": "pyg", "temporal": "lstm", "semantics": 1.0}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
 DINOV2 = {"backbone": "dinov2", "model": "a/b", "depth": "depth.pth", "classes": "classes.pth", **FIT}
@@ -104,17 +104,9 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         ("models.motion-10-blind.spatial", "cnn", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
         (MODEL, {"input": "semantic", "spatial": "gnn", "temporal": "lstm"}, "semantics is missing: weight of the cl"),
-        (
-            MODEL,
-            GRAPH | {"spatial": "pyg", "layer": "GATv2"},
-            r"no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv",
-        ),
-        (
-            MODEL,
-            GRAPH | {"spatial": "pyg", "layer": "RGCNConv"},
-            "RGCNConv with options {} fails: .*num_relations",
-        ),
-        (MODEL, GRAPH | {"spatial": "pyg"}, "layer is missing: a layer of torch_geometric.nn"),
+        (MODEL, PYG | {"layer": "GATv2"}, "no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv"),
+        (MODEL, PYG | {"layer": "RGCNConv"}, "RGCNConv with options {} fails: .*num_relations"),
+        (MODEL, PYG, "layer is missing: a layer of torch_geometric.nn"),
         ("encoder.backbone", "smal", "backbone.*'small', 'street'"),
         ("encoder.weights", "no.pt", "weights: no.pt: file is missing"),
         ("encoder", {"backbone": "precomputed", "weights": "pngs", **FIT}, "folder has no PNG files"),

@@ -36,7 +36,8 @@ class GCNLayer(nn.Module):
 class GCN(nn.Module):
     """Node features → graph convolutions → mean and maximum over each frame's points → one dense layer.
 
-    On a CPU it computes block by block, so that temporaries stay in the cache.
+    A frame and its mirror image have the same graph and, but for the signs of two, the same node features. So `both`
+    convolves the two versions at once. On a CPU it works block by block, so that temporaries stay in the cache.
 
     Args:
         features: F, numbers per frame for the recurrent network.
@@ -65,10 +66,7 @@ class GCN(nn.Module):
         return torch.tanh(self.read_out(torch.cat(pooled))).unbind(1)  # in (-1,1), where LTC synapses are sensitive
 
     def convolved(self, batch: GraphBatch, versions: int) -> Tensor:
-        """Return the output of the last layer [N, S, width].
-
-        S `versions`, the frames and with 2 also their mirror images, share the graph: a node has S sets of channels.
-        """
+        """Return the output of the last layer [N, S, width] for S `versions`."""
         dtype = self.read_out.weight.dtype
         adjacency = normalised_adjacency(batch.degree, batch.indices, dtype)
         propagate: Any = SymmetricProduct.apply
@@ -79,14 +77,8 @@ class GCN(nn.Module):
         weight = torch.cat([first.weight * signs[:, None] for signs in self.signs[:versions]], dim=1)
         x = torch.addmm(first.bias.repeat(versions), x, weight).relu().view(len(x), versions, first.bias.numel())
         for layer in later:
-            inputs, outputs = layer.weight.shape
-            if inputs <= outputs:  # the sparse product runs on the narrower side
-                x = propagate(adjacency, x.flatten(1)).view_as(x)
-                x = nn.functional.linear(x, layer.weight.T, layer.bias)
-            else:
-                x = x @ layer.weight
-                x = propagate(adjacency, x.flatten(1)).view_as(x) + layer.bias
-            x = x.relu()
+            x = propagate(adjacency, x.flatten(1)).view_as(x)
+            x = nn.functional.linear(x, layer.weight.T, layer.bias).relu()
         return x
 
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import torch
 import transformers
 
@@ -41,5 +42,5 @@ def write(folder: Path) -> Path:
     }  # fmt: skip
     for name, shapes in heads.items():
         state = {f"decode_head.{tensor}": torch.rand(shape) for tensor, shape in shapes.items()}
-        torch.save({"state_dict": state, "meta": {"iter": 38400}}, folder / f"{name}.pth")
+        torch.save({"state_dict": state, "meta": {"iter": 38400, "best": np.float64(0.1)}}, folder / f"{name}.pth")
     return folder

@@ -97,8 +97,9 @@ def create_dinov2(settings: Any) -> tuple[dict[str, Any], nn.Module]:
 
 def read_head(path: Path) -> dict[str, Tensor]:
     """Return the tensors of a head's file, which stand beside numbers of its training."""
-    # numpy 1's name of the type, and its present one
-    numbers: list[Any] = [(scalar, "numpy.core.multiarray.scalar"), scalar, np.dtype, np.dtypes.Float64DType]
+    # Pickled under numpy 1's name of the type, or its present one.
+    numbers: list[Any] = [(scalar, "numpy.core.multiarray.scalar"), scalar, np.dtype]
+    numbers += [np.dtypes.Float64DType, np.dtypes.Int64DType]
     with torch.serialization.safe_globals(numbers):
         state = torch.load(path, weights_only=True, map_location="cpu")["state_dict"]
     return {name.removeprefix("decode_head."): tensor for name, tensor in state.items()}

@@ -55,6 +55,7 @@ class Examples:
             if not any(has_targets[:, column].any() for _, _, has_targets in self._drives):
                 self._stack.close()
                 fix = "Name a fitted encoder.pt in encoder.weights and set encoder.epochs: 0"
+                fix = "Write them: steer perceive" if targets else fix
                 raise InputError(f"no image of the training drives has {kind}", targets or ingest, fix)
         rows = [(i, int(row)) for i, drive in enumerate(self._drives) for row in np.flatnonzero(drive[2].any(axis=1))]
         self._frames = [rows[int(i)] for i in spread(len(rows), frames)]

@@ -6,9 +6,7 @@ from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
-import numpy as np
 import torch
-from numpy._core.multiarray import scalar
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import replacing
@@ -36,14 +34,10 @@ def read(path: Path, kind: str) -> dict[str, Any]:
 
 def load(path: Path) -> Any:
     """Return the content of a file of torch.save on the CPU. Code in it does not run: then it raises InputError."""
-    # DINOv2's published depth heads have numpy numbers beside the tensors, pickled under numpy 1's name.
-    numpy1_scalar = (scalar, "numpy.core.multiarray.scalar")
-    numbers: list[Any] = [numpy1_scalar, scalar, np.dtype, np.dtypes.Float64DType, np.dtypes.Int64DType]
     if not path.is_file():
         raise InputError("file is missing", path)
     try:
-        with torch.serialization.safe_globals(numbers):
-            return torch.load(path, weights_only=True, map_location="cpu")
+        return torch.load(path, weights_only=True, map_location="cpu")
     except PermissionError:
         raise
     except Exception as error:  # torch raises various kinds for a damaged file, OSError and UnpicklingError among them

@@ -13,6 +13,7 @@ import transformers
 from torch import nn
 
 from models.encoder import hugging_face
+from models.encoder.dinov2 import read_head
 from models.encoder.hugging_face import NUMBERS, CityscapesLogits
 from models.encoder.rtmonodepth_s import KITTI_FOCAL
 from models.encoder.unified_encoder import Architecture
@@ -99,7 +100,7 @@ def test_dinov2_has_the_depth_of_its_authors_formula(create: Create, folder: Pat
     vit = transformers.Dinov2Model.from_pretrained(folder / "dinov2").eval()
     last = vit(padded, output_hidden_states=True).hidden_states[-1]
     both = torch.cat([last[:, 1:], last[:, :1].expand(-1, 24, -1)], dim=2).mT.reshape(1, 48, 4, 6)
-    head = torch.load(folder / "depth.pth")["state_dict"]
+    head = read_head(folder / "depth.pth")
     bins = F.conv2d(F.interpolate(both, scale_factor=4, mode="bilinear"), *head.values())
     shares = bins.relu() + 0.1
     depth = (shares * torch.linspace(0.001, 80, 256).view(-1, 1, 1)).sum(1) / shares.sum(1)

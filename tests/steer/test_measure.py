@@ -132,19 +132,6 @@ def test_a_cut_is_not_a_motion(tmp_path: Path, encoder: Path) -> None:
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
 
 
-def test_a_users_files_are_kept(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing of an earlier run is replaced; without --out, the next folder is new."""
-    images, out = write_folder(tmp_path / "images", drive(4)), tmp_path / "kept"
-    write(out / "poses.txt", "mine")
-    with pytest.raises(InputError, match="exists already"):
-        measure(images, out=out, encoder=encoder, **LENS)
-    assert [path.name for path in out.iterdir()] == ["poses.txt"]
-    monkeypatch.chdir(tmp_path)
-    for _ in range(2):
-        measure(images, encoder=encoder, video=False, **LENS)
-    assert sorted(path.name for path in Path("out").iterdir()) == ["images", "images-2"]
-
-
 def test_a_killed_run_continues(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images, out = write_folder(tmp_path / "images", drive(4)), tmp_path / "out"
 
@@ -189,12 +176,16 @@ def test_an_imported_drive_has_the_same_numbers(tmp_path: Path, encoder: Path, m
 def test_unsuitable_inputs(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = write_folder(tmp_path / "images", drive(4))
     rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in drive(2)])
-    (tmp_path / "wheel.csv").write_text("frame,wheel_rad\n0,0.1\n4,0.2\n")
+    write(tmp_path / "wheel.csv", "frame,wheel_rad\n0,0.1\n4,0.2\n")
+    write(tmp_path / "kept/poses.txt", "mine")
     log: dict[str, Any] = {"wheel": tmp_path / "wheel.csv", "steering_ratio": 10.0, "video": False}
-    measure(images, out=tmp_path / "first", encoder=encoder, max_frames=3, **log, **LENS)
-    assert len(rows(tmp_path / "first")) == 3
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        measure(images, encoder=encoder, max_frames=3, **log, **LENS)
+    assert len(rows(tmp_path / "out/images")) == len(rows(tmp_path / "out/images-2")) == 3
     for path, options, problem in (
         (images, {"encoder": tmp_path}, "no encoder"),
+        (images, {"out": tmp_path / "kept"}, "exists already"),
         (rotated, {}, "taller than wide"),
         (images, log, r"wheel\.csv: has frame 4, but the last image is 3"),
         (images, {"max_frames": 4}, r"4 frames need up to 0\.0 GB"),
@@ -202,4 +193,5 @@ def test_unsuitable_inputs(tmp_path: Path, encoder: Path, monkeypatch: pytest.Mo
         if "max_frames" in options:
             monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**6))
         with pytest.raises(InputError, match=problem):
-            measure(path, out=tmp_path / problem[:6], **{"encoder": encoder, **LENS, **options})
+            measure(path, **{"encoder": encoder, **LENS, **options})
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["poses.txt"]

@@ -93,6 +93,7 @@ def test_labels_follow_the_log(tmp_path: Path, take: Take, video: Path) -> None:
 
 
 def test_angles_of_the_wheel_are_interpolated_or_by_frame(take: Take, video: Path) -> None:
+    """--start and --end leave out images."""
     for text, expected in (
         ("time_s,wheel_rad\n0.05,1.0\n0.65,-2.0\n", {n: 0.1 - 0.3 * (n / 10 - 0.05) / 0.6 for n in range(1, 7)}),
         ("frame;wheel_rad\n4;1.5\n11;3.0\n", {4: 0.15, 11: 0.3}),
@@ -100,10 +101,7 @@ def test_angles_of_the_wheel_are_interpolated_or_by_frame(take: Take, video: Pat
         drive = take(video, wheel=text, replace=True)
         assert drive.steering
         assert read_steering(drive.steering) == pytest.approx(expected)
-
-
-def test_start_and_end_leave_out_images(take: Take, video: Path) -> None:
-    drive = take(video, start=0.3, end=0.8)
+    drive = take(video, start=0.3, end=0.8, replace=True)
     assert (list(drive.images(2)), drive.oxts, drive.steering) == ([3, 4, 5, 6, 7], {}, None)
     numbers, times = drive.timeline(2)
     np.testing.assert_allclose(read_times(times, numbers), np.arange(5) / 10, atol=1e-6)

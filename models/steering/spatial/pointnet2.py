@@ -14,19 +14,23 @@ from models.steering.core.options import NetworkOptions, Semantics, Sizes
 OFFSET_M = 10.0  # scale of a neighbour's offset: balls on a street are 8 to 16 m wide
 
 
-class SetAbstraction(nn.Module):
-    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP shared by all points.
+def mlp(*widths: int) -> nn.Sequential:
+    """Return layers of a linear product, LayerNorm and ReLU.
 
-    Each layer of h is linear, LayerNorm, ReLU. The reference has BatchNorm, which would make a frame's features depend
-    on the other frames in the batch.
+    The reference has BatchNorm, which would make a frame's features depend on the other frames in the batch.
     """
+    layers: list[nn.Module] = []
+    for before, after in pairwise(widths):
+        layers += [nn.Linear(before, after), nn.LayerNorm(after), nn.ReLU(inplace=True)]
+    return nn.Sequential(*layers)
+
+
+class SetAbstraction(nn.Module):
+    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP shared by all points."""
 
     def __init__(self, inputs: int, widths: list[int]) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
-        for before, after in pairwise([3 + inputs, *widths]):
-            layers += [nn.Linear(before, after), nn.LayerNorm(after), nn.ReLU(inplace=True)]
-        self.mlp = nn.Sequential(*layers)
+        self.mlp = mlp(3 + inputs, *widths)
 
     def forward(self, xyz: Tensor, f: Tensor, centres: Tensor, neighbours: Tensor) -> Tensor:
         """Return the features [M, widths[-1]] of the centres.
@@ -67,12 +71,8 @@ class PointNet2(nn.Module):
         sizes = [[base[level], base[level], base[level + 1]] for level in range(levels)]
         inputs = [NODE_FEATURES, *(widths[-1] for widths in sizes)]
         self.levels = nn.ModuleList(SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False))
-        # Over the complete frame: one set, around the camera.
-        self.whole = SetAbstraction(inputs[-1], base[levels : levels + 3]).mlp
-        self.head = nn.Sequential(
-            *(nn.Linear(base[levels + 2], base[levels + 1]), nn.LayerNorm(base[levels + 1]), nn.ReLU()),
-            *(nn.Linear(base[levels + 1], base[levels]), nn.LayerNorm(base[levels]), nn.ReLU()),
-        )
+        self.whole = mlp(3 + inputs[-1], *base[levels : levels + 3])  # the complete frame is one set around the camera
+        self.head = mlp(*base[levels : levels + 3][::-1])
         self.read_out = nn.Linear(base[levels], features)
 
     def forward(self, batch: SetBatch) -> Tensor:

@@ -108,10 +108,7 @@ def local(name: str) -> tuple[Path, list[str]]:
     from huggingface_hub import snapshot_download
 
     with loading(name):
-        for weights in ("*.safetensors*", "pytorch_model*"):
-            folder = Path(snapshot_download(name, allow_patterns=["*config.json", weights]))
-            if any(folder.glob(weights)):
-                break
+        folder = Path(snapshot_download(name, allow_patterns=["*config.json", "*.safetensors*", "pytorch_model*"]))
     return folder, [f"https://huggingface.co/{name}/tree/{folder.name}"]
 
 
@@ -223,7 +220,7 @@ class Pyramid(nn.Module):
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
         """Return the head's output for maps of the image of `rays` [B,2,H,W]."""
         size = [side // STRIDE for side in rays.shape[-2:]]
-        y = torch.stack([resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]).sum(dim=0)
+        y = torch.stack([resized(side(x).float(), size) for side, x in zip(self.sides, maps, strict=True)]).sum(dim=0)
         result: Tensor = self.head(self.smooth(torch.cat([y, resized(rays, size)], dim=1)), rays)
         return result
 

@@ -218,12 +218,16 @@ def test_files_of_a_network_run_no_code(
     assert not sprung.exists()
 
 
-def test_a_hub_that_cannot_be_reached_is_one_line(create: Create, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_of_the_hub_names_its_revision_and_a_hub_out_of_reach_is_one_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import huggingface_hub
 
     def refuse(name: str, **_: Any) -> str:
         raise FileNotFoundError("cannot reach the hub\nPlease check your connection")
 
+    monkeypatch.setattr(huggingface_hub, "snapshot_download", lambda name, **_: folder / "swin")
+    assert hugging_face.local("a/network") == (folder / "swin", ["https://huggingface.co/a/network/tree/swin"])
     monkeypatch.setattr(huggingface_hub, "snapshot_download", refuse)
-    with pytest.raises(ValueError, match=r"^cannot load 'some/network': cannot reach the hub$"):
-        hugging_face.local("some/network")
+    with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
+        hugging_face.local("a/network")

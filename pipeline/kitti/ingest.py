@@ -33,7 +33,7 @@ Files = Mapping[int, Path]
 UNITS = {"image": "RGB", "depth": "1/256 m, 0 = none", "cls": f"trainId, {VOID} = void"}
 describe = (
     "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
-    "steering angles; {left_out} images or scans without a frame, {faults} damaged files left out"
+    "steering angles; {left_out} images or scans without a frame, {damaged} damaged files left out"
 ).format_map
 
 
@@ -121,8 +121,8 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
-    reader, (numbers, times) = _Reader(tolerant=skip), files.timeline(number)
-    read = {frame: reader.read("oxts", packets.read_row, files.oxts, frame) for frame in numbers}
+    damaged, (numbers, times) = list[DamagedFile](), files.timeline(number)
+    read = {frame: _read(packets.read_row, files.oxts, frame, damaged) for frame in numbers}
     oxts = {frame: row for frame, row in read.items() if row is not None}
     if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()) or (skip and files.oxts and not oxts):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
@@ -131,9 +131,9 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
     time_s = dict(zip(numbers, packets.read_times(times, numbers).tolist(), strict=True))
     images = {} if number is None else files.images(number)
     truth = {"depth": files.truth_depth, "cls": files.truth_cls} if camera else {}
-    frames = {frame: time_s[frame] for frame in (oxts if skip and oxts else numbers)}
+    kept_s = {frame: time_s[frame] for frame in oxts or numbers}
     summary = ingest_drive(
-        reader.frames(frames, camera, images, truth, scans),
+        _frames(kept_s, camera, images, truth, scans, damaged),
         path,
         drive=drive,
         camera=camera,
@@ -143,45 +143,39 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
         steering_rad=packets.read_steering(files.steering) if files.steering else None,
         number=-1 if number is None else number,
     )
-    damaged = {kind: len(errors) for kind, errors in reader.damaged.items()}
+    if damaged and not skip:
+        faults = "; ".join(f"{error.where}: {error.problem}" for error in damaged)
+        fix = "Extract them again, or set ingest.on_damaged: skip to leave them out"
+        raise DamagedFile(faults, f"{len(damaged)} damaged files", fix)
     left_out = len({*images, *scans} - {*numbers})
-    return summary | {"camera": number, "left_out": left_out, "damaged": damaged, "faults": sum(damaged.values())}
+    return summary | {"camera": number, "left_out": left_out, "damaged": len(damaged)}
 
 
-class _Reader:
-    """Read files of single frames, and collect the errors of damaged ones by kind; these count as missing."""
+def _read(
+    read: Callable[[Path], np.ndarray], files: Files, number: int, damaged: list[DamagedFile]
+) -> np.ndarray | None:
+    """Return the content of a frame's file; None if there is none or it is damaged, with its error in `damaged`."""
+    try:
+        return read(files[number]) if number in files else None
+    except DamagedFile as error:
+        damaged.append(error)
+        return None
 
-    def __init__(self, tolerant: bool) -> None:
-        self._tolerant = tolerant
-        self.damaged: dict[str, list[DamagedFile]] = {}
 
-    def read(self, kind: str, read: Callable[[Path], np.ndarray], files: Files, number: int) -> np.ndarray | None:
-        """Return the content of a frame's file; None if there is none or it is damaged."""
-        try:
-            return read(files[number]) if number in files else None
-        except DamagedFile as error:
-            self.damaged.setdefault(kind, []).append(error)
-            return None
-
-    def frames(
-        self,
-        time_s: Mapping[int, float],
-        camera: Camera | None,
-        images: Files,
-        truth: Mapping[str, Files],
-        scans: Files,
-    ) -> Iterator[Frame]:
-        """Yield the frames of `time_s`, number → seconds. Raises DamagedFile at the end, unless tolerant."""
-        for number, seconds in time_s.items():
-            frame = Frame(number, seconds, scan=self.read("lidar", read_scan, scans, number))
-            if camera:
-                frame.image = self.read("image", partial(read_image, size=camera.size), images, number)
-                depth = self.read("depth", partial(read_depth, size=camera.size), truth["depth"], number)
-                frame.depth_m = None if depth is None else to_metres(depth)
-                frame.cls = self.read("cls", partial(read_classes, size=camera.size), truth["cls"], number)
-            yield frame
-        errors = [error for errors in self.damaged.values() for error in errors]
-        if errors and not self._tolerant:
-            faults = "; ".join(f"{error.where}: {error.problem}" for error in errors)
-            fix = "Extract them again, or set ingest.on_damaged: skip to leave them out"
-            raise DamagedFile(faults, f"{len(errors)} damaged files", fix)
+def _frames(
+    time_s: Mapping[int, float],
+    camera: Camera | None,
+    images: Files,
+    truth: Mapping[str, Files],
+    scans: Files,
+    damaged: list[DamagedFile],
+) -> Iterator[Frame]:
+    """Yield the frames of `time_s`, number → seconds."""
+    for number, seconds in time_s.items():
+        frame = Frame(number, seconds, scan=_read(read_scan, scans, number, damaged))
+        if camera:
+            frame.image = _read(partial(read_image, size=camera.size), images, number, damaged)
+            depth = _read(partial(read_depth, size=camera.size), truth["depth"], number, damaged)
+            frame.depth_m = None if depth is None else to_metres(depth)
+            frame.cls = _read(partial(read_classes, size=camera.size), truth["cls"], number, damaged)
+        yield frame

@@ -190,7 +190,7 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
 def _ingest(path: Path, *, source: Source, reading: Reading, advance: Callable[[int], object]) -> dict[str, Any]:
     if source.drive:
         summary = ingest_kitti(path, drive=source.name, folder=source.drive.folder, settings=reading)
-        source.notes.extend(f"{number} damaged {kind} left out" for kind, number in summary["damaged"].items())
+        source.notes.append(f"{summary['damaged']} damaged files left out")
         return summary
 
     def frames() -> Iterator[Frame]:

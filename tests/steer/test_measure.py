@@ -84,7 +84,7 @@ def test_a_drive_is_compared_with_its_recorded_angles(
     write(folder / "steering.csv", "frame,steering_rad\n" + "".join(f"{row},{ANGLE}\n" for row in range(5, 20)))
     (folder / "image_02/data/0000000017.png").write_bytes(b"damaged")
     measure(folder, out=tmp_path / "out", encoder=encoder)
-    assert "1 damaged image left out" in capsys.readouterr().out
+    assert "1 damaged files left out" in capsys.readouterr().out
     comparison = json.loads((tmp_path / "out/quality.json").read_text())["comparison"]
     assert (comparison["truth"], comparison["frames"]) == ("steering.csv", 13)  # 17 is damaged, 18 follows a gap
     assert comparison["measured"]["rmse_deg"] < 0.6

@@ -155,7 +155,7 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(
     assert sorted(predicted) == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
     assert [frame for frame, known in predicted.items() if not known] == [0, 5, 9]
     text = capsys.readouterr().out
-    assert "1 damaged image left out" in text
+    assert "1 damaged files left out" in text
     assert "of another encoder" in text
     predict(root / f"{TEST}_sync", model=folder / "data/train/scans", out=tmp_path / "scans", video=False)
     scanned = [int(row["frame"]) for row in read(tmp_path / "scans/steering.csv")]

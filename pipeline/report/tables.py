@@ -185,7 +185,7 @@ def _as_published(group: Group) -> list[dict[str, str]]:
 
 def _model(row: Row) -> dict[str, str]:
     entry, unpruned = row["entry"], row["edges_per_frame_unpruned"]
-    cell = entry.get("cell") if entry["temporal"] == "ncp" else None
+    layer, cell = (f" ({entry[key]})" if key in entry else "" for key in ("layer", "cell"))  # of pyg, of ncp
     roads = f" ({entry['roads']} roads)" if entry.get("roads") is not None else ""
     names = ("semantics", "window", "equivariant", "motion")
     return {
@@ -194,8 +194,8 @@ def _model(row: Row) -> dict[str, str]:
         "points": number(row["points_per_frame"], ",.0f"),
         "edges": number(unpruned, ",.0f"),
         "pruned": number(1 - row["edges_per_frame"] / unpruned if unpruned else None, ".0%"),
-        "spatial": entry["spatial"],
-        "temporal": entry["temporal"] + (f" ({cell})" if cell else ""),
+        "spatial": entry["spatial"] + layer,
+        "temporal": entry["temporal"] + cell,
         **{name: number(entry.get(name)) for name in names},
         "fit": f"{entry['fit_to']}{roads}",
     }

@@ -36,14 +36,16 @@ def main(
     entry, settings = load_entry(Entry, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
     variant, where = graphs / entry.input, f"{params}: models.{name}"
+    splits = store.read_index(variant, stage="graphs")
     with error_context(where=where):
-        folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
-    names = dict.fromkeys(drive for fold in folds for drive in fold.train + fold.val)
+        folds = runs.folds(splits, entry.fit_to, entry.roads)
+    parts = [part for fold in folds for part in (fold.train, fold.val)] + [tuple(store.drives_in(splits, "test"))]
+    names = dict.fromkeys(drive for part in parts for drive in part)
     drives = {drive: read_drive(variant, labels, drive, **entry.reading) for drive in names}
     with stage_folder(f"train@{name}", out / name) as folder:
-        for fold in folds:  # errors before the first network is trained
-            for part in filter(None, (fold.train, fold.val)):
-                check([drives[drive] for drive in part], entry.window)
+        for part in filter(None, parts):  # errors before the first network is trained
+            check([drives[drive] for drive in part], entry.window)
+        for fold in folds:
             Scale.from_drives([drives[drive] for drive in fold.train])
         if not folds[0].val:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)

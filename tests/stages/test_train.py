@@ -127,23 +127,13 @@ def test_mirrored_drives_give_the_mirrored_path(folder: Path) -> None:
     assert np.nanmax(np.abs(left.mean)) > 1e-3
 
 
-def test_the_control_with_another_scene_learns_nothing(folder: Path) -> None:
-    errors = {}
-    for scene in ("same", "another"):
-        write_params(folder, {"predict": "path", "scene": scene}, epochs=12, average=0.0)
-        run_train(folder)
-        errors[scene] = nmse(folder, "train")
-    assert errors["same"] < 0.75
-    assert errors["another"] > 0.9
-
-
 @pytest.mark.parametrize(
     ("frames", "edges_m", "scale", "entry", "problem"),
     [
         (60, [], 1.0, {"predict": "path"}, r"labels/2026.*no path ahead.*dvc repro labels"),
         (5, EDGES_M, 1.0, {"predict": "path"}, "no window of 4 consecutive frames with a driven path of 5 m ahead of"),
         (20, EDGES_M, 1.0, {"predict": "path"}, "path from 10 to 20 m"),
-        (20, [], 0.0, {}, "every valid label of 2026.* is 0"),
+        (20, [], 0.0, {}, f"every valid label of {TEST} is 0"),
         (20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
     ],
 )
@@ -153,8 +143,8 @@ def test_drives_that_teach_nothing_are_refused(
     artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=20, ahead_m=edges_m)
     for drive in SPLITS:
         artefacts.add_motion(tmp_path / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.zeros(frames, bool))
-        with h5py.File(tmp_path / f"labels/{drive}.h5", "a") as file:
-            file["steering_rad"][:] *= scale
+    with h5py.File(tmp_path / f"labels/{TEST}.h5", "a") as file:
+        file["steering_rad"][:] *= scale
     write_params(tmp_path, entry, epochs=1)
     with pytest.raises(InputError, match=problem) as raised:
         run_train(tmp_path)

@@ -139,21 +139,6 @@ def test_interval_has_its_coverage() -> None:
     assert 24 <= hits <= 30
 
 
-def test_scores_over_seeds_are_means() -> None:
-    rng = np.random.default_rng(0)
-    steering, drive = rng.normal(size=400), np.repeat([0, 1], 200)
-    seeds = steering + rng.normal(size=(3, 400)) * np.array([[0.3], [0.5], [0.7]])
-    alone = [errors.scores(steering, one_seed) for one_seed in seeds]
-    both = errors.scores(steering, seeds)
-    assert both["frames"] == 400
-    for key in ("mse", "nmse", "mae"):
-        assert both[key] == pytest.approx(np.mean([scores[key] for scores in alone]))
-    # An error whose square is the seeds' mean square, frame by frame, has the same interval.
-    typical = np.sqrt(((seeds - steering) ** 2).mean(axis=0))
-    both = interval(steering, seeds - steering, drive, 50, 300)
-    assert both == pytest.approx(interval(steering, typical, drive, 50, 300))
-
-
 def test_interval_draws_drives_and_circular_blocks_within_them() -> None:
     steering = np.concatenate([np.full(20, 0.1), np.full(20, 0.3)])
     error = np.concatenate([np.full(20, 0.1), np.zeros(20)])

@@ -21,7 +21,7 @@ from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, fit, loop, predict, runs, scale, windows
 from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drives
-from pipeline.train.scale import WITHIN, Prediction, Scale
+from pipeline.train.scale import Prediction, Scale
 from tests import artefacts, small_model
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
@@ -147,13 +147,12 @@ def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(or
 
 
 def test_training_of_the_control_draws_far_scenes(original: Path) -> None:
-    drives, control = read(original, 4), read(original, 4, scene="another")
-    drawn = [windows.random_spans(control, 4, 3, np.random.default_rng(seed)) for seed in (0, 0, 1)]
-    assert drawn[0] == drawn[1] != drawn[2]
-    shifts = {span.shift for spans in drawn for span in spans}
-    assert len(shifts) > 5
-    assert (min(shifts) >= 5, max(shifts) <= 18) == (True, True)
-    assert {span.shift for span in windows.random_spans(drives, 4, 3, np.random.default_rng(0))} == {0}
+    for scene, shifts in {"same": {0}, "another": {*range(5, 19)}}.items():
+        rng = np.random.default_rng(0)
+        drawn = {
+            span.shift for _ in range(20) for span in windows.random_spans(read(original, 4, scene=scene), 4, 3, rng)
+        }
+        assert drawn == shifts
 
 
 # Readers and augmentation
@@ -341,19 +340,6 @@ def test_nmse_is_1_for_zero_and_ignores_unknown_frames(drives: list[LabelledDriv
     for factor, expected in ((0.0, 1.0), (0.5, 0.25), (np.nan, np.nan)):
         predicted = [Prediction(np.where(d.frame[:, None] < 4, np.nan, factor * d.target)) for d in drives]
         assert scale.nmse(drives, predicted) == pytest.approx(expected, nan_ok=True)
-
-
-def test_calibrated_sigma_fits_the_errors(drives: list[LabelledDrive]) -> None:
-    rng, scale = np.random.default_rng(0), Scale.from_drives(drives)
-    errors, sigma = [rng.normal(size=d.target.shape) for d in drives], np.full_like(drives[0].target, 0.5)
-    predicted = [Prediction(d.target + error, sigma, sigma) for d, error in zip(drives, errors, strict=True)]
-    new = scale.calibrated(drives, predicted)
-    ratio = np.concatenate([np.where(d.valid, np.abs(e), np.nan) for d, e in zip(drives, errors, strict=True)]) / 0.5
-    if drives[0].ahead_m:
-        assert np.nanquantile(ratio, WITHIN, axis=0) == pytest.approx(new.sigma_factor)
-    else:
-        assert np.nanmean(ratio**2, axis=0) == pytest.approx(new.sigma_factor**2)
-    assert np.nanquantile(ratio, 0.95, axis=0) == pytest.approx(new.interval_95 * new.sigma_factor)
 
 
 def test_targets_of_a_step_are_standardised_weighted_and_mirrored() -> None:

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from models.encoder.unified_encoder import BUILD, ray_slopes
+from models.encoder.heads import ray_slopes
+from models.encoder.unified_encoder import BUILD
 from pipeline.camera import classes
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.perception.perceive import save

@@ -4,23 +4,31 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.heads import CellClasses, CellDepth, Pointwise
+from models.encoder.heads import CellClasses, CellDepth, Pointwise, ray_slopes, rgb_0_1
 
+MEAN, STD, STRIDE = 0.45, 0.25, 2
 WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
 
 
-def small() -> tuple[nn.Module, nn.Module, nn.Module]:
-    """Return backbone, depth head and class head; both heads read the backbone's one map."""
-    return Small(), CellDepth(Small.channels, Small.stride), CellClasses(Small.channels, Small.stride)
-
-
 class Small(nn.Module):
-    """U-Net: four halvings down, three doublings up with skips, for a receptive field of most of the image."""
+    """A backbone whose map both heads read."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.backbone = UNet()
+        self.depth_head, self.class_head = CellDepth(UNet.channels, STRIDE), CellClasses(UNet.channels, STRIDE)
+
+    def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+        # At a fixed camera height the slope of a pixel's ray determines the depth of the ground for any focal length.
+        rays = ray_slopes(K, image.shape[-2:])
+        features = self.backbone((rgb_0_1(image) - MEAN) / STD, rays)
+        return self.depth_head(features, rays), self.class_head(features, rays)
+
+
+class UNet(nn.Module):
+    """Four halvings down, three doublings up with skips, for a receptive field of most of the image."""
 
     channels = 2 * WIDTHS[0]
-    stride = 2
-    mean = (0.45, 0.45, 0.45)
-    std = (0.25, 0.25, 0.25)
 
     def __init__(self) -> None:
         super().__init__()

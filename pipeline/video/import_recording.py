@@ -56,10 +56,6 @@ def import_drives(
     """Write a recording as drives below `root`; images without motion, if there is a log of it, are left out.
 
     Args:
-        recording: of undistorted images.
-        camera: of its images.
-        logs: of motion, and of the steering wheel.
-        root: a folder in KITTI raw's layout.
         drive: name of the first; the others have the following numbers.
         shares: of the duration, one for each drive; see :func:`cut`.
         start_s, end_s: images before and after are left out; since the first image.

@@ -26,17 +26,10 @@ MIN_DRIVEN_MPS = 1.0  # of frames whose speeds are compared
 def measure(
     source: Source, out: Path | None, encoder: Path, car: Car, logs: Logs, *, video: bool
 ) -> tuple[list[str], list[Path]]:
-    """Write motion.csv, track.png, quality.json and overlay.mp4; return lines for the user, and the files.
+    """Write motion.csv, track.png, quality.json and overlay.mp4, if `video`; return lines for the user, and the files.
 
-    Args:
-        source: frames.
-        out: new or empty folder; None: out/NAME.
-        encoder: folder of an encoder.
-        car: for the steering angle.
-        logs: of what was driven.
-        video: write overlay.mp4.
-    Raises:
-        InputError: `out` is not free, no frame can be read, or a log is unusable.
+    `out`: a new or empty folder; None: out/NAME. `encoder`: a folder. Raises InputError if `out` is not free, no frame
+    can be read, or a log is unusable.
     """
     work = work_folder(out, source, encoder)
     run_chain(source, work, READING, Perception(batch=4), encoder)

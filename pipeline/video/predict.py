@@ -37,12 +37,8 @@ def predict(
 ) -> tuple[list[str], list[Path]]:
     """Write steering.csv, track.png and overlay.mp4; return lines for the user, and the files.
 
-    Args:
-        model: from :func:`pipeline.train.predict.load`.
-        source, out, encoder, logs, video: as of :func:`pipeline.video.measure.measure`.
-    Raises:
-        InputError: the source lacks an input of the model, `out` is not free, no frame can be read, or a log is
-            unusable.
+    Arguments and errors as of :func:`pipeline.video.measure.measure`. Raises InputError also if the source lacks an
+    input of the model.
     """
     settings = model.settings
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])

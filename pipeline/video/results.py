@@ -25,7 +25,7 @@ from pipeline.video.source import INGEST, MOTION, Source
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
 HEIGHT_SCALE = 0.2  # relative standard deviation of the speed if the camera's height over the road is unknown
 BLOCK_S = 5.0  # errors of nearer frames are correlated, for the interval of nmse
-DIGITS = {"driven_rad": 9, "residual": 3}  # others: 6
+FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}  # others: ".6f"
 
 
 class Truth(NamedTuple):
@@ -63,12 +63,7 @@ def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known
 
     x and y are the position ahead and to the left of the first frame. ``speed_sigma`` and ``measured_sigma_rad`` are
     standard deviations, that of the speed relative. Curvature and angle are also NaN below the minimum speed.
-
-    Args:
-        motion: the file.
-        car: for the steering angle.
-        look_ahead: rates are means over neighbouring frames, later ones included; False: the causal rates.
-        height_known: of the camera over the road.
+    `look_ahead`: as of :func:`pipeline.labels.sources.measured_rates`; `height_known`: of the camera over the road.
     """
     valid, time_s = motion["valid"].astype(bool), motion.time_s
     yaw_rate, speed_mps, yaw_sigma, speed_sigma = sources.measured_rates(motion, look_ahead=look_ahead)
@@ -151,11 +146,14 @@ class Results:
         for suffix, values in (("1pm", self.path_1pm), ("sigma_1pm", self.path_sigma_1pm)):
             if values is not None:
                 table |= {f"{name}_{suffix}": column for name, column in zip(names, values.T, strict=True)}
-        texts = [[_format(name, value) for value in values.tolist()] for name, values in table.items()]
+        columns = [
+            ["" if math.isnan(value) else format(float(value), FORMATS.get(name, ".6f")) for value in values.tolist()]
+            for name, values in table.items()
+        ]
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(["drive", *table])
-            writer.writerows([self.name, *row] for row in zip(*texts, strict=True))
+            writer.writerows([self.name, *row] for row in zip(*columns, strict=True))
 
     def lines(self, comparison: Mapping[str, Any] | None) -> Iterator[str]:
         """Yield text for the user: why motion could not be measured, and the result of :meth:`compare`."""
@@ -195,12 +193,6 @@ class Results:
         settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, curvature_bins_1pm=[1.0], seed=0)
         scores = {name: _errors(target_rad[used], angle[used], settings) for name, angle in angles.items()}
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **scores}
-
-
-def _format(name: str, value: float) -> str:
-    if math.isnan(value):
-        return ""
-    return str(int(value)) if name in ("frame", "valid", "points") else f"{value:.{DIGITS.get(name, 6)}f}"
 
 
 def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:

@@ -51,12 +51,11 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
     """Open a KITTI drive's folder, a folder of images, or a video.
 
     Args:
-        path: file or folder.
         cameras: of a KITTI drive; the first one with images is used.
         height_m: of the camera over the road; None: from a KITTI drive's calibration, else unknown.
         how: ``max_frames``, and what :func:`open_camera` gets, of other recordings.
-    Raises:
-        InputError: it is none of them, lacks a calibration, or cannot be read.
+
+    Raises InputError if it is none of them, lacks a calibration, or cannot be read.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     if drive and any(drive.images(camera) for camera in cameras):
@@ -114,13 +113,9 @@ def open_camera(
     horizon: float | None = None,
     **lens: Any,
 ) -> tuple[Recording, Camera]:
-    """Open a recording of rectified images, and return it with its camera.
+    """Open a recording of rectified images, and return it with its camera, whose horizon is estimated if it is None.
 
-    Args:
-        fps, times: as of :func:`open_recording`.
-        distortion: of the lens, as of :func:`undistortion`.
-        horizon: row; None: estimated.
-        lens: intrinsics, as of :func:`pinhole`.
+    Other arguments as of :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
     """
     recording = open_recording(path, fps, times)
     if recording.size[0] > recording.size[1]:
@@ -158,14 +153,8 @@ def publish(work: Path) -> list[Path]:
 def run_chain(source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path) -> None:
     """Write ingest.h5, perception.h5 and motion.h5 to the folder `work`; files of an earlier run are kept.
 
-    Args:
-        source: frames are stored at ``reading.image_size``.
-        work: folder.
-        reading: settings of ingest.
-        perception: settings; the camera's height is that of the source.
-        encoder: folder of an encoder.
-    Raises:
-        InputError: no frame can be read, or the disk is too small.
+    The camera's height is that of the source, not of `perception`. `encoder`: a folder. Raises InputError if no frame
+    can be read, or the disk is too small.
     """
     height, width = reading.image_size
     needed, free = (source.count or 0) * height * width * BYTES_PER_PIXEL, shutil.disk_usage(work).free

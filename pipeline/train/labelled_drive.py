@@ -48,14 +48,14 @@ class Timeline:
         stretches = consecutive(graphs.frame)
         dt_s = np.diff(graphs.time_s, prepend=np.nan)
         dt_s[[start for start, _ in stretches]] = NOMINAL_STEP_S
-        values, columns = np.zeros(len(graphs.frame)), None
+        offset, columns = np.zeros(len(graphs.frame)), None
         if motion != "none":
             if (measured := graphs.motion) is None:
                 raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
             columns = np.stack([label.measured_angle(*measured, **vars(car)), *measured], axis=1).astype(np.float32)
-            values = _measured(measured, car, predict) if base == "motion" else values
-        frames = graphs.path, graphs.frame, graphs.time_s, dt_s.astype(np.float32)
-        return cls(*frames, stretches, values, columns, scene)
+            offset = _measured(measured, car, predict) if base == "motion" else offset
+        times = graphs.time_s, dt_s.astype(np.float32)
+        return cls(graphs.path, graphs.frame, *times, stretches, offset, columns, scene)
 
     def scene_shift(self, rng: np.random.Generator | None = None) -> int:
         """Return the number of rows from the frames of a span to the frames whose scenes it gets, 0 with scene: same.
@@ -99,13 +99,6 @@ class LabelledDrive(Timeline):
         return np.where(self.valid, self.target, np.nan)
 
 
-def read_drives(graphs: Path, labels: Path, names: Sequence[str], window: int, **reading: Any) -> list[LabelledDrive]:
-    """Read drives with further arguments of :func:`read_drive`, and :func:`check` them."""
-    drives = [read_drive(graphs, labels, name, **reading) for name in names]
-    check(drives, window)
-    return drives
-
-
 def check(drives: Sequence[LabelledDrive], window: int) -> None:
     """Raise InputError if drives can neither train nor evaluate: no point, no window with a target, all labels 0."""
     names, first = ", ".join(drive.name for drive in drives), drives[0]
@@ -140,10 +133,8 @@ def read_drive(
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
     with graph_file.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
         row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
-        here, then = (
-            np.array([row_of.get(number + ahead, -1) for number in file.frame.tolist()], np.int64)
-            for ahead in (0, horizon)
-        )
+        rows = [[row_of.get(number + ahead, -1) for number in file.frame.tolist()] for ahead in (0, horizon)]
+        here, then = np.array(rows, np.int64)
         if (here < 0).any():
             problem = f"no label for frame {file.frame[here < 0][0]} of {graphs}"
             raise InputError(problem, labels, "Make both again: dvc repro")

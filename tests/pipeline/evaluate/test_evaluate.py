@@ -14,7 +14,7 @@ from pipeline.kitti import oxts
 from pipeline.kitti.raw import KittiDrive
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
-from pipeline.train.labelled_drive import LabelledDrive, read_drive, read_drives
+from pipeline.train.labelled_drive import LabelledDrive, read_drive
 from pipeline.train.scale import Prediction, Scale
 from tests import artefacts
 
@@ -23,7 +23,7 @@ NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
 def read(folder: Path, horizon: int = 0) -> list[LabelledDrive]:
-    return read_drives(folder / "graphs/semantic", folder / "labels", NAMES, 4, horizon=horizon)
+    return [read_drive(folder / "graphs/semantic", folder / "labels", name, horizon) for name in NAMES]
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from pipeline.graphs.graph_file import Arrays, collate, open_graphs
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, fit, loop, predict, runs, scale, windows
-from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drives
+from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drive
 from pipeline.train.scale import Prediction, Scale
 from tests import artefacts, small_model
 
@@ -44,8 +44,8 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def read(folder: Path, window: int = 8, names: Sequence[str] = NAMES, **reading: object) -> list[LabelledDrive]:
-    return read_drives(folder / "graphs/semantic", folder / "labels", names, window, **reading)
+def read(folder: Path, names: Sequence[str] = NAMES, **reading: object) -> list[LabelledDrive]:
+    return [read_drive(folder / "graphs/semantic", folder / "labels", name, **reading) for name in names]
 
 
 def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: int = 8) -> Arrays:
@@ -92,7 +92,7 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder: Path) 
     graphs, labels = folder / f"graphs/semantic/{NAMES[0]}.h5", folder / f"labels/{NAMES[0]}.h5"
     artefacts.write_labels(labels, NAMES[0], steering, frame, valid)
     artefacts.write_graphs(graphs, NAMES[0], np.zeros(22), frame[:22], 12, np.random.default_rng(0))
-    (drive,) = read(folder, 4, NAMES[:1], horizon=5)
+    (drive,) = read(folder, NAMES[:1], horizon=5)
     ahead = {int(number): row for row, number in enumerate(frame)}
     for row, number in enumerate(drive.frame + 5):
         known = int(number) in ahead
@@ -149,9 +149,7 @@ def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(or
 def test_training_of_the_control_draws_far_scenes(original: Path) -> None:
     for scene, shifts in {"same": {0}, "another": {*range(5, 19)}}.items():
         rng = np.random.default_rng(0)
-        drawn = {
-            span.shift for _ in range(20) for span in windows.random_spans(read(original, 4, scene=scene), 4, 3, rng)
-        }
+        drawn = {span.shift for _ in range(20) for span in windows.random_spans(read(original, scene=scene), 4, 3, rng)}
         assert drawn == shifts
 
 
@@ -160,7 +158,7 @@ def test_training_of_the_control_draws_far_scenes(original: Path) -> None:
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_batches_are_the_same_with_each_reader(original: Path, workers: int) -> None:
-    drives = read(original, 4)
+    drives = read(original)
     groups = [(windows.Span(n % 2, n, n + 9), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
     factors = np.random.default_rng(0).uniform(0.8, 1.2, (6, 2)).astype(np.float32)
     steps = [windows.Step(group, factor) for group, factor in zip(groups, factors, strict=True)]
@@ -177,7 +175,7 @@ def test_batches_are_the_same_with_each_reader(original: Path, workers: int) -> 
 def test_hidden_motion_is_not_measured_and_has_no_base(folder: Path) -> None:
     for name in NAMES:
         artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(23, 0.2))
-    moving = read(folder, 4, horizon=5, motion="visual")
+    moving = read(folder, horizon=5, motion="visual")
     spans = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
     with windows.Reader(moving, 4) as reader:
         shown, half = (reader[windows.Step(spans, hide_motion=hidden)] for hidden in (None, np.array([False, True])))
@@ -197,7 +195,7 @@ def test_motion_is_hidden_from_half_of_the_spans_if_the_target_lies_ahead(
     line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
     entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
-    fitting = fit.Fit(entry.build("graph"), entry, settings, 0, read(original, 4, horizon=ahead), [])
+    fitting = fit.Fit(entry.build("graph"), entry, settings, 0, read(original, horizon=ahead), [])
     hidden = [step.hide_motion for step in fitting._plan(epoch=1) if step.hide_motion is not None]
     assert bool(hidden) == hides
     assert not hides or 0.3 < np.concatenate(hidden).mean() < 0.7
@@ -305,7 +303,7 @@ def drives(request: pytest.FixtureRequest, tmp_path: Path) -> list[LabelledDrive
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, factor in zip(NAMES, (0.2, -0.3), strict=True):
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", factor * np.sin(np.arange(40) / 5))
-    return read(tmp_path, 4, motion="visual", **request.param)
+    return read(tmp_path, motion="visual", **request.param)
 
 
 def test_scale_is_the_regression_and_spread_of_the_residual(drives: list[LabelledDrive]) -> None:

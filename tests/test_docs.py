@@ -84,7 +84,7 @@ def test_names_exist(page: Path) -> None:
 
 
 def test_examples_name_drives_and_frames_of_the_sample() -> None:
-    texts = [(ROOT / name).read_text() for name in ("README.md", "pipeline/train/predict.py", "steer/show.py")]
+    texts = [(ROOT / name).read_text() for name in ("README.md", "pipeline/train/predict.py", "steer/app.py")]
     drives = load(Ingest, ROOT / "params.yaml").drives.splits()
     last = load(Sample, ROOT / "params.yaml").frames["test"] - 1
     for text in texts:

@@ -70,7 +70,7 @@ def import_drives(
     with ExitStack() as stack:
         unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
         time_s = _write_images(unfinished[0], recording, start_s, end_s)
-        if logs.wheel:
+        if logs.wheel and end_s == math.inf:
             logs.wheel.check_frames(len(time_s) - 1)
         usable = time_s - time_s[0] > start_s - ROUNDING_S
         if logs.motion:

@@ -321,22 +321,16 @@ def test_interpolation_ends_at_gaps_and_at_the_ends() -> None:
 
 
 CAR, COUNT = Car(2.7, 1.0), 11
-RADIUS_M, TURN_RAD = 10.0, np.pi / 2
 READING = Reading(image_size=(32, 32), cameras=[2], lidar=False, on_damaged="fail")
 
 
-def quarter() -> Results:
-    """A quarter of a circle to the left; the first frame and the sixth are not measured."""
-    heading = TURN_RAD * np.arange(COUNT) / 10
-    valid = ~np.isin(np.arange(COUNT), [0, 5])
-    place = RADIUS_M * np.sin(heading), RADIUS_M * (1 - np.cos(heading)), heading
-    columns = dict(zip(("x_m", "y_m", "heading_rad"), place, strict=True)) | {"measured_rad": np.full(COUNT, 0.2)}
-    columns |= {"speed_mps": np.full(COUNT, 5.0)}
-    table = {name: np.where(valid, values, np.nan) for name, values in columns.items()}
+def driven() -> Results:
+    """A drive whose first and sixth frame are not measured."""
+    valid, truth = ~np.isin(np.arange(COUNT), [0, 5]), np.full(COUNT, 0.1)
+    table = {"measured_rad": np.where(valid, 0.2, np.nan), "speed_mps": np.where(valid, 5.0, np.nan)}
     table |= {"frame": np.arange(COUNT), "time_s": np.arange(COUNT) / 10, "valid": valid.astype(np.uint8)}
-    table["driven_rad"] = np.full(COUNT, 0.1)
-    truth = Truth("log.csv", "wheel_rad", table["driven_rad"], np.full(COUNT, np.nan))
-    return Results("drive", table, ["" if ok else PROBLEMS[4] for ok in valid], truth)
+    problems = ["" if ok else PROBLEMS[4] for ok in valid]
+    return Results("drive", table | {"driven_rad": truth}, problems, Truth("log.csv", "wheel_rad", truth, truth))
 
 
 def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> None:
@@ -368,10 +362,8 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> N
 def test_truth_is_that_of_the_logs_or_of_the_drive(
     tmp_path: Path, wheel: str | None, motion: str | None, expected_rad: list[float]
 ) -> None:
-    frames, files = (
-        [Frame(number, number / 10) for number in range(4)],
-        [tmp_path / "wheel.csv", tmp_path / "motion.csv"],
-    )
+    frames = [Frame(number, number / 10) for number in range(4)]
+    files = [tmp_path / "wheel.csv", tmp_path / "motion.csv"]
     recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
     if motion == "oxts":  # whose angles are unknown at standstill
         motion, recorded = None, {"oxts": dict(enumerate(make_rows(4, vf=np.array([10, 0.5, 10, 0.5]), wu=0.5)))}
@@ -392,12 +384,12 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(
 
 def test_comparison_by_its_definition(tmp_path: Path) -> None:
     """With the angle two frames later; the measured angle is held where it is not known."""
-    results, rng = quarter(), np.random.default_rng(0)
-    driven = rng.normal(0, 0.1, COUNT)
-    results.table["driven_rad"], results.table["predicted_rad"] = driven, np.where(np.arange(COUNT) < 3, np.nan, 0.05)
+    results, rng = driven(), np.random.default_rng(0)
+    results.table["driven_rad"] = rng.normal(0, 0.1, COUNT)
+    results.table["predicted_rad"] = np.where(np.arange(COUNT) < 3, np.nan, 0.05)
     comparison = results.compare("predicted", 2)
     assert comparison
-    target = driven[5:]
+    target = results.table["driven_rad"][5:]
     assert (comparison["truth"], comparison["frames"], comparison["horizon"]) == ("log.csv", 6, 2)
     for name, angle in (("predicted", 0.05), ("measured", 0.2), ("zero", 0.0)):
         error = ((angle - target) ** 2).mean()
@@ -408,7 +400,7 @@ def test_comparison_by_its_definition(tmp_path: Path) -> None:
 
 
 def test_an_inverted_log_is_named() -> None:
-    results = quarter()
+    results = driven()
     measured = results.table["measured_rad"] = np.sin(np.arange(COUNT) / 3)
     for sign in (1, -1):
         results.table["driven_rad"] = sign * measured
@@ -418,7 +410,7 @@ def test_an_inverted_log_is_named() -> None:
 
 @pytest.mark.parametrize("predicted", ["angle", "path", "none"])
 def test_path_and_legend_are_inside_the_picture(tmp_path: Path, predicted: str) -> None:
-    results, black = quarter(), np.zeros((188, 620, 3), np.uint8)
+    results, black = driven(), np.zeros((188, 620, 3), np.uint8)
     if predicted != "none":
         results.table["predicted_rad"] = np.full(COUNT, 0.01 if predicted == "angle" else np.nan)
     if predicted == "path":

@@ -10,7 +10,6 @@ from torch import Tensor, nn
 from pipeline.camera import classes
 
 MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
-MAX_GROUND_M = 80.0  # beyond, a pixel covers many metres
 
 
 def rgb_0_1(image: Tensor) -> Tensor:
@@ -99,22 +98,3 @@ def bounded_depth(x: Tensor) -> Tensor:
     """Map any number to 0.5 to 120 m, by a sigmoid over the logarithm: relative errors count equally near and far."""
     share = torch.sigmoid(x.float())  # half precision at log(120 m) has an error of 1.6 % of the depth
     return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * share)
-
-
-def ground_plane_depth(cls: Tensor, slope: Tensor, camera_height_m: float) -> Tensor:
-    """Return the depth [B,H,W] in metres of flat ground and of objects on it, in the precision of `slope`.
-
-    Ground has Z = f·h/(v - c_y). Other pixels, the sky included, have the depth of the next ground pixel below them, or
-    of the bottom row.
-
-    Args:
-        cls: trainIds int64 [B,H,W].
-        slope: y/z [B,H,W] of a level camera's pixels, the same along a row.
-        camera_height_m: height of the camera over the ground.
-    """
-    plane = camera_height_m / slope.clamp(min=camera_height_m / MAX_DEPTH_M)  # [B,H,W]
-    ground = torch.stack([cls == number for number in classes.GROUND]).any(0) & (plane < MAX_GROUND_M)
-    height = cls.shape[-2]
-    rows = torch.arange(height, device=cls.device)[:, None].expand_as(cls)
-    nearest = torch.where(ground, rows, height - 1).flip(-2).cummin(dim=-2).values.flip(-2)
-    return plane.gather(-2, nearest)

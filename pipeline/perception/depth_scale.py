@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pipeline.settings.perception import Perception
 
 MIN_ROAD_PIXELS = 50
+MAX_DEPTH_M, MAX_GROUND_M = 120.0, 80.0  # a pixel of more distant ground covers many metres
 
 
 class DepthPostprocessor:
@@ -58,22 +59,17 @@ def from_camera_height(depth: np.ndarray, cls: np.ndarray, camera: Camera) -> fl
 
 
 def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return depth float64 [H,W] in metres; see :func:`models.encoder.heads.ground_plane_depth`.
+    """Return the depth float64 [H,W] in metres of flat ground and of objects on it, seen by a level camera.
 
-    It is the baseline for encoders, and an upper limit for the depth of traffic. The camera is assumed to be level;
-    `cls` are trainIds [H,W].
+    Ground has Z = f·h/(v - c_y). Other pixels, the sky included, have the depth of the next ground pixel below them, or
+    of the bottom row. It is the baseline for encoders, and an upper limit for the depth of traffic.
     """
-    import torch
-
-    from models.encoder import heads
-
-    slope = rays(camera.K, (cls.shape[0], 1))[..., 1]  # [H,1], y/z per row
-    depth_m = heads.ground_plane_depth(
-        torch.from_numpy(cls.astype(np.int64))[None],
-        torch.from_numpy(slope)[None].expand(1, *cls.shape),
-        camera.height_m,
-    )
-    return depth_m[0].numpy()
+    height = cls.shape[0]
+    slope = rays(camera.K, (height, 1))[..., 1]  # y/z per row, [H,1]
+    plane = np.broadcast_to(camera.height_m * (1 / slope.clip(min=camera.height_m / MAX_DEPTH_M)), cls.shape)
+    ground = np.isin(cls, classes.GROUND) & (plane < MAX_GROUND_M)
+    rows = np.where(ground, np.arange(height)[:, None], height - 1)
+    return np.take_along_axis(plane, np.minimum.accumulate(rows[::-1])[::-1], axis=0)
 
 
 def limit_traffic_depth(depth: np.ndarray, cls: np.ndarray, camera: Camera, reach: float) -> None:

@@ -39,22 +39,19 @@ def main(
     score_motion, jobs = partial(_score_motion, ingest=ingest, motion=motion, car=car), []
     for drive in splits:
         inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, motion)]
-        work = partial(_score_drive, drive=drive, ingest=ingest, perception=perception, score_motion=score_motion)
+        work = partial(_score_drive, drive=drive, ingest=inputs[0], perception=inputs[1], score_motion=score_motion)
         jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
         summaries = make_drives(folder, jobs, vars(car), "{frames} frames, {line}".format_map, workers)
-        motion_scored = {split: score_motion(store.drives_in(splits, split)) for split in SPLITS}
-        kinds_scored = dict.fromkeys(kind for scores in motion_scored.values() for kind in scores)
-        content: dict[str, Any] = {
-            "motion": {kind: {split: motion_scored[split].get(kind) for split in SPLITS} for kind in kinds_scored}
-        }
+        content: dict[str, Any] = {"motion": {}}
         for split in SPLITS:
-            scores = Scores()
-            for drive in store.drives_in(splits, split):
+            scores, drives = Scores(), store.drives_in(splits, split)
+            for drive in drives:
                 scores.add_sums(summaries[drive]["sums"])
             content[split] = scores.report()
             print(f"scores, {split}: {summary_line(content[split])}", flush=True)
-            for kind, motion_scores in motion_scored[split].items():
+            for kind, motion_scores in score_motion(drives).items():
+                content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
                 print(f"{split}: {_line(kind, motion_scores)}", flush=True)
         store.write_json(folder.new / "metrics.json", content)
     return out
@@ -65,8 +62,8 @@ def _score_drive(
 ) -> Summary:
     scores = Scores()
     with (
-        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source,
-        store.DriveReader(perception / f"{drive}.h5", stage="perception") as perceived,
+        store.DriveReader(ingest, stage="ingest") as source,
+        store.DriveReader(perception, stage="perception") as perceived,
     ):
         count = len(perceived.frame)
         camera = read_camera(source, float(perceived.attrs["camera_height_m"]))

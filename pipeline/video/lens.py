@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import islice, pairwise
 
+import cv2
 import numpy as np
 
 from pipeline.base.errors import InputError, error_context
@@ -62,8 +63,6 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
 
     `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other texts.
     """
-    import cv2
-
     coefficients = np.array(_numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
     size = camera.size[::-1]
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
@@ -83,8 +82,6 @@ def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
 
 
 def _row(before: np.ndarray, now: np.ndarray, camera: Camera) -> float | None:
-    import cv2
-
     small = round(camera.size[0] * WIDTH / camera.size[1]), WIDTH
     first, second = (
         cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), small[::-1], interpolation=cv2.INTER_AREA)

@@ -5,6 +5,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -75,8 +76,6 @@ def _paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
 
 def _draw(image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray], results: Results, row: int) -> None:
     """Draw the paths of a row on the road, and the legend."""
-    import cv2
-
     level = camera.K[1, 2] if camera.horizon is None else camera.horizon
     slope = (level - camera.K[1, 2]) / camera.K[1, 1]  # of the road, metres down per metre ahead
     for name, path in paths.items():

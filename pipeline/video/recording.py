@@ -8,18 +8,16 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+import av
 import numpy as np
+from av.container import InputContainer
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.kitti.columns import check_increase, check_limit
-
-if TYPE_CHECKING:
-    from av import VideoFrame
-    from av.container import InputContainer
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
@@ -129,10 +127,8 @@ def _decode(path: Path) -> Images:
 
 
 @contextmanager
-def _container(path: Path) -> Iterator["InputContainer"]:
+def _container(path: Path) -> Iterator[InputContainer]:
     """Open a file with a video stream. Raises DamagedFile, also for errors inside of the block."""
-    import av
-
     with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
         try:
             with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
@@ -144,7 +140,7 @@ def _container(path: Path) -> Iterator["InputContainer"]:
             raise DamagedFile(problem, path, _CONVERT.format(name=path.name)) from error
 
 
-def _upright(frame: "VideoFrame", path: Path) -> np.ndarray:
+def _upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
     """Return the image RGB uint8 [H,W,3], rotated by its display matrix. Raises InputError for other matrices."""
     image, display = frame.to_ndarray(format="rgb24"), cast(Any, frame.side_data.get("DISPLAYMATRIX"))
     if display is not None:

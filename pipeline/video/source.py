@@ -63,8 +63,6 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
             fix = "Remove --fov, --K, --distortion, --fps, --times and --max-frames"
             raise InputError("a KITTI drive has its own calibration, times and frames", path, fix)
         source = _open_drive(path, drive, cameras)
-    elif drive and (drive.oxts or drive.scans):
-        raise InputError(f"no images of camera {' or '.join(map(str, cameras))}", path, "Extract image_02 of the drive")
     else:
         source = replace(_open_recording(path, **how), how=how)
     if height_m is not None:

@@ -89,7 +89,7 @@ def loading(name: str | Path) -> Iterator[None]:
 
 
 def check(name: str) -> None:
-    """Raise ValueError if a name that can only be a folder is none of a network, or if the package is missing."""
+    """Raise ValueError if `name` can only be a folder but has no configuration, or if the package is missing."""
     transformers()
     path = Path(name)
     is_folder = path.is_absolute() or path.parent.is_dir() or len(path.parts) > 2

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -37,23 +37,13 @@ SMOOTHING = 3  # epochs
 MOTION_DROPOUT = 0.5
 
 
-class Epoch(NamedTuple):
-    """One row of curve.csv. Without validation drives, val_nmse is NaN."""
+def selected_epoch(errors: Sequence[float]) -> int:
+    """Return the number of the epoch whose weights are kept, from the validation errors; the last one if all are NaN.
 
-    epoch: int
-    learning_rate: float
-    train_loss: float
-    val_nmse: float
-
-
-def selected_epoch(curve: Sequence[Epoch]) -> int:
-    """Return the number of the epoch whose weights are kept; the last one without validation.
-
-    It has the lowest mean of the validation errors of this epoch and the two before, since one epoch's error is noisy.
+    It has the lowest mean of the errors of this epoch and the two before, since one epoch's error is noisy.
     """
-    errors = [row.val_nmse for row in curve]
-    means = {end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(curve) + 1)}
-    return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(curve))
+    means = {end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(errors) + 1)}
+    return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(errors))
 
 
 @dataclass(frozen=True)
@@ -105,7 +95,7 @@ def fit_run(run: Run, job: Job) -> None:
     }
     fit = Fit(net, entry, settings, run.seed, train, val)
     fit.run(job.kept / f"{stage_key('train', inputs, files)}.pt", f"{job.name} {run}")
-    best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
+    best = {"scale": fit.scale.content, "epoch": fit.selected, "net": fit.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)
     curve = pd.DataFrame(fit.curve)
     curve.to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
@@ -134,13 +124,18 @@ class Fit:
         decay = self.settings.weight_decay
         groups = [{"params": matrices, "weight_decay": decay}, {"params": vectors, "weight_decay": 0.0}]
         self.optimiser = torch.optim.AdamW(groups, lr=self.settings.learning_rate, fused=True)
-        self.curve: list[Epoch] = []
+        self.curve: list[dict[str, float]] = []  # epoch, learning_rate, train_loss, val_nmse (NaN without validation)
+
+    @property
+    def selected(self) -> int:
+        """The :func:`selected_epoch` so far."""
+        return selected_epoch([row["val_nmse"] for row in self.curve])
 
     def run(self, state: Path, title: str) -> None:
         """Train until the last epoch, or until validation stops improving.
 
-        Results are `best`, the weights of the :func:`selected_epoch`, `curve` and `scale`. After each epoch the file
-        `state` is written. If it exists, training continues from it, to the same result.
+        Results are `best`, the weights of the selected epoch, `curve` and `scale`. After each epoch the file `state` is
+        written. If it exists, training continues from it, to the same result.
         """
         epochs, val = self.settings.epochs, self.val
         if state.is_file():
@@ -151,16 +146,15 @@ class Fit:
         processes = self.net.device.type == "cuda" and not multiprocessing.current_process().daemon
         with windows.Reader([*self.train, *val], self.entry.window, processes * default_workers()) as reader:
             started, before = time.perf_counter(), len(self.curve)
-            while (done := len(self.curve)) < epochs and done - selected_epoch(self.curve) < self.settings.patience:
+            while (done := len(self.curve)) < epochs and done - self.selected < self.settings.patience:
                 epoch = done + 1
                 loss, rate = self._train(reader, epoch)
                 if not math.isfinite(loss):
                     problem = f"loss of epoch {epoch} is {loss}"
                     raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
                 error = nmse(val, self._predict(reader)) if val else math.nan
-                self.curve.append(Epoch(epoch, rate, loss, error))
-                selected = selected_epoch(self.curve) == epoch
-                if selected:
+                self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
+                if selected := self.selected == epoch:
                     self.best = copy_weights(self.average)
                 checkpoint.write(state, self._state())
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
@@ -227,11 +221,11 @@ class Fit:
     def _resume(self, state: Mapping[str, Any]) -> None:
         for name in ("net", "average", "optimiser"):
             getattr(self, name).load_state_dict(state[name])
-        self.best, self.curve = state["best"], [Epoch(**row) for row in state["curve"]]
+        self.best, self.curve = state["best"], state["curve"]
 
     def _state(self) -> dict[str, Any]:
         parts = {name: getattr(self, name).state_dict() for name in ("net", "average", "optimiser")}
-        return {"kind": "state of training", **parts, "best": self.best, "curve": [row._asdict() for row in self.curve]}
+        return {"kind": "state of training", **parts, "best": self.best, "curve": self.curve}
 
 
 def copy_weights(net: nn.Module) -> dict[str, Tensor]:

@@ -177,7 +177,8 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
 def _ingest(path: Path, *, source: Source, reading: Reading, advance: Callable[[int], object]) -> dict[str, Any]:
     if source.drive:
         summary = ingest_kitti(path, drive=source.name, folder=source.drive.folder, settings=reading)
-        source.notes.append(f"{summary['damaged']} damaged files left out")
+        if summary["damaged"]:
+            source.notes.append(f"{summary['damaged']} damaged files left out")
         return summary
 
     def frames() -> Iterator[Frame]:

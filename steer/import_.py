@@ -61,10 +61,14 @@ def import_recording(
     """Write drives and print what to do next; the module's docstring is the help text."""
     from pipeline.settings.preset import PRESETS, is_unedited
     from pipeline.video.import_recording import import_drives, write_preset
+    from pipeline.video.lens import numbers
     from pipeline.video.log import Logs
     from pipeline.video.source import open_camera
 
-    shares, preset = _shares(split), PRESETS / f"{drive}.yaml" if split else None
+    shares = numbers(split, (len(SPLITS),), "--split 60,20,20") if split else [100.0]
+    if min(shares) <= 0 or not math.isclose(sum(shares), 100):
+        raise InputError(f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20")
+    preset = PRESETS / f"{drive}.yaml" if split else None
     if preset and preset.exists() and not is_unedited(preset):
         raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --drive")
     logs = Logs.read(wheel, steering_ratio, motion, offset)
@@ -83,16 +87,3 @@ def import_recording(
     manifest = f"{{{drive}: {imported.manifests[drive]}}}"
     settings = f"ingest.source: kitti, ingest.manifests: {manifest}, labels.source: {labels}{height}"
     print(f"next: set {settings} in params.yaml, replace ingest.drives by {drive} and others, run dvc repro")
-
-
-def _shares(split: str | None) -> list[float]:
-    """Return the shares of the duration in %, 100 without --split. Raises InputError."""
-    if split is None:
-        return [100.0]
-    try:
-        shares = [float(share) for share in split.split(",")]
-    except ValueError:
-        shares = []
-    if len(shares) != len(SPLITS) or not all(share > 0 for share in shares) or not math.isclose(sum(shares), 100):
-        raise InputError(f"expected three shares above 0 with the sum 100, got {split!r}", "--split", "Pass 60,20,20")
-    return shares

@@ -39,23 +39,23 @@ def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> C
         # Integer coordinates are pixel centres, so the image's middle is half a pixel before W / 2.
         cx, cy = (width - 1) / 2, (height - 1) / 2
     else:
-        fx, fy, cx, cy = _numbers(str(K), (4,), "--K 721.5,721.5,609.6,172.9")
+        fx, fy, cx, cy = numbers(str(K), (4,), "--K 721.5,721.5,609.6,172.9")
     camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size)
     with error_context(fix="For images that were resized, scale all four numbers"):
         check_pinhole(camera.K, size, "--K")
     return camera
 
 
-def _numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
+def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
     """Return the numbers of an option, as many as one of `counts`. Raises InputError."""
     try:
-        numbers = [float(word) for word in text.split(",")]
+        values = [float(word) for word in text.split(",")]
     except ValueError:
-        numbers = []
-    if len(numbers) not in counts:
+        values = []
+    if len(values) not in counts:
         expected = " or ".join(map(str, counts))
         raise InputError(f"expected {expected} numbers, got {text!r}", example.split()[0], f"Example: {example}")
-    return numbers
+    return values
 
 
 def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray]:
@@ -63,7 +63,7 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
 
     `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other texts.
     """
-    coefficients = np.array(_numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
+    coefficients = np.array(numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
     size = camera.size[::-1]
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
     return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))

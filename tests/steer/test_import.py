@@ -220,7 +220,7 @@ PLAINLY_WRONG: list[tuple[dict[str, Any], str]] = [
     ({"wheel": "frame,wheel_rad\n0,0\n12,0\n"}, "has frame 12, but the last image is 11"),
     ({"motion": HEAD + "-9,5,0\n-8,5,0\n9,5,0\n10,5,0\n"}, "--end or --offset"),
     ({"start": 3.0}, "--start"),
-    ({"split": "60,20,30"}, "three shares"),
+    ({"split": "60,20,30"}, "with the sum 100"),
     ({"split": "60,20,20"}, "fewer than 2 images"),
 ]
 

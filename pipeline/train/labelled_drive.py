@@ -107,8 +107,9 @@ def check(drives: Sequence[LabelledDrive], window: int) -> None:
         raise InputError(problem, first.graphs.parent, fix)
     stretches = [(drive, *stretch) for drive in drives for stretch in drive.stretches]
     if not any(drive.valid[start + window - 1 : stop].any() for drive, start, stop in stretches):
-        path = bool(first.ahead_m) and f"a driven path of {first.ahead_m[1]:g} m ahead of"
-        target = path or f"a valid label {first.horizon} frames after"
+        target = f"a valid label {first.horizon} frames after"
+        if first.ahead_m:
+            target = f"a driven path of {first.ahead_m[1]:g} m ahead of"
         longest = max(stop - start for _, start, stop in stretches)
         problem = f"no window of {window} consecutive frames with {target} its end in {names} (longest: {longest})"
         raise InputError(problem, first.graphs.parent, "Use a smaller window, other drives or another input")

@@ -9,12 +9,11 @@ import numpy as np
 
 from pipeline.camera.images import to_units, write_png
 from pipeline.sample.light import draw_ground_colours, draw_light
-from pipeline.sample.manoeuvres import DECK
 from pipeline.sample.motion import draw_journey
 from pipeline.sample.oxts import record
 from pipeline.sample.plan import QUARTERS, draw_character, draw_plan
-from pipeline.sample.rig import make_rig
-from pipeline.sample.sensors import ImageSensor, Scanner
+from pipeline.sample.rig import ImageSensor, Scanner, make_rig
+from pipeline.sample.route import DECK
 from pipeline.sample.street import build_street
 from pipeline.sample.traffic import draw_traffic
 from pipeline.sample.world import World

@@ -4,8 +4,7 @@ import numpy as np
 
 from pipeline.kitti.oxts import EARTH_RADIUS_M, GRAVITY_MPS2, format_packet, format_times, make_rows
 from pipeline.sample.motion import Journey
-from pipeline.sample.rig import rotation
-from pipeline.sample.route import IMU_HEIGHT_M
+from pipeline.sample.route import IMU_HEIGHT_M, rotation
 
 ALTITUDE_M = 110.0  # of the road
 # KITTI's rates are late: in each of its 31 drives with bends, wu fits the heading's derivative of 0.055 to 0.065 s

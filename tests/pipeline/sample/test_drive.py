@@ -16,12 +16,11 @@ from pipeline.labels.label import steering_angle
 from pipeline.sample import motion, shapes
 from pipeline.sample.drive import random_of, render_drive, theme
 from pipeline.sample.light import draw_ground_colours
-from pipeline.sample.manoeuvres import DECK, draw_route
 from pipeline.sample.motion import FRAMES_AFTER, Journey, draw_body, draw_journey, frame_times, speed_profile
 from pipeline.sample.oxts import ALTITUDE_M, RATES_LATE_S, oxts_rows
 from pipeline.sample.plan import ASPHALT, GRASS, KERB_M, Plan, draw_character, draw_plan
-from pipeline.sample.rig import make_rig, rotation, write_calibration
-from pipeline.sample.route import AHEAD_M, IMU_LEFT_M, STEP_M, unit
+from pipeline.sample.rig import make_rig, write_calibration
+from pipeline.sample.route import AHEAD_M, DECK, IMU_LEFT_M, STEP_M, draw_route, rotation, unit
 from pipeline.sample.street import build_street
 from pipeline.sample.world import World
 from pipeline.settings.ingest import Ingest

@@ -141,17 +141,17 @@ def test_static_points_coincide_until_a_gap_or_unmeasured_motion(
         assert transform(pose, xyz) == pytest.approx(np.concatenate([worlds[row] for row in then]), abs=1e-4)
 
 
-@pytest.mark.parametrize(("source", "forward_m"), [("clouds/pseudo", 1.6), ("clouds/lidar", 2.0)])
-def test_steps_have_the_length_unit_of_the_clouds(tmp_path: Path, source: str, forward_m: float) -> None:
+def test_steps_have_the_length_unit_of_the_clouds(tmp_path: Path) -> None:
     with DriveWriter(tmp_path / "a.h5", stage="motion", drive="drive", params={}) as file:
-        file.put("frame", np.array([4, 5, 6], np.int32))
-        file.put("valid", np.array([0, 1, 0], np.uint8))
-        file.put("T_before", np.stack([np.eye(4), step(0.1, 2.0), step(0.1, 3.0)]).astype(np.float32))
-        file.put("scale", np.array([0, 1.25, 0], np.float32))
+        file.put("frame", np.array([4, 5], np.int32))
+        file.put("valid", np.array([0, 1], np.uint8))
+        file.put("T_before", np.stack([np.eye(4), step(0.1, 2.0)]))
+        file.put("scale", np.array([0, 1.25]))
     with DriveReader(tmp_path / "a.h5", stage="motion") as motion:
-        ((number, T_before),) = frame_graph.read_steps(motion, source).items()
-    assert number == 5
-    assert T_before == pytest.approx(step(0.1, forward_m), abs=1e-6)
+        for source, forward_m in (("clouds/pseudo", 1.6), ("clouds/lidar", 2.0)):
+            steps = frame_graph.read_steps(motion, source)
+            assert list(steps) == [5]
+            assert steps[5] == pytest.approx(step(0.1, forward_m), abs=1e-6)
 
 
 @settings(max_examples=60, deadline=None)
@@ -206,10 +206,6 @@ def reference_ball(xyz: np.ndarray, centre: int, radius_m: float, count: int, or
     return found + [found[0]] * (count - len(found))
 
 
-def test_farthest_points_are_those_of_brute_force(xyz: np.ndarray) -> None:
-    assert graph.farthest_points(xyz, 24).tolist() == reference_fps(xyz, 24)
-
-
 @pytest.mark.parametrize("radius_m", [0.5, 3.0, 8.0, 100.0])
 def test_balls_are_those_of_brute_force(xyz: np.ndarray, radius_m: float) -> None:
     order = np.random.default_rng(1).permutation(len(xyz))
@@ -217,8 +213,9 @@ def test_balls_are_those_of_brute_force(xyz: np.ndarray, radius_m: float) -> Non
     assert found.tolist() == [reference_ball(xyz, centre, radius_m, 12, order) for centre in range(0, 300, 15)]
 
 
-def test_levels_build_on_each_other(xyz: np.ndarray) -> None:
+def test_levels_are_farthest_points_and_build_on_each_other(xyz: np.ndarray) -> None:
     (first, _), (second, neighbours) = graph.levels(xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0))
+    assert first.tolist() == reference_fps(xyz, 40)
     assert second.tolist() == reference_fps(xyz[first], 10)
     assert neighbours.tolist() == [reference_ball(xyz[first], int(c), 12.0, 6, np.arange(40)) for c in second]
 

@@ -1,0 +1,236 @@
+"""Measured motion: poses, the road's slope and scale, rates, the filtered speed, and odometry on a rendered street."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.camera import classes
+from pipeline.camera.camera import Frame
+from pipeline.camera.geometry import project, transform
+from pipeline.motion import step, visual
+from pipeline.motion.pose import estimate_pose
+from pipeline.motion.road import Road
+from pipeline.motion.step import TYPICAL_MPS, filter_speed
+from tests import street
+from tests.street import pose
+
+K, POINTS = street.WIDE.K, 60
+
+
+def points(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixels [N,2] and their points [N,3], 3 to 60 m ahead."""
+    uv = rng.uniform([0, 0], [320, 96], (POINTS, 2))
+    z = rng.uniform(3, 60, POINTS)
+    return uv, np.column_stack([(uv - K[:2, 2]) / np.diag(K)[:2] * z[:, None], z])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_pose_from_degenerate_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    uv, xyz = points(rng)
+    sigma = np.full(POINTS, 0.5)
+    coincident = np.tile(xyz[:1], (POINTS, 1)) + rng.normal(0, 1e-6, (POINTS, 3))
+    assert estimate_pose(coincident, np.tile(uv[:1], (POINTS, 1)) + rng.normal(0, 0.3, uv.shape), K, sigma) is None
+    xyz[:, 1] = 1.65
+    assert estimate_pose(xyz, rng.uniform(0, 96, (POINTS, 2)), K, sigma) is None
+
+
+def test_half_of_the_points_are_enough_only_for_a_motion_like_the_previous_one() -> None:
+    _, xyz = points(np.random.default_rng(0))
+    forth, lorry = np.linalg.inv(pose(0, 0, 1.0)), np.linalg.inv(pose(0.1, 0.5, -1.0))
+    static = np.arange(POINTS) % 20 < 11
+    uv = np.where(static[:, None], project(transform(forth, xyz), K)[0], project(transform(lorry, xyz), K)[0])
+    sigma = np.full(POINTS, 0.1)
+    assert estimate_pose(xyz, uv, K, sigma) is None
+    assert estimate_pose(xyz, uv, K, sigma, np.linalg.inv(pose(0, 0, 3.0))) is None
+    found = estimate_pose(xyz, uv, K, sigma, np.linalg.inv(pose(0, 0, 1.2)))
+    assert found
+    np.testing.assert_allclose(found.T_now_before, forth, atol=0.01)
+
+
+@pytest.mark.parametrize("seed", [21, 23, 39])
+def test_points_behind_the_camera_are_outliers(seed: int) -> None:
+    """Otherwise, from so wrong a start, a motion past most points would fit best."""
+    rng = np.random.default_rng(seed)
+    uv, xyz = points(rng)
+    near = xyz * (rng.uniform(1, 8, POINTS) / xyz[:, 2])[:, None]
+    uv[:12] += 30.0
+    found = estimate_pose(near, uv, K, np.full(POINTS, 0.5), np.linalg.inv(pose(0, 0, 7.0)))
+    assert found
+    assert not found.inliers[:12].any()
+    np.testing.assert_allclose(found.T_now_before, np.eye(4), atol=0.05)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_last_motion_is_a_start_where_most_depths_are_wrong(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = 0.3 * points(rng)[1]
+    forth = np.linalg.inv(pose(0.05, 0, 0.67))
+    known = np.arange(POINTS) < 8
+    wrong = np.where(known, 1, np.exp(rng.normal(0, 1, POINTS)))[:, None] * xyz
+    uv, sigma = project(transform(forth, xyz), K)[0], np.where(known, 0.02, 1.0)
+    errors = []
+    for T_last in None, np.linalg.inv(pose(0.04, 0, 0.6)):
+        found = estimate_pose(wrong, uv, K, sigma, T_last)
+        assert found
+        errors.append(np.abs(found.T_now_before - forth).max())
+    assert errors[1] < 0.004
+    assert errors[1] < errors[0] / 3
+
+
+def test_the_slope_is_weighted_by_length() -> None:
+    def slope(*steps: tuple[float, float]) -> float:
+        road = Road(street.WIDE, road_scale=True)
+        for down_m, ahead_m in steps:
+            road.add_step(np.block([[np.eye(3), np.array([[0], [down_m], [ahead_m]])], [np.eye(4)[3:]]]))
+        return road.slope
+
+    short = [(0.02, 1.0)]
+    assert slope() == 0
+    assert slope(*short * 50) == pytest.approx(50 * 0.02 / (50 + 10))
+    assert slope(*short * 9, (0.5, 10.0)) == pytest.approx(0.68 / 29)
+    assert slope(*short * 9) == slope(*[(-0.02, -1.0)] * 9) > 0
+
+
+@pytest.mark.parametrize("ahead_m", [0.0, 1.5])
+@pytest.mark.parametrize("yaw_rate", [0.5, -0.5, 0.0])
+def test_rates_are_those_of_the_axle_wherever_the_camera_is(yaw_rate: float, ahead_m: float) -> None:
+    mount = np.eye(4)
+    mount[2, 3] = ahead_m
+    first, second = (T @ mount for T in street.arc(2, yaw_rate, 6.0))
+    measured, speed = step.rates(np.linalg.inv(first) @ second, 0.1)
+    assert measured == pytest.approx(yaw_rate)
+    assert speed == pytest.approx(6.0, rel=1e-3)  # the chord of the arc
+
+
+@pytest.mark.parametrize(
+    ("translation", "expected"),
+    [((0, 0, 0), True), ((0.3, 0, 1.5), True), ((0.9, 0, 0.2), False), ((0, 2.0, 1), False), ((0, 0, 30), False)],
+)
+def test_sideways_steps_and_jumps_are_not_plausible(translation: tuple[float, float, float], expected: bool) -> None:
+    T = np.eye(4)
+    T[:3, 3] = translation
+    assert step.plausible(T) == expected
+
+
+def test_durations_average_jitter_of_the_past_and_follow_another_rate() -> None:
+    """As KITTI's times, on a grid of 10 ms; then every fourth frame is missing, then the rate is halved."""
+    frame = np.concatenate([np.arange(60), 60 + 4 * np.arange(20), 140 + np.arange(20)])
+    exact_s = np.interp(frame, [0, 140, 160], [0, 140 * 0.1037, 140 * 0.1037 + 20 * 0.2074])
+    time_s = np.round(exact_s, 2)
+    found = step.durations(frame, time_s)
+    assert np.isnan(found[0])
+    assert found[20:80] == pytest.approx(0.1037, rel=0.01)
+    assert found[82:] == pytest.approx(0.2074, rel=0.02)
+    assert np.abs(np.diff(time_s)[20:59] / 0.1037 - 1).max() > 0.03  # single differences are worse
+    np.testing.assert_array_equal(step.durations(frame[:50], time_s[:50])[1:], found[1:50])
+
+
+COUNT = 900
+TIME_S = np.arange(COUNT) / 10
+
+
+def filtered(speed_mps: np.ndarray, road: bool, noise: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+    rows = len(speed_mps)
+    return filter_speed(TIME_S[:rows], speed_mps, np.full(rows, road), np.full(rows, noise))
+
+
+def test_with_a_road_speed_is_that_of_the_images() -> None:
+    """From 12 m/s to 1.5 m/s in 6 s, and back: as hard as a car brakes in traffic."""
+    true_mps = 6.75 + 5.25 * np.cos(TIME_S * np.pi / 6)
+    speed_mps, sigma = filtered(true_mps, road=True)
+    assert np.abs(speed_mps - true_mps).max() < 0.1
+    assert np.median(sigma) < 0.1
+
+
+def test_without_a_road_the_scale_of_depth_is_not_believed() -> None:
+    """Depth that makes bends slow, as measured with a lens of 17 degrees, must not make them sharp."""
+    rng, error = np.random.default_rng(0), np.zeros(COUNT)
+    for row in range(1, COUNT):
+        error[row] = 0.96 * error[row - 1] + rng.normal(0, 0.6 * np.sqrt(1 - 0.96**2))
+    speed_mps, sigma = filtered(14.0 * np.exp(error), road=False)
+    assert np.log(speed_mps).std() < 0.2 < error.std()
+    assert np.median(sigma) > 0.25  # it admits the uncertainty
+    assert np.median(speed_mps) == pytest.approx(TYPICAL_MPS, rel=0.4)
+
+
+def test_reversing_and_standing_keep_sign_and_zero() -> None:
+    speed_mps, _ = filtered(np.array([-2.0] * 20 + [0.0] * 5), road=True, noise=0.02)
+    assert speed_mps[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
+    assert (speed_mps[20:] == 0).all()
+
+
+@given(st.lists(st.tuples(st.floats(0.1, 40), st.booleans()), min_size=2, max_size=20), st.integers(1, 19))
+def test_it_is_causal(rows: list[tuple[float, bool]], known: int) -> None:
+    speed, road = np.array([speed for speed, _ in rows]), np.array([road for _, road in rows])
+    noise = np.full(len(rows), 0.01)
+    complete = filter_speed(TIME_S[: len(rows)], speed, road, noise)
+    start = filter_speed(TIME_S[: len(rows)][:known], speed[:known], road[:known], noise[:known])
+    np.testing.assert_array_equal(np.stack(complete)[:, :known], np.stack(start))
+
+
+DT_S = 0.1
+
+
+def views(*poses: np.ndarray) -> list[Frame]:
+    images = map(street.view, poses)
+    return [Frame(i, i * DT_S, image, depth_m, cls) for i, (image, depth_m, cls) in enumerate(images)]
+
+
+def measured(frames: list[Frame], road_scale: bool = True) -> list[step.Step | None]:
+    odometry = visual.Odometry(street.WIDE, road_scale=road_scale)
+    return [odometry.step(frame) for frame in frames]
+
+
+def rates(steps: list[step.Step | None]) -> np.ndarray:
+    """Return yaw rate and speed [F-1,2]; all but the first must be measured."""
+    assert steps[0] is None
+    assert all(steps[1:])
+    return np.array([step.rates(one.T_before, DT_S) for one in steps[1:] if one])
+
+
+@pytest.mark.parametrize(("yaw_rate", "speed"), [(0.4, 6.0), (-0.4, 6.0), (0.0, 12.0), (0.05, 1.0), (0.0, -2.0)])
+def test_known_motion_is_measured(yaw_rate: float, speed: float) -> None:
+    steps = measured(views(*street.arc(4, yaw_rate, speed)))
+    assert rates(steps)[:, 0] == pytest.approx(yaw_rate, abs=0.005)
+    assert rates(steps)[:, 1] == pytest.approx(speed, rel=0.02, abs=0.05)
+    for one in steps[1:]:
+        assert one
+        assert one.inliers > 100
+        assert one.residual < 0.4
+        assert one.scale == pytest.approx(1, abs=0.02)
+
+
+def test_a_wrong_scale_is_corrected_by_the_camera_height() -> None:
+    frames = [
+        replace(frame, depth_m=0.7 * frame.depth_m)
+        for frame in views(*street.arc(4, 0.2, 6.0))
+        if frame.depth_m is not None
+    ]
+    steps = measured(frames)
+    assert rates(steps)[:, 1] == pytest.approx(6.0, rel=0.03)
+    assert [one.scale for one in steps[1:] if one] == pytest.approx([1 / 0.7] * 3, rel=0.02)
+    uncorrected = measured(frames, False)
+    assert rates(uncorrected)[:, 1] == pytest.approx(0.7 * 6.0, rel=0.03)
+    assert [one.scale for one in uncorrected[1:] if one] == [1.0] * 3
+    assert rates(uncorrected)[:, 0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_traffic_is_excluded_by_its_class() -> None:
+    """A bus ahead moves with the car and fills most of the view."""
+    frames = views(*street.arc(3, 0.0, 6.0))
+    bus = slice(10, 80), slice(60, 260)
+    texture = np.random.default_rng(0).integers(0, 255, (70, 200, 1), dtype=np.uint8)
+    for frame in frames:
+        assert frame.image is not None
+        assert frame.depth_m is not None
+        assert frame.cls is not None
+        frame.image[bus], frame.depth_m[bus], frame.cls[bus] = texture, 8.0, classes.BUS
+    assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.05)
+    for frame in frames:
+        assert frame.cls is not None
+        frame.cls[bus] = classes.BUILDING
+    assert not any(one and abs(step.rates(one.T_before, DT_S)[1] - 6) < 0.3 for one in measured(frames))

@@ -5,7 +5,7 @@ from pathlib import Path
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import read
-from pipeline.settings.encoder import Encoder
+from pipeline.perception import create
 from pipeline.settings.models import Entry
 from pipeline.settings.preset import Params, validate
 from pipeline.train import runs
@@ -18,19 +18,12 @@ def main(params: Path = Path("params.yaml")) -> Path:
     """
     settings = validate(read(params), params)
     with error_context(params):
-        check_encoder(settings.encoder)
+        with error_context("encoder"):
+            create.check(settings.encoder)
         for name, model in settings.models.items():
             with error_context(f"models.{name}"):
                 check_model(model, settings)
     return params
-
-
-def check_encoder(encoder: Encoder) -> None:
-    """Check that the files and the package of the encoder exist. Raises InputError."""
-    from pipeline.perception import create
-
-    with error_context("encoder"):
-        create.check(encoder)
 
 
 def check_model(entry: Entry, settings: Params) -> None:

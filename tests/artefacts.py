@@ -12,6 +12,7 @@ from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.labels import ahead, label
+from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
 
 WHEELBASE_M = 2.7
@@ -135,3 +136,27 @@ def write_dataset(
         write_labels(root / "labels" / f"{drive}.h5", drive, steering_rad, np.arange(frames), ahead_m=ahead_m)
     store.write_index(root / "graphs" / "semantic", splits)
     store.write_index(root / "labels", splits)
+
+
+def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:
+    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured, in `stands` as nothing moves.
+
+    Frames are 10 s apart, so that means over neighbours are the frames' own values.
+    """
+    speed, yaw_rate = np.array(list(rows.values()), np.float32).reshape(-1, 2).T
+    forth = np.tile(np.eye(4, dtype=np.float32), (len(rows), 1, 1))
+    forth[:, 2, 3] = speed / 10
+    with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
+        file.put("frame", np.array(list(rows), np.int32))
+        file.put("time_s", np.array(list(rows)) * 10.0)
+        for name in ("speed_mps", "filtered_mps"):
+            file.put(name, speed)
+        file.put("yaw_rate_radps", yaw_rate)
+        file.put("valid", (speed != 0).astype(np.uint8))
+        problem = PROBLEMS.index("no common motion of the scene") * (speed == 0)
+        problem[np.isin(list(rows), stands)] = PROBLEMS.index(STANDSTILL[0])
+        file.put("problem", problem.astype(np.uint8))
+        file.put("road_height_m", np.ones(len(rows), np.float32))
+        file.put("speed_sigma", np.full(len(rows), 0.05, np.float32))
+        file.put("scale", np.full(len(rows), 1, np.float32))
+        file.put("T_before", forth)

@@ -1,6 +1,6 @@
-"""Write small drives in KITTI raw's layout: seeded noise, but complete and consistent."""
+"""Write small drives in KITTI raw's layout, seeded noise but complete and consistent, and small recordings."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,3 +107,28 @@ def _numbers(values: np.ndarray) -> str:
 def _rotation(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def pictures(count: int, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """Return uint8 [count,H,W,3]: smooth, so that video codecs change them little; each has its own grey."""
+    v, u = np.mgrid[: size[0], : size[1]]
+    ramp = np.stack([u * 60 // size[1], v * 60 // size[0], 0 * u], axis=-1)
+    return np.stack([ramp + 40 + 150 * number // count for number in range(count)]).astype(np.uint8)
+
+
+def write_video(path: Path, images: Sequence[np.ndarray] | np.ndarray, fps: float = 10.0, codec: str = "mp4v") -> Path:
+    """Write RGB images as a video, by default MPEG-4."""
+    height, width = images[0].shape[:2]
+    file = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*codec), fps, (width, height))  # type: ignore[attr-defined]
+    assert file.isOpened()
+    for image in images:
+        file.write(np.ascontiguousarray(image[..., ::-1]))
+    file.release()
+    return path
+
+
+def write_folder(folder: Path, images: Sequence[np.ndarray] | np.ndarray, name: str = "{:06d}.png") -> Path:
+    """Write RGB images to files called `name`."""
+    for number, image in enumerate(images):
+        write_png(folder / name.format(number), image)
+    return folder

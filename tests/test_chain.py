@@ -1,37 +1,110 @@
-"""The complete chain as a user runs it, by `dvc repro` in a scratch copy."""
+"""The complete chain as a user runs it, by `dvc repro` in a scratch copy of the project."""
 
 import csv
 import json
+import os
 import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from dvc.repo import Repo
+from dvc.utils.serialize import modify_yaml
 
-from tests import scratch
-from tests.scratch import MODEL, STAGES
+from pipeline.base.resume import ROOT
+from stages import clouds, train
+from tests.test_docs import code_block
 
 pytestmark = pytest.mark.slow
+MODEL = "sa-gnn-ncp"
 NETWORK = [f"train@{MODEL}", f"evaluate@{MODEL}"]
+STAGES = (
+    "sample", "ingest", "encoder", "perception", "motion", "labels", "scores", "clouds", "graphs", "train",
+    "evaluate", "report",
+)  # fmt: skip
+
+
+def run(folder: Path, *command: str, fails: bool = False) -> str:
+    """Run a command in a scratch copy, with this environment on the copy's code, and return its output."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    variables = {"PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder), "STEER_WORKERS": "1"}
+    done = subprocess.run(
+        command, cwd=folder, env={**os.environ, **variables}, capture_output=True, text=True, check=False
+    )
+    output = done.stdout + done.stderr
+    assert (done.returncode != 0) == fails, output
+    return output
+
+
+def commit(folder: Path) -> None:
+    run(folder, "git", "add", "-A")
+    run(folder, "git", "-c", "user.name=test", "-c", "user.email=test@example.org", "commit", "-qm", "scratch")
+
+
+def edit_params(folder: Path, **sections: Any) -> None:
+    """Replace sections of a scratch copy's params.yaml, in the format of DVC's own edits."""
+    with modify_yaml(str(folder / "params.yaml")) as params:
+        params.update(sections)
+
+
+def stages_run(output: str) -> list[str]:
+    """Return the stages that DVC ran, without those that it restored from its cache."""
+    return [line.split("'")[1] for line in output.splitlines() if line.startswith("Running stage")]
+
+
+def outputs(folder: Path, *stages: str) -> dict[str, bytes]:
+    """Return relative path → contents of the outputs of stages."""
+    paths = [path for stage in stages for path in (folder / "data" / stage).rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small chain that has run to its end; tests read it, or work in a copy."""
-    return scratch.small_chain(tmp_path_factory.mktemp("chain") / "chain")
+    """A chain of four short drives that has run to its end, in a repository of its own; its output is chain.log."""
+    folder = tmp_path_factory.mktemp("chain") / "chain"
+    for name in run(ROOT, "git", "ls-files", "-co", "--exclude-standard").split():
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / name, folder / name)
+    run(folder, "git", "init", "-q")
+    params = yaml.safe_load((folder / "params.yaml").read_text())
+    drives = {"train": ["2026_01_01_drive_0001..0002"], "val": ["2026_01_02_drive_0001"]}
+    edit_params(
+        folder,
+        sample=params["sample"] | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
+        ingest=params["ingest"] | {"image_size": [64, 208], "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
+        encoder=params["encoder"] | {"weights": None, "epochs": 2, "frames": 24},
+        clouds=params["clouds"] | {"max_points": 3000},
+        graphs={
+            "semantic": params["graphs"]["semantic"] | {"points": 200},
+            "lidar": {"source": "clouds/lidar", "points": 200, "k": 6},
+        },
+        train=params["train"] | {"epochs": 3, "seeds": [0]},
+        evaluate=params["evaluate"] | {"bootstrap_samples": 200},
+    )
+    commit(folder)
+    (folder / "chain.log").write_text(run(folder, "dvc", "repro"))
+    commit(folder)
+    return folder
 
 
-def test_every_stage_runs_once_in_order(chain: Path) -> None:
-    ran = [name.split("@")[0] for name in scratch.stages_run((chain / "chain.log").read_text())]
+@pytest.fixture
+def folder(chain: Path, tmp_path: Path) -> Path:
+    """A copy of the chain with its data, DVC's cache and its history."""
+    return Path(shutil.copytree(chain, tmp_path / "copy", symlinks=True))
+
+
+def test_every_stage_runs_once_in_order_and_the_table_has_its_numbers(chain: Path) -> None:
+    ran = [name.split("@")[0] for name in stages_run((chain / "chain.log").read_text())]
     assert ran.count("graphs") == 2
     assert tuple(name for name in dict.fromkeys(ran) if name in STAGES) == STAGES
-    assert set(STAGES) == {path.name for path in (chain / "data").iterdir() if path.is_dir()} - {".drives", ".resume"}
-
-
-def test_the_table_has_the_numbers_of_evaluate_and_scores(chain: Path) -> None:
     table = (chain / "data/report/table.md").read_text()
     nmse = json.loads((chain / f"data/evaluate/{MODEL}/metrics.json").read_text())["test"]["steering_rad"]["nmse"]
     accuracy = json.loads((chain / "data/scores/metrics.json").read_text())["test"]["classes"]["pixel_accuracy"]
@@ -44,7 +117,7 @@ def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(
 ) -> None:
     monkeypatch.chdir(chain)
     drive, names = "2026_01_03_drive_0001", dict[str, Any]()
-    snippet = scratch.code_block("predict.load(").removeprefix("python\n")
+    snippet = code_block("predict.load(").removeprefix("python\n")
     assert len([line for line in snippet.splitlines() if line]) <= 6
     exec(re.sub(r"\d{4}_\d\d_\d\d_drive_\d{4}", drive, snippet), names)
     with Path(f"data/evaluate/{MODEL}/predictions.csv").open() as file:
@@ -55,20 +128,54 @@ def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(
     np.testing.assert_allclose(names["steering_rad"], expected, atol=1e-6)
 
 
+def entered(call: Callable[[], object], first: str, last: str) -> set[str]:
+    """Return the project's functions that a call enters in this thread, from function `first` up to `last`."""
+    found, ended = set[str](), False
+
+    def profile(frame: FrameType, event: str, _: object) -> None:
+        nonlocal ended
+        name = f"{frame.f_code.co_filename}:{frame.f_code.co_qualname}"
+        if event == "call" and not ended and (found or first in name):
+            ended = last in name
+            if not ended and Path(name).is_relative_to(ROOT) and ".venv" not in name and "<" not in name:
+                found.add(name)
+
+    sys.setprofile(profile)
+    try:
+        call()
+    finally:
+        sys.setprofile(None)
+    return found
+
+
+def test_few_functions_lie_between_a_stage_and_its_work(
+    chain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between a drive and h5py, and between a batch of graphs and its loss."""
+    data, params = chain / "data", chain / "params.yaml"
+    monkeypatch.setenv("STEER_WORKERS", "1")
+    out = tmp_path / "clouds", tmp_path / "train"
+    to_h5py = entered(
+        lambda: clouds.main(data / "ingest", data / "perception", out[0], params), "runner.py:_make", "/h5py/"
+    )
+    assert 1 < len(to_h5py) <= 6, to_h5py
+    to_loss = entered(
+        lambda: train.main(MODEL, data / "graphs", data / "labels", out[1], params), "SteeringNet.inputs", "zero_grad"
+    )
+    assert 1 < len(to_loss) <= 15, to_loss
+
+
 EDITS: list[tuple[str, set[str]]] = [  # a file or a setting, and the stages that run again; more: test_dvc_yaml.py
     ("pipeline/train/__pycache__/fit.cpython-311.pyc", set()),  # what an editor or Python leaves
     ("stages/labels.py~", set()),
-    ("pipeline/train/fit.py", {"check", *NETWORK}),
     ("train.epochs", {"check", NETWORK[0]}),
     ("models/steering/spatial/gnn.py", {"check", *NETWORK}),
     ("models/steering/spatial/polar.py", {"check"}),
-    ("labels.max_stand_s", {"check", "labels"}),
 ]
 
 
-def test_an_edit_reruns_what_dvc_yaml_promises(chain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_edit_reruns_what_dvc_yaml_promises(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stages with changed deps or params; DVC runs those after them only if their inputs differ."""
-    folder = scratch.duplicate(chain, tmp_path / "copy")
     monkeypatch.chdir(folder)  # DVC names stages relative to it
     for name, expected in EDITS:
         path = folder / (name if "/" in name else "params.yaml")
@@ -79,88 +186,80 @@ def test_an_edit_reruns_what_dvc_yaml_promises(chain: Path, tmp_path: Path, monk
         else:
             section, key = name.split(".")
             params = yaml.safe_load(before or b"")
-            scratch.edit_params(folder, **{section: params[section] | {key: params[section][key] + 1}})
+            edit_params(folder, **{section: params[section] | {key: params[section][key] + 1}})
         with Repo() as repo:
             assert set(repo.status()) == expected, name
         path.write_bytes(before) if before else path.unlink()
 
 
-def test_faults_are_one_line_and_leave_all_outputs(chain: Path, tmp_path: Path) -> None:
-    folder = scratch.duplicate(chain, tmp_path / "copy")
+def test_faults_are_one_line_and_leave_all_outputs(chain: Path, folder: Path) -> None:
+    def check_refused(output: str, *parts: str) -> None:
+        (line,) = (line for line in output.splitlines() if line.startswith("error: "))
+        assert all(part in line for part in parts), line
+        assert "Traceback" not in output
+
     params = (folder / "params.yaml").read_text()
     (folder / "params.yaml").write_text(params.replace("input: semantic", "input: semantc"))
-    check_refused(scratch.run(folder, "dvc", "repro", check=False), f"models.{MODEL}: input", "semantc")
-    name = "x';touch pwned;'$(touch pwned)\"`touch pwned`"
+    check_refused(run(folder, "dvc", "repro", fails=True), f"models.{MODEL}: input", "semantc")
     (folder / "params.yaml").write_text(params)
-    scratch.edit_params(folder, graphs={name: {"source": "clouds/pseudo", "points": 100, "k": 6}})
-    check_refused(scratch.run(folder, "dvc", "repro", "--single-item", "graphs", check=False), "graphs: name")
+    name = "x';touch pwned;'$(touch pwned)\"`touch pwned`"
+    edit_params(folder, graphs={name: {"source": "clouds/pseudo", "points": 100, "k": 6}})
+    check_refused(run(folder, "dvc", "repro", "--single-item", "graphs", fails=True), "graphs: name")
     assert not (folder / "pwned").exists()
     (folder / "params.yaml").write_text(params)
 
     scan = sorted((folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
     content = scan.read_bytes()
     scan.write_bytes(content[:-7])
-    output = scratch.run(folder, "dvc", "repro", "ingest", "--single-item", check=False)
+    output = run(folder, "dvc", "repro", "ingest", "--single-item", fails=True)
     check_refused(output, "drive_0001_sync/velodyne_points", scan.name)
     scan.write_bytes(content)
-    assert scratch.outputs(folder, *STAGES) == scratch.outputs(chain, *STAGES)
+    assert outputs(folder, *STAGES) == outputs(chain, *STAGES)
 
 
-def check_refused(output: str, *parts: str) -> None:
-    (line,) = (line for line in output.splitlines() if line.startswith("error: "))
-    assert all(part in line for part in parts), line
-    assert "Traceback" not in output
-
-
-def test_bytes_do_not_depend_on_workers(chain: Path, tmp_path: Path) -> None:
+def test_bytes_do_not_depend_on_workers(chain: Path, folder: Path) -> None:
     """The chain ran with one."""
-    folder = scratch.duplicate(chain, tmp_path / "copy")
-    stages = {"sample": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs": 2}
+    stages = {"sample": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs semantic": 2}
     for stage, number in stages.items():
-        for entry in yaml.safe_load((folder / "params.yaml").read_text())["graphs"] if stage == "graphs" else [""]:
-            command = [f"STEER_WORKERS={number}", "python", "-m", f"stages.{stage}", *([entry] if entry else [])]
-            scratch.run(folder, "env", *command)
-    assert scratch.outputs(folder, *stages) == scratch.outputs(chain, *stages)
+        run(folder, "env", f"STEER_WORKERS={number}", "python", "-m", *f"stages.{stage}".split())
+    assert outputs(folder, *STAGES) == outputs(chain, *STAGES)
 
 
-def test_a_new_drive_costs_one_drive_per_stage(chain: Path, tmp_path: Path) -> None:
-    folder = scratch.duplicate(chain, tmp_path / "copy")
+def test_a_new_drive_costs_one_drive_per_stage(folder: Path) -> None:
     ingest = yaml.safe_load((folder / "params.yaml").read_text())["ingest"]
     ingest["drives"]["val"] = ["2026_01_02_drive_0001..0002"]
-    scratch.edit_params(folder, ingest=ingest)
-    output = scratch.run(folder, "dvc", "repro", "graphs", "labels", "scores")
-    ran = [stage for stage in scratch.stages_run(output) if stage not in ("check", "encoder")]
+    edit_params(folder, ingest=ingest)
+    output = run(folder, "dvc", "repro", "graphs", "labels", "scores")
+    ran = [stage for stage in stages_run(output) if stage not in ("check", "encoder")]
     assert {stage.split("@")[0] for stage in ran} == {*STAGES[:9]} - {"encoder"}
     kept = re.findall(r"(\d+) of (\d+) drives kept from earlier runs", output)
     assert kept == [("4", "5")] * (len(ran) + 1)  # stage clouds makes them of images and of scans
 
 
-def test_a_network_is_added_by_a_file_and_trained_alone(chain: Path, tmp_path: Path) -> None:
-    folder = scratch.duplicate(chain, tmp_path / "copy")
-    network = scratch.code_block("class Height(nn.Module)").removeprefix("python\n")
+def test_a_network_is_added_by_a_file_and_trained_alone(folder: Path) -> None:
+    network = code_block("class Height(nn.Module)").removeprefix("python\n")
     (folder / "models/steering/spatial/height.py").write_text(network)
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
     mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "semantics": 1.0}
-    scratch.edit_params(folder, models=models | {"mine": mine})
-    ran = scratch.stages_run(scratch.run(folder, "dvc", "repro", "train@mine", "evaluate@mine"))
+    edit_params(folder, models=models | {"mine": mine})
+    ran = stages_run(run(folder, "dvc", "repro", "train@mine", "evaluate@mine"))
     assert ran == ["train@mine", "evaluate@mine"]
 
 
-def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(chain: Path, tmp_path: Path) -> None:
-    first, second = scratch.duplicate(chain, tmp_path / "first"), tmp_path / "second"
-    content = yaml.safe_load((first / "dvc.lock").read_text())
+def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder: Path, tmp_path: Path) -> None:
+    second = tmp_path / "second"
+    content = yaml.safe_load((folder / "dvc.lock").read_text())
     for name in (*NETWORK, "report"):  # all but the model is shared
         del content["stages"][name]
-    (first / "dvc.lock").write_text(yaml.safe_dump(content))
-    scratch.run(first, "sh", "-c", f"dvc remote add -d lab {tmp_path}/folder && dvc push")
-    scratch.commit(first, "shared")
-    scratch.run(tmp_path, "git", "clone", "-q", str(first), str(second))
+    (folder / "dvc.lock").write_text(yaml.safe_dump(content))
+    run(folder, "sh", "-c", f"dvc remote add -d lab {tmp_path}/folder && dvc push")
+    commit(folder)
+    run(tmp_path, "git", "clone", "-q", str(folder), str(second))
     command = f"dvc repro --pull --downstream train@{MODEL}"
-    assert scratch.code_block(command)
-    assert scratch.stages_run(scratch.run(second, *command.split())) == [*NETWORK, "report"]
+    assert code_block(command)
+    assert stages_run(run(second, *command.split())) == [*NETWORK, "report"]
     fetched = {str(path.relative_to(second / "data")) for path in (second / "data").glob("[a-z]*/*")}
-    assert not [
-        path for path in fetched if path.startswith(("sample", "ingest", "perception", "clouds", "graphs/lidar"))
-    ]
+    unused = ("sample", "ingest", "perception", "clouds", "graphs/lidar")
+    assert not [path for path in fetched if path.startswith(unused)]
     best = f"data/train/{MODEL}/best.pt"
-    assert (second / best).read_bytes() == (first / best).read_bytes()
+    assert (second / best).read_bytes() == (folder / best).read_bytes()

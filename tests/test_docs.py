@@ -8,14 +8,11 @@ import pytest
 import typer
 from torch.utils.data import DataLoader
 
-from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.settings import preset
-from pipeline.settings.ingest import Ingest
 from pipeline.settings.models import Entry
-from pipeline.settings.sample import Sample
 from steer.app import app
-from tests import artefacts, scratch
+from tests import artefacts
 
 PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
     ROOT / f"docs/{name}.md" for name in ("models", "paper", "real", "results", "running")
@@ -28,6 +25,12 @@ PLACEHOLDERS = {"models/steering/spatial/height.py", "models/steering/spatial/NA
 PLACEHOLDERS |= {"presets/2027_03_31_drive_0001.yaml"}
 OTHERS = {"--force", "--single-item", "--wait-for-lock", "--pull", "--downstream", "--allow-missing"}  # of DVC
 OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
+
+
+def code_block(part: str) -> str:
+    """Return the first code block of the pages that contains a text, without its fences."""
+    blocks = (block for page in PAGES for block in page.read_text().split("```")[1::2])
+    return next(block for block in blocks if part in block)
 
 
 def headings(page: Path) -> set[str]:
@@ -83,23 +86,11 @@ def test_names_exist(page: Path) -> None:
     assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options | OTHERS
 
 
-def test_examples_name_drives_and_frames_of_the_sample() -> None:
-    texts = [(ROOT / name).read_text() for name in ("README.md", "pipeline/train/predict.py", "steer/app.py")]
-    drives = load(Ingest, ROOT / "params.yaml").drives.splits()
-    last = load(Sample, ROOT / "params.yaml").frames["test"] - 1
-    for text in texts:
-        named = re.findall(r"2026_\d\d_\d\d_drive_\d{4}", text)
-        assert named
-        assert {*named} <= {*drives}
-        frames = re.findall(r"--frame (\d+)|predict\(graphs, \[([\d, ]+)\]", text)
-        assert all(int(number) <= last for groups in frames for part in groups if part for number in part.split(","))
-
-
 def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path: Path) -> None:
     drives = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
     artefacts.write_dataset(tmp_path, drives, frames=23, points=12)
     names: dict[str, Any] = {}
-    exec(scratch.code_block("class Windows(Dataset)").removeprefix("python\n"), names)
+    exec(code_block("class Windows(Dataset)").removeprefix("python\n"), names)
     dataset = names["Windows"](tmp_path / "graphs/semantic", tmp_path / "labels", [*drives])
     batches = [*DataLoader(dataset, batch_size=None)]
     assert len(batches) == 2 * (23 - 7)

@@ -31,13 +31,10 @@ def default_workers() -> int:
 def run_jobs(
     work: Callable[[J], Any], jobs: Sequence[J], *, workers: int | None = None, threads: int | None = None
 ) -> Iterator[tuple[J, Any]]:
-    """Yield each job with the result of ``work(job)`` as they finish.
+    """Yield each job with the result of ``work(job)``, picklable, as they finish.
 
-    Args:
-        work: picklable.
-        workers: processes; None: :func:`default_workers`. With a Dask cluster, its workers instead, unless 1.
-        threads: of each process, also if there is only one; None: the cores are divided among the processes.
-
+    `workers` are processes, None: :func:`default_workers`; with a Dask cluster, its workers instead, unless 1.
+    `threads` are those of each process, even of a single one, None: the cores are divided among the processes.
     Raises the first error after the jobs in progress are done; no other job is started.
     """
     count = min(workers or default_workers(), len(jobs))
@@ -98,10 +95,7 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 
 def _call_on_worker(work: Callable[[J], Any], folder: str, code: str, job: J) -> Any:
-    """Call ``work(job)`` on a Dask worker, in the caller's folder. Raises InputError if the worker's code differs.
-
-    `code`: :func:`pipeline.base.resume.code_hash` of the caller.
-    """
+    """Call ``work(job)`` on a Dask worker, in the caller's folder. Raises InputError if its code's hash differs."""
     if resume.code_hash() != code:
         from distributed import get_worker
 

@@ -60,11 +60,8 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
     """Hold the lock of the output folder `out`, and publish what the block writes when it ends without error.
 
     The files in ``StageFolder.new`` replace those that an earlier run listed in ``out/index.json``. The new index adds
-    ``stage``, ``entry`` and ``files`` to an index.json of the block.
-
-    Args:
-        stage: name in ``dvc.yaml``, ``graphs@NAME`` for an entry, whose `out` is a folder in the stage's folder.
-        shared: whether `out` may hold other files.
+    ``stage``, ``entry`` and ``files`` to an index.json of the block. `stage` is a name in ``dvc.yaml``; with an entry,
+    ``graphs@NAME``, `out` is a folder in the stage's folder. If `shared`, `out` may hold other files.
 
     Raises InputError if another process writes `out`, or if `out` holds files that this stage did not write.
     """

@@ -16,12 +16,9 @@ PACKAGES = ("pipeline", "models", "stages")
 
 
 def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
-    """Return a hash of everything that determines a result of `stage`.
+    """Return a hash of the code that the stage's entry in dvc.yaml names, of JSON-able settings, and of inputs.
 
-    Args:
-        stage: its name in ``dvc.yaml``; the code that its entry depends on is part of the key.
-        settings: JSON-able.
-        inputs: files, whose contents are part of the key, or strings that identify an input.
+    Inputs are files, whose contents count, or strings that identify an input.
     """
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + _stage_code_hash(stage).encode())
     for item in inputs:

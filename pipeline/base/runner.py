@@ -26,14 +26,10 @@ Summary = dict[str, Any]
 class Job(NamedTuple):
     """One drive of a stage."""
 
-    drive: str
-    """Unique in the stage."""
-    target: str
-    """Path of its file or folder in the stage's folder."""
-    inputs: Sequence[Path | str]
-    """Files and strings that determine the content, with the stage's code and settings."""
-    work: Callable[[Path], Summary]
-    """Picklable. Writes the file or folder to a path and returns a JSON-able summary."""
+    drive: str  # unique in the stage
+    target: str  # path of its file or folder in the stage's folder
+    inputs: Sequence[Path | str]  # files and strings that determine the content, with the stage's code and settings
+    work: Callable[[Path], Summary]  # picklable; writes the file or folder to a path, returns a JSON-able summary
 
 
 def make_drives(
@@ -45,10 +41,8 @@ def make_drives(
 ) -> dict[str, Summary]:
     """Make the drives that no earlier run made, add all to ``folder.new``, and return drive → summary, as in `jobs`.
 
-    Args:
-        settings: a section, or JSON-able. Part of every key, so without what determines single drives only.
-        describe: a drive's summary → text for the log.
-        workers: see :func:`run_jobs`. Never changes a result.
+    `settings`, a section or JSON-able, are part of every key, so without what determines single drives only. `describe`
+    turns a summary into text for the log.
     """
     settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
     kept = {}  # drive → path of its result
@@ -83,13 +77,10 @@ def make_files(
     describe: str,
     workers: int | None = None,
 ) -> dict[str, Summary]:
-    """Make ``out/DRIVE.h5`` of each drive from its files in the folders of earlier stages, and the index.
+    """Make ``out/DRIVE.h5`` of each drive of `splits` from its files in the folders of earlier stages, and the index.
 
-    Args:
-        splits: drive → split.
-        inputs: argument of `work` → folder.
-        work: is called with a path and the drive's files, see :class:`Job`. Its summary counts the ``frames``.
-        describe: format of a summary for the log.
+    `inputs`: argument of `work` → folder. `work` is called with a path and the drive's files, and its summary counts
+    the ``frames``. `describe` is the format of a summary for the log.
     """
     jobs = []
     for drive in splits:

@@ -101,10 +101,7 @@ class DriveWriter:
 
     def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
         """Write a complete dataset, a row per frame. Arrays of three or more axes are compressed frame by frame."""
-        array = np.asarray(array)
-        options: dict[str, Any] = {}
-        if array.ndim >= 3 and array.size:
-            options = {"chunks": (1, *array.shape[1:]), **_PIXELS}
+        options = {"chunks": (1, *array.shape[1:]), **_PIXELS} if array.ndim >= 3 and array.size else {}
         self._create(name, unit, data=array, **options)
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
@@ -117,19 +114,16 @@ class DriveWriter:
         `pointer`: the dataset with each frame's first row, see :meth:`put_pointers`; without it, a row per frame.
         `refers_to`: the dataset whose rows these numbers refer to.
         """
-        rows = np.asarray(rows)
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
             length, encoding = (1, _PIXELS) if rows.ndim >= 3 else (_CHUNK_ROWS, _POINTS)
             options = {"maxshape": (None, *rows.shape[1:]), "chunks": (length, *rows.shape[1:]), **encoding}
             self._create(name, unit, data=rows[:0], **options)
-            for key, value in {"pointer": pointer, "refers_to": refers_to}.items():
-                if value:
-                    self._datasets[name].attrs[key] = value
+            named = {"pointer": pointer, "refers_to": refers_to}
+            self._datasets[name].attrs.update({key: value for key, value in named.items() if value})
         dataset = self._datasets[name]
-        start = len(dataset)
-        dataset.resize(start + len(rows), axis=0)
-        dataset[start:] = rows
+        dataset.resize(len(dataset) + len(rows), axis=0)
+        dataset[len(dataset) - len(rows) :] = rows
         self._sink.check(self.path)
 
     @contextmanager
@@ -172,6 +166,11 @@ class DriveReader:
             if "_drive_" in path.stem and self.drive != path.stem:
                 raise _fault(f"contains drive {self.drive}", path, self._stage)
             self._datasets = _datasets(self._file)
+            # Ragged dataset → dataset with the first row of each frame; dataset of numbers of rows → that with the rows
+            self.pointers, self.refers_to = (
+                {name: str(data.attrs[key]) for name, data in self._datasets.items() if key in data.attrs}
+                for key in ("pointer", "refers_to")
+            )
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged ({error})", path, self._stage) from error
 
@@ -226,19 +225,6 @@ class DriveReader:
 
     def shape(self, name: str) -> tuple[int, ...]:
         return self.dataset(name).shape
-
-    @cached_property
-    def pointers(self) -> dict[str, str]:
-        """Ragged dataset → dataset with the first row of each frame."""
-        return self._declared("pointer")
-
-    @cached_property
-    def refers_to(self) -> dict[str, str]:
-        """Dataset of numbers of rows → dataset with those rows."""
-        return self._declared("refers_to")
-
-    def _declared(self, attribute: str) -> dict[str, str]:
-        return {name: data.attrs[attribute] for name, data in self._datasets.items() if attribute in data.attrs}
 
     def dataset(self, name: str) -> h5py.Dataset:
         """Return the h5py dataset. Raises InputError if it is missing."""

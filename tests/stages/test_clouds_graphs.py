@@ -11,7 +11,7 @@ from pipeline.base.resume import ROOT
 from pipeline.camera import classes, geometry
 from stages import clouds, graphs
 from tests import street
-from tests.motion_files import write_motion
+from tests.artefacts import write_motion
 
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
 FULL, BLIND, CAMERA = SPLITS

@@ -13,8 +13,8 @@ from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.settings.ingest import Reading
 from stages import labels
+from tests.artefacts import write_motion
 from tests.kitti_drive import write_params
-from tests.motion_files import write_motion
 
 DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
 FIRST, SECOND = DRIVES

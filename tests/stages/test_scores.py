@@ -11,7 +11,7 @@ from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.settings.ingest import Reading
 from stages import scores
-from tests.motion_files import write_motion
+from tests.artefacts import write_motion
 
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20
 SPEED_MPS, YAW_RATE_RADPS = 10.0, 0.2

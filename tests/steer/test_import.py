@@ -21,8 +21,7 @@ from pipeline.settings import preset
 from pipeline.video.import_recording import GAP_S, cut
 from stages import check, ingest, labels
 from steer.import_ import import_recording
-from tests.kitti_drive import contents, write_params
-from tests.recordings import SIZE, pictures, write_folder, write_video
+from tests.kitti_drive import SIZE, contents, pictures, write_folder, write_params, write_video
 
 DRIVES = ("2027_03_31_drive_0001", "2027_03_31_drive_0002")
 FRAMES = 12

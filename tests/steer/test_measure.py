@@ -25,8 +25,7 @@ from steer.import_ import import_recording
 from steer.measure import measure
 from tests import street
 from tests.flat_ground import write_encoder
-from tests.kitti_drive import write
-from tests.recordings import write_folder
+from tests.kitti_drive import write, write_folder
 
 YAW_RATE, SPEED = 0.2, 8.0
 LENS: dict[str, Any] = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": CAMERA_HEIGHT_M}

@@ -16,7 +16,7 @@ from pipeline.camera.geometry import transform
 from pipeline.graphs import cloud, frame_graph, graph, graph_file
 from pipeline.settings.graphs import Variant
 from tests import artefacts
-from tests.motion_files import write_motion
+from tests.artefacts import write_motion
 
 K = np.array([[100.0, 0, 19.5], [0, 100.0, 9.5], [0, 0, 1]])
 

@@ -27,9 +27,8 @@ from pipeline.video.pictures import write_overlay
 from pipeline.video.recording import open_recording, read_times
 from pipeline.video.results import Results, Truth, read_course, read_truth
 from pipeline.video.source import Source
-from tests.kitti_drive import write_png
-from tests.motion_files import write_motion
-from tests.recordings import SIZE, pictures, write_folder, write_video
+from tests.artefacts import write_motion
+from tests.kitti_drive import SIZE, pictures, write_folder, write_png, write_video
 
 
 def times_of(path: Path, **options: Any) -> list[float]:

@@ -42,7 +42,7 @@ def main(
         Job(drive, f"{drive[:10]}/{drive}_sync", [str(count)], partial(render, drive=drive, frames=count))
         for drive, count in sorted(frames.items(), key=lambda item: -item[1])  # the longest first
     ]
-    text = "{frames} frames, {metres} m, mean squared steering {mean_steering_squared_rad2} rad²"
+    text = "{frames} frames, {metres} m"
     with stage_folder("sample", out) as folder:
         make_drives(folder, jobs, settings.model_dump(exclude={"frames"}), text.format_map, workers)
         for date in {drive[:10] for drive in frames}:

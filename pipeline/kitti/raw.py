@@ -137,8 +137,10 @@ def read_calibration(folder: Path, number: int) -> Camera:
     path, velo = folder / "calib_cam_to_cam.txt", folder / "calib_velo_to_cam.txt"
     with error_context(fix=_EXTRACT):
         entries = read_entries(path)
-        P, size = projection(entries, number, path)
-        K = P[:, :3]
+        P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
+        width, height = np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
+        K, size = P[:, :3], (height, width)
+        check_pinhole(K, size, f"{path}: P_rect_{number:02d}")
         if not velo.exists():
             return Camera(K, size)
         # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this camera. All three
@@ -176,14 +178,6 @@ def matrix(entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...],
     if values.size != np.prod(shape) or not np.isfinite(values).all():
         raise InputError(f"{name}: expected {np.prod(shape)} finite numbers, got {values}", path)
     return values.reshape(shape)
-
-
-def projection(entries: Mapping[str, np.ndarray], number: int, path: Path) -> tuple[np.ndarray, Size]:
-    """Return P_rect [3,4] of a rectified camera and its image size (H, W). Raises InputError."""
-    P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
-    width, height = np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
-    check_pinhole(P[:, :3], (height, width), f"{path}: P_rect_{number:02d}")
-    return P, (height, width)
 
 
 def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:

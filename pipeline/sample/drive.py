@@ -21,7 +21,6 @@ from pipeline.sample.world import World
 SENSORS = ("image_02", "velodyne_points", "oxts")
 # Level 1 and one filter per file: half the time of writing and two thirds of reading for 13 kB more of a frame's 130.
 _LEVEL = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER)
-WHEELBASE_M = 2.7  # for the steering angles in the log; labels have their own in params.yaml
 
 
 def render_drive(
@@ -37,7 +36,7 @@ def render_drive(
         scan_rays: rings and rays per ring of the scanner.
         seed: of the sample; with the name it determines road, street, light and motion.
 
-    Returns the number of frames, metres driven and mean squared steering angle of the road (WHEELBASE_M).
+    Returns the number of frames and metres driven.
     """
     rng = random_of(drive, seed)
     quarter, first = theme(drive)
@@ -69,12 +68,7 @@ def render_drive(
         (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
 
     s_m = journey.motion.s_m
-    steering = np.arctan(WHEELBASE_M * journey.route.curvature(s_m))
-    return {
-        "frames": frames,
-        "metres": round(float(s_m[-1] - s_m[0]), 1),
-        "mean_steering_squared_rad2": round(float(np.mean(steering**2)), 5),
-    }
+    return {"frames": frames, "metres": round(float(s_m[-1] - s_m[0]), 1)}
 
 
 def theme(drive: str) -> tuple[str, str]:

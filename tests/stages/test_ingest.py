@@ -37,6 +37,8 @@ def test_rows_go_by_frame_number(tmp_path: Path) -> None:
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7], truth=True)
     for name in ("image_02/data/0000000005.png", "velodyne_points/data/0000000003.bin", "oxts/data/0000000006.txt"):
         (folder / name).unlink()
+    for junk in ("._0000000003.bin", "0000000003.bin.part", "readme.txt"):
+        write(folder / "velodyne_points/data" / junk, "")
     with run(tmp_path) as file:
         np.testing.assert_array_equal(file.frame, [2, 3, 5, 7])
         np.testing.assert_allclose(file.time_s, [0, 0.1, 0.3, 0.5], atol=1e-9)

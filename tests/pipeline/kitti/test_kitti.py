@@ -17,19 +17,6 @@ from pipeline.kitti.raw import KittiDrive, read_calibration, read_scan
 from tests.kitti_drive import DATE, scan, write, write_calibration, write_drive
 
 
-def test_files_are_keyed_on_frame_numbers(tmp_path: Path) -> None:
-    folder = write_drive(tmp_path, frames=[3, 4, 7])
-    data = folder / "velodyne_points/data"
-    for junk in ("._0000000003.bin", "0000000005.bin.part", "readme.txt"):
-        write(data / junk, "")
-    (data / "0000000004.bin").unlink()
-    drive = KittiDrive(folder)
-    assert list(drive.scans) == [3, 7]
-    assert list(drive.oxts) == list(drive.images(2)) == [3, 4, 7]
-    assert drive.images(2)[7].name == "0000000007.png"
-    assert drive.images(0) == drive.truth_depth == {}
-
-
 def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path: Path) -> None:
     folder = write_drive(tmp_path, truth=True)
 

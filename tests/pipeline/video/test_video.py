@@ -1,6 +1,5 @@
 """Recordings: frames, times, intrinsics, logs, plainly wrong files; results: course, truth, comparison, pictures."""
 
-import os
 import socket
 import struct
 from collections.abc import Callable
@@ -62,11 +61,9 @@ def test_frames_and_times_of_the_container(tmp_path: Path) -> None:
 
 
 def test_names_in_nanoseconds_are_times(tmp_path: Path) -> None:
-    stamps = [1479424215880976321, 1479424215930976321, 1479424216040976321]
-    for stamp, image in zip(stamps, pictures(3), strict=True):
-        write_png(tmp_path / f"{stamp}.png", image)
+    for stamp in (1479424215880976321, 1479424215930976321, 1479424216040976321):
+        write_png(tmp_path / f"{stamp}.png", pictures(1)[0])
     assert times_of(tmp_path) == pytest.approx([0, 0.05, 0.16], abs=1e-12)
-    assert times_of(tmp_path, fps=4) == [0, 0.25, 0.5]
 
 
 @pytest.mark.parametrize("kind", ["folder", "a.mjpeg"])
@@ -201,29 +198,6 @@ def test_a_playlist_opens_no_socket_and_no_other_file(tmp_path: Path, name: str,
             server.accept()
 
 
-def external(content: bytes, path: Path) -> bytes:
-    """Return an MP4 file whose samples are in the file at `path`: a data reference "alis" replaces "url "."""
-    name = os.fsencode(path) + bytes(len(os.fsencode(path)) % 2)
-    record = b"alis" + bytes(134) + struct.pack(">hh", 1, 1) + bytes(16)
-    record += struct.pack(">HH", 2, len(name)) + name + struct.pack(">hH", -1, 0)
-    at = content.index(b"url \0\0\0\1") - 4
-    content = content[:at] + struct.pack(">I", len(record) + 4) + record + content[at + 12 :]
-    for box in (b"dref", b"dinf", b"minf", b"mdia", b"trak", b"moov"):
-        start = content.index(box) - 4
-        (size,) = struct.unpack(">I", content[start : start + 4])
-        content = content[:start] + struct.pack(">I", size + len(record) - 8) + content[start + 4 :]
-    return content
-
-
-def test_samples_in_another_file_are_not_read(tmp_path: Path) -> None:
-    path, real = tmp_path / "a.mp4", write_video(tmp_path / "real.mp4", pictures(3))
-    path.write_bytes(external(real.read_bytes(), real))
-    with av.open(str(path), options={"enable_drefs": "1"}) as file:  # FFmpeg would read them
-        assert len(list(file.decode(video=0))) == 3
-    with pytest.raises(DamagedFile, match="no frames"):
-        open_recording(path)
-
-
 def test_field_of_view_spans_the_edges() -> None:
     K = pinhole((480, 640), fov_deg=90).K
     left, right = np.linalg.inv(K) @ [-0.5, 0, 1], np.linalg.inv(K) @ [639.5, 0, 1]  # half a pixel beyond the centres
@@ -286,14 +260,11 @@ WHEEL = "frame,wheel_rad\n"
         (HEAD + "0,5,0\n1e-4,5,0\n", "in seconds"),
         (HEAD + "0,5,0\n0,5,5,0\n", "line 3: expected numbers, .*decimal point"),
         ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
-        (WHEEL + "1,-0,90\n2,-0,80\n", "line 2: expected numbers, .*decimal point"),
         (WHEEL + "1,0\n2,45\n", "steering_rad = 3 "),
-        ("time_s,wheel_rad\n0,0\n1000,0\n", "divide milliseconds"),
         ("wheel_rad\n0\n1\n", "neither time_s nor frame"),
         (WHEEL, "has no rows"),
         ("1\n2\n2\n", "from 2 to 2"),
         ("0\n100\n200\n", "divide milliseconds by 1000"),
-        ("0\n1e-4\n2e-4\n", "in seconds"),
     ],
 )
 def test_plainly_wrong_logs(tmp_path: Path, text: str, problem: str) -> None:
@@ -381,7 +352,7 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(
         Logs.read(files[0], None, None)
 
 
-def test_comparison_by_its_definition(tmp_path: Path) -> None:
+def test_comparison_by_its_definition() -> None:
     """With the angle two frames later; the measured angle is held where it is not known."""
     results, rng = driven(), np.random.default_rng(0)
     results.table["driven_rad"] = rng.normal(0, 0.1, COUNT)

@@ -17,10 +17,9 @@ def run(main: Callable[..., object]) -> None:
 
 
 def guarded(main: Callable[..., object]) -> Callable[..., None]:
-    """Return `main` as a command that prints errors as one line and exits with status 1.
+    """Return `main` as a command that prints an InputError, an OSError or Ctrl-C as one line, with exit status 1.
 
-    These are an :class:`InputError`, an OSError (a full disk, no permission, …) and Ctrl-C. Other exceptions are bugs
-    and keep their traceback, as all do with an option `debug`.
+    Other exceptions are bugs and keep their traceback, as all do with an option `debug`.
     """
 
     @functools.wraps(main)  # Typer reads its arguments

@@ -24,14 +24,13 @@ def matches(pattern: str, expected: str) -> AfterValidator:
 
 
 def check_name(name: Any) -> str:
-    """Return a name of an entry. Raises ValueError."""
+    """Return the name of an entry, safe as the name of a stage and of a folder, and in a shell. Raises ValueError."""
     if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
         return name
     raise ValueError("expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on")
 
 
 Name = Annotated[str, BeforeValidator(check_name)]
-"""A name that is safe as the name of a stage and of a folder, and in a shell."""
 Drive = Annotated[str, matches(r"\d{4}_\d\d_\d\d_drive_\d{4}", "a drive's name, such as 2011_09_26_drive_0052")]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
@@ -41,8 +40,7 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=32, le=4096)]
 # YAML has lists only, which a strict model would not take as tuples.
 ImageSize = Annotated[tuple[Side, Side], Field(strict=False, description="[H, W] in pixels")]
-FrameKind = Literal["graph", "pointnet2", "image"]
-"""Inputs of the networks, as in models/steering/core/batch.py."""
+FrameKind = Literal["graph", "pointnet2", "image"]  # as in models/steering/core/batch.py
 Precision = Literal["auto", "float32"]
 SPLITS = ("train", "val", "test")
 _COPY = "Copy it from the project's own params.yaml"

@@ -81,15 +81,6 @@ def test_a_path_needs_ranges_and_is_no_input(tmp_path: Path) -> None:
         run(tmp_path, content)
 
 
-@pytest.mark.parametrize(("key", "value"), [("horizon", 10), ("alpha", 5.0)])
-def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any) -> None:
-    content = changed(MODEL, yaml.safe_load((ROOT / "params.yaml").read_text())["models"]["sa-gnn-ncp"])
-    content["models"]["sa-gnn-ncp"] |= {"predict": "path", key: value}
-    with pytest.raises(InputError, match=f"predict: path has no {key}") as raised:
-        run(tmp_path, content)
-    assert "\n" not in str(raised.value)
-
-
 @pytest.mark.parametrize(
     ("where", "value", "message"),
     [
@@ -104,6 +95,7 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         ("models.motion-10-blind.spatial", "cnn", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
         (MODEL, {"input": "semantic", "spatial": "gnn", "temporal": "lstm"}, "semantics is missing: weight of the cl"),
+        (MODEL, PYG | {"spatial": "gnn", "predict": "path", "horizon": 10}, "predict: path has no horizon"),
         (MODEL, PYG | {"layer": "GATv2"}, "no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv"),
         (MODEL, PYG | {"layer": "RGCNConv"}, "RGCNConv with options {} fails: .*num_relations"),
         (MODEL, PYG, "layer is missing: a layer of torch_geometric.nn"),
@@ -112,11 +104,7 @@ def test_a_path_has_no_settings_of_an_angle(tmp_path: Path, key: str, value: Any
         ("encoder", {"backbone": "precomputed", "weights": "pngs", **FIT}, "folder has no PNG files"),
         ("encoder", {"backbone": "precomputed", **FIT}, "folder of PNG files"),
         ("encoder", {"backbone": "street", **FIT, "epochs": 1}, "street is not fitted"),
-        (
-            "encoder",
-            {"backbone": "pair", "depth": "a/b", **FIT},
-            "pair needs classes and focal_by_width, or an encoder.pt",
-        ),
+        ("encoder", {"backbone": "pair", "depth": "a/b", **FIT}, "pair needs classes and focal_by_width, or an enc"),
         ("encoder", PAIR | {"depth": "some/where/else"}, "depth: 'some/where/else' is not a folder with a config.json"),
         ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
         ("encoder", PAIR | {"targets": "pngs"}, "targets: pngs: folder has no PNG files"),

@@ -31,6 +31,8 @@ def main(
     groups = results.load_groups(data / "evaluate", evaluated)
     path = data / "scores" / "metrics.json"
     scores = store.read_json(path, stage="scores") if path.is_file() else None
+    path = data / "encoder" / "config.json"
+    weights = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
     steering = tables.steering_tables(groups, load(Evaluate, params))
     perceived = tables.perception_tables(scores) if scores else []
     story = sentences(groups, [model for model in models if model not in evaluated])
@@ -45,7 +47,7 @@ def main(
         for network, curve in curves.items():  # DVC draws an empty field as 0, and nan as a gap
             curve.to_csv(new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         captions = draw(new / "figures", groups, data)
-        write_page(new / "index.html", story, groups, steering, perceived, captions, curves)
+        write_page(new / "index.html", story, groups, steering, [*weights, *perceived], captions, curves)
     print(text)
     return out
 

@@ -44,14 +44,15 @@ def write_page(
     story: Sequence[str],
     groups: Sequence[Group],
     tables: Sequence[Table],
-    perception: Sequence[Table],
+    perception: Content,
     figures: Mapping[str, str],
     curves: dict[str, pd.DataFrame],
 ) -> None:
     """Write the page to an HTML file.
 
     The files of `figures` (name without suffix → caption) are in folder figures beside it; the chain is shown first.
-    The first of the `tables` are the results of each group. `curves`: see :func:`results.load_curves`.
+    The first of the `tables` are the results of each group. `perception`: where the encoder's weights come from, and
+    tables. `curves`: see :func:`results.load_curves`.
     """
     pictures = {
         name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))

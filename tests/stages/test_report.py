@@ -32,6 +32,7 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
     scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
     reports = {split: score.report() for split, score in scores.items()}
     store.write_json(tmp_path / "scores/metrics.json", reports | {"motion": {}})
+    store.write_json(tmp_path / "encoder/config.json", {"sources": ["b0.pt: its URL (its terms)"]})
     made = []
     for _ in range(2):
         text = run(tmp_path, "sa-gnn-ncp", "scene", "absent")
@@ -45,3 +46,4 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
     assert made[0]["sa-gnn-ncp.csv"] == b"epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
     assert "sa-gnn-ncp.seed-1.fold-a.csv" in made[0]
     assert b"No result here: absent." in made[0]["index.html"]
+    assert b"b0.pt: its URL (its terms)" in made[0]["index.html"]

@@ -1,7 +1,6 @@
 """Stage encoder: fit the unified encoder on the training drives, or take fitted weights."""
 
 import csv
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,25 +32,19 @@ def main(
     torch.manual_seed(settings.seed)
     with error_context(params), error_context("encoder"):
         architecture, model = create(settings)
-    curve: Sequence[Any] = []
+    curve: list[dict[str, float]] = []
     with stage_folder("encoder", out) as stage:
         if settings.epochs:
-            splits, targets = store.read_index(ingest, stage="ingest"), settings.targets
-            drives = store.drives_in(splits, "train")
-            if targets:  # an image needs no label: drives of any split
-                drives = [drive for drive in splits if (targets / drive).is_dir()]
-            curve, fitted_on = _fit(model, settings, ingest, drives)
-            config |= fitted_on
+            curve, fitted_on = _fit(model, settings, ingest)
+            config |= fitted_on | {"losses": {name: curve[-1][name] for name in ("loss", "depth", "classes")}}
         perceive.save(stage.new, architecture, model.state_dict())
         parameters = sum(parameter.numel() for parameter in model.parameters())
         config |= {"sources": architecture.get("sources", []), "parameters": parameters}
-        if curve:
-            config["losses"] = {name: getattr(curve[-1], name) for name in ("loss", "depth", "classes")}
         store.write_json(stage.new / "config.json", config)
         with (stage.new / "curve.csv").open("w", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file, lineterminator="\n")
-            rows.writerow(["epoch", "loss", "depth", "classes"])
-            rows.writerows([row.epoch, f"{row.loss:.6g}", f"{row.depth:.6g}", f"{row.classes:.6g}"] for row in curve)
+            rows = csv.DictWriter(file, ["epoch", "loss", "depth", "classes"], lineterminator="\n")
+            rows.writeheader()
+            rows.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in curve)
     frames = sum(config.get("frames_per_drive", {}).values())
     action = f"fitted on {frames} frames" if curve else "weights used as they are"
     for line in (f"{settings.backbone}, {parameters:,} parameters, {action}", *config["sources"]):
@@ -59,22 +52,22 @@ def main(
     return out
 
 
-def _fit(model: Any, settings: Encoder, ingest: Path, drives: Sequence[str]) -> tuple[Sequence[Any], dict[str, Any]]:
-    """Fit the encoder to drives. Returns the loss curve and the frames for config.json."""
+def _fit(model: Any, settings: Encoder, ingest: Path) -> tuple[list[dict[str, float]], dict[str, Any]]:
+    """Fit the encoder to the training drives, or to all that have targets, as an image needs no label.
+
+    Returns the loss curve and the frames for config.json.
+    """
     import torch
 
     from pipeline.perception import fit
     from pipeline.perception.examples import Examples
 
-    with Examples(ingest, drives, settings.frames, settings.targets) as examples:
-        curve = fit.fit(
-            model.to("cuda" if torch.cuda.is_available() else "cpu"),
-            examples,
-            epochs=settings.epochs,
-            batch=settings.batch,
-            learning_rate=settings.learning_rate,
-            seed=settings.seed,
-        )
+    splits, targets = store.read_index(ingest, stage="ingest"), settings.targets
+    drives = [drive for drive in splits if (targets / drive).is_dir()] if targets else store.drives_in(splits, "train")
+    model.to("cuda" if torch.cuda.is_available() else "cpu")
+    schedule = settings.model_dump(include={"epochs", "batch", "learning_rate", "seed"})
+    with Examples(ingest, drives, settings.frames, targets) as examples:
+        curve = fit.fit(model, examples, **schedule)
         return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
 
 

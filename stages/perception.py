@@ -21,8 +21,7 @@ def main(
     """Predict depth and classes of each image, scale the depth, and store both. Returns the output folder."""
     import torch
 
-    from pipeline.perception.drive import cached_encoder, perceive_drive
-    from pipeline.perception.perceive import weights_file
+    from pipeline.perception.perceive import cached_encoder, perceive_drive, weights_file
 
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")

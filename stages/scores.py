@@ -47,7 +47,7 @@ def main(
         for split in SPLITS:
             scores, drives = Scores(), store.drives_in(splits, split)
             for drive in drives:
-                scores.add_sums(summaries[drive]["sums"])
+                scores.add(summaries[drive]["sums"])
             content[split] = scores.report()
             print(f"scores, {split}: {summary_line(content[split])}", flush=True)
             for kind, motion_scores in score_motion(drives).items():
@@ -72,8 +72,8 @@ def _score_drive(
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
     report, motion = scores.report(), score_motion([drive])
     store.write_json(path, {**report, "motion": motion})
-    lines = [_line(kind, scores) for kind, scores in motion.items()]
-    return {"frames": count, "sums": scores.sums(), "line": "; ".join([summary_line(report), *lines])}
+    line = "; ".join([summary_line(report), *(_line(kind, scored) for kind, scored in motion.items())])
+    return {"frames": count, "sums": {key: sums.tolist() for key, sums in scores.sums.items()}, "line": line}
 
 
 def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) -> dict[str, Any]:

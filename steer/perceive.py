@@ -28,8 +28,7 @@ def perceive(
     from pipeline.base.outputs import check_free
     from pipeline.camera.camera import read_camera
     from pipeline.perception import precomputed
-    from pipeline.perception.drive import read_batches
-    from pipeline.perception.perceive import open_encoder, passes
+    from pipeline.perception.perceive import open_encoder, passes, read_batches
 
     check_free(out)
     predict = open_encoder(encoder, "float32")

@@ -11,7 +11,7 @@ from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.kitti.ingest import ingest_drive
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.drive import perceive_drive
+from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Accumulate, Variant
 from pipeline.settings.ingest import Reading

@@ -68,11 +68,6 @@ def check_weights(path: Path) -> None:
         raise InputError("file is missing", path, fix)
 
 
-def _create_small(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    architecture = {"backbone": settings.backbone}
-    return architecture, build(architecture)
-
-
 def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
     for source in street.SOURCES:
         fetch(WEIGHTS / source.path, source.url, source.sha256)
@@ -83,7 +78,7 @@ def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
 
 
 CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
-    "small": _create_small,
+    "small": lambda settings: ({"backbone": "small"}, build({"backbone": "small"})),
     "street": _create_street,
     "pair": hugging_face.create_pair,
     "hugging_face": hugging_face.create_backbone,
@@ -94,13 +89,10 @@ CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
 
 def fetch(path: Path, url: str, sha256: str) -> None:
     """Download a file if it is missing. Raises InputError if the download fails or the hash differs."""
-    if not path.exists():
-        _download(path, url, sha256)
-    if file_hash(path) != sha256:
-        raise InputError(f"SHA-256 is {file_hash(path)}, expected {sha256}", path, "Delete it to download it again")
-
-
-def _download(path: Path, url: str, sha256: str) -> None:
+    if path.exists():
+        if file_hash(path) != sha256:
+            raise InputError(f"SHA-256 is {file_hash(path)}, expected {sha256}", path, "Delete it to download it again")
+        return
     default_s = socket.getdefaulttimeout()
     socket.setdefaulttimeout(TIMEOUT_S)  # hub sets none
     try:

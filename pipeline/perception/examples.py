@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -37,7 +36,7 @@ def spread(count: int, wanted: int) -> np.ndarray:
     return (np.arange(wanted) + 0.5) * count // wanted
 
 
-class Examples:
+class Examples(ExitStack):
     """Training frames by number, read on access; a context manager."""
 
     def __init__(self, ingest: Path, drives: Sequence[str], frames: int, targets: Path | None = None) -> None:
@@ -47,15 +46,14 @@ class Examples:
         least one of the drives' frames with an image has depth, and one classes.
         """
         self._folder = targets
-        self._stack = ExitStack()
-        files = [self._stack.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
+        super().__init__()
+        files = [self.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
         # The fit does not use the height.
         self._drives = [(file, read_camera(file, CAMERA_HEIGHT_M), _has_targets(file, targets)) for file in files]
         for column, kind in enumerate(("depth or LiDAR", "classes")):
             if not any(has_targets[:, column].any() for _, _, has_targets in self._drives):
-                self._stack.close()
-                fix = "Name a fitted encoder.pt in encoder.weights and set encoder.epochs: 0"
-                fix = "Write them: steer perceive" if targets else fix
+                self.close()
+                fix = "Write them: steer perceive" if targets else "Name a fitted encoder.pt, and set encoder.epochs: 0"
                 raise InputError(f"no image of the training drives has {kind}", targets or ingest, fix)
         rows = [(i, int(row)) for i, drive in enumerate(self._drives) for row in np.flatnonzero(drive[2].any(axis=1))]
         self._frames = [rows[int(i)] for i in spread(len(rows), frames)]
@@ -74,20 +72,14 @@ class Examples:
         drive, row = self._frames[i]
         file, camera, _ = self._drives[drive]
         if self._folder:
-            depth_m, cls = precomputed.read(self._folder, file.drive, int(file.frame[row]), camera.size)
+            targets = precomputed.read(self._folder, file.drive, int(file.frame[row]), camera.size)
         else:
             truth = read_truth(file, camera, row)
-            depth_m, cls = truth.depth_m, truth.cls
-        example = Example(file.row("image", row), camera, depth_m, cls)
+            targets = truth.depth_m, truth.cls
+        example = Example(file.row("image", row), camera, *targets)
         if self._cached:
             self._cache[i] = example
         return example
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
 
 
 def _has_targets(file: DriveReader, folder: Path | None) -> np.ndarray:

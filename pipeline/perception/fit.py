@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Generator
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -21,33 +20,17 @@ WEIGHT_DECAY = 1e-4
 MAX_RELATIVE_ERROR = 6.0
 
 
-@dataclass(frozen=True)
-class EpochLoss:
-    """Means of :func:`depth_and_class_loss` over an epoch's steps, and their sum."""
-
-    epoch: int
-    loss: float
-    depth: float
-    classes: float
-
-
 def fit(
-    model: nn.Module,
-    examples: Examples,
-    *,
-    epochs: int,
-    batch: int,
-    learning_rate: float,
-    seed: int,
-) -> list[EpochLoss]:
-    """Fit `model` (image uint8 [B,3,H,W], K [B,3,3] → depth [B,H,W], logits) in place; return the loss per epoch.
+    model: nn.Module, examples: Examples, *, epochs: int, batch: int, learning_rate: float, seed: int
+) -> list[dict[str, float]]:
+    """Fit an encoder in place. Returns a row per epoch: means of :func:`depth_and_class_loss`, and their sum.
 
     Raises InputError if the loss is not finite.
     """
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimiser = torch.optim.AdamW(model.parameters(), weight_decay=WEIGHT_DECAY, fused=True)
-    curve: list[EpochLoss] = []
+    curve = []
     steps = math.ceil(len(examples) / batch)
     model.train()
     for epoch in range(epochs):
@@ -68,14 +51,12 @@ def fit(
             optimiser.step()
             sums += losses.detach()
         depth_loss, class_loss = (sums / steps).tolist()
-        row = EpochLoss(epoch + 1, depth_loss + class_loss, depth_loss, class_loss)
-        if not math.isfinite(row.loss):
+        row = {"epoch": epoch + 1, "loss": depth_loss + class_loss, "depth": depth_loss, "classes": class_loss}
+        if not math.isfinite(row["loss"]):
             fix = f"Lower encoder.learning_rate (now {learning_rate})"
-            raise InputError(f"the loss is not finite in epoch {row.epoch}", "encoder", fix)
-        losses_text = f"loss {row.loss:.4f} (depth {depth_loss:.4f}, classes {class_loss:.4f})"
-        print(
-            f"encoder: {row.epoch} of {epochs} epochs: {losses_text}, {time.perf_counter() - start:.1f} s", flush=True
-        )
+            raise InputError(f"the loss is not finite in epoch {epoch + 1}", "encoder", fix)
+        line = "encoder: {epoch} of {epochs} epochs: loss {loss:.4f} (depth {depth:.4f}, classes {classes:.4f})"
+        print(f"{line.format(epochs=epochs, **row)}, {time.perf_counter() - start:.1f} s", flush=True)
         curve.append(row)
     model.eval()
     return curve

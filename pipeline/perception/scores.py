@@ -78,9 +78,8 @@ class Scores:
 
     def __init__(self) -> None:
         keys = [key + crop for key in DEPTH_SCORES for crop in ("", "_eigen")]
-        self.depth = {key: np.zeros(len(_DEPTH_SUMS)) for key in keys}
-        self.class_frames = 0
-        self.confusion = np.zeros((classes.COUNT, classes.COUNT + 1), np.int64)
+        self.sums = {key: np.zeros(len(_DEPTH_SUMS)) for key in keys}
+        self.sums |= {"class_frames": np.zeros(1), "confusion": np.zeros((classes.COUNT, classes.COUNT + 1))}
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:
         """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.
@@ -104,46 +103,39 @@ class Scores:
             known = in_range(truth)
             errors = depth_errors(predicted, truth)
             frame = (0, 0, 0, 0) if errors is None else (1, *errors)
-            self.depth[name] += [*frame, (known & (predicted > 0)).sum(), known.sum()]
+            self.sums[name] += [*frame, (known & (predicted > 0)).sum(), known.sum()]
 
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
         """Add the classes [H,W] of a frame."""
-        self.class_frames += 1
-        self.confusion += confusion(predicted, truth)
+        self.sums["class_frames"] += 1
+        self.sums["confusion"] += confusion(predicted, truth)
 
-    def sums(self) -> dict[str, Any]:
-        """Return the sums as JSON-able numbers for :meth:`add_sums`."""
-        return {
-            "depth": {key: sums.tolist() for key, sums in self.depth.items()},
-            "class_frames": self.class_frames,
-            "confusion": self.confusion.tolist(),
-        }
-
-    def add_sums(self, sums: dict[str, Any]) -> None:
-        """Add the result of :meth:`sums` of another instance."""
-        for key, values in sums["depth"].items():
-            self.depth[key] += values
-        self.class_frames += sums["class_frames"]
-        self.confusion += np.array(sums["confusion"])
+    def add(self, sums: Mapping[str, Any]) -> None:
+        """Add the `sums` of another instance, arrays or lists."""
+        for key, values in sums.items():
+            self.sums[key] += values
 
     def report(self) -> dict[str, Any]:
         """Return DEPTH_SCORES, full and cropped, and classes; None without frames with that ground truth."""
-        scores: dict[str, Any] = {}
-        for key, (frames, *errors, covered, known) in self.depth.items():
-            scores[key] = None
+        scores: dict[str, Any] = dict.fromkeys([*self.sums][:-2])
+        for key in scores:
+            frames, *errors, covered, known = self.sums[key].tolist()
             if frames:
-                means = {name: float(error / frames) for name, error in zip(DEPTH_ERRORS, errors, strict=True)}
-                scores[key] = {"frames": int(frames), **means, "coverage": float(covered / known)}
-        ious = class_ious(self.confusion)
-        present = {name: float(iou) for name, iou in zip(classes.NAMES, ious, strict=True) if not np.isnan(iou)}
-        scores["classes"] = None
-        if present:
-            scores["classes"] = {
-                "frames": self.class_frames,
+                means = {name: error / frames for name, error in zip(DEPTH_ERRORS, errors, strict=True)}
+                scores[key] = {"frames": int(frames), **means, "coverage": covered / known}
+        matrix = self.sums["confusion"]
+        ious = zip(classes.NAMES, class_ious(matrix).tolist(), strict=True)
+        present = {name: iou for name, iou in ious if not np.isnan(iou)}
+        scores["classes"] = (
+            None
+            if not present
+            else {
+                "frames": int(self.sums["class_frames"][0]),
                 "mean_iou": float(np.mean([*present.values()])),  # over the classes in the truth
-                "pixel_accuracy": float(self.confusion.trace() / self.confusion.sum()),
+                "pixel_accuracy": float(matrix.trace() / matrix.sum()),
                 "iou": present,
             }
+        )
         return scores
 
 

@@ -20,8 +20,7 @@ from pipeline.camera.images import format_size, read_image
 from pipeline.kitti.ingest import ingest_drive, ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.drive import perceive_drive
-from pipeline.perception.perceive import weights_file
+from pipeline.perception.perceive import perceive_drive, weights_file
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion

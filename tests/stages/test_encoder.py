@@ -16,7 +16,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.camera import read_camera
 from pipeline.perception import perceive, precomputed
-from pipeline.perception.drive import perceive_drive
+from pipeline.perception.perceive import perceive_drive
 from pipeline.settings import preset
 from pipeline.settings.perception import Perception
 from stages.encoder import main

@@ -17,7 +17,7 @@ from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.kitti.ingest import ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.drive import perceive_drive
+from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.perception import Perception
 from pipeline.video import lens, source
 from pipeline.video.measure import READING

@@ -168,7 +168,7 @@ def test_class_scores_equal_hand_values() -> None:
     np.testing.assert_allclose(ious[[0, 1, 18]], [2 / 3, 1 / 3, 1])
     assert np.isnan(ious[2])  # predicted, but not in the truth
     scores = Scores()
-    scores.confusion += matrix
+    scores.add({"confusion": matrix})
     report = scores.report()["classes"]
     assert report["mean_iou"] == pytest.approx((2 / 3 + 1 / 3 + 1) / 3)
     assert report["pixel_accuracy"] == pytest.approx(4 / 6)
@@ -193,7 +193,7 @@ def test_scores_add_up_over_drives_through_json() -> None:
             for scores in (every, part):
                 scores.add_depth("depth_dense", depth, truth)
                 scores.add_classes(cls, true_cls)
-        total.add_sums(json.loads(json.dumps(part.sums())))
+        total.add(json.loads(json.dumps({key: sums.tolist() for key, sums in part.sums.items()})))
     assert total.report()["depth_dense"] == pytest.approx(every.report()["depth_dense"])
     assert total.report()["classes"] == every.report()["classes"]
     assert list(every.report()["classes"]["iou"]) == list(classes.NAMES[:4])

@@ -25,8 +25,10 @@ class Ground:
         self.plan = plan
         self._taken: np.ndarray = np.zeros(plan.kind.shape, np.uint8)
 
-    def claim(self, corners: np.ndarray, clear_m: float) -> bool:
-        """Take the convex footprint `corners` [N,2] if it is free and keeps `clear_m` from roads."""
+    def claim(self, xy: np.ndarray, outward_rad: float, size: tuple[float, float], clear_m: float) -> bool:
+        """Take a rectangle of `size` (along the street, away from it) if it is free and keeps `clear_m` from roads."""
+        along, away = unit(outward_rad - np.pi / 2) * size[0] / 2, unit(outward_rad) * size[1] / 2
+        corners = np.array([xy + along + away, xy - along + away, xy - along - away, xy + along - away])
         cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32)
         lowest, highest = cells.min(axis=0), cells.max(axis=0) + 1
         if (lowest < 0).any() or highest[0] > self._taken.shape[1] or highest[1] > self._taken.shape[0]:
@@ -97,7 +99,7 @@ def _houses(frontage: Frontage, ground: Ground, character: Character, rng: np.ra
         outward = frontage.outward_rad[middle]
         back = character.pavement_m + setback + rng.uniform(0, 0.8) + depth / 2
         xy = frontage.edge[middle] + back * unit(outward)
-        if ground.claim(footprint(xy, outward, (length, depth)), character.pavement_m + character.setback_m[0] * 0.6):
+        if ground.claim(xy, outward, (length, depth), character.pavement_m + character.setback_m[0] * 0.6):
             wall = np.array(_WALLS[rng.integers(len(_WALLS))]) * rng.uniform(0.85, 1.1)
             storeys = rng.integers(character.storeys[0], character.storeys[1] + 1)
             roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
@@ -117,21 +119,21 @@ def _furniture(frontage: Frontage, ground: Ground, character: Character, rng: np
     clear = character.pavement_m
     for i in range(int(rng.integers(20)), len(frontage.edge), int(rng.integers(38, 56))):  # lamp posts near the kerb
         xy = frontage.edge[i] + 0.75 * unit(frontage.outward_rad[i])
-        if ground.claim(footprint(xy, 0.0, (0.5, 0.5)), 0.4):
+        if ground.claim(xy, 0.0, (0.5, 0.5), 0.4):
             post = shapes.lamp_post(rng.uniform(5.5, 7.5))
             parts.append(post.placed(xy, frontage.outward_rad[i] + np.pi, KERB_M))
     for i in range(int(rng.integers(10)), len(frontage.edge), 9):
         outward = frontage.outward_rad[i]
         if rng.random() < character.hedges:
             xy = frontage.edge[i] + (clear + 0.5) * unit(outward)
-            if ground.claim(footprint(xy, outward, (4.4, 0.7)), clear):
+            if ground.claim(xy, outward, (4.4, 0.7), clear):
                 parts.append(_hedge(rng).placed(xy, outward - np.pi / 2, KERB_M))
         if rng.random() < character.trees * 0.5:
             # Street trees stand in the pavement, garden trees behind it.
             back = clear - 0.5 if character.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
             xy = frontage.edge[i] + back * unit(outward)
-            if ground.claim(footprint(xy, 0.0, (1.2, 1.2)), min(back - 0.7, clear)):
-                parts.append(_tree(rng, 5, 9).placed(xy, rng.uniform(0, 6.28), KERB_M))
+            if ground.claim(xy, 0.0, (1.2, 1.2), min(back - 0.7, clear)):
+                parts.append(shapes.tree(rng, rng.uniform(5, 9), _leaves(rng)).placed(xy, rng.uniform(0, 6.28), KERB_M))
     return parts
 
 
@@ -144,13 +146,13 @@ def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) ->
         heading = rng.uniform(0, 6.28)
         if rng.random() < 0.25:
             dims = (rng.uniform(8, 16), rng.uniform(8, 12))
-            if ground.claim(footprint(xy, heading, dims), 16):
+            if ground.claim(xy, heading, dims, 16):
                 wall = _WALLS[rng.integers(len(_WALLS))]
                 height = 2.9 * rng.integers(1, character.storeys[1] + 1) + 0.5
                 house = shapes.house((*dims, height), wall, _ROOFS[rng.integers(len(_ROOFS))], 2.5)
                 parts.append(house.placed(xy, heading, KERB_M))
-        elif ground.claim(footprint(xy, heading, (3, 3)), character.pavement_m + 6):
-            parts.append(_tree(rng, 6, 12).placed(xy, heading, KERB_M))
+        elif ground.claim(xy, heading, (3, 3), character.pavement_m + 6):
+            parts.append(shapes.tree(rng, rng.uniform(6, 12), _leaves(rng)).placed(xy, heading, KERB_M))
     return parts
 
 
@@ -179,10 +181,6 @@ def _hedge(rng: np.random.Generator) -> Mesh:
     return shapes.box((4.5, 0.1, rng.uniform(1.0, 1.4)), brown, classes.FENCE)
 
 
-def _tree(rng: np.random.Generator, low_m: float, high_m: float) -> Mesh:
-    return shapes.tree(rng, rng.uniform(low_m, high_m), _leaves(rng))
-
-
 def _leaves(rng: np.random.Generator) -> shapes.Colour:
     r, g, b = np.array(_LEAVES[rng.integers(len(_LEAVES))]) * rng.uniform(0.8, 1.2)
     return (float(r), float(g), float(b))
@@ -206,9 +204,3 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
         xy = arm.xy + arm.length_m * unit(arm.heading_rad) + across
         sides.append(Frontage(xy, np.full(len(xy), arm.heading_rad)))
     return sides
-
-
-def footprint(xy: np.ndarray, outward_rad: float, size: tuple[float, float]) -> np.ndarray:
-    """Return the corners [4,2] of a rectangle of `size` (along the street, away from it)."""
-    along, away = unit(outward_rad - np.pi / 2) * size[0] / 2, unit(outward_rad) * size[1] / 2
-    return np.array([xy + along + away, xy - along + away, xy - along - away, xy + along - away])

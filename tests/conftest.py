@@ -29,6 +29,12 @@ def real_weights() -> Path:
     return _shared("weights")
 
 
+@pytest.fixture(scope="session")
+def real_camvid() -> Path:
+    """CamVid's test images and labels; the test is skipped where they are absent."""
+    return _shared("camvid")
+
+
 def _shared(name: str) -> Path:
     path = SHARED / name
     if not path.is_dir():

@@ -1,5 +1,6 @@
 """The encoder of real streets: depth of RT-MonoDepth-S and classes of EfficientViT-Seg-B0, both as published."""
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,7 +58,7 @@ class Street(nn.Module):
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         rgb, size = rgb_0_1(image), image.shape[-2:]
-        enlarged = resized(rgb, [STRIDE * max(1, round(ENLARGED * side / STRIDE)) for side in size])
+        enlarged = resized(rgb, [STRIDE * math.ceil(ENLARGED * side / STRIDE) for side in size])
         return self.depth(rgb, K), resized(self.classes(enlarged), size)
 
     def load_published(self, folder: Path) -> None:

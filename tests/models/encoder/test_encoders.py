@@ -14,7 +14,7 @@ from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
 from models.encoder.unified_encoder import build
 from pipeline.camera import classes
-from pipeline.camera.camera import scan_depth
+from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resized
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.perception.perceive import perceive
@@ -115,3 +115,26 @@ def test_published_weights_give_metric_depth_of_real_streets(
     assert np.mean(ratios) == pytest.approx(1, abs=0.08)  # metres, without any scaling
     ious = class_ious(matrix)  # of grey against colour
     assert (ious[[classes.ROAD, classes.SIDEWALK, classes.BUILDING, classes.VEGETATION]] > [0.9, 0.8, 0.88, 0.78]).all()
+
+
+# CamVid's label (0 sky, 1 building, 2 pole, 3 road, 4 pavement, 5 tree, 6 sign, 7 fence, 8 car, 9 pedestrian,
+# 10 bicyclist) of Cityscapes' classes; it has no wall, train and void.
+VOID = classes.VOID
+CAMVID = np.array([3, 4, 1, VOID, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8, VOID, 10, 10])
+
+
+@pytest.mark.slow
+@pytest.mark.real
+@pytest.mark.parametrize(("colour", "least"), [(True, 0.65), (False, 0.62)])
+def test_published_weights_give_classes_of_camvids_streets(
+    street: nn.Module, real_camvid: Path, colour: bool, least: float
+) -> None:
+    matrix, camera = 0, Camera(np.array([[400.0, 0, 240], [0, 400, 180], [0, 0, 1]]), (360, 480))
+    for path in sorted((real_camvid / "images").glob("*.jpg")):
+        label = cv2.imread(str(real_camvid / f"labels/{path.stem}.png"), cv2.IMREAD_UNCHANGED)
+        image = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+        if not colour:
+            image = np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=-1)
+        cls = perceive(street, image[None], camera)[1][0]
+        matrix += confusion(CAMVID[cls], np.where(label < 11, label, VOID))
+    assert class_ious(matrix)[:11].mean() > least

@@ -108,13 +108,6 @@ def test_an_edit_runs_these_stages_again(file: str, stages: set[str]) -> None:
     assert {name for name in STAGES if Path(file) in _covered(name)} == stages
 
 
-def test_a_network_is_a_dependency_by_its_name() -> None:
-    for stage in ("train", "evaluate"):
-        assert {f"{folder}/{name}.py" for name, folder in NETWORKS.items()} <= set(STAGES[stage]["deps"])
-    for folder in NETWORKS.values():
-        assert not any(dep == folder for stage in ("train", "evaluate") for dep in STAGES[stage]["deps"])
-
-
 @pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in sorted(_files(folder))], ids=str)
 def test_a_network_imports_only_code_that_dvc_tracks_for_it(network: Path) -> None:
     tracked = {network, Path("pipeline/camera/classes.py"), *_files("models/steering/core")}

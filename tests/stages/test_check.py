@@ -1,4 +1,3 @@
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
 PAPER = {"cnn-ncp", "gnn-lstm", "gnn-ncp", "pointnet2-lstm", "pointnet2-ncp", "do-gnn-ncp", "sa-gnn-ncp"}
 PYG = {"input": "semantic", "spatial": "pyg", "temporal": "lstm", "semantics": 1.0}
+PATH = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "semantics": 1.0, "predict": "path"}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
 DINOV2 = {"backbone": "dinov2", "model": "a/b", "depth": "depth.pth", "classes": "classes.pth", **FIT}
@@ -54,28 +54,17 @@ def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None
     assert table2["models"].keys() >= PAPER
 
 
-def test_a_missing_package_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run(tmp_path, changed("encoder", PAIR))
-    monkeypatch.setitem(sys.modules, "transformers", None)
-    with pytest.raises(InputError, match=r"encoder: backbone: .* needs the package transformers: pip install"):
-        run(tmp_path, changed("encoder", PAIR))
-
-
-def test_a_label_is_not_its_models_input(tmp_path: Path) -> None:
+def test_measured_motion_is_not_both_input_and_label(tmp_path: Path) -> None:
+    """The label of a model with a horizon, or of a path, is driven after the input."""
     content = changed("labels.source", "visual")
-    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": "visual"}}
+    net = content["models"]["sa-gnn-ncp"] | {"motion": "visual"}
+    content["models"] = {"net": net}
     with pytest.raises(InputError, match=r"models\.net: motion: visual with labels\.source: visual at") as raised:
         run(tmp_path, content)
     assert "motion: none" in raised.value.fix
-    content["models"]["net"]["horizon"] = 10
-    run(tmp_path, content)
-
-
-def test_a_path_needs_ranges_and_is_no_input(tmp_path: Path) -> None:
-    """The label is driven after the input, so measured motion may be both input and source of the label."""
-    content = changed("labels.source", "visual")
-    content["models"] = {"net": content["models"]["sa-gnn-ncp"] | {"motion": "visual", "predict": "path"}}
-    run(tmp_path, content)
+    for change in ({"horizon": 10}, {"predict": "path"}):
+        content["models"] = {"net": net | change}
+        run(tmp_path, content)
     content["labels"]["ahead_m"] = []
     with pytest.raises(InputError, match=r"models\.net: predict: path needs labels\.ahead_m"):
         run(tmp_path, content)
@@ -98,6 +87,8 @@ def test_a_path_needs_ranges_and_is_no_input(tmp_path: Path) -> None:
         (MODEL, PYG | {"spatial": "gnn", "predict": "path", "horizon": 10}, "predict: path has no horizon"),
         (MODEL, PYG | {"layer": "GATv2"}, "no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv"),
         (MODEL, PYG | {"layer": "RGCNConv"}, "RGCNConv with options {} fails: .*num_relations"),
+        (MODEL, PATH | {"horizon": 10}, "predict: path has no horizon"),
+        (MODEL, PATH | {"alpha": 5.0}, "predict: path has no alpha"),
         (MODEL, PYG, "layer is missing: a layer of torch_geometric.nn"),
         ("encoder.backbone", "smal", "backbone.*'small', 'street'"),
         ("encoder.weights", "no.pt", "weights: no.pt: file is missing"),

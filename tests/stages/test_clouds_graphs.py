@@ -9,6 +9,7 @@ import yaml
 from pipeline.base import store
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes, geometry
+from pipeline.motion.drive import measure_drive
 from stages import clouds, graphs
 from tests import street
 from tests.artefacts import write_motion
@@ -21,14 +22,17 @@ PSEUDO: dict[str, object] = {"source": "clouds/pseudo", "points": 300, "k": 4}
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Clouds of a drive with everything, one without images, one without LiDAR; straight on, one metre per frame."""
+    """Clouds of a drive with everything, one without images, one without LiDAR; the first moves one metre per frame."""
     folder = tmp_path_factory.mktemp("data")
     street.write_drive(folder / "ingest", FULL, FRAMES, lidar=True)
     street.write_drive(folder / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
     street.write_drive(folder / "ingest", CAMERA, 3)
     for drive in SPLITS:
         street.write_perception(folder / "perception", folder / "ingest", drive)
-        write_motion(folder / "motion", drive, {0: (0, 0), 1: (10, 0), 2: (10, 0), 3: (0, 0)})
+    write_motion(folder / "motion", FULL, {0: (0, 0), 1: (10, 0), 2: (10, 0), 3: (0, 0)})
+    for drive in (BLIND, CAMERA):
+        files = [folder / f"{stage}/{drive}.h5" for stage in ("motion", "ingest", "perception")]
+        assert measure_drive(*files)["valid"] == 0
     store.write_index(folder / "ingest", SPLITS)
     clouds.main(folder / "ingest", folder / "perception", folder / "clouds", ROOT / "params.yaml", workers=1)
     return folder
@@ -55,17 +59,6 @@ def test_lidar_clouds_are_in_the_camera_frame(data: Path) -> None:
     assert len(blind["xyz"]) > 0
     assert (blind["cls"] == classes.VOID).all()
     assert len(read(data / "clouds/lidar", "clouds", CAMERA)["frame"]) == 0
-
-
-def test_pruning_removes_only_edges_between_classes(data: Path, tmp_path: Path) -> None:
-    full, pruned = (run_graphs(data, tmp_path, keep_inter_class=keep) for keep in (1.0, 0.2))
-    for content in (full, pruned):
-        assert np.diff(content["ptr"]).tolist() == [300] * FRAMES
-        assert (content["edges_knn"] == 300 * 4).all()
-        assert content["indices_ptr"][-1] == len(content["indices"]) == content["degree"].sum(dtype=np.int64)
-    assert (full["xyz"] == pruned["xyz"]).all()
-    assert (full["edges_kept"] == full["edges_knn"]).all()
-    assert (pruned["edges_kept"] < full["edges_kept"]).all()
 
 
 def test_an_accumulated_cloud_combines_frames(data: Path, tmp_path: Path) -> None:

@@ -76,6 +76,7 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest: Path, fitt
     content = config(out)
     assert content["frames_per_drive"] == {TRAIN: 6}
     assert [row["epoch"] for row in curve(out)] == [1, 2, 3]
+    assert all(curve(out)[-1][loss] < curve(out)[0][loss] for loss in ("depth", "classes"))
     assert curve(out)[-1]["loss"] == pytest.approx(content["losses"]["loss"], rel=1e-4)
 
 

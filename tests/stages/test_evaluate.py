@@ -13,8 +13,8 @@ from pipeline.graphs import graph_file
 from pipeline.train import predict
 from pipeline.train.labelled_drive import read_drive
 from pipeline.train.scale import WITHIN
-from stages import evaluate
 from tests import artefacts
+from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
 
 COLUMNS = {"angle": ["steering_rad"], "path": ["path_0-5m_1pm", "path_5-10m_1pm", "path_10-20m_1pm"]}
@@ -31,10 +31,11 @@ def read_metrics(evaluated: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("predicted", COLUMNS)
-def test_metrics_are_means_over_seeds(folder: Path, predicted: str) -> None:
+def test_metrics_are_means_over_seeds_and_files_repeat(folder: Path, predicted: str) -> None:
     write_params(folder, {"predict": predicted}, epochs=2, seeds=[0, 7])
     trained, evaluated = run_train(folder), run_evaluate(folder)
-    metrics = read_metrics(evaluated)
+    metrics, before = read_metrics(evaluated), contents(evaluated)
+    assert contents(run_evaluate(folder)) == before
     tables = [pd.read_csv(evaluated / seed / "predictions.csv") for seed in ("", "seed-7")]
     for table, seed in zip(tables, ("", "seed-7"), strict=True):
         with graph_file.open_graphs(folder / f"graphs/semantic/{TEST}.h5") as graphs:
@@ -43,6 +44,8 @@ def test_metrics_are_means_over_seeds(folder: Path, predicted: str) -> None:
         assert table["frame"].tolist() == [*range(60)]
         np.testing.assert_allclose(table[[f"predicted_{name}" for name in COLUMNS[predicted]]], mean, atol=1e-6)
         assert np.isnan(mean).all(axis=1).tolist() == [True] * 3 + [False] * 57
+        odometry = table[f"odometry_{COLUMNS[predicted][0]}"]
+        assert odometry.isna().tolist() == [True] + [False] * 59, "unknown in the first frame"
     assert [*metrics["test"]] == [*metrics["columns"]] == COLUMNS[predicted]
     for name, scores in metrics["test"].items():
         keys = [f"{key}_{name}" for key in ("true", "predicted", "odometry")]
@@ -102,28 +105,9 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder: Path, f
             np.testing.assert_allclose(found, mean, atol=1e-6)
 
 
-def test_files_repeat_and_odometry_is_unknown_in_the_first_frame(folder: Path) -> None:
-    write_params(folder, {"equivariant": False}, epochs=1)
-    run_train(folder)
-    first, second = (
-        {name: (run_evaluate(folder) / name).read_bytes() for name in ("metrics.json", "predictions.csv")}
-        for _ in range(2)
-    )
-    assert first == second
-    table = pd.read_csv(folder / "evaluate/net/predictions.csv")
-    assert table["odometry_steering_rad"].isna().tolist() == [True] + [False] * 59
-
-
 def test_other_ranges_than_in_training_are_refused(folder: Path) -> None:
     write_params(folder, {"predict": "path", "spatial": "polar"}, epochs=1)
     run_train(folder)
     artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M[:3])
     with pytest.raises(InputError, match=r"labels\.ahead_m differs from the ranges of the trained model"):
         run_evaluate(folder)
-
-
-@pytest.mark.parametrize("name", ["/etc", "../model", ""])
-def test_a_name_that_leaves_the_folder_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match="expected at most 100 letters"):
-        evaluate.main(name, out=tmp_path / "data/evaluate")
-    assert not [*tmp_path.iterdir()]

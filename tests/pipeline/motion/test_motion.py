@@ -204,6 +204,11 @@ def test_known_motion_is_measured(yaw_rate: float, speed: float) -> None:
         assert one.scale == pytest.approx(1, abs=0.02)
 
 
+def test_motion_is_measured_since_the_frame_before_by_number() -> None:
+    frames = views(*street.arc(6, 0.3, 6.0))
+    assert [one is None for one in measured(frames[:3] + frames[4:])] == [True, False, False, True, False]
+
+
 def test_a_wrong_scale_is_corrected_by_the_camera_height() -> None:
     frames = [
         replace(frame, depth_m=0.7 * frame.depth_m)

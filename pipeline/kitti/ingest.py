@@ -14,17 +14,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, write_camera
 from pipeline.camera.classes import VOID
-from pipeline.camera.images import (
-    Crop,
-    Size,
-    nearest,
-    read_classes,
-    read_depth,
-    read_image,
-    resized,
-    to_metres,
-    to_units,
-)
+from pipeline.camera.images import Crop, nearest, read_classes, read_depth, read_image, resized, to_metres, to_units
 from pipeline.kitti import oxts as packets
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.settings.ingest import Reading
@@ -99,7 +89,7 @@ def ingest_drive(
     return {"frames": len(numbers), "oxts": len(numbers) if oxts else 0, "steering": steering, **counts}
 
 
-def _row(name: str, pixels: np.ndarray | None, crop: Crop | None, size: Size) -> np.ndarray:
+def _row(name: str, pixels: np.ndarray | None, crop: Crop | None, size: tuple[int, int]) -> np.ndarray:
     """Return the row of dataset `name` [H,W,…] for the pixels of a complete image, if there are any."""
     if pixels is not None and crop is not None:
         return (resized if name == "image" else nearest)(crop.pixels(pixels), size)

@@ -94,25 +94,6 @@ def test_other_networks_and_inputs(
     assert nmse(tmp_path) < limit
 
 
-def mirror(path: Path, *names: str) -> None:
-    with h5py.File(path, "a") as file:
-        for name in names:
-            values = file[name][:]
-            values[..., : 1 if name == "xyz" else None] *= -1
-            file[name][:] = values
-
-
-def test_mirror_trains_the_same_on_a_mirrored_data_set(folder: Path) -> None:
-    write_params(folder, {"equivariant": False}, mirror=True, precision="float64", epochs=2)
-    curves = [pd.read_csv(run_train(folder) / "curve.csv")]
-    for drive in SPLITS:
-        mirror(folder / f"graphs/semantic/{drive}.h5", "xyz")
-        mirror(folder / f"labels/{drive}.h5", "steering_rad")
-    curves.append(pd.read_csv(run_train(folder) / "curve.csv"))
-    assert (curves[0]["train_loss"] == curves[1]["train_loss"]).all()  # six digits
-    assert (curves[0]["val_nmse"] != curves[1]["val_nmse"]).all()  # the network is not symmetric
-
-
 @pytest.mark.parametrize(
     ("frames", "edges_m", "scale", "entry", "problem"),
     [

@@ -1,0 +1,43 @@
+"""Stage clouds, on drives with LiDAR, images, or both; and motion of drives that do not move or have no images."""
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base import store
+from pipeline.base.resume import ROOT
+from pipeline.camera import classes, geometry
+from pipeline.motion.drive import measure_drive
+from stages import clouds
+from tests import street
+
+SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
+FULL, BLIND, CAMERA = SPLITS
+
+
+def read(folder: Path, stage: str, drive: str = FULL) -> dict[str, np.ndarray]:
+    with store.DriveReader(folder / f"{drive}.h5", stage=stage) as file:
+        return {name: file[name] for name in file.names}
+
+
+def test_lidar_clouds_are_in_the_camera_frame(tmp_path: Path) -> None:
+    """Of a drive with everything; one without images has no classes, one without LiDAR has no frames."""
+    street.write_drive(tmp_path / "ingest", FULL, 4, lidar=True)
+    street.write_drive(tmp_path / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
+    street.write_drive(tmp_path / "ingest", CAMERA, 3)
+    for drive in SPLITS:
+        street.write_perception(tmp_path / "perception", tmp_path / "ingest", drive)
+    for drive in (BLIND, CAMERA):
+        files = [tmp_path / f"{stage}/{drive}.h5" for stage in ("motion", "ingest", "perception")]
+        assert measure_drive(*files)["valid"] == 0
+    store.write_index(tmp_path / "ingest", SPLITS)
+    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", ROOT / "params.yaml", workers=1)
+    raw, content = read(tmp_path / "ingest", "ingest"), read(tmp_path / "clouds/lidar", "clouds")
+    (a, b), (c, d) = raw["lidar_ptr"][1:3], content["ptr"][1:3]
+    points = geometry.transform(raw["T_cam_velo"], raw["lidar"][a:b, :3].astype(np.float64))
+    assert np.abs(np.sort(content["xyz"][c:d], axis=0) - np.sort(points, axis=0)).max() < 0.001
+    assert {classes.ROAD, classes.BUILDING} <= set(content["cls"][c:d].tolist())
+    blind = read(tmp_path / "clouds/lidar", "clouds", BLIND)
+    assert len(blind["xyz"]) > 0
+    assert (blind["cls"] == classes.VOID).all()
+    assert len(read(tmp_path / "clouds/lidar", "clouds", CAMERA)["frame"]) == 0

@@ -1,6 +1,7 @@
 """Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is non-commercial)."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 # The tests' networks are tiny: threads that wait for each other cost more than they bring. Before torch is imported.
@@ -11,35 +12,22 @@ import pytest
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
-@pytest.fixture(scope="session")
-def real_kitti() -> Path:
-    """A few real KITTI drives in KITTI's layout; the test is skipped where they are absent."""
-    return _shared("kitti")
+def _real(name: str) -> Callable[[], Path]:
+    """Return the fixture of a folder of real data; tests that use it are skipped where it is absent."""
+
+    @pytest.fixture(scope="session")
+    def folder() -> Path:
+        if not (SHARED / name).is_dir():
+            pytest.skip(f"real data is absent: ../shared/{name} does not lie beside the checkout")
+        return SHARED / name
+
+    return folder
 
 
-@pytest.fixture(scope="session")
-def real_half() -> Path:
-    """Real KITTI drives that turn, at half size, in KITTI's layout; the test is skipped where they are absent."""
-    return _shared("kitti_half")
-
-
-@pytest.fixture(scope="session")
-def real_weights() -> Path:
-    """Published weights of backbones, a folder for each; the test is skipped where they are absent."""
-    return _shared("weights")
-
-
-@pytest.fixture(scope="session")
-def real_camvid() -> Path:
-    """CamVid's test images and labels; the test is skipped where they are absent."""
-    return _shared("camvid")
-
-
-def _shared(name: str) -> Path:
-    path = SHARED / name
-    if not path.is_dir():
-        pytest.skip(f"real data is absent: ../shared/{name} does not lie beside the checkout")
-    return path
+real_kitti = _real("kitti")  # a few drives in KITTI's layout
+real_half = _real("kitti_half")  # drives that turn, at half size
+real_weights = _real("weights")  # published weights of backbones, a folder for each
+real_camvid = _real("camvid")  # test images and labels
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by markers

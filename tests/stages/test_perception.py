@@ -55,35 +55,23 @@ def test_each_image_has_depth_and_classes(folder: Path) -> None:
     assert blind["depth_m"].shape == blind["cls"].shape == (0, *street.SIZE)
 
 
-def write_precomputed(root: Path, factor: float, lidar: bool = True) -> None:
-    """Write depth, scaled by `factor`, and classes of drive DENSE as PNG files, and the drive itself."""
-    for frame in range(FRAMES):
-        _, depth, cls = street.scene(frame)
-        pixels = np.rint(factor * depth * 256).astype(np.uint16)
-        write_png(root / "made" / DENSE / "depth" / f"{frame:010d}.png", pixels)
-        write_png(root / "made" / DENSE / "cls" / f"{frame:010d}.png", cls)
-    street.write_drive(root / "ingest", DENSE, FRAMES, lidar=lidar)
-    store.write_index(root / "ingest", {DENSE: "test"})
-    config = {"backbone": "precomputed", "weights": str(root / "made")}
-    store.write_json(root / "encoder" / "config.json", config)
-
-
-def test_precomputed_files_are_matched_by_frame_number(tmp_path: Path) -> None:
-    write_precomputed(tmp_path, 1.0)
+def test_precomputed_files_are_matched_by_frame_number_and_scaled(tmp_path: Path) -> None:
+    truth = [street.scene(frame)[1:] for frame in range(FRAMES)]
+    for frame, (depth_m, cls) in enumerate(truth):
+        write_png(tmp_path / f"made/{DENSE}/depth/{frame:010d}.png", np.rint(0.4 * depth_m * 256).astype(np.uint16))
+        write_png(tmp_path / f"made/{DENSE}/cls/{frame:010d}.png", cls)
+    street.write_drive(tmp_path / "ingest", DENSE, FRAMES)
     with h5py.File(tmp_path / f"ingest/{DENSE}.h5", "r+") as file:
         file["has_image"][:] = [1, 1, 0, 1, 1]
+    store.write_index(tmp_path / "ingest", {DENSE: "test"})
+    config = {"backbone": "precomputed", "weights": str(tmp_path / "made")}
+    store.write_json(tmp_path / "encoder/config.json", config)
     run(tmp_path, "perception", batch=3)
     content = read(tmp_path)
     assert content["frame"].tolist() == [0, 1, 3, 4]
-    for row, frame in enumerate(content["frame"].tolist()):
-        _, depth, cls = street.scene(frame)
-        np.testing.assert_array_equal(content["cls"][row], cls)
-        np.testing.assert_array_equal(content["depth_m"][row], np.rint(depth * 256))
-
-
-def test_depth_of_another_unit_is_scaled(tmp_path: Path) -> None:
-    write_precomputed(tmp_path, 0.4)
+    depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
+    np.testing.assert_array_equal(content["cls"], cls)
+    np.testing.assert_array_equal(content["depth_m"], np.rint(0.4 * depth_m * 256))
     run(tmp_path, "perception", depth_scale="camera_height", camera_height_m=1.65)
-    depth = read(tmp_path)["depth_m"].astype(float)
-    truth = np.stack([street.scene(frame)[1] for frame in range(FRAMES)]) * 256
-    assert np.median(depth[truth > 0] / truth[truth > 0]) == pytest.approx(1.0, rel=0.01)
+    found = read(tmp_path)["depth_m"] / 256
+    assert np.median(found[depth_m > 0] / depth_m[depth_m > 0]) == pytest.approx(1.0, rel=0.01)

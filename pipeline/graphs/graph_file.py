@@ -23,7 +23,6 @@ from pipeline.base import store
 from pipeline.base.params import FrameKind
 
 Arrays = dict[str, np.ndarray]
-Counts = dict[str, int]
 MOTION = {  # dataset → dataset of the motion file, unit
     "motion_yaw_rate_radps": ("yaw_rate_radps", "rad/s, left positive"),
     "motion_speed_mps": ("filtered_mps", "m/s, forward positive"),
@@ -65,7 +64,7 @@ class MeasuredMotion(NamedTuple):
 
 def write(
     file: store.DriveWriter, frame: np.ndarray, time_s: np.ndarray, frames: Iterable[Columns], empty: Columns
-) -> Counts:
+) -> dict[str, int]:
     """Write KITTI frame numbers [F], times [F], and the frames; return the numbers of frames, points and edges.
 
     `empty`: the columns without rows, which create the datasets also in the file of a drive without frames.

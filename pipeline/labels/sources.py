@@ -62,10 +62,7 @@ def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_a
 
 
 class Rates(NamedTuple):
-    """Yaw rates in rad/s, left positive, forward speeds in m/s, and their standard deviations.
-
-    That of the speed is relative.
-    """
+    """Yaw rates in rad/s, left positive, forward speeds in m/s, and standard deviations; the speed's is relative."""
 
     yaw_rate_radps: np.ndarray
     speed_mps: np.ndarray

@@ -147,5 +147,5 @@ def draw_body(route: Route, motion: Travel, rng: np.random.Generator) -> Body:
 
 def _smooth(acceleration: np.ndarray) -> np.ndarray:
     """Return the mean over the last frames [F]."""
-    padded = np.concatenate([np.full(_SPRING_FRAMES - 1, acceleration[0]), acceleration])
+    padded = np.pad(acceleration, (_SPRING_FRAMES - 1, 0), mode="edge")
     return np.convolve(padded, np.full(_SPRING_FRAMES, 1 / _SPRING_FRAMES), "valid")

@@ -369,6 +369,15 @@ def test_comparison_by_its_definition() -> None:
     assert results.compare("predicted") is None
 
 
+def test_an_inverted_log_is_named() -> None:
+    results = driven()
+    measured = results.table["measured_rad"] = np.sin(np.arange(COUNT) / 3)
+    for sign in (1, -1):
+        results.table["driven_rad"] = sign * measured
+        text = "\n".join(results.lines(results.compare("measured")))
+        assert ("the sign of wheel_rad is inverted: left is positive" in text) == (sign < 0)
+
+
 @pytest.mark.parametrize("predicted", ["angle", "path", "none"])
 def test_path_and_legend_are_inside_the_picture(tmp_path: Path, predicted: str) -> None:
     results, black = driven(), np.zeros((188, 620, 3), np.uint8)

@@ -48,7 +48,7 @@ EDITS: dict[str, set[str]] = {  # file → the stages that run again; those afte
 
 
 def _files(dep: str) -> set[Path]:
-    """Return the source files that a dep covers, without an __init__.py that holds only a docstring."""
+    """Return the source files that a dep covers."""
     for name, folder in NETWORKS.items():
         if name in dep:
             return _files(folder)

@@ -12,7 +12,6 @@ ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
 PAPER = {"cnn-ncp", "gnn-lstm", "gnn-ncp", "pointnet2-lstm", "pointnet2-ncp", "do-gnn-ncp", "sa-gnn-ncp"}
 PYG = {"input": "semantic", "spatial": "pyg", "temporal": "lstm", "semantics": 1.0}
-PATH = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "semantics": 1.0, "predict": "path"}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
 DINOV2 = {"backbone": "dinov2", "model": "a/b", "depth": "depth.pth", "classes": "classes.pth", **FIT}
@@ -87,8 +86,6 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path: Path) -> None:
         (MODEL, PYG | {"spatial": "gnn", "predict": "path", "horizon": 10}, "predict: path has no horizon"),
         (MODEL, PYG | {"layer": "GATv2"}, "no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv"),
         (MODEL, PYG | {"layer": "RGCNConv"}, "RGCNConv with options {} fails: .*num_relations"),
-        (MODEL, PATH | {"horizon": 10}, "predict: path has no horizon"),
-        (MODEL, PATH | {"alpha": 5.0}, "predict: path has no alpha"),
         (MODEL, PYG, "layer is missing: a layer of torch_geometric.nn"),
         ("encoder.backbone", "smal", "backbone.*'small', 'street'"),
         ("encoder.weights", "no.pt", "weights: no.pt: file is missing"),

@@ -86,15 +86,11 @@ def recorded(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_visual_labels_are_valid_where_motion_is_measured_and_the_car_moves(recorded: Path) -> None:
+def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded: Path) -> None:
     for file in run(recorded, source="visual"):
         np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7, 0]), rtol=0.02)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0, 0])
         np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.02)  # filtered
-        assert file.params["labels"]["source"] == "visual"
-
-
-def test_recorded_angles_are_valid_unless_the_car_is_slow_or_stands(recorded: Path) -> None:
     without, with_oxts = run(recorded, source="wheel")
     np.testing.assert_array_equal(without["steering_rad"], [0.1, 0, 0.2, 0.3, 0.4])
     np.testing.assert_array_equal(without["valid"], [1, 0, 1, 0, 0])  # 8 is measured, and slow; in 9 nothing moves

@@ -38,7 +38,8 @@ class Backbone(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         first, *widths = WIDTHS
-        self.input_stem = ops(conv(3, first, 3, stride=2), Residual(separable(first)))
+        separable = named(depth_conv=conv(first, first, 3, groups=first), point_conv=conv(first, first, act=False))
+        self.input_stem = ops(conv(3, first, 3, stride=2), Residual(separable))
         stages, inputs = [], first
         for level, width in enumerate(widths):
             attention = level >= 2  # its convolutions have a bias instead of a batch norm
@@ -60,7 +61,8 @@ class Head(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         fine, middle, coarse = (conv(width, DECODED, act=False) for width in WIDTHS[2:])
-        self.input_ops = nn.ModuleList([ops(coarse, enlarge(4)), ops(middle, enlarge(2)), fine])
+        doubled, fourfold = (nn.Upsample(scale_factor=factor, mode="bicubic") for factor in (2, 4))
+        self.input_ops = nn.ModuleList([ops(coarse, fourfold), ops(middle, doubled), fine])
         self.middle = ops(Residual(bottleneck(DECODED, DECODED)))
         last = named(conv=nn.Conv2d(4 * DECODED, classes.COUNT, 1))
         self.output_ops = nn.ModuleList([ops(conv(DECODED, 4 * DECODED), last)])
@@ -108,9 +110,8 @@ class LinearAttention(nn.Module):
         qkv = self.qkv(x)
         scales = torch.cat([qkv, self.aggreg[0](qkv)], dim=1)  # [B,6C,H,W]
         with torch.autocast(x.device.type, enabled=False):  # sums over all pixels are inaccurate in half precision
-            q, k, v = (
-                scales.float().reshape(len(x), -1, 3 * HEAD_WIDTH, x[0, 0].numel()).chunk(3, dim=2)
-            )  # [B,heads,16,HW]
+            heads = scales.float().reshape(len(x), -1, 3 * HEAD_WIDTH, x[0, 0].numel())
+            q, k, v = heads.chunk(3, dim=2)  # [B,heads,16,HW]
             v = F.pad(v, (0, 0, 0, 1), value=1)  # its last row sums up the weights
             out = v @ F.relu(k).transpose(2, 3) @ F.relu(q)
             out = out[:, :, :-1] / (out[:, :, -1:] + 1e-15)
@@ -121,12 +122,9 @@ def conv(
     inputs: int, outputs: int, size: int = 1, *, stride: int = 1, groups: int = 1, bias: bool = False, act: bool = True
 ) -> nn.Sequential:
     """Return a convolution, batch norm unless it has a bias, and hardswish if `act`."""
-    layers: dict[str, nn.Module] = {
-        "conv": nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias)
-    }
-    if not bias:
-        layers["norm"] = nn.BatchNorm2d(outputs)
-    return named(**layers, **({"act": nn.Hardswish()} if act else {}))
+    layers: dict[str, nn.Module] = {} if bias else {"norm": nn.BatchNorm2d(outputs)}
+    layers |= {"act": nn.Hardswish()} if act else {}
+    return named(conv=nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias), **layers)
 
 
 def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False) -> nn.Sequential:
@@ -137,15 +135,6 @@ def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False
         depth_conv=conv(width, width, 3, stride=stride, groups=width, bias=bias),
         point_conv=conv(width, outputs, act=False),
     )
-
-
-def separable(width: int) -> nn.Sequential:
-    """Return a depthwise and a pointwise convolution."""
-    return named(depth_conv=conv(width, width, 3, groups=width), point_conv=conv(width, width, act=False))
-
-
-def enlarge(factor: int) -> nn.Upsample:
-    return nn.Upsample(scale_factor=factor, mode="bicubic", align_corners=False)
 
 
 def ops(*layers: nn.Module) -> nn.Sequential:

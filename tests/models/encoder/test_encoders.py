@@ -82,6 +82,10 @@ def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_q
             torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-5)
 
 
+def grey(image: np.ndarray) -> np.ndarray:
+    return np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=-1)
+
+
 @pytest.fixture(scope="module")
 def street(real_weights: Path) -> nn.Module:
     model = Street()
@@ -109,8 +113,7 @@ def test_published_weights_give_metric_depth_of_real_streets(
         assert found is not None
         errors.append(found[0])
         ratios.append(np.median(truth[truth > 0] / depth[0][truth > 0]))
-        grey = np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=-1)
-        matrix += confusion(perceive(street, grey[None], scaled)[1][0], cls[0])
+        matrix += confusion(perceive(street, grey(image)[None], scaled)[1][0], cls[0])
     assert np.mean(errors) < most
     assert np.mean(ratios) == pytest.approx(1, abs=0.08)  # metres, without any scaling
     ious = class_ious(matrix)  # of grey against colour
@@ -132,9 +135,7 @@ def test_published_weights_give_classes_of_camvids_streets(
     matrix, camera = 0, Camera(np.array([[400.0, 0, 240], [0, 400, 180], [0, 0, 1]]), (360, 480))
     for path in sorted((real_camvid / "images").glob("*.jpg")):
         label = cv2.imread(str(real_camvid / f"labels/{path.stem}.png"), cv2.IMREAD_UNCHANGED)
-        image = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
-        if not colour:
-            image = np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=-1)
-        cls = perceive(street, image[None], camera)[1][0]
+        image = read_image(path, camera.size)
+        cls = perceive(street, (image if colour else grey(image))[None], camera)[1][0]
         matrix += confusion(CAMVID[cls], np.where(label < 11, label, VOID))
     assert class_ious(matrix)[:11].mean() > least

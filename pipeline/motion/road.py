@@ -12,7 +12,7 @@ from pipeline.camera.camera import Camera
 
 PATCH_LENGTH, PATCH_HALF_WIDTH = 8.0, 1.5  # of the search area in front of the car, in camera heights
 FLAT = 0.25  # largest relative deviation of heights on a road
-MIN_VISIBLE = 0.7  # share of the patch without traffic: in a queue, the gaps between cars are too few
+MIN_VISIBLE = 0.7  # share of the patch with depth
 MIN_FLAT = 0.6  # share of the patch with similar heights
 MIN_DOWN = 0.05  # metres down per metre ahead of road pixels: beyond 20 camera heights, depth is too uncertain
 HEIGHTS = 400  # frames in the running median: the camera's height is constant, only the error of depth varies
@@ -38,7 +38,7 @@ class Road:
     def find(self, depth_m: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the road mask bool [H,W] and the factor that corrects depth [H,W].
 
-        `usable` bool [H,W]: pixels with depth that are not traffic. Frames come in order.
+        `usable` bool [H,W]: pixels with a well-defined depth. Frames come in order.
         """
         below = self._down - self.slope  # of the plane along the direction of travel
         height_m = depth_m * below.astype(np.float32)

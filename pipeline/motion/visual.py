@@ -91,11 +91,12 @@ class Odometry:
         assert frame.depth_m is not None
         assert frame.cls is not None
         depth_m = frame.depth_m.astype(np.float32)
-        usable = _usable_pixels(depth_m, frame.cls, self._max_depth_m)
+        usable, traffic = _usable_pixels(depth_m, frame.cls, self._max_depth_m)
+        # What depth shows to be the road is no traffic: classes of grey images mistake shaded road for cars.
         road, scale = self.road.find(depth_m, usable)
         corners = Corners(grey)
         on_road = corners.best(self._enlarge(road), *ON_ROAD)
-        elsewhere = corners.best(self._enlarge(usable & ~road), *ELSEWHERE)
+        elsewhere = corners.best(self._enlarge(usable & ~road & ~traffic), *ELSEWHERE)
         uv = self._smaller(np.concatenate([on_road, elsewhere]))
         column, row = np.rint(uv).astype(np.int64).T
         rays = np.linalg.solve(self._K, np.column_stack([uv, np.ones(len(uv))]).T).T
@@ -122,13 +123,13 @@ class Odometry:
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
 
-def _usable_pixels(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> np.ndarray:
-    """Return the pixels with a well-defined depth that are not traffic, bool [H,W]."""
+def _usable_pixels(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixels with a well-defined depth, and those of traffic and its surroundings, bool [H,W]."""
     import cv2
 
     nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
-    moving = cv2.dilate(MOVING[cls].astype(np.uint8), AROUND)
-    return (nearest > MIN_DEPTH_M) & (farthest < max_depth_m) & (farthest < EDGE * nearest) & (moving == 0)
+    usable = (nearest > MIN_DEPTH_M) & (farthest < max_depth_m) & (farthest < EDGE * nearest)
+    return usable, cv2.dilate(MOVING[cls].astype(np.uint8), AROUND) > 0
 
 
 class Corners:

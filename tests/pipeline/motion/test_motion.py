@@ -209,9 +209,10 @@ def test_motion_is_measured_since_the_frame_before_by_number() -> None:
     assert [one is None for one in measured(frames[:3] + frames[4:])] == [True, False, False, True, False]
 
 
-def test_a_wrong_scale_is_corrected_by_the_camera_height() -> None:
+@pytest.mark.parametrize("road", [classes.ROAD, classes.CAR])
+def test_a_wrong_scale_is_corrected_by_the_camera_height_also_where_road_has_the_class_of_cars(road: int) -> None:
     frames = [
-        replace(frame, depth_m=0.7 * frame.depth_m)
+        replace(frame, depth_m=0.7 * frame.depth_m, cls=np.where(frame.cls == classes.ROAD, road, frame.cls))
         for frame in views(*street.arc(4, 0.2, 6.0))
         if frame.depth_m is not None
     ]

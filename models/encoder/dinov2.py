@@ -58,8 +58,8 @@ class DinoV2(nn.Module):
         h, w = (side // patch for side in self.backbone.padded(size))
         maps = tokens.mT.reshape(len(tokens), -1, h, w)  # [B,3C,h,w]
         width = normed.shape[2]
-        depth, logits = self.depth(maps[:, : 2 * width]), self.classes(maps[:, 2 * width :])
-        depth = self.backbone.enlarged(depth[:, None], size)[:, 0]
+        depth = self.backbone.enlarged(self.depth(maps[:, : 2 * width])[:, None], size)[:, 0]
+        logits = self.cityscapes(self.class_head["conv_seg"](self.class_head["bn"](maps[:, 2 * width :])))
         return scaled_by_focal(depth, K, KITTI_FOCAL), self.backbone.enlarged(logits, size)
 
     def depth(self, features: Tensor) -> Tensor:
@@ -70,11 +70,6 @@ class DinoV2(nn.Module):
         depth_m = torch.linspace(MIN_DEPTH_M, MAX_DEPTH_M, BINS, device=bins.device)
         with torch.autocast(bins.device.type, enabled=False):  # a sum of 256 terms is inaccurate in half precision
             return torch.einsum("bnhw,n->bhw", shares, depth_m) / shares.sum(dim=1)
-
-    def classes(self, features: Tensor) -> Tensor:
-        """Return logits of Cityscapes' classes and void [B,20,h,w] from features [B,C,h,w]."""
-        logits: Tensor = self.cityscapes(self.class_head["conv_seg"](self.class_head["bn"](features)))
-        return logits
 
 
 def create_dinov2(settings: Any) -> tuple[dict[str, Any], nn.Module]:

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -63,12 +63,9 @@ class Street(nn.Module):
 
     def load_published(self, folder: Path) -> None:
         """Load the files of SOURCES below a folder."""
-        encoder, decoder, classes = (_load(folder / source.path) for source in SOURCES)
+        files = (folder / source.path for source in SOURCES)
+        encoder, decoder, classes = (torch.load(file, weights_only=True, map_location="cpu") for file in files)
         self.depth.encoder.load_state_dict({name: x for name, x in encoder.items() if isinstance(x, Tensor)})
         coarser = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4, for its training only
         self.depth.decoder.load_state_dict({name: x for name, x in decoder.items() if not name.startswith(coarser)})
         self.classes.load_state_dict(classes["state_dict"])
-
-
-def _load(path: Path) -> Any:
-    return torch.load(path, weights_only=True, map_location="cpu")

@@ -21,7 +21,6 @@ from models.encoder.street import Street
 Architecture = Mapping[str, Any]
 """JSON-able description of an encoder, complete without a hub; ``backbone`` is a key of BUILD."""
 
-
 BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "small": lambda architecture: Small(),
     "street": lambda architecture: Street(),

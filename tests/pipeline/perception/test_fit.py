@@ -1,6 +1,5 @@
 """Running and fitting the encoder: examples of the fit, its loss, saved weights, threads."""
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from torch import nn
 
 from models.encoder.unified_encoder import build
 from pipeline.base.errors import InputError
@@ -16,7 +14,7 @@ from pipeline.camera import classes
 from pipeline.camera.geometry import rays
 from pipeline.perception.examples import Example, Examples, mirrored, relit, spread
 from pipeline.perception.fit import depth_and_class_loss
-from pipeline.perception.perceive import load, passes, perceive, read, save
+from pipeline.perception.perceive import load, passes, read, save
 from tests import street
 
 DENSE, LIDAR, BARE, BLIND = [f"2026_01_01_drive_000{number}" for number in range(1, 5)]
@@ -89,13 +87,8 @@ def test_the_loss_ignores_unknown_pixels_and_matches_hand_values() -> None:
     np.testing.assert_allclose(loss, [(np.log(2) / 2 + 0.5 / 2) / 2, np.log(19) / 2], rtol=1e-5)
 
 
-@pytest.fixture(scope="module")
-def model() -> nn.Module:
-    torch.manual_seed(1)
-    return build(SMALL).eval()
-
-
-def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(model: nn.Module, tmp_path: Path) -> None:
+def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(tmp_path: Path) -> None:
+    model = build(SMALL)
     save(tmp_path, SMALL, model.state_dict())
     assert read(tmp_path / "encoder.pt")[0] == SMALL
     loaded = load(tmp_path)
@@ -106,31 +99,12 @@ def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(model: nn
     assert (tmp_path / "other/encoder.pt").read_bytes() == (tmp_path / "encoder.pt").read_bytes()
 
 
-def test_batched_equals_single(model: nn.Module) -> None:
-    images = np.stack([street.scene(frame)[0] for frame in range(3)])
-    depth, cls = perceive(model, images, street.CAMERA)
-    for i in range(3):
-        one_depth, one_cls = perceive(model, images[i : i + 1], street.CAMERA)
-        np.testing.assert_allclose(one_depth[0], depth[i], rtol=1e-5)
-        assert (one_cls[0] != cls[i]).mean() < 1e-3  # ties
-    assert (depth.dtype, cls.dtype) == (np.float32, np.uint8)
-
-
-@pytest.fixture
-def set_threads() -> Iterator[Callable[[int], None]]:
-    before = torch.get_num_threads()
-    yield torch.set_num_threads
-    torch.set_num_threads(before)
-
-
-def test_passes_give_the_same_bits_for_any_number_of_threads(
-    set_threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STEER_WORKERS", "5")
     matrices = np.random.default_rng(0).standard_normal((6, 300, 300), np.float32)
-    results = []
+    results, before = [], torch.get_num_threads()
     for threads in (1, 2, 5):
-        set_threads(threads)
+        torch.set_num_threads(threads)
 
         def forward(matrix: np.ndarray) -> np.ndarray:
             assert torch.get_num_threads() == 1
@@ -139,5 +113,6 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(
 
         results.append(np.stack(list(passes(forward, (matrix for matrix in matrices)))))
         assert torch.get_num_threads() == threads
+    torch.set_num_threads(before)
     np.testing.assert_array_equal(results[0], results[1])
     np.testing.assert_array_equal(results[0], results[2])

@@ -18,10 +18,10 @@ def rgb_0_1(image: Tensor) -> Tensor:
 
 
 def resized(x: Tensor, size: Sequence[int]) -> Tensor:
-    """Interpolate a map [B,C,h,w] to `size`, with averages where it shrinks; pixel centres stay aligned."""
+    """Interpolate a map [B,C,h,w] to `size`, in float32, with averages where it shrinks; pixel centres stay aligned."""
     if x.shape[-2:] == torch.Size(size):
         return x
-    return F.interpolate(x, tuple(size), mode="bilinear", align_corners=False, antialias=True)
+    return F.interpolate(x.float(), tuple(size), mode="bilinear", align_corners=False, antialias=True)
 
 
 def scaled_by_focal(depth: Tensor, K: Tensor, trained: float) -> Tensor:

@@ -167,7 +167,7 @@ class Network(nn.Module):
 
     def enlarged(self, x: Tensor, size: Sequence[int]) -> Tensor:
         """Interpolate a map [B,C,h,w] of the padded image and crop it to the image of `size`, [B,C,H,W]."""
-        return resized(x.float(), self.padded(size))[..., : size[0], : size[1]]
+        return resized(x, self.padded(size))[..., : size[0], : size[1]]
 
 
 class Pair(nn.Module):
@@ -220,7 +220,7 @@ class Pyramid(nn.Module):
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
         """Return the head's output for maps of the image of `rays` [B,2,H,W]."""
         size = [side // STRIDE for side in rays.shape[-2:]]
-        y = torch.stack([resized(side(x).float(), size) for side, x in zip(self.sides, maps, strict=True)]).sum(dim=0)
+        y = torch.stack([resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]).sum(dim=0)
         result: Tensor = self.head(self.smooth(torch.cat([y, resized(rays, size)], dim=1)), rays)
         return result
 

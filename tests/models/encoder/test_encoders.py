@@ -47,6 +47,8 @@ def test_each_pixel_has_depth_and_logits_that_do_not_depend_on_the_batch(
         torch.testing.assert_close(whole[1:2], part, rtol=1e-4, atol=1e-3)
     for whole, part in zip((depth, logits), predict(model, images.float() / 255), strict=True):
         torch.testing.assert_close(whole, part)
+    with torch.autocast("cpu", torch.bfloat16):  # as perception.precision: auto on a GPU
+        assert ((predict(model, images)[0] / depth).log().abs() < 0.1).all()
 
 
 def test_ray_slopes_follow_the_intrinsics() -> None:

@@ -18,17 +18,10 @@ def main(
     settings = load(Encoder, params)
     import torch
 
-    from pipeline.perception import perceive, precomputed
+    from pipeline.perception import perceive
     from pipeline.perception.create import create
 
     config: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
-    if settings.backbone == "precomputed":
-        assert settings.weights
-        files, fingerprint = precomputed.fingerprint(settings.weights)
-        with stage_folder("encoder", out) as stage:
-            store.write_json(stage.new / "config.json", config | {"files": files, "fingerprint": fingerprint})
-        print(f"encoder: {files} precomputed files in {settings.weights}", flush=True)
-        return out
     torch.manual_seed(settings.seed)
     with error_context(params), error_context("encoder"):
         architecture, model = create(settings)

@@ -21,7 +21,7 @@ def main(
     """Predict depth and classes of each image, scale the depth, and store both. Returns the output folder."""
     import torch
 
-    from pipeline.perception.perceive import cached_encoder, perceive_drive, weights_file
+    from pipeline.perception.perceive import FILE, cached_encoder, perceive_drive
 
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
@@ -29,7 +29,7 @@ def main(
     if torch.cuda.is_available():  # two processes keep a GPU busy: one reads and writes while the other encodes
         workers = min(2, workers or default_workers())
     work = partial(perceive_drive, encoder=encoder, settings=settings)
-    key = settings.model_dump() | {"encoder": file_hash(weights_file(encoder))}
+    key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
     make_files("perception", out, splits, {"ingest": ingest}, work, key, "{frames} frames", workers)
     return out
 

@@ -27,7 +27,7 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
 
     Raises InputError if a file is missing, has another hash, or is of another encoder.
     """
-    if settings.weights is None:
+    if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)
     with error_context("weights"):
         check_weights(settings.weights)
@@ -77,12 +77,25 @@ def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
     return {"backbone": settings.backbone, "sources": sources}, model
 
 
+def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    assert settings.weights
+    count, sha256 = precomputed.fingerprint(settings.weights)
+    sources = [f"{count} PNG files in {settings.weights}"]
+    return {
+        "backbone": "precomputed",
+        "folder": str(settings.weights),
+        "sha256": sha256,
+        "sources": sources,
+    }, nn.Module()
+
+
 CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
     "small": lambda settings: ({"backbone": "small"}, build({"backbone": "small"})),
     "street": _create_street,
     "pair": hugging_face.create_pair,
     "hugging_face": hugging_face.create_backbone,
     "dinov2": dinov2.create_dinov2,
+    "precomputed": _create_precomputed,
 }
 """Kind → its description, with `sources` where weights were published: a line each; and the network with weights."""
 

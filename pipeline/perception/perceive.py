@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 FILE = "encoder.pt"
 KIND = "unified encoder"
+AGAIN = "Make it again: dvc repro --force --single-item encoder"
 GPU_BATCH = 32  # images per pass at least; a CPU runs them one by one
 T = TypeVar("T")
 R = TypeVar("R")
@@ -52,8 +53,10 @@ def open_encoder(folder: Path, precision: str) -> Predict:
 
     Raises InputError if its file is missing, damaged or does not fit this code, or if a package is missing.
     """
-    if files := precomputed.named_in(folder):
-        return partial(_read_precomputed, files)
+    with error_context(fix=AGAIN):
+        architecture, _ = read(folder / FILE)
+    if architecture["backbone"] == "precomputed":
+        return partial(_read_precomputed, Path(architecture["folder"]))
     network = load(folder)
     return lambda batch: perceive(network, batch.images, batch.camera, precision)
 
@@ -61,11 +64,6 @@ def open_encoder(folder: Path, precision: str) -> Predict:
 def _read_precomputed(folder: Path, batch: EncoderInput) -> tuple[np.ndarray, np.ndarray]:
     frames = [precomputed.read(folder, batch.drive, int(frame), batch.camera.size) for frame in batch.frame]
     return np.stack([depth for depth, _ in frames]), np.stack([cls for _, cls in frames])
-
-
-def weights_file(folder: Path) -> Path:
-    """Return the file of an encoder's folder that determines its predictions."""
-    return folder / (precomputed.FILE if precomputed.named_in(folder) else FILE)
 
 
 def save(folder: Path, architecture: Architecture, state: Mapping[str, Tensor]) -> None:
@@ -89,7 +87,7 @@ def load(folder: Path) -> nn.Module:
     Raises InputError if its file is missing, damaged or does not fit this code, or if a package is missing.
     """
     path = folder / FILE
-    with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
+    with error_context(fix=AGAIN):
         architecture, state = read(path)
         model = build(architecture)
         checkpoint.load_state(model, state, path)
@@ -168,7 +166,7 @@ def perceive_drive(
         advance: called with the number of frames that are done since the last call.
     """
     predict = cached_encoder(encoder, settings.precision)
-    sections = {"encoder": {"sha256": file_hash(weights_file(encoder))}, "perception": settings.model_dump()}
+    sections = {"encoder": {"sha256": file_hash(encoder / FILE)}, "perception": settings.model_dump()}
     with (
         DriveReader(ingest, stage="ingest") as source,
         DriveWriter(path, stage="perception", drive=source.drive, params=source.params | sections) as file,

@@ -11,18 +11,10 @@ from pipeline.base.resume import file_hash
 from pipeline.camera import classes
 from pipeline.camera.images import nearest, read_classes, read_depth, to_metres, to_units, write_png
 
-FILE = "config.json"
 LAYOUT = (
     "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/cls/0000000000.png (8 bit, "
     "trainIds)"
 )
-
-
-def named_in(encoder: Path) -> Path | None:
-    """Return the folder of precomputed files that config.json in folder `encoder` names; None for a network."""
-    config = encoder / FILE
-    content = store.read_json(config, stage="encoder") if config.is_file() else {}
-    return Path(content["weights"]) if content.get("backbone") == "precomputed" else None
 
 
 def find(folder: Path) -> list[Path]:

@@ -10,7 +10,7 @@ from pipeline.base.resume import file_hash
 from pipeline.graphs import graph_file
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
-from pipeline.perception.perceive import weights_file
+from pipeline.perception.perceive import FILE
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import SAMPLE, Reading
@@ -81,5 +81,5 @@ def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarr
     step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1 / model.fps
     if abs(1 / step_s / model.fps - 1) > TOLERANCE:
         yield f"warning: {model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
-    if file_hash(weights_file(encoder)) != model.settings["encoder"]["sha256"]:
+    if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:
         yield f"warning: {model.name} was fitted to depth and classes of another encoder than {encoder}"

@@ -20,7 +20,7 @@ from pipeline.camera.images import format_size, read_image
 from pipeline.kitti.ingest import ingest_drive, ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.perceive import perceive_drive, weights_file
+from pipeline.perception.perceive import FILE, perceive_drive
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
@@ -133,7 +133,7 @@ def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any
     """
     stat, camera = source.path.stat(), source.camera
     identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.height_m, camera.horizon, source.how]
-    content = json.dumps([*identity, file_hash(weights_file(encoder)), settings], default=str)
+    content = json.dumps([*identity, file_hash(encoder / FILE), settings], default=str)
     key = hashlib.sha256(content.encode()).hexdigest()[:16]
     work = claim(out, source.name, key) / WORK / key
     (work / "new").mkdir(parents=True, exist_ok=True)

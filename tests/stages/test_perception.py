@@ -64,8 +64,7 @@ def test_precomputed_files_are_matched_by_frame_number_and_scaled(tmp_path: Path
     with h5py.File(tmp_path / f"ingest/{DENSE}.h5", "r+") as file:
         file["has_image"][:] = [1, 1, 0, 1, 1]
     store.write_index(tmp_path / "ingest", {DENSE: "test"})
-    config = {"backbone": "precomputed", "weights": str(tmp_path / "made")}
-    store.write_json(tmp_path / "encoder/config.json", config)
+    save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {})
     run(tmp_path, "perception", batch=3)
     content = read(tmp_path)
     assert content["frame"].tolist() == [0, 1, 3, 4]

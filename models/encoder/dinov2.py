@@ -41,7 +41,7 @@ class DinoV2(nn.Module):
     """The backbone, and the heads with the authors' names of tensors."""
 
     def __init__(self, architecture: Mapping[str, Any], folder: Path | None = None) -> None:
-        """`folder`: of the backbone's weights; without it they are random, as those of the heads."""
+        """`folder` holds the backbone's weights; without it they are random. The heads' weights always are."""
         super().__init__()
         self.backbone = Network("AutoModel", architecture["model"], folder)
         width = self.backbone.network.config.hidden_size

@@ -34,7 +34,7 @@ def run_jobs(
     """Yield each job with the result of ``work(job)``, picklable, as they finish.
 
     `workers` are processes, None: :func:`default_workers`; with a Dask cluster, its workers instead, unless 1.
-    `threads` are those of each process, even of a single one, None: the cores are divided among the processes.
+    Each process has `threads` threads; None: the cores are divided, and a single job runs in this process.
     Raises the first error after the jobs in progress are done; no other job is started.
     """
     count = min(workers or default_workers(), len(jobs))

@@ -52,7 +52,7 @@ class StageFolder(NamedTuple):
     stage: str  # its name in dvc.yaml
     new: Path  # empty; what the stage writes here becomes the content of its output folder
     kept: Path  # data/.drives/STAGE or data/.drives/STAGE-ENTRY, outside of all DVC outputs, for the next run
-    used: set[Path]  # paths directly in `kept` that this run needs; the others are removed when it succeeds
+    used: set[Path]  # children of `kept` that this run needs; a success removes all others
 
 
 @contextmanager

@@ -53,7 +53,7 @@ def make_drives(
     todo = [job for job in jobs if not kept[job.drive].exists()]
     if len(todo) < len(jobs):
         print(f"{len(jobs) - len(todo)} of {len(jobs)} drives kept from earlier runs", flush=True)
-    # The longest first, so that no process ends long after the others.
+    # Drives with the most data start first, so that all processes end at about the same time.
     todo.sort(key=lambda job: -sum(path.stat().st_size for path in job.inputs if isinstance(path, Path)))
     tasks = [(job.drive, kept[job.drive], job.work) for job in todo]
     for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, workers=workers):

@@ -10,7 +10,7 @@ from pipeline.base.errors import InputError
 
 
 def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
-    """Return name → column, float64 [N], for the `required` and those of the `optional` columns that the file has.
+    """Return name → column, float64 [N]: all `required` columns, and the `optional` ones that the file has.
 
     The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
     column, which ends with the sentence `expected`; for values that are not numbers; and for rows with more values than

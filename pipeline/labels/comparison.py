@@ -28,7 +28,8 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
     """Return the scores over all frames of `drives`, each of :func:`errors`; None without frames. Undefined: None.
 
     ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of measured / true speed;
-    ``nmse``: MSE of the last measured steering angle / that of predicting zero; ``correlation``: about zero.
+    ``nmse``: MSE of the last measured steering angle / MSE of predicting zero; ``correlation``: of values, not of
+    their deviations from the mean.
     """
     measured, *compared = np.concatenate([np.zeros((5, 0)), *drives], axis=1)
     if not len(measured):

@@ -55,32 +55,22 @@ def _files(dep: str) -> set[Path]:
     path = resume.ROOT / dep
     assert path.exists(), dep
     files = path.rglob("*.py") if path.is_dir() else {path} - {path.with_suffix(".j2")}  # a template imports nothing
-    return {file.relative_to(resume.ROOT) for file in files if not _is_empty(file.relative_to(resume.ROOT))}
-
-
-def _is_empty(path: Path) -> bool:
-    """Return whether the file is an __init__.py that holds only a docstring."""
-    return path.name == "__init__.py" and len(ast.parse((resume.ROOT / path).read_text()).body) <= 1
+    return {file.relative_to(resume.ROOT) for file in files}
 
 
 def _imported(*modules: str) -> set[Path]:
-    """Return the source files that modules import, directly or not, themselves included.
-
-    Imports inside functions count, and so do the __init__.py of parent packages.
-    """
+    """Return the source files that modules import, directly or not, themselves included, also inside functions."""
     found, queue = set[str](), [*modules]
     while queue:
         module = queue.pop()
         if module not in found and module in IMPORTS.modules:
             found.add(module)
-            queue += [module.rpartition(".")[0], *IMPORTS.find_modules_directly_imported_by(module)]
-    paths = [Path(*module.split(".")) for module in found]
-    files = {path / "__init__.py" if (resume.ROOT / path).is_dir() else path.with_suffix(".py") for path in paths}
-    return {file for file in files if not _is_empty(file)}
+            queue += IMPORTS.find_modules_directly_imported_by(module)
+    return {Path(*module.split(".")).with_suffix(".py") for module in found}
 
 
 def test_one_name_four_places() -> None:
-    files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")} - {"__init__"}
+    files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")}
     assert files == set(STAGES)
     for name, stage in STAGES.items():
         argument = r' "\${DVC_STAGE#*@}"' if "foreach" in stage else ""

@@ -43,7 +43,7 @@ class Timeline:
         scene: str = "same",
     ) -> "Timeline":
         """Read the times of an open graph file, and the measured motion of a `car`."""
-        from models.steering.core.cell import NOMINAL_STEP_S
+        from models.steering.core.recurrent import NOMINAL_STEP_S
 
         stretches = consecutive(graphs.frame)
         dt_s = np.diff(graphs.time_s, prepend=np.nan)

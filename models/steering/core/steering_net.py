@@ -2,7 +2,7 @@
 
 A network is a file, listed nowhere else: `spatial: mean` in params.yaml is models/steering/spatial/mean.py. It has an
 nn.Module from a batch of B frames (core/batch.py) to features [B,F], and a class Options(NetworkOptions) with a field
-per option, `kind`, the frames that it reads, and `build`. A temporal file has a RecurrentCell (core/cell/__init__.py)
+per option, `kind`, the frames that it reads, and `build`. A temporal file has a RecurrentCell (core/recurrent.py)
 and options without `kind`. docs/models.md has an example.
 """
 

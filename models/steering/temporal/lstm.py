@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.cell import RecurrentCell
 from models.steering.core.options import Count, NetworkOptions, Sizes
+from models.steering.core.recurrent import RecurrentCell
 
 
 class Options(NetworkOptions):

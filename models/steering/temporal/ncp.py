@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from typing import Literal
 
-from models.steering.core.cell import RecurrentCell
 from models.steering.core.cell.cfc import CfC
 from models.steering.core.cell.eq4 import Eq4
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.options import NetworkOptions, Sizes
+from models.steering.core.recurrent import RecurrentCell
 from models.steering.core.wiring import Layout, Wiring, ncp
 
 CELLS: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4, "cfc": CfC}

@@ -12,10 +12,10 @@ from ncps.wirings import Wiring as PeerWiring
 from scipy.integrate import solve_ivp
 from scipy.special import expit
 
-from models.steering.core.cell import NOMINAL_STEP_S
 from models.steering.core.cell.cfc import CfC
 from models.steering.core.cell.eq4 import Eq4
 from models.steering.core.cell.ltc import LTC
+from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.wiring import Layout, ncp
 from models.steering.temporal import lstm
 

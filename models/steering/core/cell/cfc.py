@@ -6,7 +6,7 @@ from numpy import int8
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
+from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import SparseMatrix, Wiring
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.cell import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
+from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import SparseMatrix, Wiring
 
 # Beyond e^±20 frames a neuron is instantaneous or frozen; float32 would overflow at e^88.

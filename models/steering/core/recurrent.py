@@ -1,4 +1,4 @@
-"""Interface of the recurrent networks, and the cells of `temporal: ncp`, one per file; temporal/ncp.py lists them."""
+"""Interface of the recurrent networks. The cells of `temporal: ncp` are files of cell/; temporal/ncp.py lists them."""
 
 from typing import Any
 

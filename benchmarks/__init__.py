@@ -1,1 +1,0 @@
-"""Measure this project beside its alternatives: ``python -m benchmarks.bench`` (``make bench``)."""

@@ -1,1 +1,0 @@
-"""The networks: nn.Modules and their options; no files, no command line."""

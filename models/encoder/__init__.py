@@ -1,1 +1,0 @@
-"""The unified encoder: one backbone, a depth head, a class head."""

@@ -1,1 +1,0 @@
-"""What the stages compute with: plain functions on arrays."""

@@ -1,1 +1,0 @@
-"""What every stage uses: errors, the console, params, files, worker processes, resume, provenance."""

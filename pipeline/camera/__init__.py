@@ -1,1 +1,0 @@
-"""Images, videos, classes and the pinhole camera."""

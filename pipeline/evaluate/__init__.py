@@ -1,1 +1,0 @@
-"""Evaluate predictions: errors, baselines, confidence intervals, paths."""

@@ -1,1 +1,0 @@
-"""Steering labels: the bicycle model, sources of labels, and their comparison."""

@@ -1,1 +1,0 @@
-"""Visual odometry: the car's motion since the previous frame, without learning and without labels."""

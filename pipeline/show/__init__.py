@@ -1,1 +1,0 @@
-"""Describe and draw files of the stages, for `steer show`."""

@@ -1,1 +1,0 @@
-"""Train steering networks on graph files, and predict with them."""

@@ -1,1 +1,0 @@
-"""Recordings of your own, videos and folders of images: import them as drives."""

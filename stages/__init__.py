@@ -1,1 +1,0 @@
-"""One command per DVC stage: ``python -m stages.<name>``."""

@@ -1,1 +1,0 @@
-"""The command line: steer predict, measure, import and show."""

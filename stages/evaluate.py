@@ -39,7 +39,7 @@ def main(
         best = next(iter(sorted((train / name).glob("fold-*/best.pt"))), train / name / "best.pt")
         first = predict.load(best.parent)
         entry, variant = first.entry, graphs / first.entry.input
-        folds = runs.folds(store.read_index(variant, stage="graphs"), entry.fit_to, entry.roads)
+        folds = runs.folds(store.read_index(variant, stage="graphs"), entry)
         models = {run: predict.load(run.folder) for run in runs.runs(train / name, first.seeds, folds)}
         cases = _predict(models, variant, labels)
         tested = [case.drive for case in cases["test"]]
@@ -66,16 +66,18 @@ def _predict(models: Mapping[runs.Run, predict.Trained], variant: Path, labels: 
     """Return split → drives with the predictions of all seeds; a drive of several folds once, from the first."""
     cases: dict[str, dict[str, Case]] = {part: {} for part in SPLITS}
     for fold in dict.fromkeys(run.fold for run in models):
-        seeds = [model for run, model in models.items() if run.fold == fold]
+        of_fold = {run.seed: model for run, model in models.items() if run.fold == fold}
+        seeds = [(model, runs.scenes(fold, seed, model.entry.scene)) for seed, model in of_fold.items()]
+        first = seeds[0][0]
         for part, drives in cases.items():
             for name in (name for name in getattr(fold, part) if name not in drives):
-                drive = read_drive(variant, labels, name, **seeds[0].entry.reading)
-                if drive.columns != seeds[0].scale.names:
+                drive = read_drive(variant, labels, name, **first.entry.reading)
+                if drive.columns != first.scale.names:
                     problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
-                    raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{seeds[0].name}")
+                    raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
                 with graph_file.open_graphs(drive.graphs) as graphs:
-                    predictions = [model.predict(graphs) for model in seeds]
-                drives[name] = Case(drive, predictions, seeds[0].scale)
+                    predictions = [model.predict(graphs, variant / f"{scenes[name]}.h5") for model, scenes in seeds]
+                drives[name] = Case(drive, predictions, first.scale)
     return {part: list(drives.values()) for part, drives in cases.items()}
 
 

@@ -38,7 +38,7 @@ def main(
     variant, where = graphs / entry.input, f"{params}: models.{name}"
     splits = store.read_index(variant, stage="graphs")
     with error_context(where=where):
-        folds = runs.folds(splits, entry.fit_to, entry.roads)
+        folds = runs.folds(splits, entry)
     parts = [part for fold in folds for part in (fold.train, fold.val)] + [tuple(store.drives_in(splits, "test"))]
     names = dict.fromkeys(drive for part in parts for drive in part)
     drives = {drive: read_drive(variant, labels, drive, **entry.reading) for drive in names}

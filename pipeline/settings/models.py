@@ -36,7 +36,7 @@ class Entry(Section):
     motion: Literal["none", "visual"] = "none"  # visual: measured motion is an input, too
     # What the output is added to: the last frame's measured angle, for a path its regression on it, or 0.
     base: Literal["motion", "none"] = "motion"
-    # another: a control with the scene of another frame of the drive, random in training, else half a drive away
+    # another: a control with the scene of another drive of the split
     scene: Literal["same", "another"] = "same"
     uncertainty: bool = False  # predict the standard deviation of the error, too
     # others: a network per test drive, trained on the other test drives; both: on these and the training drives
@@ -78,7 +78,7 @@ class Entry(Section):
     @property
     def reading(self) -> dict[str, Any]:
         """Return the keyword arguments of labelled_drive.read_drive."""
-        return {name: getattr(self, name) for name in ("horizon", "motion", "base", "predict", "scene")}
+        return {name: getattr(self, name) for name in ("horizon", "motion", "base", "predict")}
 
     def build(
         self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None, outputs: int = 1

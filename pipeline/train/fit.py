@@ -20,7 +20,7 @@ from pipeline.base.resume import file_hash, stage_key
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import checkpoint, predict, windows
+from pipeline.train import checkpoint, predict, runs, windows
 from pipeline.train.labelled_drive import LabelledDrive
 from pipeline.train.loop import autocast, warm_up_cosine
 from pipeline.train.runs import Run
@@ -64,7 +64,9 @@ def fit_run(run: Run, job: Job) -> None:
     Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
     entry, settings = job.entry, job.settings
-    train, val = ([job.drives[name] for name in names] for names in (run.fold.train, run.fold.val))
+    scenes = runs.scenes(run.fold, run.seed, entry.scene)
+    drives = {name: replace(job.drives[name], scene=job.drives[other].graphs) for name, other in scenes.items()}
+    train, val = ([drives[name] for name in names] for names in (run.fold.train, run.fold.val))
     with graph_file.open_graphs(train[0].graphs) as graphs:
         contents, points = graphs.contents, graphs.points_per_frame
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -169,24 +171,23 @@ class Fit:
     def _predict(self, reader: windows.Reader) -> list[Prediction]:
         """Return the average's predictions for the validation drives, which the reader has after the others."""
         spans = windows.spans(self.val, self.entry.window, predict.WINDOWS)
-        steps = [windows.Step([replace(span, drive=len(self.train) + span.drive)]) for span in spans]
-        return predict.predict_spans(self.average, self.val, spans, reader.batches(steps), self.scale)
+        groups = [[replace(span, drive=len(self.train) + span.drive)] for span in spans]
+        return predict.predict_spans(self.average, self.val, spans, reader.batches(groups), self.scale)
 
-    def _plan(self, epoch: int) -> list[windows.Step]:
-        """Return the steps of an epoch.
+    def _plan(self, epoch: int) -> list[list[windows.Span]]:
+        """Return the spans of each step of an epoch.
 
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
         """
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
-        hides = self.net.motion and bool(self.train[0].horizon or self.train[0].ahead_m)
         spans = windows.random_spans(self.train, self.entry.window, settings.span_windows, rng)
-        steps = []
-        for first in range(0, len(spans), settings.batch_spans):
-            group = spans[first : first + settings.batch_spans]
-            factor = (settings.rescale ** rng.uniform(-1, 1, len(group))).astype(np.float32)
-            hidden = rng.random(len(group)) < MOTION_DROPOUT if hides else None
-            steps.append(windows.Step(group, factor, hidden))
-        return steps
+        factor = (settings.rescale ** rng.uniform(-1, 1, len(spans))).astype(np.float32).tolist()
+        ahead = bool(self.train[0].horizon or self.train[0].ahead_m)
+        # Without the scene, an equivariant network without motion has the output 0 and no gradient.
+        hides = ahead and self.net.motion and self.net.sees
+        hidden = (rng.random(len(spans)) < MOTION_DROPOUT * hides).tolist()
+        spans = [replace(span, factor=f, hidden=h) for span, f, h in zip(spans, factor, hidden, strict=True)]
+        return [spans[first : first + settings.batch_spans] for first in range(0, len(spans), settings.batch_spans)]
 
     def _train(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""

@@ -1,7 +1,7 @@
 """A drive's frames by row: times, measured motion, and targets from its labels, matched by frame number.
 
 A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
-ahead. Letters: G frames of a graph file, R columns. Arguments `horizon` to `scene` are as in a model's entry.
+ahead. Letters: G frames of a graph file, R columns. Arguments `horizon` to `predict` are as in a model's entry.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class Timeline:
     stretches: tuple[tuple[int, int], ...]  # [start, stop) rows without a missing frame
     base: np.ndarray  # float64 [G], measured value that the output is added to, see `base` of a model's entry
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None without motion
-    scene: str  # same | another, see `scene` of a model's entry
+    scene: Path  # graph file whose frames a network sees: this one, or another drive's, see `scene` of a model's entry
 
     @classmethod
     def read(
@@ -40,7 +40,6 @@ class Timeline:
         motion: str = "none",
         base: str = "motion",
         predict: str = "angle",
-        scene: str = "same",
     ) -> "Timeline":
         """Read the times of an open graph file, and the measured motion of a `car`."""
         from models.steering.core.recurrent import NOMINAL_STEP_S
@@ -55,17 +54,7 @@ class Timeline:
             columns = np.stack([label.measured_angle(*measured, **vars(car)), *measured], axis=1).astype(np.float32)
             offset = _measured(measured, car, predict) if base == "motion" else offset
         times = graphs.time_s, dt_s.astype(np.float32)
-        return cls(graphs.path, graphs.frame, *times, stretches, offset, columns, scene)
-
-    def scene_shift(self, rng: np.random.Generator | None = None) -> int:
-        """Return the number of rows from the frames of a span to the frames whose scenes it gets, 0 with scene: same.
-
-        With scene: another, half of the drive, or with `rng` a random quarter to three quarters of it.
-        """
-        frames = len(self.frame)
-        if self.scene == "same":
-            return 0
-        return frames // 2 if rng is None else int(rng.integers(frames // 4, frames - frames // 4 + 1))
+        return cls(graphs.path, graphs.frame, *times, stretches, offset, columns, graphs.path)
 
 
 @dataclass(frozen=True)
@@ -125,7 +114,6 @@ def read_drive(
     motion: str = "none",
     base: str = "motion",
     predict: str = "angle",
-    scene: str = "same",
 ) -> LabelledDrive:
     """Read a drive's labels from a folder of graphs and one of labels; graphs stay on disk.
 
@@ -151,7 +139,7 @@ def read_drive(
             held = np.where(np.logical_or.accumulate(usable), _measured(measured, car, predict), np.nan)
             odometry = np.repeat(held[:, None], targets["target"].shape[1], axis=1)
         return LabelledDrive(
-            **vars(Timeline.read(file, car, motion, base, predict, scene)),
+            **vars(Timeline.read(file, car, motion, base, predict)),
             name=name,
             empty=file.empty,
             labels=labels,

@@ -9,7 +9,7 @@ with graph_file.open_graphs("data/graphs/semantic/2026_01_10_drive_0004.h5") as 
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from pipeline.base.errors import InputError, error_context
-from pipeline.graphs.graph_file import Contents, Graphs
+from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, windows
@@ -57,22 +57,28 @@ class Trained:
         """Edges of the ranges of the path ahead; none for an angle."""
         return tuple(self.settings["labels"]["ahead_m"]) if self.entry.predict == "path" else ()
 
-    def predict(self, graphs: Graphs) -> Prediction:
+    def predict(self, graphs: Graphs, scene: Path | None = None) -> Prediction:
         """Return a prediction for each of the file's frames, in the columns `scale.names`.
 
         The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
-        ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap.
+        ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. `scene`: the
+        graph file of the drive whose scene a control with `scene: another` gets.
 
         Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
         """
         entry, window = self.entry, self.entry.window
-        if graphs.contents != self.contents:
-            problem = f"model {self.name} expects {self.contents}, got {graphs.contents}"
-            raise InputError(problem, graphs.path, f"Use graphs of input: {entry.input}, or train the model again")
-        drive = [Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict, entry.scene)]
-        spans = windows.spans(drive, window, WINDOWS)
-        batches = prefetch(windows.read_batch(drive, {0: graphs}, [span], window) for span in spans)
-        return predict_spans(self.net, drive, spans, batches, self.scale)[0]
+        if scene is None and entry.scene == "another":
+            problem = f"model {self.name} is a control, which needs the scene of another drive"
+            raise InputError(problem, graphs.path, "Choose a model with scene: same")
+        timeline = Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict)
+        with open_graphs(scene or graphs.path) as seen:
+            if seen.contents != self.contents:
+                problem = f"model {self.name} expects {self.contents}, got {seen.contents}"
+                raise InputError(problem, seen.path, f"Use graphs of input: {entry.input}, or train the model again")
+            drive = [replace(timeline, scene=seen.path)]
+            spans = windows.spans(drive, window, WINDOWS)
+            batches = prefetch(windows.read_batch(drive, {seen.path: seen}, [span], window) for span in spans)
+            return predict_spans(self.net, drive, spans, batches, self.scale)[0]
 
 
 def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:

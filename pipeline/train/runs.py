@@ -8,9 +8,13 @@ they are from the training drives' world, which `others` leaves out completely.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zlib import crc32
+
+import numpy as np
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
+from pipeline.settings.models import Entry
 
 
 @dataclass(frozen=True)
@@ -36,22 +40,44 @@ class Run:
         return f"seed {self.seed}" + (f" without {self.fold.name}" if self.fold.name else "")
 
 
-def folds(splits: Mapping[str, str], fit_to: str, roads: int | None) -> list[Fold]:
-    """Return the folds of a model with these keys of its entry, from drive → split.
+def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
+    """Return the folds of a model, from drive → split.
 
-    Raises InputError if there are fewer training drives than `roads`, or if a fold has no training drive.
+    Raises InputError if there are fewer training drives than `roads`, if a fold has no training drive, or as
+    :func:`scenes` does.
     """
+    fit_to, roads = entry.fit_to, entry.roads
     train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
     if roads is not None and roads > len(train):
         raise InputError(f"roads = {roads}, but there are {len(train)} training drives")
     train = train[:roads]
-    if fit_to == "train":
-        return [Fold(None, train, val, test)]
-    train, val = (train, val) if fit_to == "both" else ((), ())
+    train, val = ((), ()) if fit_to == "others" else (train, val)
     result = [Fold(drive, train + tuple(other for other in test if other != drive), val, (drive,)) for drive in test]
-    if not result or not all(fold.train for fold in result):
+    if fit_to == "train":
+        result = [Fold(None, train, val, test)]
+    elif not result or not all(fold.train for fold in result):
         names = ", ".join(test) or "none"
         raise InputError(f"fit_to = {fit_to!r} needs two test drives (got {names})", fix="Add drives to the split test")
+    for fold in result:
+        scenes(fold, 0, entry.scene)
+    return result
+
+
+def scenes(fold: Fold, seed: int, scene: str) -> dict[str, str]:
+    """Return drive → drive whose scene it gets: its own, or with `scene` another one of its split, drawn once per seed.
+
+    The test drive of a fold gets one of the others, on which its network was trained. Raises InputError if there is
+    none.
+    """
+    tested = fold.test if fold.name is None else fold.train + fold.test
+    result = {}
+    for drives, split in ((fold.train, fold.train), (fold.val, fold.val), (fold.test, tested)):
+        for drive in drives:
+            others = [other for other in split if other != drive] if scene == "another" else [drive]
+            if not others:
+                problem = f"scene: another needs two drives that are used alike (got {drive} alone)"
+                raise InputError(problem, fix="Add drives to its split")
+            result[drive] = others[np.random.default_rng([seed, crc32(drive.encode())]).integers(len(others))]
     return result
 
 

@@ -78,6 +78,11 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path: Path) -> None:
         ("labels.source", "gps", r"labels\.source"),
         (f"{MODEL}.predict", "paths", r"predict.*'angle' or 'path'"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
+        (
+            MODEL,
+            PYG | {"spatial": "gnn", "roads": 1, "scene": "another"},
+            "another needs two drives .*01_drive_0001 alone",
+        ),
         (f"{MODEL}.equivarient", True, "equivarient"),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.motion-10-blind.spatial", "cnn", "spatial.*cnn.*expects images"),

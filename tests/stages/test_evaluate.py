@@ -8,9 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
-from pipeline.train import predict
+from pipeline.train import fit, predict
 from pipeline.train.labelled_drive import read_drive
 from pipeline.train.scale import WITHIN
 from tests import artefacts
@@ -103,6 +104,31 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder: Path, f
                 mean = model.predict(graphs).mean[:, 0]
             found = table[table["drive"] == drive]["predicted_steering_rad"]
             np.testing.assert_allclose(found, mean, atol=1e-6)
+
+
+def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drives = [*SPLITS][:4]
+    trained, tested = drives[:2], drives[2:]
+    store.write_index(folder / "graphs/semantic", dict.fromkeys(trained, "train") | dict.fromkeys(tested, "test"))
+    write_params(folder, {"scene": "another"}, epochs=1)
+    paths = [folder / f"graphs/semantic/{drive}.h5" for drive in drives]
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            fit.Fit, "run", lambda self, *_: scenes.extend((drive.graphs, drive.scene) for drive in self.train)
+        )
+        scenes: list[tuple[Path, Path]] = []
+        run_train(folder)
+    assert scenes == [(paths[0], paths[1]), (paths[1], paths[0])]
+    model, table = predict.load(run_train(folder)), pd.read_csv(run_evaluate(folder) / "predictions.csv")
+    for drive, own, other in ((tested[0], *paths[2:]), (tested[1], *paths[:1:-1])):
+        found = table[table["drive"] == drive]["predicted_steering_rad"]
+        with graph_file.open_graphs(own) as graphs:
+            np.testing.assert_allclose(found, model.predict(graphs, other).mean[:, 0], atol=1e-6)
+            assert not np.allclose(found, model.predict(graphs, own).mean[:, 0], atol=1e-4, equal_nan=True)
+            with pytest.raises(InputError, match="is a control, which needs the scene of another drive"):
+                model.predict(graphs)
 
 
 def test_other_ranges_than_in_training_are_refused(folder: Path) -> None:

@@ -39,6 +39,8 @@ class NetworkOptions(OptionGroup):
 
     kind: ClassVar[FrameKind | None] = None
     """Frames that the network reads. Spatial networks only."""
+    sees: ClassVar[bool] = True
+    """Whether the features depend on the frames."""
 
     def build(self, sizes: Sizes) -> nn.Module:
         """Build the network with new weights from torch's random state."""

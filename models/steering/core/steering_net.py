@@ -55,7 +55,7 @@ class SteeringNet(nn.Module):
     ) -> None:
         super().__init__()
         self.file, self.features = f"{type(spatial).__module__.replace('.', '/')}.py", sizes.features
-        self.equivariant, self.motion = equivariant, motion
+        self.equivariant, self.motion, self.sees = equivariant, motion, spatial.sees
         # Random numbers are drawn in this order: a seed's weights depend on it.
         self.spatial = spatial.build(sizes)
         inputs = sizes.features + motion * len(MOTION_MIRROR_SIGNS)
@@ -71,15 +71,22 @@ class SteeringNet(nn.Module):
         self.register_buffer("signs", signs, persistent=False)
 
     def forward(
-        self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None, pairs: bool = False
+        self,
+        batch: Batch,
+        windows: Tensor,
+        dt_s: Tensor,
+        motion: Tensor | None = None,
+        scenes: Tensor | None = None,
+        pairs: bool = False,
     ) -> Tensor:
         """Predict the standardised steering, or residual, at each window's last frame; each frame is encoded once.
 
         Args:
-            batch: B frames.
+            batch: B frames, or the frames that `scenes` counts.
             windows: int64 [W,T], the frames of each window, oldest first.
             dt_s: [W,T] seconds since the previous frame.
             motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
+            scenes: int64 [B], the frame of the batch that each of B frames sees; None: its own.
             pairs: predict for the windows and for their mirror images.
         Returns:
             [W,R], R = 1 for an angle; with uncertainty [W,2R], the second half is log σ. With pairs [2W,..], the mirror
@@ -90,6 +97,8 @@ class SteeringNet(nn.Module):
         if self.equivariant or pairs:  # the frames, then their mirror images
             both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
             original, mirrored = both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
+            if scenes is not None:
+                original, mirrored = original[scenes], mirrored[scenes]
             if self.equivariant:
                 original = original - mirrored
                 mirrored = -original
@@ -98,7 +107,7 @@ class SteeringNet(nn.Module):
             if motion is not None:
                 motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
         else:
-            features = self.spatial(batch)
+            features = self.spatial(batch) if scenes is None else self.spatial(batch)[scenes]
         if features.shape[1:] != (self.features,):
             problem = f"the spatial network returns {list(features.shape[1:])} per frame, expected [{self.features}]"
             raise ValueError(f"{self.file}: {problem} (sizes.features)")
@@ -118,14 +127,14 @@ class SteeringNet(nn.Module):
                 out = torch.cat([out, self.signs * out]) if pairs else out
             return out
 
-    def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
+    def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
         """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
 
-        Names: those of the frames, `windows` [W,T], `dt_s` [W,T], and with motion `motion` [B,4].
+        Names: those of the frames, `windows` [W,T], `dt_s` [W,T], and if needed `motion` [B,4] and `scenes` [B].
         """
-        device, names = self.signs.device, [name for name in ("windows", "dt_s", "motion") if name in arrays]
+        device, names = self.signs.device, [name for name in ("windows", "dt_s", "motion", "scenes") if name in arrays]
         there = {name: torch.as_tensor(arrays[name]).to(device, non_blocking=True) for name in names}
-        return from_arrays(arrays, device), there["windows"], there["dt_s"], there.get("motion")
+        return from_arrays(arrays, device), there["windows"], there["dt_s"], there.get("motion"), there.get("scenes")
 
     @property
     def device(self) -> torch.device:

@@ -25,6 +25,7 @@ class Options(NetworkOptions):
     """No options."""
 
     kind: ClassVar[FrameKind] = "graph"
+    sees: ClassVar[bool] = False
 
     def build(self, sizes: Sizes) -> nn.Module:
         return Blind(sizes.features)

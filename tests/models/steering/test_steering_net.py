@@ -88,6 +88,11 @@ def test_mirrored_input_negates_an_equivariant_network(spatial: str, cell: str) 
     sides = plain(scene, WINDOWS, DT_S, MOTION), plain(scene.mirrored(), WINDOWS, DT_S, MOTION * MIRROR)
     assert (sides[0] + sides[1]).abs().max() > 1e-6
     torch.testing.assert_close(plain(scene, WINDOWS, DT_S, MOTION, pairs=True), torch.cat(sides), **TOLERANCE)
+    scenes, kind = torch.tensor([3, 3, 0, 1, 5, 2]), options(spatial).kind
+    parts = [frames.FRAME[kind](COUNTS[row], row) for row in scenes.tolist()]
+    for either, pairs in ((plain, False), (plain, True), (net, False)):
+        other = either(frames.join(parts), WINDOWS, DT_S, MOTION, pairs=pairs)
+        torch.testing.assert_close(either(scene, WINDOWS, DT_S, MOTION, scenes, pairs), other, **TOLERANCE)
 
 
 @each_cell

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,7 @@ def read(folder: Path, names: Sequence[str] = NAMES, **reading: object) -> list[
 
 def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: int = 8) -> Arrays:
     with ExitStack() as stack:
-        files = {span.drive: stack.enter_context(open_graphs(drives[span.drive].graphs)) for span in group}
+        files = {drive.scene: stack.enter_context(open_graphs(drive.scene)) for drive in drives}
         return windows.read_batch(drives, files, group, window)
 
 
@@ -130,27 +131,30 @@ def test_motion_and_base_of_a_batch(folder: Path) -> None:
     assert not unbased["base"].any()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_control_gets_the_scene_of_another_frame_and_nothing_else_changes(original: Path, name: str) -> None:
-    """With 23 frames the scenes are 11 frames later, and continue at the start of the drive."""
-    (drive,), (control,) = (read(original, names=[name], scene=scene) for scene in ("same", "another"))
-    with open_graphs(drive.graphs) as graphs:
-        for span, moved in zip(windows.spans([drive], 8, 5), windows.spans([control], 8, 5), strict=True):
-            batch, other = read_batch([drive], span), read_batch([control], moved)
-            rows = ((np.arange(span.start, span.stop) + 11) % 23).tolist()
-            frames = [collate([(graphs, row, row + 1)]) for row in rows]
-            for key in ("xyz", "degree"):
-                assert (other[key] == np.concatenate([frame[key] for frame in frames])).all()
-            assert not np.array_equal(other["xyz"], batch["xyz"])
-            for key in ("windows", "dt_s", "base", "target", "valid"):
-                assert (other[key] == batch[key]).all()
-
-
-def test_training_of_the_control_draws_far_scenes(original: Path) -> None:
-    for scene, shifts in {"same": {0}, "another": {*range(5, 19)}}.items():
-        rng = np.random.default_rng(0)
-        drawn = {span.shift for _ in range(20) for span in windows.random_spans(read(original, scene=scene), 4, 3, rng)}
-        assert drawn == shifts
+@pytest.mark.parametrize("others", [10, 23, 60])
+def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(folder: Path, others: int) -> None:
+    """Also in a larger world, and with hidden motion. The first windows, which the other drive lacks, get its first."""
+    artefacts.write_dataset(folder, {NAMES[1]: "train"}, frames=others, points=12)
+    for name, frames in zip(NAMES, (23, others), strict=True):
+        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(frames, 0.2))
+    (drive,) = read(folder, NAMES[:1], motion="visual")
+    control = replace(drive, scene=folder / f"graphs/semantic/{NAMES[1]}.h5")
+    group = [windows.Span(0, 12, 23, factor=2.0, hidden=True), windows.Span(0, 0, 9)]
+    own, batch = read_batch([drive], *group), read_batch([control], *group)
+    for key in ("dt_s", "base", "target", "valid"):
+        assert (batch[key] == own[key]).all()
+    assert (batch["motion"][batch["windows"]] == own["motion"][own["windows"]]).all()
+    with open_graphs(control.scene) as graphs:
+        for window, end in zip(batch["windows"], [*range(19, 23), 7, 8], strict=True):
+            stop = max(end * others // 23 + 1, 8)
+            for frame, row in zip(batch["scenes"][window], range(stop - 8, stop), strict=True):
+                alone = collate([(graphs, row, row + 1)])
+                points = slice(*batch["ptr"][frame : frame + 2])
+                assert (batch["xyz"][points] == alone["xyz"] * (2 if end > 8 else 1)).all()
+                assert (batch["degree"][points] == alone["degree"]).all()
+    if others < 23:
+        with pytest.raises(InputError, match="scene: another needs a window of 11 frames"):
+            read_batch([control], windows.Span(0, 0, 23), window=11)
 
 
 # Readers and augmentation
@@ -159,14 +163,11 @@ def test_training_of_the_control_draws_far_scenes(original: Path) -> None:
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_batches_are_the_same_with_each_reader(original: Path, workers: int) -> None:
     drives = read(original)
-    groups = [(windows.Span(n % 2, n, n + 9), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
-    factors = np.random.default_rng(0).uniform(0.8, 1.2, (6, 2)).astype(np.float32)
-    steps = [windows.Step(group, factor) for group, factor in zip(groups, factors, strict=True)]
-    with windows.Reader(drives, 4) as alone, windows.Reader(drives, 4, workers) as reader:
+    groups = [(windows.Span(n % 2, n, n + 9, 1.1), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
+    with windows.Reader(drives, 4, workers) as reader:
         for _ in range(2):  # with the same processes
-            for step, batch in zip(steps, reader.batches(steps), strict=True):
-                arrays = {name: tensor.numpy() for name, tensor in alone[windows.Step(step.spans)].items()}
-                expected = windows.rescale(arrays, np.repeat(step.factor, 9))
+            for group, batch in zip(groups, reader.batches(groups), strict=True):
+                expected = read_batch(drives, *group, window=4)
                 assert batch.keys() == expected.keys()
                 for name, tensor in batch.items():
                     np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
@@ -176,29 +177,35 @@ def test_hidden_motion_is_not_measured_and_has_no_base(folder: Path) -> None:
     for name in NAMES:
         artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(23, 0.2))
     moving = read(folder, horizon=5, motion="visual")
-    spans = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
-    with windows.Reader(moving, 4) as reader:
-        shown, half = (reader[windows.Step(spans, hide_motion=hidden)] for hidden in (None, np.array([False, True])))
+    first, second = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
+    shown, half = (read_batch(moving, first, span, window=4) for span in (second, replace(second, hidden=True)))
     assert (shown["base"] != 0).all()
     assert (shown["motion"][:, 3] == 1).all()
     for name in ("motion", "base"):
         first = len(shown[name]) // 2
-        assert torch.equal(half[name][:first], shown[name][:first])
+        assert (half[name][:first] == shown[name][:first]).all()
         assert not half[name][first:].any()
-    assert torch.equal(half["target"], shown["target"])
+    assert (half["target"] == shown["target"]).all()
 
 
-@pytest.mark.parametrize(("ahead", "motion", "hides"), [(5, True, True), (0, True, False), (5, False, False)])
-def test_motion_is_hidden_from_half_of_the_spans_if_the_target_lies_ahead(
-    original: Path, ahead: int, motion: bool, hides: bool
+@pytest.mark.parametrize(
+    ("ahead", "motion", "spatial", "hides"),
+    [
+        (5, "visual", "polar", True),
+        (0, "visual", "polar", False),
+        (5, "none", "polar", False),
+        (5, "visual", "blind", False),
+    ],
+)
+def test_motion_is_hidden_from_half_of_the_spans_if_the_scene_shows_what_lies_ahead(
+    original: Path, ahead: int, motion: str, spatial: str, hides: bool
 ) -> None:
-    line = {"input": "semantic", "spatial": "blind", "temporal": "lstm", "window": 4}
-    entry = Entry.model_validate(line | {"motion": "visual" if motion else "none"})
+    line = {"input": "semantic", "spatial": spatial, "temporal": "lstm", "window": 4, "motion": motion}
+    entry = Entry.model_validate(line)
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
     fitting = fit.Fit(entry.build("graph"), entry, settings, 0, read(original, horizon=ahead), [])
-    hidden = [step.hide_motion for step in fitting._plan(epoch=1) if step.hide_motion is not None]
-    assert bool(hidden) == hides
-    assert not hides or 0.3 < np.concatenate(hidden).mean() < 0.7
+    hidden = np.mean([span.hidden for group in fitting._plan(epoch=1) for span in group])
+    assert 0.3 < hidden < 0.7 if hides else hidden == 0
 
 
 @pytest.mark.parametrize("write", [artefacts.write_graphs, artefacts.write_sets, artefacts.write_images])
@@ -208,9 +215,8 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path: Path, pr
     for name in DRIVES:
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 40))
     drives, path = read(tmp_path, motion="visual", predict=predicted), predicted == "path"
-    batch = read_batch(drives, windows.Span(0, 0, 10), windows.Span(1, 1, 10))  # three and two windows
-    twice = np.repeat(np.array([2.0, 1.0], np.float32), [10, 9])
-    scaled = windows.rescale(batch, twice, EDGES_M if path else ())
+    first, second = windows.Span(0, 0, 10), windows.Span(1, 1, 10)  # three and two windows
+    batch, scaled = (read_batch(drives, span, second) for span in (first, replace(first, factor=2.0)))
     if "image" in batch:  # a larger world gives the same image
         assert all((scaled[key] == batch[key]).all() for key in batch)
         return
@@ -218,7 +224,7 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path: Path, pr
     assert (scaled["xyz"] == batch["xyz"] * factor).all()
     angle, yaw_rate, speed, valid = scaled["motion"].T.astype(np.float64)
     assert np.tan(angle) == pytest.approx(artefacts.WHEELBASE_M * yaw_rate / speed, rel=1e-5, abs=1e-6)
-    assert (speed == batch["motion"][:, 2] * twice).all()
+    assert (speed == batch["motion"][:, 2] * np.repeat([2, 1], [10, 9])).all()
     assert (valid == batch["motion"][:, 3]).all()
     curvature = (lambda rad: rad) if path else np.tan
     for name in ("base", "target"):
@@ -232,7 +238,7 @@ def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_cour
     factor: float, values: list[float], unknown: int
 ) -> None:
     curvature, valid = np.array([values]), np.arange(3)[None] != unknown
-    path, known = windows.scale_path(curvature, valid, EDGES_M, np.array([factor]))
+    path, known = windows.scale_path(curvature, valid, EDGES_M, factor)
     step = (np.arange(20_000) + 0.5) / 1000  # distances in the scaled world, metres
     course = curvature[0, np.clip(np.searchsorted(EDGES_M, step / factor) - 1, 0, 2)] / factor
     for number, (near, far) in enumerate(pairwise(EDGES_M)):
@@ -408,7 +414,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path: Path, driv
                 assert np.isnan(steering_rad[row])
                 continue
             span = windows.Span(0, row - WINDOW + 1, row + 1)
-            batch = windows.read_batch([timeline], {0: graphs}, [span], WINDOW)
+            batch = windows.read_batch([timeline], {drive: graphs}, [span], WINDOW)
             with torch.inference_mode():
                 assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
@@ -489,25 +495,47 @@ def test_a_state_must_match_exactly(change: dict[Any, object], fault: str) -> No
 # Runs and the kept epoch
 
 
+def entry(**changes: object) -> Entry:
+    return Entry.model_validate({"input": "semantic", "spatial": "polar", "temporal": "ncp"} | changes)
+
+
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
 
 
 def test_runs_are_seeds_and_folds() -> None:
     model = Path("data/train/gnn")
-    result = runs.runs(model, [3, 0], runs.folds(SPLITS, "train", None))
+    result = runs.runs(model, [3, 0], runs.folds(SPLITS, entry()))
     assert [(str(run), run.folder) for run in result] == [("seed 3", model), ("seed 0", model / "seed-0")]
     assert {run.fold for run in result} == {runs.Fold(None, ("a", "b"), ("v",), ("x", "y", "z"))}
     for fit_to, own, val in (("others", (), ()), ("both", ("a", "b"), ("v",))):
-        folds = runs.folds(SPLITS, fit_to, None)
+        folds = runs.folds(SPLITS, entry(fit_to=fit_to))
         assert folds[1] == runs.Fold("y", (*own, "x", "z"), val, ("y",))
         result = runs.runs(model, [0, 5], folds)[2:4]
         assert [run.folder for run in result] == [model / "fold-z", model / "seed-5/fold-x"]
         assert str(result[0]) == "seed 0 without z"
-    assert runs.folds(SPLITS, "both", 1)[0].train == ("a", "y", "z")
+    assert runs.folds(SPLITS, entry(fit_to="both", roads=1))[0].train == ("a", "y", "z")
     with pytest.raises(InputError, match="2 training drives"):
-        runs.folds(SPLITS, "train", 3)
+        runs.folds(SPLITS, entry(roads=3))
     with pytest.raises(InputError, match="two test drives"):
-        runs.folds({"a": "test"}, "others", None)
+        runs.folds({"a": "test"}, entry(fit_to="others"))
+
+
+def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed() -> None:
+    splits = {
+        name: {"a": "train", "v": "val", "x": "test"}[name[0]] for name in ("a", "a2", "a3", "v", "v2", "x", "x2")
+    }
+    (fold,) = runs.folds(splits, entry(scene="another"))
+    drawn = [runs.scenes(fold, seed, "another") for seed in range(20)]
+    assert all(other != drive and other[0] == drive[0] for scenes in drawn for drive, other in scenes.items())
+    assert {scenes["a"] for scenes in drawn} == {"a2", "a3"}
+    assert drawn[0] == runs.scenes(fold, 0, "another")
+    assert runs.scenes(fold, 0, "same") == {name: name for name in splits}
+    for fold in runs.folds(SPLITS, entry(fit_to="others", scene="another")):
+        scenes = runs.scenes(fold, 0, "another")
+        assert scenes[fold.name] in fold.train
+        assert {scenes[name] for name in fold.train} == {*fold.train}
+    with pytest.raises(InputError, match=r"needs two drives that are used alike \(got v alone"):
+        runs.folds(SPLITS, entry(scene="another"))
 
 
 @pytest.mark.parametrize(

@@ -28,12 +28,12 @@ def main(
 
     models = entries("models", params)
     evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
-    groups = results.load_groups(data / "evaluate", evaluated)
+    groups = results.load_groups({model: data / "evaluate" / model for model in evaluated}, load(Evaluate, params))
     path = data / "scores" / "metrics.json"
     scores = store.read_json(path, stage="scores") if path.is_file() else None
     path = data / "encoder" / "config.json"
     weights = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
-    steering = tables.steering_tables(groups, load(Evaluate, params))
+    steering = tables.steering_tables(groups)
     perceived = tables.perception_tables(scores) if scores else []
     story = sentences(groups, [model for model in models if model not in evaluated])
     text = "\n\n".join([*(fill(line, 110) for line in story), *(table.markdown() for table in (*steering, *perceived))])

@@ -37,46 +37,45 @@ def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
 def interval(error: np.ndarray, truth: np.ndarray, drive: np.ndarray, settings: Evaluate) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ truth² over other roads, from a circular block bootstrap of drives.
 
-    None if all rows are one block: each draw would be the same, and an interval of zero width claims certainty. None
-    also if every true value is 0.
+    None if the counted frames fit into one block: each draw would be the same, and an interval of zero width claims
+    certainty. None also if every true value is 0.
 
-    Drives are drawn with replacement, and within each drawn drive blocks of consecutive rows, since errors of
+    Drives are drawn with replacement, and within each drawn drive blocks of consecutive frames, since errors of
     neighbouring frames are correlated. A block that passes the end of its drive continues at its start, so that all
-    rows are drawn equally often. A drive that is not longer than a block is drawn completely.
+    frames are drawn equally often. A drive that is not longer than a block is drawn completely.
 
     Args:
-        error: [N] in time order; squared errors of a model, for the interval of its nmse. For the interval of a
-            difference in nmse, the difference of two models' squared errors: it is narrower if both have their errors
-            on the same roads. Means over seeds give an interval for these networks.
-        truth: [N], true values.
-        drive: [N], the number of each row's drive.
+        error: [N] for all frames in time order, NaN for those that do not count: they keep their place in a block.
+            Squared errors of a model, for the interval of its nmse. For the interval of a difference in nmse, the
+            difference of two models' squared errors: it is narrower if both have their errors on the same roads. Means
+            over seeds give an interval for these networks. [N,R] for the interval of the mean over R columns.
+        truth: [N] or [N,R], true values.
+        drive: [N], the number of each frame's drive.
     """
-    if not truth.any():
+    counted = np.isfinite(error)
+    values = np.where(counted, [error, truth**2], 0.0).reshape(2, len(drive), -1).swapaxes(1, 2)  # [2,R,N]
+    values = values[:, values[1].any(axis=1)]
+    if not values.size:
         return None
     first = np.flatnonzero(np.diff(drive, prepend=drive[0] - 1))  # [D] first row of each drive
     rows = np.diff(first, append=len(drive))  # [D]
     blocks = -(-rows // settings.bootstrap_block_frames)  # [D] of equal length, which together cover the drive
-    if blocks.sum() < 2:
+    counts = np.add.reduceat(counted.reshape(len(drive), -1).any(axis=1), first, dtype=int)  # [D]
+    if (-(-counts // settings.bootstrap_block_frames)).sum() < 2:
         return None
     length = np.round(rows / blocks).astype(int)
-    block_sums = np.concatenate(  # [2,N] sums of error and truth² over the block that starts at each row
-        [
-            _circular_sums(values, size)
-            for values, size in zip(np.split(np.stack([error, truth**2]), first[1:], axis=1), length, strict=True)
-        ],
-        axis=1,
-    )
-    rng, step = np.random.default_rng(settings.seed), max(1, _DRAWS_AT_ONCE // len(first))
+    parts = zip(np.split(values, first[1:], axis=2), length, strict=True)
+    block_sums = np.concatenate([_circular_sums(part, size) for part, size in parts], axis=2)  # over the next block
+    rng, step = np.random.default_rng(settings.seed), max(1, _DRAWS_AT_ONCE // (len(first) * values.shape[1]))
     ratios = []
     for done in range(0, settings.bootstrap_samples, step):
         drawn = rng.integers(len(first), size=(min(step, settings.bootstrap_samples - done), len(first)))
-        errors, zeros = np.zeros((2, len(drawn)))
+        sums = np.zeros((*values.shape[:2], len(drawn)))
         for block in range(blocks.max()):
             start = first[drawn] + rng.integers(rows[drawn])
-            sums = block_sums[:, start] * (block < blocks[drawn])
-            errors, zeros = errors + sums[0].sum(axis=1), zeros + sums[1].sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios.append(np.where(zeros > 0, errors / zeros, np.nan))
+            sums += (block_sums[:, :, start] * (block < blocks[drawn])).sum(axis=-1)
+        errors, zeros = np.where(sums[1] > 0, sums, np.nan)
+        ratios.append((errors / zeros).mean(axis=0))
     low, high = np.nanpercentile(np.concatenate(ratios), [2.5, 97.5])
     return [float(low), float(high)]
 
@@ -88,9 +87,10 @@ def interval_text(bounds: Sequence[float | None] | None, form: str = ".3f") -> s
 
 
 def _circular_sums(values: np.ndarray, length: int) -> np.ndarray:
-    """Return the sums [K,n] of `length` consecutive columns of [K,n], from each column, continued at the first."""
-    repeated = np.concatenate([np.zeros((len(values), 1)), values, values[:, : length - 1]], axis=1).cumsum(axis=1)
-    return repeated[:, length:] - repeated[:, : values.shape[1]]
+    """Return the sums of `length` consecutive values along the last axis, from each one, continued at the first."""
+    before = np.zeros_like(values[..., :1])
+    repeated = np.concatenate([before, values, values[..., : length - 1]], axis=-1).cumsum(axis=-1)
+    return repeated[..., length:] - repeated[..., : values.shape[-1]]
 
 
 def uncertainty(

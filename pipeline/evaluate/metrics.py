@@ -73,9 +73,8 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
     names = [case.drive.name for case in cases]
     result = {}
     for number, column in enumerate(cases[0].drive.columns):
-        scored = np.isfinite(values["truth"][:, number]) & np.isfinite(values["predicted"][0, :, number])
-        of_column = {name: array[..., scored, number] for name, array in values.items()}
-        result[column] = _scores(of_column, drive[scored], names, common, settings)
+        of_column = {name: array[..., number] for name, array in values.items()}
+        result[column] = _scores(of_column, drive, names, common, settings)
         result[column]["drift_m_per_100m"] = _drift(cases)
     return result
 
@@ -92,32 +91,30 @@ def _values(case: Case) -> dict[str, np.ndarray]:
 def _scores(
     values: dict[str, np.ndarray], drive: np.ndarray, names: Sequence[str], baselines: Sequence[str], settings: Evaluate
 ) -> dict[str, Any]:
-    """Return the metrics of a column: `values` [N] or [S,N] of the scored frames, and the numbers of their drives."""
+    """Return the metrics of a column: `values` [N] or [S,N] of all frames, and the numbers of their drives."""
     truth, predicted, curvature = values["truth"], values["predicted"], np.abs(values["curvature"])
     error = ((predicted - truth) ** 2).mean(axis=0)
-    by_seed = [errors.scores(truth, one_seed)["nmse"] for one_seed in predicted]
+    known = np.isfinite(error)
+    by_seed = [errors.scores(truth[known], one_seed[known])["nmse"] for one_seed in predicted]
 
     def scores(rows: np.ndarray) -> dict[str, Any]:
         others = {name: errors.scores(truth[rows], values[name][rows]) for name in baselines}
         return errors.scores(truth[rows], predicted[:, rows]) | {"baselines": others}
 
     def with_interval(rows: np.ndarray) -> dict[str, Any]:
-        return scores(rows) | {"nmse_ci95": errors.interval(error[rows], truth[rows], drive[rows], settings)}
+        return scores(rows) | {"nmse_ci95": errors.interval(np.where(rows, error, np.nan), truth, drive, settings)}
 
-    bins = []
-    for low, high in pairwise([0.0, *settings.curvature_bins_1pm, np.inf]):
-        rows = (curvature >= low) & (curvature < high)
-        bounds = {"from_1pm": low, "to_1pm": None if np.isinf(high) else high}
-        inside: dict[str, Any] = with_interval(rows) if rows.any() else {"frames": 0, "baselines": {}}
-        bins.append(bounds | inside | {"zero": inside.pop("baselines").get("zero")})
-    everything = np.ones(len(truth), bool)
-    certain = errors.uncertainty(truth, predicted, values["sigma"], values["half_95"]) if "sigma" in values else None
-    return with_interval(everything) | {
+    certain = [values[name][:, known] for name in ("predicted", "sigma", "half_95") if name in values]
+    return with_interval(known) | {
         "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
-        "by_curvature": bins,
-        "by_drive": {name: scores(drive == number) for number, name in enumerate(names)},
-        "without_decisions": with_interval(~values["near_onset"].astype(bool)),
-        "uncertainty": certain,
+        "by_curvature": [
+            {"from_1pm": low, "to_1pm": None if np.isinf(high) else high}
+            | with_interval(known & (curvature >= low) & (curvature < high))
+            for low, high in pairwise([0.0, *settings.curvature_bins_1pm, np.inf])
+        ],
+        "by_drive": {name: scores(known & (drive == number)) for number, name in enumerate(names)},
+        "without_decisions": with_interval(known & (values["near_onset"] == 0)),
+        "uncertainty": errors.uncertainty(truth[known], *certain) if len(certain) > 1 else None,
     }
 
 
@@ -164,23 +161,24 @@ def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
 def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     """Write one row per frame with the predictions of seed number `seed`; unknown values are empty fields.
 
-    `frame`, `time_s` and `speed_mps` belong to the last input frame, `onset` is 1 where a turn begins (turns.py). For
-    each column C of the model, `true_C` and `predicted_C` are those `horizon` frames later, `odometry_C` is measured at
-    the last input frame, and models with uncertainty have `sigma_C`.
+    `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the model, `true_C` and
+    `predicted_C` are those `horizon` frames later. Further columns are the :meth:`Case.baselines` without zero, for
+    instance `odometry_C`; `near_onset_C`, 1 close to the onset of a turn (turns.py); `sigma_C` of models with
+    uncertainty.
     """
     tables = []
     for case in cases:
         drive, (mean, sigma, _) = case.drive, case.predictions[seed]
-        odometry = np.full_like(drive.truth, np.nan) if drive.odometry is None else drive.odometry
+        values = {"true": drive.truth, "predicted": mean} | case.baselines()
+        del values["zero"]
+        if sigma is not None:
+            values["sigma"] = sigma
         table = pd.DataFrame({"drive": drive.name, "frame": drive.frame, "time_s": _text(drive.time_s, 6)})
         table["speed_mps"] = _text(drive.speed_mps, 4)
-        table["onset"] = np.isin(drive.frame, case.turns.frame).astype(int)
+        near = near_onsets(drive, case.turns).astype(int)
         for number, name in enumerate(drive.columns):
-            table[f"true_{name}"] = _text(drive.truth[:, number], 9)
-            table[f"predicted_{name}"] = _text(mean[:, number], 6)
-            table[f"odometry_{name}"] = _text(odometry[:, number], 6)
-            if sigma is not None:
-                table[f"sigma_{name}"] = _text(sigma[:, number], 6)
+            table = table.assign(**{f"{kind}_{name}": _text(of[:, number], 9) for kind, of in values.items()})
+            table[f"near_onset_{name}"] = near[:, number]
         tables.append(table)
     path.parent.mkdir(parents=True, exist_ok=True)
     pd.concat(tables).to_csv(path, index=False, lineterminator="\n")

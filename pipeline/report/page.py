@@ -5,7 +5,7 @@ Plots are the data and layout of Plotly, with angles in degrees, left +.
 
 import base64
 from collections.abc import Mapping, Sequence
-from itertools import cycle
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from pipeline.report.results import Group, Row
+from pipeline.report.results import Group
 from pipeline.report.tables import Table
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
@@ -97,7 +97,7 @@ def _test_drives(group: Group, look: Styles) -> Content:
         content.append(Plot(f"{drive}: {group.title} over time", plot))
     for column, label in group.labels.items():
         caption = f"Error by curvature of the road{label and f', {label} ahead'}, mean over seeds"
-        content.append(Plot(caption, by_curvature(group.models, column, look)))
+        content.append(Plot(caption, by_curvature(group, column, look)))
     return content
 
 
@@ -135,25 +135,21 @@ def over_time(predictions: pd.DataFrame, look: Styles) -> Figure:
     return _plot(traces, 400, xaxis={**_title("time in s"), "rangeslider": slider}, yaxis=_title("deg, left +"))
 
 
-def by_curvature(models: Sequence[Row], column: str, look: Styles) -> Figure:
+def by_curvature(group: Group, column: str, look: Styles) -> Figure:
     """Plot the RMSE of models and baseline zero in the ranges of |curvature| that have frames.
 
     In degrees for an angle, in 1/km for a curvature.
     """
-    factor, unit = (180 / np.pi, "deg") if models[0]["columns"][column]["unit"] == "rad" else (1000, "1/km")
-    parts = {row["model"]: [part for part in row["test"][column]["by_curvature"] if part["frames"]] for row in models}
-    parts["zero"] = [part | part["zero"] for part in parts[models[0]["model"]]]
-    bars = [
-        look[name]
-        | {"type": "bar", "x": [_range(part) for part in bins], "y": [round(factor * part["rmse"], 4) for part in bins]}
-        | {"text": [f"{part['frames']} frames" for part in bins], "hovertemplate": "%{y:.2f}, %{text}"}
-        for name, bins in parts.items()
-    ]
+    factor, unit = (1000, "1/km") if group.labels[column] else (180 / np.pi, "deg")
+    edges, bars = [0.0, *group.settings.curvature_bins_1pm, np.inf], []
+    for name in (*(row["model"] for row in group.models), "zero"):
+        scores = {bounds: group.scores(name, column, bounds) for bounds in pairwise(edges)}
+        bins = {bounds: part for bounds, part in scores.items() if part["frames"]}
+        x = [f"≥ {low:g}" if np.isinf(high) else f"{low:g} to {high:g}" for low, high in bins]
+        y = [round(factor * part["rmse"], 4) for part in bins.values()]
+        hover = {"text": [f"{part['frames']} frames" for part in bins.values()], "hovertemplate": "%{y:.2f}, %{text}"}
+        bars.append(look[name] | {"type": "bar", "x": x, "y": y} | hover)
     return _plot(bars, 380, xaxis=_title("|curvature| of the road in 1/m"), yaxis=_title(f"RMSE in {unit}"))
-
-
-def _range(part: Mapping[str, Any]) -> str:
-    return f"≥ {part['from_1pm']:g}" if part["to_1pm"] is None else f"{part['from_1pm']:g} to {part['to_1pm']:g}"
 
 
 def learning(curves: Mapping[str, pd.DataFrame], look: Styles) -> Figure:

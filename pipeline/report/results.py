@@ -1,10 +1,11 @@
 """Load the outputs of stage evaluate: groups of models that predict the same quantities, each with its baselines.
 
-All report outputs are made from these groups.
+All report outputs are made from these groups, and all their test errors are of the frames that every model predicts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +13,26 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base import store
-from pipeline.base.params import SPLITS
+from pipeline.evaluate import errors
 from pipeline.report import paper
+from pipeline.settings.evaluate import Evaluate
 
 SHOWN_DRIVES = 6  # test drives that the page draws one by one; the tables have all
 _LEARNING = ["epoch", "train_loss", "val_nmse"]
-BASELINES = ("zero", "train_mean", "persistence", "odometry", "regression")
+NO_LEARNING = ("zero", "train_mean", "odometry", "regression")
+BASELINES = (*NO_LEARNING, "persistence")  # which repeats true angles, that no model gets
 Row = dict[str, Any]
-"""A model's metrics.json with ``paper`` (its :class:`paper.Published` or None) and ``baseline`` False; or a baseline
-with ``model``, ``baseline`` True and the scores of each split."""
+"""A model's metrics.json with ``paper``, its :class:`paper.Published` or None."""
+Estimate = tuple[float, list[float] | None]
+"""A value, NaN if it is unknown, and its 95 % interval (:func:`errors.interval`)."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Models that predict the same columns equally far ahead, and their baselines."""
+    """Models that predict the same R columns equally far ahead, their baselines, and the N frames of their drives.
+
+    Only the frames with a valid truth that every model and seed predicts count: the truth of the others is NaN.
+    """
 
     key: str  # part of file names: angle-0, angle-10 or path-0
     title: str
@@ -35,20 +42,57 @@ class Group:
     # drive's first frame, and in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering
     # angle, or of the turn in all ranges of the path together (then without sigma).
     predictions: pd.DataFrame
+    settings: Evaluate
+    drive: np.ndarray  # [N] numbers, in time order
+    truth: np.ndarray  # [N,R]
+    near_onset: np.ndarray  # bool [N,R]
+    predicted: dict[str, np.ndarray]  # model or baseline → [S,N,R]; a baseline is of the first model that has it
 
-    @property
-    def rows(self) -> list[Row]:
-        """Return the models and the baselines, on the frames of the first model that has them."""
-        rows = [*self.models]
-        for name in BASELINES:
-            has = [row for row in self.models if all(name in scores["baselines"] for scores in row["test"].values())]
-            rows += [_baseline(name, has[0])] if has else []
-        return rows
+    def nmse(self, name: str, minus: str | None = None, column: str | None = None, onsets: bool = True) -> Estimate:
+        """Return the nmse of a model or baseline, mean over seeds; with `minus` the paired difference from another.
 
-    @property
+        Of one column, or the mean of all that are not 0 everywhere; without `onsets` of the frames away from them.
+        """
+        columns = slice(None) if column is None else [[*self.labels].index(column)]
+        truth, error = self.truth[:, columns], self._error(name)[:, columns]
+        if minus is not None:
+            error = error - self._error(minus)[:, columns]
+        if not onsets:
+            error = np.where(self.near_onset[:, columns], np.nan, error)
+        zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
+        known = zero > 0
+        value = (np.nansum(error, axis=0)[known] / zero[known]).mean() if known.any() else np.nan
+        return float(value), errors.interval(error, truth, self.drive, self.settings)
+
+    def _error(self, name: str) -> np.ndarray:
+        """Return squared errors [N,R], means over the seeds; NaN where they do not count."""
+        return np.asarray(((self.predicted[name] - self.truth) ** 2).mean(axis=0))
+
+    def scores(self, name: str, column: str, within_1pm: Sequence[float] = (0, np.inf)) -> dict[str, Any]:
+        """Return the :func:`errors.scores` of a model or baseline, and the nmse of each seed as `by_seed`.
+
+        Of frames with a |curvature| of the road in a range.
+        """
+        number = [*self.labels].index(column)
+        truth, model = self.truth[:, number], self.models[0]
+        curvature_1pm = truth if self.labels[column] else np.tan(truth) / model["wheelbase_m"]
+        rows = (np.abs(curvature_1pm) >= within_1pm[0]) & (np.abs(curvature_1pm) < within_1pm[1])
+        predicted = self.predicted[name][:, rows, number]
+        by_seed = [errors.scores(truth[rows], seed)["nmse"] for seed in predicted]
+        return errors.scores(truth[rows], predicted) | {"by_seed": by_seed}
+
+    @cached_property
     def by_error(self) -> list[Row]:
-        """Return the models by :func:`mean_nmse`, the best first."""
-        return sorted(self.models, key=mean_nmse)
+        """The models by nmse, the best first."""
+        return sorted(self.models, key=lambda row: self._rank(row["model"]))
+
+    @property
+    def best_baseline(self) -> str:
+        """The baseline without learning that has the least nmse; zero among equals."""
+        return min((name for name in NO_LEARNING if name in self.predicted), key=self._rank)
+
+    def _rank(self, name: str) -> float:
+        return float(np.nan_to_num(self.nmse(name)[0], nan=np.inf))
 
     def first_seed(self, model: str) -> pd.DataFrame:
         """Return the predictions of the first seed of a model."""
@@ -61,19 +105,12 @@ class Group:
         return [drive for drive in error.index if drive in error.nlargest(SHOWN_DRIVES).index]
 
 
-def mean_nmse(row: Row) -> float:
-    """Return the mean test nmse of all columns of a row; infinite if none has one."""
-    known = [scores["nmse"] for scores in row["test"].values() if scores["nmse"] is not None]
-    return float(np.mean(known)) if known else np.inf
-
-
-def load_groups(evaluate: Path, models: Sequence[str]) -> list[Group]:
-    """Load the results of `models` from their folders below `evaluate`. Raises InputError if a file is missing."""
+def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
+    """Load the results of models, name → folder of stage evaluate. Raises InputError if a file is missing."""
     loaded: dict[tuple[str, int], list[Row]] = {}
-    for model in models:
-        row = store.read_json(evaluate / model / "metrics.json", stage=f"evaluate@{model}")
-        settings = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
-        row |= {"baseline": False, "paper": paper.find(settings)}
+    for model, folder in folders.items():
+        row = store.read_json(folder / "metrics.json", stage=f"evaluate@{folder.name}") | {"model": model}
+        row["paper"] = paper.find(row["entry"] | {"accumulate": row["variant"].get("accumulate")})
         loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)
     order = [*paper.PAPER.values(), None]
     groups = []
@@ -85,12 +122,38 @@ def load_groups(evaluate: Path, models: Sequence[str]) -> list[Group]:
             name: "" if column["to_m"] is None else f"{column['from_m']:g}-{column['to_m']:g} m"
             for name, column in columns.items()
         }
-        predictions = pd.concat([_load_predictions(evaluate / row["model"], columns) for row in ranked])
-        groups.append(Group(f"{predict}-{horizon}", title, labels, ranked, predictions.reset_index(drop=True)))
+        models = [row["model"] for row in ranked]
+        predictions = pd.concat([_load_predictions(folders[name], name, columns) for name in models], ignore_index=True)
+        aligned = _align(predictions, models, [*columns])
+        groups.append(Group(f"{predict}-{horizon}", title, labels, ranked, predictions, settings, **aligned))
     return groups
 
 
-def _load_predictions(folder: Path, columns: Row) -> pd.DataFrame:
+def _align(predictions: pd.DataFrame, models: Sequence[str], columns: Sequence[str]) -> dict[str, Any]:
+    """Return the arrays of a :class:`Group`."""
+    rows = predictions.set_index(["drive", "frame"])
+    first = rows.groupby(level=[0, 1]).first()  # of each value the first model's that has it
+
+    def values(table: pd.DataFrame, kind: str) -> np.ndarray:
+        return table.reindex(first.index).reindex(columns=[f"{kind}_{name}" for name in columns]).to_numpy(float)
+
+    predicted = {
+        model: np.stack([values(seed, "predicted") for _, seed in rows[rows["model"] == model].groupby("run")])
+        for model in models
+    }
+    common = np.all([np.isfinite(seeds).all(axis=0) for seeds in predicted.values()], axis=0)
+    truth = np.where(common, values(first, "true"), np.nan)
+    baselines = {"zero": np.zeros_like(truth)} | {name: values(first, name) for name in BASELINES[1:]}
+    known = np.isfinite(truth)
+    return {
+        "drive": first.index.get_level_values("drive").factorize()[0],
+        "truth": truth,
+        "near_onset": values(first, "near_onset") == 1,
+        "predicted": predicted | {name: of[None] for name, of in baselines.items() if np.isfinite(of[known]).all()},
+    }
+
+
+def _load_predictions(folder: Path, model: str, columns: Row) -> pd.DataFrame:
     """Load predictions.csv of all seeds in a model's folder as rows of :attr:`Group.predictions`."""
     length_m = {name: 1 if part["to_m"] is None else part["to_m"] - part["from_m"] for name, part in columns.items()}
     tables = []
@@ -102,19 +165,8 @@ def _load_predictions(folder: Path, columns: Row) -> pd.DataFrame:
             table[f"{kind}_deg"] = np.rad2deg(sum(values)) if known else np.nan
         elapsed_s = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
         run = ".".join(path.parent.relative_to(folder).parts)
-        tables.append(table.assign(model=folder.name, run=run, elapsed_s=elapsed_s))
+        tables.append(table.assign(model=model, run=run, elapsed_s=elapsed_s))
     return pd.concat(tables, ignore_index=True)
-
-
-def _baseline(name: str, model: Row) -> Row:
-    """Return the row of a baseline, from the scores that stand beside a model's."""
-    row: Row = {"model": name, "baseline": True, "columns": model["columns"]}
-    for split in SPLITS:
-        row[split] = model[split] and {column: scores["baselines"][name] for column, scores in model[split].items()}
-    for column, scores in row["test"].items():
-        others = model["test"][column]["without_decisions"]["baselines"]
-        row["test"][column] = scores | {"without_decisions": others.get(name)}
-    return row
 
 
 def flat_metrics(groups: Sequence[Group]) -> dict[str, float]:
@@ -126,16 +178,17 @@ def flat_metrics(groups: Sequence[Group]) -> dict[str, float]:
     """
     values: dict[str, Any] = {}
     for group in groups:
-        named = {row["model"]: row for row in group.models}
-        named |= {f"odometry-{group.key}": row for row in group.rows if row["model"] == "odometry"}
-        for name, row in named.items():
-            for column, label in group.labels.items():
-                nmse, test = f"nmse_{label}".strip("_").replace(" ", ""), row["test"][column]
-                low, high = test.get("nmse_ci95") or (None, None)
-                values |= {f"{name}.{nmse}": test["nmse"], f"{name}.{nmse}_low": low, f"{name}.{nmse}_high": high}
+        for column, label in group.labels.items():
+            nmse = f"nmse_{label}".strip("_").replace(" ", "")
+            for row in group.models:
                 for split in ("train", "val"):
-                    values[f"{name}.{split}_{nmse}"] = row[split] and row[split][column]["nmse"]
-    return {name: value for name, value in values.items() if value is not None}
+                    values[f"{row['model']}.{split}_{nmse}"] = row[split] and row[split][column]["nmse"]
+            for name in (*(row["model"] for row in group.models), "odometry"):
+                key = f"odometry-{group.key}" if name == "odometry" else name
+                value, bounds = group.nmse(name, column=column) if name in group.predicted else (None, None)
+                low, high = bounds or (None, None)
+                values |= {f"{key}.{nmse}": value, f"{key}.{nmse}_low": low, f"{key}.{nmse}_high": high}
+    return {name: value for name, value in values.items() if value is not None and np.isfinite(value)}
 
 
 def load_curves(train: Path, models: Sequence[str]) -> dict[str, pd.DataFrame]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from textwrap import fill
 from typing import Any
 
@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.params import SPLITS
-from pipeline.evaluate.errors import interval, interval_text
-from pipeline.report.results import Group, Row
-from pipeline.settings.evaluate import Evaluate
+from pipeline.evaluate.errors import interval_text
+from pipeline.report.results import BASELINES, Group, Row
+from pipeline.settings.graphs import Variant
 
 NONE = "–"  # cell without a value
 _WIDTH = 110  # characters per line of a note
@@ -25,8 +25,8 @@ _RESULTS = (
     "present measured motion; regression multiplies it by its regression coefficient on the training drives."
 )
 _PAPER = (
-    "MSE in rad². paper: its Table 2, for models with the settings of one of its networks. Its unit cannot be rad² of "
-    "this label (docs/paper.md): compare order and ratio only."
+    "MSE in rad²; train and val: on own frames. paper: its Table 2, for models with the settings of one of "
+    "its networks. Its unit cannot be rad² of this label (docs/paper.md): compare order and ratio only."
 )
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats under a normal distribution with the predicted σ, which is scaled on "
@@ -35,8 +35,9 @@ _UNCERTAINTY = (
     "the validation errors. certain half: mean error of the frames with the smaller σ over that of all."
 )
 _DIFFERENCES = (
-    "nmse of the best model minus that of another on the same frames, mean over the seeds, with its 95 % interval: "
-    "below 0, the best is better."
+    "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: below 0, the "
+    "first is better. The best model against the best baseline without learning and the other models; and models that "
+    "differ in one setting."
 )
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
@@ -82,13 +83,16 @@ def number(value: Any, form: str = "") -> str:
     return NONE if value is None or pd.isna(value) else format(value, form)
 
 
-def steering_tables(groups: Sequence[Group], settings: Evaluate) -> list[Table]:
+def steering_tables(groups: Sequence[Group]) -> list[Table]:
     """Return the tables of all groups: first the errors of each group, then details."""
-    tables = [Table(f"Results: {group.title}", _results(group), _RESULTS * (group is groups[0])) for group in groups]
+    tables = [
+        Table(f"Results: {group.title}", _results(group), _frames(group) + _RESULTS * (group is groups[0]))
+        for group in groups
+    ]
     for group in groups:
         if any(group.labels.values()):
-            tables.append(Table(f"Without onsets: {group.title}", _results(group, "without_decisions")))
-        tables.append(Table(f"Differences: {group.title}", _differences(group, settings), _DIFFERENCES))
+            tables.append(Table(f"Without onsets: {group.title}", _results(group, onsets=False)))
+        tables.append(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES))
         tables.append(Table(f"Uncertainty: {group.title}", _uncertainty(group), _UNCERTAINTY))
     published = [row for group in groups if group.key == "angle-0" for row in _as_published(group)]
     models = [_model(row) for group in groups for row in group.models]
@@ -96,66 +100,67 @@ def steering_tables(groups: Sequence[Group], settings: Evaluate) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def _name(row: Row) -> str:
-    return f"*{row['model']}*" if row["baseline"] else str(row["model"])
+def _name(name: str) -> str:
+    return f"*{name}*" if name in BASELINES else name
 
 
-def _results(group: Group, part: str = "") -> list[dict[str, str]]:
-    rows = []
-    for row in group.rows:
-        cells = {"model": _name(row)}
+def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
+    models, rows = {row["model"]: row for row in group.models}, []
+    for name in group.predicted:
+        cells, row = {"model": _name(name)}, models.get(name, {})
         for column, label in group.labels.items():
-            scores = (row["test"][column][part] if part else row["test"][column]) or {}
-            spread = f" ± {scores['nmse_std']:.3f}" if scores.get("nmse_std") is not None else ""
-            known = scores.get("nmse") is not None and not row["baseline"]
-            bounds = f" ({interval_text(scores.get('nmse_ci95'))})" if known else ""
-            cells[f"nmse {label}".strip()] = number(scores.get("nmse"), ".3f") + spread + bounds
-            if not part and not label:
-                cells["MAE deg"] = number(np.rad2deg(scores["mae"]) if scores["mae"] is not None else None, ".2f")
-                cells["no onsets"] = number((scores["without_decisions"] or {}).get("nmse"), ".3f")
-                if scores.get("drift_m_per_100m") is not None:
-                    cells["drift"] = f"{scores['drift_m_per_100m']:.1f}"
-        if not part:
+            nmse, bounds = group.nmse(name, column=column, onsets=onsets)
+            scores = group.scores(name, column)
+            spread = f" ± {np.std(scores['by_seed'], ddof=1):.3f}" if len(scores["by_seed"]) > 1 and onsets else ""
+            interval = f" ({interval_text(bounds)})" if row else ""
+            cells[f"nmse {label}".strip()] = f"{nmse:.3f}{spread}{interval}" if np.isfinite(nmse) else NONE
+            if onsets and not label:
+                cells["MAE deg"] = number(scores["mae"] and np.rad2deg(scores["mae"]), ".2f")
+                cells["no onsets"] = number(group.nmse(name, column=column, onsets=False)[0], ".3f")
+                if row and row["test"][column]["drift_m_per_100m"] is not None:
+                    cells["drift"] = f"{row['test'][column]['drift_m_per_100m']:.1f}"
+        if onsets:
             cells["parameters"] = number(row.get("parameters"), ",d")
             cells["edges"] = number(row.get("edges_per_frame"), ",.0f")
         rows.append(cells)
     return rows
 
 
-def _differences(group: Group, settings: Evaluate) -> list[dict[str, str]]:
-    best, *others = group.by_error
-    return [
-        {"models": f"{best['model']} − {other['model']}"}
-        | {
-            label or "nmse": f"{nmse:+.3f} ({interval_text(bounds, '+.3f')})" if np.isfinite(nmse) else NONE
-            for column, label in group.labels.items()
-            for nmse, bounds in [difference(group.predictions, best["model"], other["model"], column, settings)]
-        }
-        for other in others
-    ]
+def _frames(group: Group) -> str:
+    counts = {label: np.isfinite(group.truth[:, number]).sum() for number, label in enumerate(group.labels.values())}
+    text = ", ".join(f"{label} {count:,}".strip() for label, count in counts.items())
+    return f"Test frames that every model of the table predicts: {text}. "
 
 
-def difference(
-    predictions: pd.DataFrame, first: str, second: str, column: str, settings: Evaluate
-) -> tuple[float, list[float] | None]:
-    """Return the paired difference in nmse of two models and its 95 % interval, in the frames where both predict.
+def _differences(group: Group) -> list[dict[str, str]]:
+    best, *others = [row["model"] for row in group.by_error]
+    pairs = {(best, name): "" for name in (group.best_baseline, *others)}
+    for pair in combinations(group.models, 2):
+        first, second = sorted(pair, key=lambda row: row["paper"] is not None)  # ours minus the paper's
+        if len(changed := _changed(first, second)) == 1:
+            pairs.pop((second["model"], first["model"]), None)
+            pairs[first["model"], second["model"]] = f" ({changed[0]})"
+    rows = []
+    for (first, second), setting in pairs.items():
+        cells = {"models": f"{first} − {_name(second)}{setting}"}
+        for column, label in group.labels.items():
+            nmse, bounds = group.nmse(first, minus=second, column=column)
+            cells[label or "nmse"] = f"{nmse:+.3f} ({interval_text(bounds, '+.3f')})" if np.isfinite(nmse) else NONE
+        rows.append(cells)
+    return rows
 
-    Errors are means over the seeds; NaN without common frames or if the truth is 0 there. `predictions`: see
-    :attr:`Group.predictions`.
+
+def _changed(*pair: Row) -> list[str]:
+    """Return "setting: a → b" of each setting in which two models or their graph variants differ.
+
+    Options that only one of the two networks has do not count, nor does the variant of a network without a scene.
     """
-    true, predicted = predictions[f"true_{column}"], predictions[f"predicted_{column}"]
-    known = predictions.assign(error=(predicted - true) ** 2, truth=true).dropna(subset="error")
-    frame = ["drive", "frame"]
-    errors = [
-        known[known["model"] == model].pivot(index=frame, columns="run", values="error").dropna().mean(axis=1)
-        for model in (first, second)
-    ]
-    error = (errors[0] - errors[1]).dropna().sort_index()
-    truth = known.drop_duplicates(frame).set_index(frame)["truth"].reindex(error.index).to_numpy()
-    if not truth.any():
-        return np.nan, None
-    drive = error.index.get_level_values("drive").factorize()[0]
-    return float(error.sum() / (truth**2).sum()), interval(error.to_numpy(), truth, drive, settings)
+    first, second = (row["entry"] for row in pair)
+    settings = [(key, first[key], second[key]) for key in first if key in second and key != "input"]
+    if "blind" not in (first["spatial"], second["spatial"]):
+        keys = Variant.model_fields.items()
+        settings += [(key, *(row["variant"].get(key, field.default) for row in pair)) for key, field in keys]
+    return [f"{key}: {a} → {b}" for key, a, b in settings if a != b]
 
 
 def _uncertainty(group: Group) -> list[dict[str, str]]:
@@ -175,12 +180,15 @@ def _uncertainty(group: Group) -> list[dict[str, str]]:
 
 
 def _as_published(group: Group) -> list[dict[str, str]]:
-    return [
-        {"model": _name(row)}
-        | {split: number((row[split] or {}).get("steering_rad", {}).get("mse"), ".5f") for split in SPLITS}
-        | {f"paper {split}": number(getattr(row.get("paper"), f"{split}_mse", None)) for split in ("train", "test")}
-        for row in group.rows
-    ]
+    models, rows = {row["model"]: row for row in group.models}, []
+    for name in group.predicted:
+        row = models.get(name, {})
+        mse = {split: (row.get(split) or {}).get("steering_rad", {}).get("mse") for split in ("train", "val")}
+        mse["test"] = group.scores(name, "steering_rad")["mse"]
+        published = {f"paper {split}": getattr(row.get("paper"), f"{split}_mse", None) for split in ("train", "test")}
+        cells = {split: number(value, ".5f") for split, value in mse.items()}
+        rows.append({"model": _name(name)} | cells | {head: number(value) for head, value in published.items()})
+    return rows
 
 
 def _model(row: Row) -> dict[str, str]:

@@ -61,7 +61,7 @@ def test_invalid_and_early_frames_do_not_count(folder: Path) -> None:
         inside = [m & (np.abs(d.curvature_1pm) < (row["to_1pm"] or 9)) for m, d in zip(inside, test, strict=True)]
         angles = np.concatenate([d.target[3:][m[3:]] for m, d in zip(inside, test, strict=True)])
         assert row["frames"] == len(angles) > 0
-        assert row["zero"]["mse"] == pytest.approx(np.mean(angles**2))
+        assert row["baselines"]["zero"]["mse"] == pytest.approx(np.mean(angles**2))
 
 
 def test_each_drive_has_its_own_errors_and_training_mean(folder: Path) -> None:
@@ -190,6 +190,26 @@ def draw(drives: list[np.ndarray], coefficient: float, rng: np.random.Generator)
         now, later = drive[:, start : start + 93]
         pieces.append(np.stack([later, coefficient * now - later, np.full(len(now), number)]))
     return tuple(np.concatenate(pieces, axis=1))
+
+
+def test_frames_that_do_not_count_keep_their_place_in_time() -> None:
+    """One frame in 20 counts, so that each of 40 blocks of 20 draws one; two blocks of counted frames draw 20 each."""
+    steering, error = np.full(800, 0.1), np.full(800, np.nan)
+    error[::20] = 0
+    error[0] = 0.1
+    assert interval(steering, error, np.zeros(800), block=20, samples=2000) == pytest.approx([0, 3 / 40])
+    rows = np.isfinite(error)
+    assert interval(steering[rows], error[rows], np.zeros(40), block=20, samples=2000) == pytest.approx([0, 2 / 40])
+
+
+def test_columns_are_drawn_together() -> None:
+    rng = np.random.default_rng(0)
+    steering, drive = rng.normal(size=400), np.repeat(np.arange(4), 100)
+    error = 0.5 * rng.normal(size=400) ** 2 * (drive + 1)
+    one = errors.interval(error, steering, drive, settings(50, 200))
+    for columns in (1, 3):
+        repeated = (np.repeat(values[:, None], columns, axis=1) for values in (error, steering))
+        assert errors.interval(*repeated, drive, settings(50, 200)) == pytest.approx(one)
 
 
 def test_the_difference_of_two_models_has_a_narrower_interval() -> None:

@@ -8,13 +8,15 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.report.results import Group, load_groups
+from pipeline.settings.evaluate import Evaluate
 
+SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, curvature_bins_1pm=[0.06], seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
 ENTRY = {
     "input": "semantic", "spatial": "gnn", "temporal": "ncp", "cell": "ltc", "window": 8, "equivariant": False,
     "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train", "roads": None, "predict": "angle",
+    "scene": "same",
 }  # fmt: skip
-BASELINES = {"zero": 1.0, "train_mean": 1.0, "persistence": 0.01}
 ANGLE = {"steering_rad": {"unit": "rad", "from_m": None, "to_m": None, "odometry_gain": None}}
 PATH = {
     f"path_{start}-{stop}m_1pm": {"unit": "1/m", "from_m": float(start), "to_m": float(stop), "odometry_gain": None}
@@ -22,74 +24,67 @@ PATH = {
 }
 
 
-def errors(nmse: float | None, frames: int = 40) -> dict[str, Any]:
-    """Return errors on labels with a mean square of 0.01 rad²."""
-    if nmse is None:
-        return {"frames": 0, **dict.fromkeys(("mse", "rmse", "mae", "nmse"))}
-    return {"frames": frames, "mse": 0.01 * nmse, "rmse": 0.1 * nmse**0.5, "mae": 0.08 * nmse**0.5, "nmse": nmse}
-
-
-def scores(nmse: float | None, **baselines: float) -> dict[str, Any]:
-    """Return the scores of a column in a split; the interval reaches from half of nmse to 1.5 times nmse."""
-    bounds = None if nmse is None else [0.5 * nmse, 1.5 * nmse]
-    known = {"baselines": {name: errors(value) for name, value in (BASELINES | baselines).items()}}
-    bins = [
-        {"from_1pm": 0.0, "to_1pm": 0.03, **errors(nmse), "zero": errors(1.0), "nmse_ci95": bounds},
-        {"from_1pm": 0.03, "to_1pm": None, "frames": 0},
-    ]
-    return {
-        **errors(nmse), "nmse_std": None, "nmse_ci95": bounds, "by_curvature": bins, "drift_m_per_100m": None, **known,
-        "without_decisions": errors(nmse and nmse / 2) | known | {"nmse_ci95": bounds}, "uncertainty": None,
-    }  # fmt: skip
-
-
 def metrics(
-    model: str, nmse: float | None = 0.2, odometry: dict[str, float] | None = None, **entry: Any
+    model: str, nmse: float | list[float] | None = 0.2, baselines: dict[str, float] | None = None, **entry: Any
 ) -> dict[str, Any]:
-    """Return the metrics.json of a model; `odometry`: nmse of odometry and regression."""
+    """Return the metrics.json of a model; nmse is for :func:`predictions`, as that of `baselines`."""
     columns = PATH if entry.get("predict") == "path" else ANGLE
-    test = {column: scores(nmse, **odometry or {}) for column in columns}
+    test = {"nmse": nmse, "baselines": baselines or {}, "drift_m_per_100m": None, "uncertainty": None}
     if not entry.get("horizon") and columns is ANGLE:
-        test["steering_rad"]["drift_m_per_100m"] = 3.0
+        test["drift_m_per_100m"] = 3.0
     return {
         "model": model, "entry": ENTRY | entry, "seeds": [0], "parameters": 9259, "wheelbase_m": 2.71,
         "labels": "oxts", "variant": {"k": 6, "keep_inter_class": 0.2},
         "points_per_frame": 1000.0, "edges_per_frame": 5160.0, "edges_per_frame_unpruned": 6000.0,
-        "columns": columns, "val": None,
-        "train": {column: scores(nmse and nmse / 2, **odometry or {}) for column in columns},
-        "test": test,
+        "columns": columns, "val": None, "train": {column: {"nmse": 0.1, "mse": 0.001} for column in columns},
+        "test": dict.fromkeys(columns, test),
     }  # fmt: skip
 
 
-def predictions(error_rad: float, columns: dict[str, Any] = ANGLE) -> pd.DataFrame:
-    """Return predictions.csv of two drives of 30 frames.
+def predictions(
+    nmse: float | list[float] | None = 0.2, columns: dict[str, Any] = ANGLE, baselines: dict[str, float] | None = None
+) -> pd.DataFrame:
+    """Return predictions.csv of two drives of 30 frames, on which errors are multiples of the truth: `nmse` on each
+    drive, or on one each; None if both are straight.
 
-    Frame 20 is invalid, no window ends before frame 7, and odometry starts at frame 1.
+    Frame 20 is invalid, no window ends before frame 7, odometry starts at frame 1, frames 10 to 15 are near an onset.
     """
     frame = np.arange(30)
-    driven = 0.01 * frame
-    table = {"frame": frame, "time_s": 100 + frame / 10, "speed_mps": frame / 2, "onset": (frame == 15).astype(int)}
-    for column in columns:
-        table |= {
-            f"true_{column}": np.where(frame == 20, np.nan, driven),
-            f"predicted_{column}": np.where(frame < 7, np.nan, driven + error_rad),
-            f"odometry_{column}": np.where(frame < 1, np.nan, driven + 0.001),
-        }
-    return pd.concat([pd.DataFrame({"drive": drive, **table}) for drive in DRIVES], ignore_index=True)
+    driven = 0.01 * frame * (nmse is not None)
+    tables = []
+    for drive, of_drive in zip(DRIVES, np.broadcast_to(nmse or 0.0, 2), strict=True):
+        table = {"drive": drive, "frame": frame, "time_s": 100 + frame / 10, "speed_mps": frame / 2}
+        for column in columns:
+            values = {"predicted": of_drive, "train_mean": 1.0} | (baselines or {})
+            table |= {f"{name}_{column}": driven * (1 + np.sqrt(value)) for name, value in values.items()}
+            table[f"true_{column}"] = np.where(frame == 20, np.nan, driven)
+            table[f"near_onset_{column}"] = ((frame >= 10) & (frame <= 15)).astype(int)
+            for name in {"predicted", "odometry"} & {"predicted", *(baselines or {})}:
+                table[f"{name}_{column}"][: 7 if name == "predicted" else 1] = np.nan
+        tables.append(pd.DataFrame(table))
+    return pd.concat(tables, ignore_index=True)
 
 
 def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None = None) -> None:
     """Write metrics.json, and predictions.csv for each seed, below data/evaluate."""
     folder = data / "evaluate" / content["model"]
     store.write_json(folder / "metrics.json", content, sort_keys=False)
+    if table is None:
+        test = next(iter(content["test"].values()))
+        table = predictions(test["nmse"], content["columns"], test["baselines"])
     for number, seed in enumerate(content["seeds"]):
         own = folder / f"seed-{seed}" if number else folder
         own.mkdir(exist_ok=True)
-        (predictions(0.01, content["columns"]) if table is None else table).to_csv(own / "predictions.csv", index=False)
+        table.to_csv(own / "predictions.csv", index=False)
+
+
+def load(data: Path, *models: str) -> list[Group]:
+    """Load the results of models below data/evaluate."""
+    return load_groups({model: data / "evaluate" / model for model in models}, SETTINGS)
 
 
 def groups(data: Path, *contents: dict[str, Any]) -> list[Group]:
     """Write models and load their results."""
     for content in contents:
         write_model(data, content)
-    return load_groups(data / "evaluate", [content["model"] for content in contents])
+    return load(data, *(content["model"] for content in contents))

@@ -19,18 +19,15 @@ from pipeline.graphs.cloud import clouds_drive
 from pipeline.perception.scores import Scores
 from pipeline.report import figures, page, paper, results, tables
 from pipeline.report.page import write_page
-from pipeline.report.results import load_groups
 from pipeline.report.story import sentences
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, follow, path_steps, read_view, wheel_tracks
 from pipeline.settings.clouds import Clouds
-from pipeline.settings.evaluate import Evaluate
 from tests import street
 from tests.artefacts import write_graphs
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics
 
 DRIVE, OTHER = examples.DRIVES
-SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, curvature_bins_1pm=[0.1], seed=0)
 
 
 # Groups and networks of the paper
@@ -40,18 +37,17 @@ def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path: Path) -> None:
     found = examples.groups(
         tmp_path,
         metrics("path", predict="path"),
-        metrics("far", odometry={"odometry": 0.5}, horizon=10),
-        metrics("ours", spatial="pyg", odometry={"odometry": 0.04}),
-        metrics("do", input="depth", semantics=0.0),
+        metrics("far", baselines={"odometry": 0.5}, horizon=10),
+        metrics("ours", spatial="pyg", baselines={"odometry": 0.04}),
+        metrics("do", baselines={"persistence": 0.01}, input="depth", semantics=0.0),
         metrics("lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
     )
     assert [group.title for group in found] == ["steering angle", "steering angle, 10 frames ahead", "path ahead"]
-    rows = {row["model"]: row for row in found[0].rows}
-    assert [*rows] == ["lstm", "do", "ours", "zero", "train_mean", "persistence", "odometry"]
-    assert [row["baseline"] for row in rows.values()] == [False] * 3 + [True] * 4
-    assert rows["odometry"]["test"]["steering_rad"]["nmse"] == 0.04
-    assert rows["do"]["paper"].test_mse == 0.081
-    assert rows["ours"]["paper"] is None
+    group = found[0]
+    assert [*group.predicted] == ["lstm", "do", "ours", "zero", "train_mean", "odometry", "persistence"]
+    assert group.nmse("odometry")[0] == pytest.approx(0.04)
+    assert group.best_baseline == "odometry"
+    assert [row["paper"] and row["paper"].test_mse for row in group.models] == [0.130, 0.081, None]
     assert [*found[2].labels.values()] == ["0-5 m", "5-10 m"]
 
 
@@ -76,87 +72,114 @@ def test_a_network_of_the_paper_is_known_by_its_settings(change: dict[str, Any],
 
 
 def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:
-    (group,) = examples.groups(tmp_path, metrics("net") | {"seeds": [3, 7]}, metrics("other"))
+    net = metrics("net", 0.25, {"odometry": 0.25}) | {"seeds": [3, 7]}
+    (group,) = examples.groups(tmp_path, net, metrics("other"))
     counts = group.predictions.groupby(["model", "run"]).size().to_dict()
     assert counts == {("net", ""): 60, ("net", "seed-7"): 60, ("other", ""): 60}
     row = group.first_seed("net").iloc[[0, 6, 10, 20]]
     assert row["elapsed_s"].tolist() == pytest.approx([0, 0.6, 1.0, 2.0])
     np.testing.assert_allclose(row["true_deg"], np.rad2deg([0, 0.06, 0.1, np.nan]))
-    np.testing.assert_allclose(row["predicted_deg"], np.rad2deg([np.nan, np.nan, 0.11, 0.21]))
-    np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([np.nan, 0.061, 0.101, 0.201]))
-    (group,) = examples.groups(tmp_path, metrics("path", predict="path"))  # turns by curvature times length
+    np.testing.assert_allclose(row["predicted_deg"], np.rad2deg([np.nan, np.nan, 0.15, 0.3]))
+    np.testing.assert_allclose(row["odometry_deg"], np.rad2deg([np.nan, 0.09, 0.15, 0.3]))
+    (group,) = examples.groups(tmp_path, metrics("path", 0.25, predict="path"))  # turns by curvature times length
     row = group.first_seed("path").iloc[10]
-    assert (row["true_deg"], row["predicted_deg"]) == pytest.approx((np.rad2deg(0.1 * 10), np.rad2deg(0.11 * 10)))
+    assert (row["true_deg"], row["predicted_deg"]) == pytest.approx((np.rad2deg(0.1 * 10), np.rad2deg(0.15 * 10)))
 
 
 def test_flat_metrics_have_no_missing_values(tmp_path: Path) -> None:
-    net = metrics("net") | {"val": {"steering_rad": examples.scores(0.15)}}
-    path = metrics("path", odometry={"odometry": 0.4}, predict="path")
-    found = results.flat_metrics(examples.groups(tmp_path, net, metrics("straight", None), path))
-    of_net = {"nmse": 0.2, "nmse_low": 0.1, "nmse_high": 0.2 * 1.5, "train_nmse": 0.1, "val_nmse": 0.15}
+    net = metrics("net", [0.1, 0.3]) | {"val": {"steering_rad": {"nmse": 0.15}}}
+    path = metrics("path", baselines={"odometry": 0.4}, predict="path")
+    found = results.flat_metrics(examples.groups(tmp_path, net, metrics("straight", None, horizon=5), path))
+    of_net = {"nmse": 0.2, "train_nmse": 0.1, "val_nmse": 0.15}
     expected = {f"net.{name}": value for name, value in of_net.items()}
-    expected |= {"path.nmse_5-10m": 0.2, "path.nmse_5-10m_low": 0.1, "odometry-path-0.nmse_0-5m": 0.4}
-    assert expected.items() <= found.items()
-    assert not any(name.startswith("straight") or "odometry-angle" in name for name in found)
+    expected |= {"path.nmse_5-10m": 0.2, "path.nmse_5-10m_low": 0.2, "odometry-path-0.nmse_0-5m": 0.4}
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+    assert 0.1 <= found["net.nmse_low"] < 0.2 < found["net.nmse_high"] <= 0.3
+    assert [name for name in found if "straight" in name or "odometry-angle" in name] == ["straight.train_nmse"]
 
 
 # Tables and sentences
 
 
 def build(data: Path, *contents: dict[str, object]) -> dict[str, tables.Table]:
-    return {table.title: table for table in tables.steering_tables(examples.groups(data, *contents), SETTINGS)}
+    return {table.title: table for table in tables.steering_tables(examples.groups(data, *contents))}
 
 
 def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
-    content = metrics("pointnet2-lstm", odometry={"odometry": 0.04}, horizon=10)
-    content["test"]["steering_rad"]["nmse_std"] = 0.03
+    content = metrics("pointnet2-lstm", baselines={"odometry": 0.04}, horizon=10) | {"seeds": [0, 1]}
     content["parameters"] = 1_408_259
-    table = build(tmp_path, content)["Results: steering angle, 10 frames ahead"]
+    examples.write_model(tmp_path, content)
+    seed, near = examples.predictions(0.3), examples.predictions()["near_onset_steering_rad"] == 1
+    seed.loc[near, "predicted_steering_rad"] = seed["true_steering_rad"]
+    seed.to_csv(tmp_path / "evaluate/pointnet2-lstm/seed-1/predictions.csv", index=False)
+    table = tables.steering_tables(examples.load(tmp_path, "pointnet2-lstm"))[0]
     assert max(map(len, table.markdown().splitlines())) <= 110
+    assert table.note.startswith("Test frames that every model of the table predicts: 44. nmse = MSE")
     rows = {row["model"]: row for row in table.rows}
-    assert rows["pointnet2-lstm"] == {
-        "model": "pointnet2-lstm", "nmse": "0.200 ± 0.030 (0.100 to 0.300)", "MAE deg": "2.05", "no onsets": "0.100",
-        "parameters": "1,408,259", "edges": "5,160",
-    }  # fmt: skip
+    found = rows["pointnet2-lstm"]
+    assert found["nmse"] == "0.232 ± 0.046 (0.214 to 0.248)"
+    assert (found["no onsets"], found["parameters"], found["edges"]) == ("0.250", "1,408,259", "5,160")
     assert build(tmp_path, metrics("net"))["Results: steering angle"].rows[0]["drift"] == "3.0"
     assert (rows["*odometry*"]["nmse"], rows["*odometry*"]["parameters"]) == ("0.040", tables.NONE)
 
 
 def test_a_path_has_a_column_per_range(tmp_path: Path) -> None:
-    built = build(tmp_path, metrics("path", predict="path", odometry={"odometry": 0.4}))
-    rows = {row["model"]: row for row in built["Results: path ahead"].rows}
-    assert (rows["path"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.100 to 0.300)", "0.400")
-    rows = {row["model"]: row for row in built["Without onsets: path ahead"].rows}
-    assert rows["path"]["nmse 0-5 m"] == "0.100 (0.100 to 0.300)"
+    built = build(tmp_path, metrics("path", predict="path", baselines={"odometry": 0.4}))
+    for part in ("Results", "Without onsets"):
+        rows = {row["model"]: row for row in built[f"{part}: path ahead"].rows}
+        assert (rows["path"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.200 to 0.200)", "0.400")
     assert "MSE as in the paper's Table 2" not in built
 
 
-@pytest.mark.parametrize("predict", ["angle", "path"])
-def test_the_difference_is_paired_on_common_frames(tmp_path: Path, predict: str) -> None:
-    """Predictions are multiples of the truth, so each error is known: (1 - scale)² of zero's."""
-    columns = examples.PATH if predict == "path" else examples.ANGLE
-    for model, scale, first in (("scene", 0.8, 7), ("blind", 0.5, 0)):
-        table = examples.predictions(0.0, columns)
-        for column in columns:
-            table[f"predicted_{column}"] = (scale * table[f"true_{column}"]).where(table["frame"] >= first)
-        content = metrics(model, 0.1 / scale, predict=predict) | {"seeds": [0, 1] if model == "scene" else [0]}
-        examples.write_model(tmp_path, content, table)
-    groups = load_groups(tmp_path / "evaluate", ["blind", "scene"])
-    for column in columns:
-        nmse, bounds = tables.difference(groups[0].predictions, "scene", "blind", column, SETTINGS)
-        assert [nmse, *(bounds or [])] == pytest.approx([0.04 - 0.25] * 3)
-    built = {table.title: table for table in tables.steering_tables(groups, SETTINGS)}
-    (row,) = built[f"Differences: {groups[0].title}"].rows
-    assert row["models"] == "scene − blind"
-    assert row["5-10 m" if predict == "path" else "nmse"] == "-0.210 (-0.210 to -0.210)"
+def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path: Path) -> None:
+    """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6."""
+    short, long = examples.predictions(0.3), examples.predictions(0.5)
+    for frame in (3, 4, 5, 6):
+        short.loc[short["frame"] == frame, "predicted_steering_rad"] = 1.0
+    examples.write_model(tmp_path, metrics("short", 0.9, window=4), short)
+    examples.write_model(tmp_path, metrics("long", 0.5, window=8) | {"seeds": [0, 1]}, long)
+    (group,) = examples.load(tmp_path, "long", "short")
+    assert [row["model"] for row in group.by_error] == ["short", "long"]
+    assert {name: group.nmse(name)[0] for name in ("short", "long", "zero")} == pytest.approx(
+        {"short": 0.3, "long": 0.5, "zero": 1.0}
+    )
+    assert {group.scores(name, "steering_rad")["frames"] for name in group.predicted} == {2 * 22}
+    assert sentences([group])[0].startswith("short predicts the steering angle with a test nmse of 0.300")
+    assert group.nmse("short", minus="long") == (pytest.approx(-0.2), pytest.approx([-0.2, -0.2]))
 
 
 def test_models_without_common_frames_have_no_difference(tmp_path: Path) -> None:
-    table = examples.predictions(0.01)
+    table = examples.predictions()
     for model, drive in zip(("scene", "blind"), examples.DRIVES, strict=True):
         examples.write_model(tmp_path, metrics(model), table[table["drive"] == drive])
-    built = tables.steering_tables(load_groups(tmp_path / "evaluate", ["scene", "blind"]), SETTINGS)
-    assert next(table for table in built if table.title.startswith("Differences")).rows[0]["nmse"] == tables.NONE
+    groups = examples.load(tmp_path, "scene", "blind")
+    built = {table.title: table for table in tables.steering_tables(groups)}
+    assert {row["nmse"] for row in built["Differences: steering angle"].rows} == {tables.NONE}
+    assert sentences(groups) == []
+
+
+def test_models_that_differ_in_one_setting_have_a_difference(tmp_path: Path) -> None:
+    lstm = {key: value for key, value in examples.ENTRY.items() if key != "cell"}
+    found = build(
+        tmp_path,
+        metrics("keep-100", 0.3, input="all") | {"variant": {"k": 6}},
+        metrics("lambda-0", 0.4, semantics=0.0),
+        metrics("sa-gnn-lstm", 0.1) | {"entry": lstm | {"temporal": "lstm"}},
+        metrics("sa-gnn-ncp", 0.2),
+        metrics("path", predict="path", input="ahead") | {"variant": {"k": 0}},
+        metrics("path-blind", 0.5, predict="path", spatial="blind"),
+        metrics("path-another", 0.5, predict="path", input="ahead", scene="another") | {"variant": {"k": 0}},
+    )
+    angle, path = (
+        [row["models"] for row in found[f"Differences: {title}"].rows] for title in ("steering angle", "path ahead")
+    )
+    assert angle == [
+        "sa-gnn-lstm − *zero*", "sa-gnn-lstm − sa-gnn-ncp (temporal: lstm → ncp)", "sa-gnn-lstm − keep-100",
+        "sa-gnn-lstm − lambda-0", "keep-100 − sa-gnn-ncp (keep_inter_class: 1.0 → 0.2)",
+        "lambda-0 − sa-gnn-ncp (semantics: 0.0 → 1.0)",
+    ]  # fmt: skip
+    assert path[1:] == ["path − path-blind (spatial: gnn → blind)", "path − path-another (scene: same → another)"]
+    assert found["Differences: path ahead"].rows[1]["5-10 m"] == "-0.300 (-0.300 to -0.300)"
 
 
 def test_a_predicted_uncertainty_has_a_row(tmp_path: Path) -> None:
@@ -188,37 +211,30 @@ def test_perception_has_a_row_per_split_with_ground_truth() -> None:
     assert motion.cells == [["visual", "test", "2", "153", "99.0%", "140", "0.160", "0.110", "0.977", "0.0005"]]
 
 
-NONE = "the best row without learning"
-
-
 @pytest.mark.parametrize(
     ("nmse", "baselines", "verdict"),
     [
-        (0.2, {"zero": 1.0}, f"beats zero, {NONE} (1.000)."),
-        (0.99, {"zero": 1.0}, f"is as good as zero, {NONE} (1.000)."),
-        (0.2, {"odometry": 0.6, "regression": 0.4}, f"beats regression, {NONE} (0.400)."),
-        (0.2, {"train_mean": 0.25}, f"is not shown to be better than train_mean, {NONE} (0.250): 80% of its"),
-        (0.6, {"odometry": 0.05}, f"is worse than odometry, {NONE} (0.050): 12 times its squared error."),
-        (1.2, {"zero": 1.0}, f"is worse than zero, {NONE} (1.000): 1.2 times its squared error."),
+        (0.2, {}, "better than zero, the best baseline without learning (1.000): paired difference -0.800 (-0.800 to"),
+        (0.2, {"odometry": 0.6, "regression": 0.4, "persistence": 0.01}, "better than regression"),
+        ([0.1, 0.4], {"odometry": 0.3}, "not shown to be better than odometry"),
+        (0.6, {"odometry": 0.05}, "worse than odometry"),
     ],
 )
 @pytest.mark.parametrize("predict", ["angle", "path"])
-def test_the_best_model_is_compared_with_the_best_row_without_learning(
+def test_the_best_model_is_compared_with_the_best_baseline_without_learning(
     tmp_path: Path, nmse: float, baselines: dict[str, float], verdict: str, predict: str
 ) -> None:
     models = metrics("worse", 3.0, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
     (text,) = sentences(examples.groups(tmp_path, *models))  # nothing about the sign without a gain
     title = {"angle": "steering angle", "path": "path ahead"}[predict]
-    assert text.startswith(f"net predicts the {title} with a test nmse of {nmse:.3f} ({nmse / 2:.3f} to ")
-    assert verdict in text
+    assert text.startswith(f"net predicts the {title} with a test nmse of {np.mean(nmse):.3f} (")
+    assert f"), {verdict}" in text
 
 
-def test_an_interval_and_a_sign_are_needed_and_missing_results_are_named(tmp_path: Path) -> None:
+def test_a_sign_is_needed_and_missing_results_are_named(tmp_path: Path) -> None:
     content = metrics("net")
-    content["test"]["steering_rad"]["nmse_ci95"] = None
     content["columns"] = {"steering_rad": content["columns"]["steering_rad"] | {"odometry_gain": -1.19}}
-    verdict, *more = sentences(examples.groups(tmp_path, content), ["absent", "other"])
-    assert "(too short for an interval) and is not shown to be better than zero" in verdict
+    _, *more = sentences(examples.groups(tmp_path, content), ["absent", "other"])
     assert more[0] == "The sign of wheel_rad is inverted: left is positive."
     assert more[1].startswith("No result here: absent, other.")
     assert sentences([]) == sentences(examples.groups(tmp_path, metrics("straight", None))) == []  # without a bend
@@ -301,10 +317,10 @@ def test_pictures_show_what_the_encoder_has(
         for name in (f"perception/{DRIVE}.h5", f"clouds/pseudo/{DRIVE}.h5"):
             with h5py.File(tmp_path / name, "a") as file:
                 file["cls"][:] = VOID
-    table = examples.predictions(0.01).query("drive == @DRIVE and frame < 9")
+    table = examples.predictions().query("drive == @DRIVE and frame < 9")
     examples.write_model(tmp_path, metrics("without", 0.1) | {"variant": {}}, table)
     examples.write_model(tmp_path, metrics("net"), table)
-    captions = figures.draw(tmp_path / "figures", load_groups(tmp_path / "evaluate", ["without", "net"]), tmp_path)
+    captions = figures.draw(tmp_path / "figures", examples.load(tmp_path, "without", "net"), tmp_path)
     assert "of net, which" in captions["chain"]
     assert [*captions] == ["chain", "errors-angle-0"]
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {f"{name}.png" for name in captions}
@@ -321,12 +337,12 @@ def test_the_largest_errors_of_the_best_model_are_drawn(
     monkeypatch.setattr(figures, "draw_path", lambda _, tracks, kind: drawn.append((kind, tracks[0])))
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
     columns = examples.PATH if predict == "path" else examples.ANGLE
-    for model, nmse in (("worse", 0.9), ("best", 0.2)):
-        table = examples.predictions(0.0, columns)
+    for model, nmse in (("worse", 0.9), ("best", 0.0)):
+        table = examples.predictions(nmse, columns)
         for column in columns:
             table.loc[(table["drive"] == DRIVE) & (table["frame"] == 12), f"predicted_{column}"] = 0.3
         examples.write_model(tmp_path, metrics(model, nmse, predict=predict), table)
-    captions = figures.draw(tmp_path / "figures", load_groups(tmp_path / "evaluate", ["worse", "best"]), tmp_path)
+    captions = figures.draw(tmp_path / "figures", examples.load(tmp_path, "worse", "best"), tmp_path)
     assert [*captions] == [f"errors-{predict}-0"]
     assert captions[f"errors-{predict}-0"].startswith("Largest errors of best")
     if predict == "path":
@@ -338,7 +354,7 @@ def test_the_largest_errors_of_the_best_model_are_drawn(
 
 
 def test_shares_of_the_largest_errors_count_each_frame_once() -> None:
-    table = examples.predictions(0.0).assign(true_deg=0.0, predicted_deg=0.0, elapsed_s=lambda rows: rows["frame"] / 10)
+    table = examples.predictions().assign(true_deg=0.0, predicted_deg=0.0, elapsed_s=lambda rows: rows["frame"] / 10)
     first, frame = table["drive"] == DRIVE, table["frame"]
     for number, error in ((10, 3.0), (16, 1.0), (25, -2.0)):  # 16 is within a second of both others
         table.loc[first & (frame == number), "predicted_deg"] = error
@@ -371,9 +387,9 @@ def data(tmp_path: Path) -> Path:
 
 
 def write(data: Path) -> str:
-    groups = load_groups(data / "evaluate", MODELS)
+    groups = examples.load(data, *MODELS)
     captions = {"chain": "Figure 1.", "errors-angle-0": "Errors."}
-    built = tables.steering_tables(groups, SETTINGS)
+    built = tables.steering_tables(groups)
     curves = {"net": pd.DataFrame({"epoch": ["1", "2"], "train_loss": ["0.9", "0.5"], "val_nmse": ["0.8", None]})}
     write_page(data / "index.html", ["A sentence <b>."], groups, built, [], captions, curves)
     return (data / "index.html").read_text(encoding="utf-8")
@@ -400,12 +416,12 @@ def test_a_name_with_a_script_is_text(data: Path) -> None:
 
 
 def test_odometry_has_a_gap_where_it_is_not_measured(tmp_path: Path) -> None:
-    (group,) = examples.groups(tmp_path, metrics("net"))
+    (group,) = examples.groups(tmp_path, metrics("net", 0.25, {"odometry": 0.01}))
     drive = group.predictions[group.predictions["drive"] == examples.DRIVES[0]]
     plot = page.over_time(drive, page.styles([group]))
     lines = {trace["name"]: trace for trace in plot["data"]}
     assert lines["odometry"]["y"][:2] == [None, round(np.rad2deg(0.011), 4)]
-    assert lines["net"]["y"][:8] == [None] * 7 + [round(np.rad2deg(0.08), 4)]
+    assert lines["net"]["y"][:8] == [None] * 7 + [round(np.rad2deg(0.07 * 1.5), 4)]
     assert lines["driven"]["y"][20] is None
 
 
@@ -416,7 +432,9 @@ def test_the_legend_shows_the_references_and_the_best_models(tmp_path: Path) -> 
     look = page.styles(groups)
     shown = {name for name, style in look.items() if style["visible"] is True}
     assert shown == {"a", "b", "c", "driven", "odometry", "zero"}
-    bars = page.by_curvature(groups[0].models, "steering_rad", look)["data"]
-    assert [(bar["name"], bar["x"], bar["y"]) for bar in bars][-1] == (
-        "zero", ["0 to 0.03"], [round(np.rad2deg(0.1), 4)]
-    )  # fmt: skip
+    bars = page.by_curvature(groups[0], "steering_rad", look)["data"]
+    truth = 0.01 * np.delete(np.arange(7, 30), 13)
+    sharp = np.tan(truth) / 2.71 >= 0.06
+    rms = [np.rad2deg(np.sqrt(np.mean(truth[rows] ** 2))) for rows in (~sharp, sharp)]
+    assert (bars[-1]["name"], bars[-1]["x"]) == ("zero", ["0 to 0.06", "≥ 0.06"])
+    np.testing.assert_allclose(bars[-1]["y"], rms, atol=1e-3)

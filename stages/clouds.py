@@ -8,8 +8,7 @@ from pipeline.base.params import load
 from pipeline.base.runner import make_files
 from pipeline.graphs import cloud
 from pipeline.settings.clouds import Clouds
-
-KINDS = ("pseudo", "lidar")
+from pipeline.settings.ingest import Ingest
 
 
 def main(
@@ -21,14 +20,14 @@ def main(
 ) -> Path:
     """Back-project depth with K⁻¹ (paper eq. 6, 7) and transform LiDAR scans into the camera frame.
 
-    Returns the output folder, which holds the folders pseudo and lidar.
+    Returns the output folder, which holds the folders pseudo and lidar; lidar has no drives without ingest.lidar.
     """
     settings = load(Clouds, params)
     splits = store.read_index(ingest, stage="ingest")
     inputs, text = {"ingest": ingest, "perception": perception}, "{frames} frames, {points} points"
-    for kind in KINDS:
+    for kind, drives in {"pseudo": splits, "lidar": splits if load(Ingest, params).lidar else {}}.items():
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
-        make_files(f"clouds@{kind}", out / kind, splits, inputs, work, settings, text, workers)
+        make_files(f"clouds@{kind}", out / kind, drives, inputs, work, settings, text, workers)
     return out
 
 

@@ -10,6 +10,7 @@ from pipeline.base.runner import Job, make_drives
 from pipeline.kitti.raw import find_drives
 from pipeline.sample.drive import render_drive
 from pipeline.sample.rig import make_rig, write_calibration
+from pipeline.settings.encoder import Encoder
 from pipeline.settings.ingest import Ingest
 from pipeline.settings.sample import Sample
 
@@ -25,27 +26,24 @@ def main(
     Returns the stage's folder. Raises InputError if `raw` lacks a drive of section ingest, which stage `ingest` would
     report only after minutes of rendering.
     """
-    settings, ingest = load(Sample, params), load(Ingest, params)
-    sources, splits = ingest.sources(), ingest.drives.splits()
-    frames = {
-        drive: count
-        for split, count in settings.frames.items()
-        for drive in getattr(ingest.drives, split)
-        if sources[drive] == "sample"
-    }
-    if not frames:
+    settings, ingest, encoder = load(Sample, params), load(Ingest, params), load(Encoder, params)
+    scan_rays = settings.scan_rays if ingest.lidar else None
+    render, jobs = partial(render_drive, size=settings.image_size, seed=settings.seed, scan_rays=scan_rays), []
+    sources = ingest.sources()
+    for split, frames in sorted(settings.frames.items(), key=lambda item: -item[1]):  # the longest first
+        truth = split != "train" or encoder.epochs > 0  # which stages `scores` and `encoder` read
+        for drive in getattr(ingest.drives, split):
+            if sources[drive] == "sample":
+                work = partial(render, drive=drive, frames=frames, truth=truth)
+                jobs.append(Job(drive, f"{drive[:10]}/{drive}_sync", [f"{frames} {truth} {scan_rays}"], work))
+    if not jobs:
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
-    elif real := [drive for drive in splits if sources[drive] == "kitti"]:
+    elif real := [drive for drive, source in sources.items() if source == "kitti"]:
         find_drives(raw, real)
-    render = partial(render_drive, size=settings.image_size, scan_rays=settings.scan_rays, seed=settings.seed)
-    jobs = [
-        Job(drive, f"{drive[:10]}/{drive}_sync", [str(count)], partial(render, drive=drive, frames=count))
-        for drive, count in sorted(frames.items(), key=lambda item: -item[1])  # the longest first
-    ]
     text = "{frames} frames, {metres} m"
     with stage_folder("sample", out) as folder:
-        make_drives(folder, jobs, settings.model_dump(exclude={"frames"}), text.format_map, workers)
-        for date in {drive[:10] for drive in frames}:
+        make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), text.format_map, workers)
+        for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out
 

@@ -28,14 +28,15 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Write metrics.json with the scores of each split, and <drive>/metrics.json with those of each drive.
+    """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of each of them.
 
-    The key ``motion`` holds the scores of measured motion and of recorded steering angles; angles and valid frames are
-    defined as in the labels. Returns the output folder.
+    The scores of training drives are None. The key ``motion`` holds the scores of measured motion and of recorded
+    steering angles; angles and valid frames are defined as in the labels. Returns the output folder.
     """
     labels = load(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
     splits = store.read_index(perception, stage="perception")
+    splits = {drive: split for drive, split in splits.items() if split != "train"}
     score_motion, jobs = partial(_score_motion, ingest=ingest, motion=motion, car=car), []
     for drive in splits:
         inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, motion)]
@@ -43,8 +44,8 @@ def main(
         jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
         summaries = make_drives(folder, jobs, vars(car), "{frames} frames, {line}".format_map, workers)
-        content: dict[str, Any] = {"motion": {}}
-        for split in SPLITS:
+        content: dict[str, Any] = {"motion": {}, "train": Scores().report()}
+        for split in ("val", "test"):
             scores, drives = Scores(), store.drives_in(splits, split)
             for drive in drives:
                 scores.add(summaries[drive]["sums"])

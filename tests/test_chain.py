@@ -79,7 +79,8 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     edit_params(
         folder,
         sample=params["sample"] | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
-        ingest=params["ingest"] | {"image_size": [64, 208], "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
+        ingest=params["ingest"]
+        | {"image_size": [64, 208], "lidar": True, "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
         encoder=params["encoder"] | {"weights": None, "epochs": 2, "frames": 24},
         clouds=params["clouds"] | {"max_points": 3000},
         graphs={

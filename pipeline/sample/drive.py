@@ -18,23 +18,29 @@ from pipeline.sample.street import build_street
 from pipeline.sample.traffic import draw_traffic
 from pipeline.sample.world import World
 
-SENSORS = ("image_02", "velodyne_points", "oxts")
 # Level 1 and one filter per file: half the time of writing and two thirds of reading for 13 kB more of a frame's 130.
 _LEVEL = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER)
 
 
 def render_drive(
-    path: Path, drive: str, *, frames: int, size: tuple[int, int], scan_rays: tuple[int, int], seed: int
+    path: Path,
+    drive: str,
+    *,
+    frames: int,
+    size: tuple[int, int],
+    seed: int,
+    scan_rays: tuple[int, int] | None,
+    truth: bool,
 ) -> dict[str, Any]:
     """Lay out the drive named `drive` (2026_01_01_drive_0001), and render `frames` frames into the new folder `path`.
 
-    Oxts files continue for some frames after the last image, for labels of the path ahead. Ground truth lies beside the
-    images: truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds).
+    Oxts files continue for some frames after the last image, for labels of the path ahead.
 
     Args:
         size: [H, W] of the pictures.
-        scan_rays: rings and rays per ring of the scanner.
         seed: of the sample; with the name it determines road, street, light and motion.
+        scan_rays: rings and rays per ring of the scanner; None: no scans.
+        truth: add truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of the images.
 
     Returns the number of frames and metres driven.
     """
@@ -47,14 +53,15 @@ def render_drive(
     light, traffic = draw_light(rng), draw_traffic(journey, rng)
     packets, timestamps = record(journey, drive[:10], rng)
     rig = make_rig(size, drive[:10])
-    camera, scanner = ImageSensor(rig), Scanner(rig, scan_rays)
+    camera, scanner = ImageSensor(rig), Scanner(rig, scan_rays) if scan_rays else None
 
-    images, scans, oxts = (path / sensor / "data" for sensor in SENSORS)
+    images, oxts, scans = (path / sensor / "data" for sensor in ("image_02", "oxts", "velodyne_points"))
     depths, classes = path / "truth" / "depth", path / "truth" / "cls"
-    for folder in (images, scans, oxts, depths, classes):
+    for folder in (images, oxts, *[scans] * bool(scanner)):
         folder.mkdir(parents=True)
-    for sensor in SENSORS:
-        (path / sensor / "timestamps.txt").write_bytes(timestamps)
+        (folder.parent / "timestamps.txt").write_bytes(timestamps)
+    for folder in (depths, classes) if truth else ():
+        folder.mkdir(parents=True)
     for number, packet in enumerate(packets):
         (oxts / f"{number:010d}.txt").write_bytes(packet)
     for number in range(frames):
@@ -62,10 +69,12 @@ def render_drive(
         pose, png = journey.pose(number), f"{number:010d}.png"
         rgb, depth_m, cls = camera.take(world, light, pose)
         write_png(images / png, rgb, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
-        write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
-        write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
-        scan = scanner.take(world, pose, random_of(drive, seed, number))
-        (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
+        if truth:
+            write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
+            write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
+        if scanner:
+            scan = scanner.take(world, pose, random_of(drive, seed, number))
+            (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
 
     s_m = journey.motion.s_m
     return {"frames": frames, "metres": round(float(s_m[-1] - s_m[0]), 1)}

@@ -45,9 +45,10 @@ def test_the_projects_own_files_are_valid(
     assert capsys.readouterr().out == ""
 
 
-def test_table2_shares_the_samples_artefacts_and_has_the_papers_models() -> None:
+def test_table2_differs_in_scans_and_models_and_has_the_papers() -> None:
     own, table2 = yaml.safe_load((ROOT / "params.yaml").read_text()), yaml.safe_load(preset.text("table2"))
-    assert {key for key in own if own[key] != table2[key]} == {"graphs", "models", "train"}
+    assert own["ingest"] | {"lidar": True} == table2["ingest"]
+    assert {key for key in own if own[key] != table2[key]} == {"ingest", "graphs", "models", "train"}
     assert own["graphs"].items() <= table2["graphs"].items()
     assert own["models"].items() <= table2["models"].items()
     assert table2["models"].keys() >= PAPER
@@ -77,6 +78,7 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path: Path) -> None:
         (f"{MODEL}.temporal", "gru", "temporal.*gru.*lstm, ncp"),
         ("labels.source", "gps", r"labels\.source"),
         (f"{MODEL}.predict", "paths", r"predict.*'angle' or 'path'"),
+        ("ingest.lidar", False, "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
         (
             MODEL,

@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
+import yaml
 
 from pipeline.base import store
 from pipeline.base.resume import ROOT
@@ -20,8 +22,12 @@ def read(folder: Path, stage: str, drive: str = FULL) -> dict[str, np.ndarray]:
         return {name: file[name] for name in file.names}
 
 
-def test_lidar_clouds_are_in_the_camera_frame(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lidar", [True, False])
+def test_lidar_clouds_are_in_the_camera_frame(tmp_path: Path, lidar: bool) -> None:
     """Of a drive with everything; one without images has no classes, one without LiDAR has no frames."""
+    params = yaml.safe_load((ROOT / "params.yaml").read_text())
+    params["ingest"]["lidar"] = lidar
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
     street.write_drive(tmp_path / "ingest", FULL, 4, lidar=True)
     street.write_drive(tmp_path / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
     street.write_drive(tmp_path / "ingest", CAMERA, 3)
@@ -31,7 +37,10 @@ def test_lidar_clouds_are_in_the_camera_frame(tmp_path: Path) -> None:
         files = [tmp_path / f"{stage}/{drive}.h5" for stage in ("motion", "ingest", "perception")]
         assert measure_drive(*files)["valid"] == 0
     store.write_index(tmp_path / "ingest", SPLITS)
-    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", ROOT / "params.yaml", workers=1)
+    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", tmp_path / "params.yaml", workers=1)
+    assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
+    if not lidar:
+        return
     raw, content = read(tmp_path / "ingest", "ingest"), read(tmp_path / "clouds/lidar", "clouds")
     (a, b), (c, d) = raw["lidar_ptr"][1:3], content["ptr"][1:3]
     points = geometry.transform(raw["T_cam_velo"], raw["lidar"][a:b, :3].astype(np.float64))

@@ -14,16 +14,21 @@ DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_11_drive_00
 KITTI = "2011_09_26_drive_0005"
 
 
-def write_params(path: Path, **frames: int) -> Path:
+def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int) -> Path:
     params = yaml.safe_load((resume.ROOT / "params.yaml").read_text(encoding="utf-8"))
     params["sample"] |= {"image_size": [48, 160], "scan_rays": [16, 40], "frames": frames}
-    params["ingest"] |= {"source": "both", "drives": {"train": DRIVES[:2], "val": [KITTI], "test": DRIVES[2:]}}
+    params["encoder"]["epochs"] = epochs
+    drives = {"train": DRIVES[:2], "val": [KITTI], "test": DRIVES[2:]}
+    params["ingest"] |= {"source": "both", "lidar": lidar, "drives": drives}
     path.write_text(yaml.safe_dump(params), encoding="utf-8")
     return path
 
 
 def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A missing drive of KITTI is an error before rendering; a second run with other settings replaces the first."""
+    """A missing drive of KITTI is an error before rendering; a second run with other settings replaces the first.
+
+    Scans and the truth of training drives are rendered only where they are used.
+    """
     params, out = write_params(tmp_path / "params.yaml", train=2, val=1, test=3), tmp_path / "sample"
     kitti = tmp_path / "raw" / KITTI[:10] / f"{KITTI}_sync"
     kitti.with_name("2011_09_26_drive_0001_sync").mkdir(parents=True)
@@ -38,5 +43,11 @@ def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert focal[0] == focal[1] < focal[2]
     assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
     assert "drive_0001: 2 frames" in capsys.readouterr().out
-    sample.main(out, write_params(params, train=1, val=1, test=1), tmp_path / "raw", workers=1)
-    assert [len(drive.images(2)) for drive in find_drives(out, DRIVES).values()] == [1, 1, 1]
+    for lidar, epochs in ((False, 0), (False, 1), (True, 0)):
+        write_params(params, lidar, epochs, train=1, val=1, test=1)
+        sample.main(out, params, tmp_path / "raw", workers=1)
+        for number, drive in enumerate(find_drives(out, DRIVES).values()):
+            truth = epochs > 0 or number == 2
+            counts = [len(files) for files in (drive.images(2), drive.scans, drive.truth_depth, drive.truth_cls)]
+            assert counts == [1, lidar, truth, truth]
+            assert (drive.folder / "velodyne_points").exists() == lidar

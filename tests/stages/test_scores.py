@@ -1,16 +1,19 @@
-"""Stage scores: measured motion is compared with what drives recorded, and with nothing else."""
+"""Stage scores: of validation and test drives; motion is compared with what they recorded, and with nothing else."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pipeline.base import store
+from pipeline.base.resume import ROOT
 from pipeline.camera.camera import Frame
 from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.settings.ingest import Reading
 from stages import scores
+from tests import street
 from tests.artefacts import write_motion
 
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20
@@ -52,3 +55,18 @@ def test_only_recorded_values_are_a_reference(tmp_path: Path, oxts: bool, wheel:
         assert result["speed_ratio"] == (pytest.approx(1.1) if with_rates else None), kind
         assert (result["yaw_rmse_degps"] is None) == (not with_rates), kind
         assert 0 < result["nmse"] < 0.1
+
+
+def test_training_drives_have_no_scores(tmp_path: Path) -> None:
+    splits = {f"2026_01_01_drive_000{i}": split for i, split in enumerate(("train", "test"))}
+    for drive in splits:
+        street.write_drive(tmp_path / "ingest", drive, 3, dense=splits[drive] == "test")
+        street.write_perception(tmp_path / "perception", tmp_path / "ingest", drive)
+        write_motion(tmp_path / "motion", drive, dict.fromkeys(range(3), (8.0, 0.0)))
+    store.write_index(tmp_path / "perception", splits)
+    folders = [tmp_path / name for name in ("ingest", "perception", "motion", "scores")]
+    out = scores.main(*folders, ROOT / "params.yaml", workers=1)
+    found = store.read_json(out / "metrics.json", stage="scores")
+    assert set(found["train"].values()) == {found["motion"]["visual"]["train"]} == {None}
+    assert found["test"]["classes"]["frames"] == found["motion"]["visual"]["test"]["frames"] == 3
+    assert not (out / next(iter(splits))).exists()

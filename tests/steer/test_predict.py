@@ -52,6 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     params["sample"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
     params["ingest"] |= {
         "image_size": [96, 320],
+        "lidar": True,
         "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]},
     }
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])

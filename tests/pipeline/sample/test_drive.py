@@ -126,7 +126,7 @@ FRAMES = 8
 
 def render(folder: Path, name: str = NAME, seed: int = 0, frames: int = 2) -> KittiDrive:
     path = folder / name[:10] / f"{name}_sync"
-    render_drive(path, name, frames=frames, size=SIZE, scan_rays=(32, 200), seed=seed)
+    render_drive(path, name, frames=frames, size=SIZE, seed=seed, scan_rays=(32, 200), truth=True)
     write_calibration(make_rig(SIZE, name[:10]), path.parent)
     return KittiDrive(path)
 

@@ -21,11 +21,11 @@ def main(
     """Predict depth and classes of each image, scale the depth, and store both. Returns the output folder."""
     import torch
 
-    from pipeline.perception.perceive import FILE, cached_encoder, perceive_drive
+    from pipeline.perception.perceive import FILE, open_encoder, perceive_drive
 
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
-    cached_encoder(encoder, settings.precision)  # report a bad checkpoint once, not from each worker
+    open_encoder(encoder, settings.precision)  # report a bad checkpoint once, not from each worker
     if torch.cuda.is_available():  # two processes keep a GPU busy: one reads and writes while the other encodes
         workers = min(2, workers or default_workers())
     work = partial(perceive_drive, encoder=encoder, settings=settings)

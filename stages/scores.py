@@ -15,8 +15,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
 from pipeline.labels.label import Car
-from pipeline.perception.scores import Scores, summary_line
-from pipeline.perception.truth import read_truth
+from pipeline.perception.scores import Scores, read_truth, summary_line
 from pipeline.settings.labels import Labels
 
 

@@ -34,13 +34,8 @@ def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_a
     A recorded angle is also valid at unknown speed, unless the motion is unknown because nothing moves. With source
     wheel, speed and yaw rate are read from oxts or, in a drive without oxts, from measured motion.
 
-    Args:
-        source: a value of ``labels.source``.
-        raw: the drive's ingest file.
-        motion: the drive's file of measured motion; None: without.
-        car: of the steering angle.
-        look_ahead: measured rates are means over neighbouring frames, later ones included, which a target may know.
-            False: the causal rates that models get.
+    `raw`, `motion`: the drive's files of stages ingest and motion. With `look_ahead`, measured rates are means over
+    neighbouring frames, later ones included, which a target may know; else the causal rates that models get.
 
     Raises InputError if the drive lacks the source.
     """

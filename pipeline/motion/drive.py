@@ -34,13 +34,8 @@ def measure_drive(
     """Write the motion of each frame with an image since the previous frame, by visual odometry.
 
     All values are causal: they depend on a frame and earlier ones only. Where motion is not measured, ``valid`` and the
-    rates are 0, and ``problem`` is the reason.
-
-    Args:
-        path: of the new file.
-        ingest, perception: the drive's files of these stages.
-        road_scale: scale depth so that the camera has its known height over the road.
-        advance: called with the number of frames that are done since the last call.
+    rates are 0, and ``problem`` is the reason. `road_scale`: scale depth so that the camera has its known height over
+    the road; `advance` is called with the number of frames that are done since the last call.
     """
     with (
         open_frames(ingest, perception) as frames,
@@ -48,11 +43,11 @@ def measure_drive(
     ):
         count, odometry = len(frames.frame), Odometry(frames.camera, road_scale=road_scale)
         columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
+        columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
         columns |= {
             "scale": np.ones(count, np.float32),
             "T_before": np.tile(np.eye(4, dtype=np.float32), (count, 1, 1)),
         }
-        columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
         for row, (frame, duration_s) in enumerate(zip(frames, durations(frames.frame, frames.time_s), strict=True)):
             step = odometry.step(frame)
             values = {"problem": PROBLEMS.index(odometry.problem), "road_height_m": odometry.road.frame_height_m}

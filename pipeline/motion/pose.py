@@ -46,12 +46,9 @@ def estimate_pose(
 ) -> Pose | None:
     """Return the motion that maps points to their pixels; None if there are too few inliers or they leave it open.
 
-    Args:
-        xyz: points [N,3] in metres, in the previous camera frame.
-        uv: their pixels in this frame [N,2].
-        K: intrinsics [3,3].
-        depth_sigma: relative standard deviation of each point's depth [N].
-        T_before_last: the T_now_before [4,4] of the previous step, a second initial value; None: unknown.
+    `xyz`: points [N,3] in metres in the previous camera frame, with relative standard deviations `depth_sigma` [N] of
+    their depths; `uv`: their pixels in this frame [N,2]; `T_before_last`: the T_now_before [4,4] of the previous step,
+    a second initial value.
     """
     import cv2
 

@@ -92,11 +92,8 @@ def filter_speed(
     with SCALE_S. Where a road gives the scale, sigma is small, and the filter follows the measurement. Without a road
     it stays near a typical speed: a depth network has no scale for a lens that differs much from that of its training.
 
-    Args:
-        time_s: of the measurements [M], ascending.
-        speed_mps: measured [M].
-        road: whether a road was found, bool [M].
-        noise: relative standard deviation of each measurement, apart from the scale.
+    `speed_mps` [M] is measured at `time_s` [M], ascending, with relative standard deviations `noise` [M] apart from the
+    scale; `road` bool [M]: whether a road was found.
     """
     filtered, sigmas = np.zeros(len(time_s)), np.zeros(len(time_s))
     state, covariance, share = np.zeros(2), np.diag([SPREAD**2, 1.0]), 0.0  # of recent frames with a road

@@ -161,11 +161,8 @@ class Corners:
 def track(before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Track corners of image `before` to image `now`, both uint8 [H,W], by pyramidal Lucas-Kanade, forth and back.
 
-    Args:
-        uv: corners, float32 [N,2].
-        uv_guess: initial positions in `now`, float32 [N,2].
-
-    Returns: positions in `now`, float32 [N,2], and whether they passed the round-trip check, bool [N].
+    Returns positions in `now` and whether they passed the round-trip check, bool [N], for corners `uv` and initial
+    positions `uv_guess`, all float32 [N,2].
     """
     import cv2
 

@@ -1,7 +1,5 @@
 """Create the encoder of section ``encoder``: build it, and load weights that are downloaded once and verified."""
 
-import http.client
-import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +17,6 @@ from pipeline.train import checkpoint
 WEIGHTS = Path("weights")  # downloaded files
 STREET = WEIGHTS / "street"
 """Where make street writes the encoder of real streets."""
-TIMEOUT_S = 30  # without any data from the server
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
@@ -80,13 +77,8 @@ def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
 def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
     assert settings.weights
     count, sha256 = precomputed.fingerprint(settings.weights)
-    sources = [f"{count} PNG files in {settings.weights}"]
-    return {
-        "backbone": "precomputed",
-        "folder": str(settings.weights),
-        "sha256": sha256,
-        "sources": sources,
-    }, nn.Module()
+    architecture = {"backbone": "precomputed", "folder": str(settings.weights), "sha256": sha256}
+    return architecture | {"sources": [f"{count} PNG files in {settings.weights}"]}, nn.Module()
 
 
 CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
@@ -106,14 +98,9 @@ def fetch(path: Path, url: str, sha256: str) -> None:
         if file_hash(path) != sha256:
             raise InputError(f"SHA-256 is {file_hash(path)}, expected {sha256}", path, "Delete it to download it again")
         return
-    default_s = socket.getdefaulttimeout()
-    socket.setdefaulttimeout(TIMEOUT_S)  # hub sets none
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         hub.download_url_to_file(url, str(path), sha256, progress=sys.stderr.isatty())
-    except (OSError, RuntimeError, ValueError, http.client.HTTPException) as error:
-        reason = " ".join(str(error).split())
+    except (OSError, RuntimeError) as error:
         fix = f"Put the file there: curl --create-dirs -L -o {path} {url}"
-        raise InputError(f"cannot download {url} ({reason})", path, fix) from error
-    finally:
-        socket.setdefaulttimeout(default_s)
+        raise InputError(f"cannot download {url} ({error})", path, fix) from error

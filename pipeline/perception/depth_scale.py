@@ -26,12 +26,7 @@ class DepthPostprocessor:
         self._factor = 1.0 if settings.depth_scale == "metric" else 0.0  # 0: no depth before the first visible road
 
     def __call__(self, depth: np.ndarray, cls: np.ndarray) -> np.ndarray:
-        """Return the depth of a frame in metres, float32 [H,W], 0 in the sky.
-
-        Args:
-            depth: float32 [H,W] in the network's unit; overwritten.
-            cls: trainIds [H,W].
-        """
+        """Return the depth of a frame in metres, 0 in the sky; `depth` float32 [H,W], in any unit, is overwritten."""
         if self._settings.depth_scale == "camera_height":
             self._factor = from_camera_height(depth, cls, self._camera) or self._factor
         np.multiply(depth, self._factor, out=depth)
@@ -73,17 +68,12 @@ def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def limit_traffic_depth(depth: np.ndarray, cls: np.ndarray, camera: Camera, reach: float) -> None:
-    """Limit the depth of traffic, in place, to `reach` times the depth of flat ground at its lower edge.
+    """Limit the depth of traffic [H,W] in metres, in place, to `reach` times that of flat ground at its lower edge.
 
     Depth networks mistake smooth and bright surfaces, such as the side of a tanker, for the sky.
 
     The limit is wrong on slopes: steeper downhill than `reach` allows, traffic gets too little depth; uphill, the limit
     has no effect. A vehicle behind another one gets the depth of the nearer one.
-
-    Args:
-        depth: [H,W] in metres.
-        cls: trainIds [H,W].
-        reach: at least 1; the margin above 1 allows for slopes.
     """
     traffic = np.isin(cls, classes.TRAFFIC)
     if traffic.any():

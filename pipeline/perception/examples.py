@@ -12,7 +12,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.perception import precomputed
-from pipeline.perception.truth import read_truth
+from pipeline.perception.scores import read_truth
 
 CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601

@@ -48,6 +48,7 @@ Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
 """EncoderInput → depth float32 [B,H,W] in the encoder's unit, trainIds uint8 [B,H,W]."""
 
 
+@cache  # one for all drives of a process
 def open_encoder(folder: Path, precision: str) -> Predict:
     """Return the function of the encoder in the folder of stage encoder; `precision` as in section perception.
 
@@ -101,11 +102,6 @@ def perceive(
     """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8 [B,H,W,3].
 
     On a CPU, images run one by one: an image's last bits depend on the batch size, and steer predict has one at a time.
-
-    Args:
-        model: in evaluation mode.
-        camera: of these images.
-        precision: of products, as in section perception.
     """
     device = next(model.parameters()).device
     tensors, at_once = [torch.from_numpy(images), torch.from_numpy(camera.K)], 1
@@ -144,10 +140,6 @@ def likeliest(logits: Tensor) -> Tensor:
     return cls.masked_fill_(cls == classes.COUNT, classes.VOID)
 
 
-cached_encoder = cache(open_encoder)
-"""One encoder for all drives of a process."""
-
-
 def perceive_drive(
     path: Path,
     ingest: Path,
@@ -156,16 +148,11 @@ def perceive_drive(
     *,
     advance: Callable[[int], object] = lambda frames: None,
 ) -> Summary:
-    """Write depth and classes of each image of a drive, ``data/perception/<drive>.h5``.
+    """Write depth and classes of each image of a drive, ``data/perception/<drive>.h5``, by an encoder's folder.
 
-    Args:
-        path: of the new file.
-        ingest: the drive's file of that stage.
-        encoder: folder of stage encoder.
-        settings: of section perception.
-        advance: called with the number of frames that are done since the last call.
+    `advance` is called with the number of frames that are done since the last call.
     """
-    predict = cached_encoder(encoder, settings.precision)
+    predict = open_encoder(encoder, settings.precision)
     sections = {"encoder": {"sha256": file_hash(encoder / FILE)}, "perception": settings.model_dump()}
     with (
         DriveReader(ingest, stage="ingest") as source,

@@ -1,14 +1,16 @@
-"""Errors of predicted depth and classes against ground truth."""
+"""Ground truth of depth and classes, from dense labels or a LiDAR scan, and errors of predictions against it."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.base.store import DriveReader
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera
+from pipeline.camera.camera import Camera, scan_depth, visible
+from pipeline.camera.images import to_metres
 from pipeline.perception.depth_scale import ground_plane_depth
-from pipeline.perception.truth import Truth
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
@@ -17,6 +19,33 @@ _DEPTH_SUMS = ("frames", *DEPTH_ERRORS, "covered", "known")  # pixels with a pre
 # KEY_eigen, over Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
 EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # shares of height and width
+DepthSource = Literal["dense", "lidar"]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown, of a frame."""
+
+    depth_m: np.ndarray
+    depth_source: DepthSource | None
+    cls: np.ndarray
+    has_cls: bool
+
+
+def read_truth(drive: DriveReader, camera: Camera, row: int) -> Truth:
+    """Return the ground truth of the frame in `row` of a file of stage ingest.
+
+    Dense depth takes precedence over projected LiDAR, which is used without points that are hidden from the camera.
+    """
+    depth_m = np.zeros(camera.size, np.float32)
+    source: DepthSource | None = None
+    if drive.row("has_depth", row):
+        depth_m, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
+    elif drive.row("has_lidar", row):
+        depth_m, source = visible(scan_depth(drive.rows_of("lidar", row), camera), camera), "lidar"
+    has_cls = bool(drive.row("has_cls", row))
+    cls = drive.row("cls", row) if has_cls else np.full(camera.size, classes.VOID, np.uint8)
+    return Truth(depth_m, source, cls, has_cls)
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
@@ -82,13 +111,7 @@ class Scores:
         self.sums |= {"class_frames": np.zeros(1), "confusion": np.zeros((classes.COUNT, classes.COUNT + 1))}
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:
-        """Add a frame: classes, depth, and the flat-ground baseline at the pixels with depth.
-
-        Args:
-            depth_m: predicted [H,W], 0 = none.
-            cls: trainIds [H,W].
-            truth: ground truth of the same frame.
-        """
+        """Add predicted classes and depth [H,W], 0 = none, and the flat-ground baseline at the pixels with depth."""
         if truth.depth_source:
             flat_m = np.where(depth_m > 0, ground_plane_depth(cls, camera), 0)
             self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
@@ -117,8 +140,9 @@ class Scores:
 
     def report(self) -> dict[str, Any]:
         """Return DEPTH_SCORES, full and cropped, and classes; None without frames with that ground truth."""
-        scores: dict[str, Any] = dict.fromkeys([*self.sums][:-2])
-        for key in scores:
+        *depth_keys, _, _ = self.sums
+        scores: dict[str, Any] = dict.fromkeys([*depth_keys, "classes"])
+        for key in depth_keys:
             frames, *errors, covered, known = self.sums[key].tolist()
             if frames:
                 means = {name: error / frames for name, error in zip(DEPTH_ERRORS, errors, strict=True)}
@@ -126,16 +150,13 @@ class Scores:
         matrix = self.sums["confusion"]
         ious = zip(classes.NAMES, class_ious(matrix).tolist(), strict=True)
         present = {name: iou for name, iou in ious if not np.isnan(iou)}
-        scores["classes"] = (
-            None
-            if not present
-            else {
+        if present:
+            scores["classes"] = {
                 "frames": int(self.sums["class_frames"][0]),
                 "mean_iou": float(np.mean([*present.values()])),  # over the classes in the truth
                 "pixel_accuracy": float(matrix.trace() / matrix.sum()),
                 "iou": present,
             }
-        )
         return scores
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.base import store
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera, read_camera
+from pipeline.camera.camera import Camera, read_camera, visible
 from pipeline.camera.geometry import back_project, rays
 from pipeline.camera.images import to_units
 from pipeline.perception.depth_scale import (
@@ -17,8 +17,7 @@ from pipeline.perception.depth_scale import (
     ground_plane_depth,
     limit_traffic_depth,
 )
-from pipeline.perception.scores import Scores, depth_errors, summary_line
-from pipeline.perception.truth import Truth, read_truth, visible
+from pipeline.perception.scores import Scores, Truth, depth_errors, read_truth, summary_line
 from pipeline.settings.perception import Perception
 from tests import street
 

@@ -55,11 +55,8 @@ def import_drives(
 ) -> Imported:
     """Write a recording as drives below `root`; images without motion, if there is a log of it, are left out.
 
-    Args:
-        drive: name of the first; the others have the following numbers.
-        shares: of the duration, one for each drive; see :func:`cut`.
-        start_s, end_s: images before and after are left out; since the first image.
-        replace: replace drives of an earlier import.
+    `drive` is the name of the first; the others have the following numbers. `shares` of the duration: one for each, see
+    :func:`cut`. Images before `start_s` and after `end_s` since the first one are left out.
 
     Raises InputError if a drive exists, no image is left or none of a drive has an angle, a part of the split is too
     short, or the date has another camera.
@@ -150,7 +147,7 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
 
 
 def _images(folder: Path) -> Path:
-    return folder / f"image_{CAMERA:02d}" / "data"
+    return folder / f"image_{CAMERA:02d}/data"
 
 
 def _distribute_images(folders: Sequence[Path], parts: Sequence[np.ndarray]) -> None:
@@ -220,12 +217,9 @@ def _is_calibrated(folders: Sequence[Path], camera: Camera, replace: bool) -> bo
 def write_preset(path: Path, imported: Imported, source: str, camera: Camera, height_m: float | None = None) -> None:
     """Write a preset with two models, with and without measured motion as input.
 
-    Args:
-        imported: drives for training, validation and testing.
-        source: of the labels. Motion that is the label cannot be an input for the same frame, so visual labels are
-            predicted a second, ahead. A wheel's angle and measured motion may differ in scale: no base.
-        camera: of the images. Depth grows with focal length / width, and so does its limit.
-        height_m: of the camera over the road, which gives measured motion its scale; None: KITTI's.
+    Motion that is the label (`source`) cannot be an input for the same frame, so visual labels are predicted a second
+    ahead. A wheel's angle and measured motion may differ in scale: no base. Depth grows with focal length / width, and
+    so does its limit.
     """
     network = {"input": "depth", "spatial": "gnn", "temporal": "ncp", "semantics": 0.0, "equivariant": True}
     if source == "visual":

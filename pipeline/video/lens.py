@@ -22,13 +22,10 @@ PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
 
 
 def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
-    """Return the camera of images of `size` (H, W); pass either `fov_deg` or `K`.
+    """Return the camera of images of `size` (H, W), by either the horizontal angle between their edges or `K`.
 
-    Args:
-        fov_deg: horizontal angle between the image edges, for square pixels and a centred principal point.
-        K: four numbers "fx,fy,cx,cy" for this size.
-
-    Raises InputError if none or both are given, or a value is implausible.
+    `fov_deg` is for square pixels and a centred principal point, `K` is "fx,fy,cx,cy" for this size. Raises InputError
+    if none or both are given, or a value is implausible.
     """
     if (fov_deg is None) == (K is None):
         fix = "Pass --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"

@@ -31,8 +31,6 @@ _OPTIONS = {
     "enable_drefs": "0",  # references of MOV files to other files
     "use_absolute_path": "0",
 }
-
-
 Images = Iterator[tuple[float | None, np.ndarray]]
 
 
@@ -82,9 +80,7 @@ class Recording:
 def open_recording(path: Path, fps: float | None = None, times: Path | None = None) -> Recording:
     """Open a video file or a folder of images.
 
-    Args:
-        fps: images per second; replaces timestamps of a video, and timestamps in ns as names of images.
-        times: a file with the time of each image instead, see :func:`read_times`.
+    `fps`, or a file of `times` for :func:`read_times`, replaces timestamps of a video and those in names of images.
 
     Raises InputError if there are no images, they have no times, are mirrored or have pixels that are not square, or
     `times` cannot be used; DamagedFile if the first image cannot be decoded.

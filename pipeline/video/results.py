@@ -176,9 +176,7 @@ class Results:
     def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the driven ones `horizon` frames later; None without common frames.
 
-        Args:
-            column: predicted or measured; errors are computed on its frames. Elsewhere the measured angle repeats the
-                last one, or 0.
+        They are computed on the frames of `column`, predicted or measured. The measured angle repeats the last, or 0.
         """
         frame, time_s, measured_rad = (self.table[name] for name in ("frame", "time_s", "measured_rad"))
         driven = dict(zip(frame.tolist(), self.table["driven_rad"].tolist(), strict=True))

@@ -47,12 +47,10 @@ class Source:
 
 
 def open_source(path: Path, cameras: Sequence[int], height_m: float | None = None, **how: Any) -> Source:
-    """Open a KITTI drive's folder, a folder of images, or a video.
+    """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or a video.
 
-    Args:
-        cameras: of a KITTI drive; the first one with images is used.
-        height_m: of the camera over the road; None: from a KITTI drive's calibration, else unknown.
-        how: ``max_frames``, and what :func:`open_camera` gets, of other recordings.
+    `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `how`: of other
+    recordings, ``max_frames`` and what :func:`open_camera` gets.
 
     Raises InputError if it is none of them, lacks a calibration, or cannot be read.
     """

@@ -16,12 +16,10 @@ from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.camera import read_camera
 from pipeline.perception import perceive, precomputed
-from pipeline.perception.perceive import perceive_drive
 from pipeline.settings import preset
-from pipeline.settings.perception import Perception
 from stages.encoder import main
 from steer.app import app
-from tests import street, tiny_networks
+from tests import street
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
 SWIN = ROOT / "models/encoder/swin-t"
@@ -80,13 +78,6 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest: Path, fitt
     assert curve(out)[-1]["loss"] == pytest.approx(content["losses"]["loss"], rel=1e-4)
 
 
-def test_without_epochs_weights_are_used_as_they_are(ingest: Path, fitted: Path) -> None:
-    path = fitted / "encoder.pt"
-    out = run(ingest, epochs=0, weights=str(path), seed=5)
-    assert (out / "encoder.pt").read_bytes() == path.read_bytes()
-    assert "losses" not in config(out)
-
-
 def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ingest: Path, fitted: Path) -> None:
     for drive in (VAL, TEST):
         street.write_drive(ingest, drive, 4, dense=False)
@@ -109,17 +100,6 @@ def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ing
     shutil.rmtree(targets / VAL)
     content = config(run(ingest, "taught", targets=str(targets), backbone="hugging_face", model=str(SWIN), frames=3))
     assert content["frames_per_drive"] == {TRAIN: 2, TEST: 1}
-
-
-def test_a_pair_of_networks_perceives_drives_without_their_folders(ingest: Path, tmp_path: Path) -> None:
-    folder = tiny_networks.write(tmp_path / "networks")
-    networks = {"depth": str(folder / "depth"), "classes": str(folder / "classes")}
-    encoder = run(ingest, backbone="pair", focal_by_width=0.58, epochs=0, **networks)
-    shutil.rmtree(folder)
-    perceive_drive(tmp_path / "perceived.h5", ingest / f"{TRAIN}.h5", encoder, Perception(batch=2))
-    with DriveReader(tmp_path / "perceived.h5", stage="perception") as file:
-        assert set(np.unique(file["cls"])) <= {classes.ROAD, classes.VEGETATION, classes.SKY, classes.VOID}
-        assert ((file["depth_m"] > 0) == (file["cls"] != classes.SKY)).all()
 
 
 @pytest.mark.real

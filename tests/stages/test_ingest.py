@@ -57,21 +57,6 @@ def test_rows_go_by_frame_number(tmp_path: Path) -> None:
     assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", OTHER: "test"}
 
 
-def test_drive_without_oxts(tmp_path: Path) -> None:
-    """Frames and times are those of the images; steering.csv has angles of some of them."""
-    folder = write_drive(tmp_path / "raw", frames=[2, 3, 5], truth=True)
-    (folder / "oxts/timestamps.txt").rename(folder / "image_02/timestamps.txt")
-    shutil.rmtree(folder / "oxts")
-    (folder / "velodyne_points/data/0000000003.bin").rename(folder / "velodyne_points/data/0000000004.bin")
-    write(folder / "steering.csv", "frame,steering_rad\n3,0.1\n4,0.2\n5,-0.3\n")
-    with run(tmp_path) as file:
-        np.testing.assert_array_equal(file.frame, [2, 3, 5])
-        np.testing.assert_allclose(file.time_s, [0, 0.1, 0.3], atol=1e-9)
-        np.testing.assert_array_equal(file["steering_rad"], [0, 0.1, -0.3])
-        np.testing.assert_array_equal(file["has_steering"], [0, 1, 1])
-        assert "oxts" not in file
-
-
 def cut(path: Path) -> None:
     write(path, path.read_bytes()[: path.stat().st_size * 6 // 10])
 

@@ -36,11 +36,10 @@ def write_drive(
     write_index(folder, DRIVES)
 
 
-def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float], sideways: float = 0.0) -> None:
+def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> None:
     """Write two drives as stage ingest does; the second is the first's mirror image."""
     for sign, drive in zip((1, -1), DRIVES, strict=True):
-        rows = make_rows(len(speed), vf=np.array(speed), wu=sign * np.array(yaw_rate), vl=sideways * sign)
-        write_drive(folder, drive, rows)
+        write_drive(folder, drive, make_rows(len(speed), vf=np.array(speed), wu=sign * np.array(yaw_rate)))
 
 
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
@@ -59,10 +58,7 @@ def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     np.testing.assert_allclose(left["curvature_1pm"], np.tan(expected) / 2.7, atol=1e-15)
     np.testing.assert_array_equal(left.frame, [5, 6, 7, 8])
     assert read_index(tmp_path / "labels", stage="labels") == DRIVES
-
-    text = capsys.readouterr().out
-    assert "4 frames, 3 valid, 2 turning" in text
-    assert "too few" not in text
+    assert "4 frames, 3 valid, 2 turning" in capsys.readouterr().out
 
 
 def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
@@ -105,15 +101,3 @@ def test_a_source_that_a_drive_lacks(recorded: Path) -> None:
     write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])
     with pytest.raises(InputError, match=r"steering\.csv"):
         run(recorded, source="wheel")
-
-
-@pytest.mark.parametrize(("speed", "moving"), [(0.1, 0), (9.0, 100)])
-def test_a_split_that_stands_or_never_turns_gets_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], speed: float, moving: int
-) -> None:
-    """Also drives whose oxts have the car sliding sideways."""
-    write_ingest(tmp_path / "ingest", speed=[speed] * 100, yaw_rate=[0.001] * 100, sideways=speed)
-    assert run(tmp_path)[0]["valid"].sum() == moving
-    text = capsys.readouterr().out
-    assert f"test: the car moves in {moving} of 100 frames and turns in 0, too few" in text
-    assert (f"sliding sideways: {FIRST}, {SECOND}\n" in text) == (speed > 1)

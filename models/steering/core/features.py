@@ -15,12 +15,8 @@ GROUND_Y_M = 1.65  # approximate height of KITTI's ground; an offset that centre
 def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
     """Return position features and the class one-hot, weighted by `semantics` (paper eq. 7).
 
-    Args:
-        xyz: [N,3] metres, camera frame.
-        cls: uint8 [N], trainId; void and other unknown numbers have a zero one-hot.
-        semantics: λ in [0,1]; with 0 the class columns are zero.
-    Returns:
-        [N, NODE_FEATURES], each column O(1) over a street, in the dtype of `xyz`.
+    Of points [N,3] in metres in the camera frame, trainIds uint8 [N] (void has a zero one-hot) and λ in [0,1]; returns
+    [N, NODE_FEATURES] in the dtype of `xyz`, each column O(1) over a street.
     """
     x, y, z = xyz.unbind(1)
     distance = torch.hypot(x, z).clamp_min(1.0)

@@ -52,8 +52,7 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
     each motor neuron is fed by `motor_fanin` command neurons. A neuron without input after that, or a command neuron
     without output, gets the average number of synapses of its layer.
 
-    Raises:
-        ValueError: a fan-out or fan-in exceeds the size of its target layer, or too many recurrent synapses.
+    Raises ValueError if a fan-out or fan-in exceeds the size of its target layer, or for too many recurrent synapses.
     """
     inter, command = layout.inter, layout.command
     for name, count, layer, size in [
@@ -91,12 +90,7 @@ def _fan_out(rng: np.random.Generator, matrix: Polarity, sources: Neurons, targe
 
 
 class SparseMatrix(nn.Module):
-    """Matrix [P,U] that is zero except at S positions; their S values are its parameters.
-
-    Args:
-        values: [P,U], initial; read where `exists`.
-        exists: bool [P,U].
-    """
+    """Matrix [P,U] that is zero except where `exists`, at S positions; their S values are its parameters."""
 
     place: Tensor
 

@@ -12,13 +12,9 @@ CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]  # ma
 
 
 class SteeringCNN(nn.Module):
-    """Standardised image → five convolutions → one dense layer for each of the 8 maps.
+    """Standardised image → five convolutions → one dense layer for each of the 8 maps; the NCP paper has 32 features.
 
-    Args:
-        features: F, numbers per frame for the recurrent network; the NCP paper has 32, 4 for each map.
-        image_size: (H,W) pixels.
-    Raises:
-        ValueError: `features` is not a multiple of the number of maps.
+    Raises ValueError if `features` is not a multiple of the number of maps.
     """
 
     def __init__(self, features: int, image_size: tuple[int, int]) -> None:

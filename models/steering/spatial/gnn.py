@@ -38,9 +38,6 @@ class GCN(nn.Module):
 
     A frame and its mirror image have the same graph and, but for the signs of two, the same node features. So `both`
     convolves the two versions at once. On a CPU it works block by block, so that temporaries stay in the cache.
-
-    Args:
-        features: F, numbers per frame for the recurrent network.
     """
 
     signs: Tensor
@@ -83,14 +80,10 @@ class GCN(nn.Module):
 
 
 def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:
-    """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix.
+    """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix [N,N] with E + N entries.
 
-    Args:
-        degree: [N], neighbours per node, the node itself excluded.
-        indices: int32 or int64 [E], neighbours of node 0, of node 1, …; symmetric: if j is in i's list, i is in j's.
-        dtype: of the values.
-    Returns:
-        [N,N] with E + N entries; in each row the diagonal first, then the neighbours in the given order.
+    In each row the diagonal is first, then the neighbours in their order. `degree` [N] and `indices` [E]: of a
+    GraphBatch, symmetric: if j is in i's list, i is in j's.
     """
     nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
     sizes = degree.to(indices.dtype) + 1

@@ -57,11 +57,7 @@ class PointNet2(nn.Module):
     """Spatial network on sampled and grouped points; the graph variant holds samples and neighbours.
 
     With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the complete frame
-    256-512-1024, then 512 and 256.
-
-    Args:
-        features: F, numbers per frame for the recurrent network.
-        levels: set abstractions before the one over the complete frame; equal to the variant's levels.
+    256-512-1024, then 512 and 256. `levels`: set abstractions before the one over the complete frame.
     """
 
     def __init__(self, features: int, levels: int, options: Options) -> None:

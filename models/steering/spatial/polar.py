@@ -48,12 +48,7 @@ def polar_map(batch: GraphBatch) -> Tensor:
 
 
 class Polar(nn.Module):
-    """Polar map → convolutions with stride 2 but the first → one dense layer.
-
-    Args:
-        features: F, numbers per frame for the recurrent network.
-        widths: channels after each convolution.
-    """
+    """Polar map → convolutions of `widths` channels, with stride 2 but the first → one dense layer."""
 
     def __init__(self, features: int, widths: tuple[int, ...]) -> None:
         super().__init__()

@@ -32,11 +32,8 @@ class PyG(nn.Module):
     Most layers store a row per edge: the demo takes 3.3 GB to train with GATv2Conv and 0.8 GB with spatial: gnn. On a
     GPU their sums over neighbours have no fixed order, so two runs differ by rounding.
 
-    Args:
-        features: F, numbers per frame for the recurrent network.
-    Raises:
-        ValueError: PyTorch Geometric is missing or has no such layer, the layer refuses its options or needs more than
-            `x, edge_index`.
+    Raises ValueError if PyTorch Geometric is missing or has no such layer, or the layer refuses its options or needs
+    more than `x, edge_index`.
     """
 
     def __init__(self, features: int, options: Options) -> None:

@@ -106,16 +106,6 @@ def test_rates_are_those_of_the_axle_wherever_the_camera_is(yaw_rate: float, ahe
     assert speed == pytest.approx(6.0, rel=1e-3)  # the chord of the arc
 
 
-@pytest.mark.parametrize(
-    ("translation", "expected"),
-    [((0, 0, 0), True), ((0.3, 0, 1.5), True), ((0.9, 0, 0.2), False), ((0, 2.0, 1), False), ((0, 0, 30), False)],
-)
-def test_sideways_steps_and_jumps_are_not_plausible(translation: tuple[float, float, float], expected: bool) -> None:
-    T = np.eye(4)
-    T[:3, 3] = translation
-    assert step.plausible(T) == expected
-
-
 def test_durations_average_jitter_of_the_past_and_follow_another_rate() -> None:
     """As KITTI's times, on a grid of 10 ms; then every fourth frame is missing, then the rate is halved."""
     frame = np.concatenate([np.arange(60), 60 + 4 * np.arange(20), 140 + np.arange(20)])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, depth_image, transform
+from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, depth_image, pixels_of, transform
 from pipeline.camera.images import Crop, Size, to_metres
 
 SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
@@ -99,23 +99,26 @@ def camera_height(T_cam_velo: np.ndarray | None) -> float:
 
 
 def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the :func:`depth_image` float32 [H,W] of a LiDAR scan [P,≥3] that begins with velodyne x, y, z."""
+    """Return the :func:`depth_image` float32 [H,W] of the visible points of a LiDAR scan [P,≥3], velodyne x, y, z."""
     xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
-    return depth_image(xyz, camera.K, camera.size).astype(np.float32)
+    return depth_image(xyz[visible(xyz, camera)[0]], camera.K, camera.size).astype(np.float32)
 
 
-def visible(depth_m: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return sparse depth [H,W] without points that are hidden from the camera.
+def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the :func:`pixels_of` the points [N,3] of a scan, in the camera frame, that the camera sees.
 
     The scanner is above the camera and looks over objects, so points behind an object project between those of the
-    object. A point is dropped if another one within 0.23 degrees, about one ring of KITTI's scanner, is a fifth nearer.
+    object. A point is hidden if another one within 0.23 degrees, about one ring of KITTI's scanner, is a fifth nearer.
     """
     import cv2
 
-    reach = [max(1, round(OCCLUDER_RAD * f)) for f in (camera.K[0, 0], camera.K[1, 1])]
-    known = np.where(depth_m > 0, depth_m, np.inf).astype(np.float32)
-    nearest = cv2.erode(known, np.ones((2 * reach[1] + 1, 2 * reach[0] + 1), np.uint8))  # erosion is a local minimum
-    return np.where(known / OCCLUDED_RATIO <= nearest, depth_m, 0).astype(depth_m.dtype)
+    inside, row, column = pixels_of(xyz, camera.K, camera.size)
+    nearest_m = depth_image(xyz, camera.K, camera.size)
+    nearest_m[nearest_m == 0] = np.inf
+    reach = [max(1, round(OCCLUDER_RAD * f)) for f in (camera.K[1, 1], camera.K[0, 0])]
+    nearest_m = cv2.erode(nearest_m, np.ones([2 * pixels + 1 for pixels in reach]))  # erosion is a local minimum
+    seen = xyz[inside, 2] / OCCLUDED_RATIO <= nearest_m[row, column]
+    return inside[seen], row[seen], column[seen]
 
 
 def write_camera(file: DriveWriter, camera: Camera) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
-from pipeline.camera.camera import open_frames
+from pipeline.camera.camera import Camera, open_frames, visible
 
 if TYPE_CHECKING:
     from pipeline.settings.clouds import Clouds
@@ -38,16 +38,17 @@ def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_
     return geometry.back_project(depth_m, K)[solid].astype(np.float32), cls[solid].astype(np.uint8)
 
 
-def lidar_cloud(scan: np.ndarray, T_cam_velo: np.ndarray, K: np.ndarray, cls: np.ndarray | None) -> Cloud:
+def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Cloud:
     """Transform a scan [P,≥3], velodyne x, y, z in metres, into the camera frame; each point takes its pixel's class.
 
-    `cls` [H,W]: trainIds of the same frame's image, None without one. Points outside of it or on the sky are void.
+    `cls` [H,W]: trainIds of the same frame's image, None without one. Points outside of it, on the sky or hidden from
+    the camera are void.
     """
-    xyz = geometry.transform(T_cam_velo, scan[:, :3].astype(np.float64))
+    xyz = geometry.transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
     if cls is not None:
-        inside, row, column = geometry.pixels_of(xyz, K, cls.shape)
-        labels[inside] = cls[row, column]
+        seen, row, column = visible(xyz, camera)
+        labels[seen] = cls[row, column]
         labels[labels == classes.SKY] = classes.VOID  # the sky returns no laser pulse: a point at a silhouette
     return xyz.astype(np.float32), labels
 
@@ -59,7 +60,7 @@ def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings
     """
     counts = []
     with open_frames(ingest, perception, scans=kind == "lidar") as frames:
-        params, K = frames.params | {"clouds": settings.model_dump()}, frames.camera.K
+        params = frames.params | {"clouds": settings.model_dump()}
         with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
             file.put("frame", frames.frame)
             file.put("time_s", frames.time_s, unit="s")
@@ -67,9 +68,9 @@ def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings
             file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
             for frame in frames:
                 if kind == "lidar":
-                    xyz, cls = lidar_cloud(frame.scan, frames.camera.T_cam_velo, K, frame.cls)
+                    xyz, cls = lidar_cloud(frame.scan, frames.camera, frame.cls)
                 else:
-                    xyz, cls = pseudo_cloud(frame.depth_m, frame.cls, K, settings.max_depth_m)
+                    xyz, cls = pseudo_cloud(frame.depth_m, frame.cls, frames.camera.K, settings.max_depth_m)
                 drawn = sample(len(xyz), settings.max_points, frame_rng(settings.seed, frames.drive, frame.number))
                 xyz, cls = ordered((xyz[drawn], cls[drawn]))
                 file.append("xyz", xyz)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera, scan_depth, visible
+from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import to_metres
 from pipeline.perception.depth_scale import ground_plane_depth
 
@@ -35,14 +35,14 @@ class Truth:
 def read_truth(drive: DriveReader, camera: Camera, row: int) -> Truth:
     """Return the ground truth of the frame in `row` of a file of stage ingest.
 
-    Dense depth takes precedence over projected LiDAR, which is used without points that are hidden from the camera.
+    Dense depth takes precedence over projected LiDAR.
     """
     depth_m = np.zeros(camera.size, np.float32)
     source: DepthSource | None = None
     if drive.row("has_depth", row):
         depth_m, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
     elif drive.row("has_lidar", row):
-        depth_m, source = visible(scan_depth(drive.rows_of("lidar", row), camera), camera), "lidar"
+        depth_m, source = scan_depth(drive.rows_of("lidar", row), camera), "lidar"
     has_cls = bool(drive.row("has_cls", row))
     cls = drive.row("cls", row) if has_cls else np.full(camera.size, classes.VOID, np.uint8)
     return Truth(depth_m, source, cls, has_cls)

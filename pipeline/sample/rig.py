@@ -50,6 +50,10 @@ _CAMERAS_OF_DATE = {
     "2026_01_10": Cameras(1.03 * _KITTI.focal_per_width, (0.486, 0.473), 1.73),
     "2026_01_11": Cameras(1.13 * _KITTI.focal_per_width, (0.507, 0.449), 1.68),
     "2026_01_12": Cameras(0.97 * _KITTI.focal_per_width, (0.479, 0.454), 1.62),
+    "2026_01_13": Cameras(1.10 * _KITTI.focal_per_width, (0.499, 0.475), 1.59),
+    "2026_01_14": Cameras(0.88 * _KITTI.focal_per_width, (0.481, 0.446), 1.70),
+    "2026_01_15": Cameras(1.05 * _KITTI.focal_per_width, (0.509, 0.456), 1.64),
+    "2026_01_16": Cameras(0.95 * _KITTI.focal_per_width, (0.493, 0.468), 1.75),
 }
 
 

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes, geometry
+from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import transform
 from pipeline.graphs import cloud, frame_graph, graph, graph_file
 from pipeline.settings.graphs import Variant
@@ -47,15 +48,16 @@ def test_pseudo_cloud_has_a_point_per_valid_pixel() -> None:
 
 
 def test_lidar_points_take_the_class_of_their_pixel() -> None:
-    T_cam_velo = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    camera = Camera(K, (20, 40), T_cam_velo=np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
     cls = np.full((20, 40), classes.CAR, np.uint8)
     cls[:, 20:] = classes.SKY
-    scan = np.array([[10.0, 1, 0, 0.5], [10, -1, 0, 0.5], [-10, 0, 0, 0.5], [10, 50, 0, 0.5]], np.float32)
-    xyz, labels = cloud.lidar_cloud(scan, T_cam_velo, K, cls)
-    assert xyz == pytest.approx(np.array([[-1, 0, 10], [1, 0, 10], [0, 0, -10], [-50, 0, 10]]))
-    # On a car, on the sky, behind the camera, beside the image.
-    assert labels.tolist() == [classes.CAR, classes.VOID, classes.VOID, classes.VOID]
-    assert (cloud.lidar_cloud(scan, T_cam_velo, K, None)[1] == classes.VOID).all()
+    # On a car, inside it, on the street behind it, on the sky, behind the camera, beside the image.
+    places = [(10, 1, 0), (12, 1.2, 0), (20, 2, 0), (10, -1, 0), (-10, 0, 0), (10, 50, 0)]
+    scan = np.array([(*place, 0.5) for place in places], np.float32)
+    xyz, labels = cloud.lidar_cloud(scan, camera, cls)
+    assert xyz == pytest.approx(np.array([(-y, -z, x) for x, y, z in places]))
+    assert labels.tolist() == [classes.CAR] * 2 + [classes.VOID] * 4
+    assert (cloud.lidar_cloud(scan, camera, None)[1] == classes.VOID).all()
 
 
 def test_morton_order_equals_bitwise_interleaving() -> None:

@@ -40,7 +40,7 @@ def main(
     with stage_folder("report", out, shared=True) as folder:
         new = folder.new
         (new / "table.md").write_text(f"{text}\n", encoding="utf-8")
-        store.write_json(new / "metrics.json", results.flat_metrics(groups))
+        store.write_json(new / "metrics.json", results.dvc_metrics(groups))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (new / name).mkdir()
         curves = results.load_curves(data / "train", evaluated)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -169,21 +169,14 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     tables = []
     for case in cases:
         drive, (mean, sigma, _) = case.drive, case.predictions[seed]
-        values = {"true": drive.truth, "predicted": mean} | case.baselines()
+        values = {"true": drive.truth, "predicted": mean, **case.baselines()}
         del values["zero"]
+        values["near_onset"] = near_onsets(drive, case.turns).astype(int)
         if sigma is not None:
             values["sigma"] = sigma
-        table = pd.DataFrame({"drive": drive.name, "frame": drive.frame, "time_s": _text(drive.time_s, 6)})
-        table["speed_mps"] = _text(drive.speed_mps, 4)
-        near = near_onsets(drive, case.turns).astype(int)
-        for number, name in enumerate(drive.columns):
-            table = table.assign(**{f"{kind}_{name}": _text(of[:, number], 9) for kind, of in values.items()})
-            table[f"near_onset_{name}"] = near[:, number]
-        tables.append(table)
+        table = {"drive": drive.name, "frame": drive.frame, "time_s": drive.time_s, "speed_mps": drive.speed_mps}
+        for (number, name), (kind, of) in product(enumerate(drive.columns), values.items()):
+            table[f"{kind}_{name}"] = of[:, number]
+        tables.append(pd.DataFrame(table))
     path.parent.mkdir(parents=True, exist_ok=True)
-    pd.concat(tables).to_csv(path, index=False, lineterminator="\n")
-
-
-def _text(values: np.ndarray, digits: int) -> list[str]:
-    """Return numbers with `digits` decimals, NaN as an empty text."""
-    return ["" if np.isnan(value) else f"{value:.{digits}f}" for value in values]
+    pd.concat(tables).to_csv(path, index=False, lineterminator="\n", float_format="%.9f")

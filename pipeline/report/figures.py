@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -41,7 +40,7 @@ def _draw_typical_bend(path: Path, group: Group, data: Path) -> Captions:
     if model is None:
         return {}
     steering = group.first_seed(model["model"])
-    known = steering.assign(cost=(steering["predicted_deg"] - steering["true_deg"]) ** 2).dropna(subset="cost")
+    known = steering.dropna(subset="cost")
     sharpest = known.loc[known.groupby("drive")["true_deg"].idxmax()].set_index("drive")
     bends = sharpest[sharpest["true_deg"] >= min(BEND_DEG, sharpest["true_deg"].max())]
     costs = known.groupby("drive")["cost"].sum()[bends.index].sort_values()
@@ -101,17 +100,16 @@ def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
 
     A frame within APART_S of such a row counts for the nearest one only.
     """
-    rows = predictions.assign(cost=(predictions["predicted_deg"] - predictions["true_deg"]) ** 2).query("cost > 0")
-    largest: list[dict[str, Any]] = []
-    nearest_s, nearest = np.full(len(rows), np.inf), np.full(len(rows), -1)
-    while len(largest) < MAX_ERRORS and (nearest_s > APART_S).any():
-        row = rows[nearest_s > APART_S].nlargest(1, "cost").iloc[0]
-        apart_s = (rows["elapsed_s"] - row["elapsed_s"]).abs().where(rows["drive"] == row["drive"], np.inf).to_numpy()
-        nearest = np.where(apart_s < nearest_s, len(largest), nearest)
-        nearest_s = np.minimum(apart_s, nearest_s)
-        largest.append(row.to_dict())
-    counted = np.where(nearest_s <= APART_S, nearest, -1)
-    shares = [rows["cost"][counted == number].sum() / rows["cost"].sum() for number in range(len(largest))]
+    rows = predictions[predictions["cost"] > 0]
+    largest: list[pd.Series] = []
+    apart_s = np.full((1, len(rows)), np.inf)  # a row for frames far from all, then one for each of `largest`
+    while len(largest) < MAX_ERRORS and (free := apart_s.min(axis=0) > APART_S).any():
+        row = rows[free].nlargest(1, "cost").iloc[0]
+        elsewhere = rows["drive"] != row["drive"]
+        apart_s = np.vstack([apart_s, (rows["elapsed_s"] - row["elapsed_s"]).abs().mask(elsewhere, np.inf)])
+        largest.append(row)
+    nearest = np.where(apart_s.min(axis=0) <= APART_S, apart_s.argmin(axis=0), 0)
+    shares = np.bincount(nearest, rows["cost"], minlength=len(largest) + 1)[1:] / rows["cost"].sum()
     return pd.DataFrame(largest).assign(share=shares)
 
 

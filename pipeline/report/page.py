@@ -21,7 +21,6 @@ from pipeline.report.tables import Table
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
 FIXED = {"driven": "#1b2027", "odometry": "#e08e0b", "zero": "#9aa3ad"}
 MODELS_SHOWN = 3  # the best at first; a click in the legend adds others
-SLIDER_S = 20.0  # drives longer than this get a range slider
 Figure = dict[str, Any]
 Styles = Mapping[str, dict[str, Any]]
 
@@ -88,17 +87,18 @@ def _test_drives(group: Group, look: Styles) -> Content:
     drives, count = group.worst_drives(), predictions["drive"].nunique()
     chosen = f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
     angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
-    content: list[str | Plot] = [
-        f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide "
-        "a line."
+    error = "Error by curvature of the road"
+    return [
+        f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide.",
+        *(
+            Plot(f"{drive}: {group.title} over time", over_time(predictions[predictions["drive"] == drive], look))
+            for drive in drives
+        ),
+        *(
+            Plot(f"{error}{label and f', {label} ahead'}, mean over seeds", by_curvature(group, column, look))
+            for column, label in group.labels.items()
+        ),
     ]
-    for drive in drives:
-        plot = over_time(predictions[predictions["drive"] == drive], look)
-        content.append(Plot(f"{drive}: {group.title} over time", plot))
-    for column, label in group.labels.items():
-        caption = f"Error by curvature of the road{label and f', {label} ahead'}, mean over seeds"
-        content.append(Plot(caption, by_curvature(group, column, look)))
-    return content
 
 
 def styles(groups: Sequence[Group]) -> Styles:
@@ -131,8 +131,7 @@ def over_time(predictions: pd.DataFrame, look: Styles) -> Figure:
             outline = _points(pd.concat([edges[0], edges[1][::-1]]), "elapsed_s", "edge")
             fill = {"fill": "toself", "mode": "none", "fillcolor": f"{look[name]['marker']['color']}26"}
             traces.append(look[name] | outline | fill | {"name": f"{name} ± σ", "hoverinfo": "skip"})
-    slider = {"visible": bool(predictions["elapsed_s"].max() > SLIDER_S)}
-    return _plot(traces, 400, xaxis={**_title("time in s"), "rangeslider": slider}, yaxis=_title("deg, left +"))
+    return _plot(traces, 400, xaxis=_title("time in s"), yaxis=_title("deg, left +"))
 
 
 def by_curvature(group: Group, column: str, look: Styles) -> Figure:

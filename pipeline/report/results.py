@@ -6,6 +6,7 @@ All report outputs are made from these groups, and all their test errors are of 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ NO_LEARNING = ("zero", "train_mean", "odometry", "regression")
 BASELINES = (*NO_LEARNING, "persistence")  # which repeats true angles, that no model gets
 Row = dict[str, Any]
 """A model's metrics.json with ``paper``, its :class:`paper.Published` or None."""
-Estimate = tuple[float, list[float] | None]
-"""A value, NaN if it is unknown, and its 95 % interval (:func:`errors.interval`)."""
+Estimate = tuple[float | None, list[float] | None]
+"""A value, None if it is unknown, and its 95 % interval (:func:`errors.interval`)."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,8 @@ class Group:
     labels: dict[str, str]  # column → label: empty for the steering angle, "5-10 m" for a range of the path ahead
     models: list[Row]  # in the order of the paper, then as given
     # predictions.csv of all models and seeds, with columns model, run (empty for the first seed), elapsed_s since the
-    # drive's first frame, and in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering
-    # angle, or of the turn in all ranges of the path together (then without sigma).
+    # drive's first frame, in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering
+    # angle, or of the turn in all ranges of the path together (then without sigma); and cost, the squared error.
     predictions: pd.DataFrame
     settings: Evaluate
     drive: np.ndarray  # [N] numbers, in time order
@@ -61,8 +62,8 @@ class Group:
             error = np.where(self.near_onset[:, columns], np.nan, error)
         zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
         known = zero > 0
-        value = (np.nansum(error, axis=0)[known] / zero[known]).mean() if known.any() else np.nan
-        return float(value), errors.interval(error, truth, self.drive, self.settings)
+        value = float((np.nansum(error, axis=0)[known] / zero[known]).mean()) if known.any() else None
+        return value, errors.interval(error, truth, self.drive, self.settings)
 
     def _error(self, name: str) -> np.ndarray:
         """Return squared errors [N,R], means over the seeds; NaN where they do not count."""
@@ -92,7 +93,8 @@ class Group:
         return min((name for name in NO_LEARNING if name in self.predicted), key=self._rank)
 
     def _rank(self, name: str) -> float:
-        return float(np.nan_to_num(self.nmse(name)[0], nan=np.inf))
+        value, _ = self.nmse(name)
+        return np.inf if value is None else value
 
     def first_seed(self, model: str) -> pd.DataFrame:
         """Return the predictions of the first seed of a model."""
@@ -100,9 +102,8 @@ class Group:
 
     def worst_drives(self) -> list[str]:
         """Return the SHOWN_DRIVES test drives on which the best model has most squared error, in the CSV's order."""
-        best = self.first_seed(self.by_error[0]["model"])
-        error = ((best["predicted_deg"] - best["true_deg"]) ** 2).groupby(best["drive"], sort=False).sum()
-        return [drive for drive in error.index if drive in error.nlargest(SHOWN_DRIVES).index]
+        cost = self.first_seed(self.by_error[0]["model"]).groupby("drive", sort=False)["cost"].sum()
+        return [drive for drive in cost.index if drive in cost.nlargest(SHOWN_DRIVES).index]
 
 
 def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
@@ -115,7 +116,7 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
     order = [*paper.PAPER.values(), None]
     groups = []
     for (predict, horizon), rows in sorted(loaded.items()):
-        title = "steering angle" if predict == "angle" else "path ahead"
+        title = "path ahead" if predict == "path" else "steering angle"
         title += f", {horizon} frames ahead" if horizon else ""
         columns, ranked = rows[0]["columns"], sorted(rows, key=lambda row: order.index(row["paper"]))
         labels = {
@@ -165,30 +166,22 @@ def _load_predictions(folder: Path, model: str, columns: Row) -> pd.DataFrame:
             table[f"{kind}_deg"] = np.rad2deg(sum(values)) if known else np.nan
         elapsed_s = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
         run = ".".join(path.parent.relative_to(folder).parts)
-        tables.append(table.assign(model=model, run=run, elapsed_s=elapsed_s))
+        cost = (table["predicted_deg"] - table["true_deg"]) ** 2
+        tables.append(table.assign(model=model, run=run, elapsed_s=elapsed_s, cost=cost))
     return pd.concat(tables, ignore_index=True)
 
 
-def flat_metrics(groups: Sequence[Group]) -> dict[str, float]:
-    """Return all metrics under flat names, for `dvc metrics`; values that do not exist are left out.
-
-    - ``<model>.nmse`` and its 95 % interval ``nmse_low`` to ``nmse_high``; of a range of the path ahead
-      ``<model>.nmse_5-10m`` and so on; names of the other splits start with ``train_`` or ``val_``
-    - ``odometry-angle-<horizon>`` and ``odometry-path-<horizon>``: the same of odometry
-    """
-    values: dict[str, Any] = {}
+def dvc_metrics(groups: Sequence[Group]) -> dict[str, Any]:
+    """Return group → model or baseline → column → nmse: of test with its interval, of models also of train and val."""
+    result: dict[str, Any] = {group.key: {name: {} for name in group.predicted} for group in groups}
     for group in groups:
-        for column, label in group.labels.items():
-            nmse = f"nmse_{label}".strip("_").replace(" ", "")
-            for row in group.models:
-                for split in ("train", "val"):
-                    values[f"{row['model']}.{split}_{nmse}"] = row[split] and row[split][column]["nmse"]
-            for name in (*(row["model"] for row in group.models), "odometry"):
-                key = f"odometry-{group.key}" if name == "odometry" else name
-                value, bounds = group.nmse(name, column=column) if name in group.predicted else (None, None)
-                low, high = bounds or (None, None)
-                values |= {f"{key}.{nmse}": value, f"{key}.{nmse}_low": low, f"{key}.{nmse}_high": high}
-    return {name: value for name, value in values.items() if value is not None and np.isfinite(value)}
+        for name, column in product(group.predicted, group.labels):
+            value, bounds = group.nmse(name, column=column)
+            result[group.key][name][column] = {"test": value, **dict(zip(("low", "high"), bounds or (), strict=False))}
+        for row, column, split in product(group.models, group.labels, ("train", "val")):
+            if row[split]:
+                result[group.key][row["model"]][column][split] = row[split][column]["nmse"]
+    return result
 
 
 def load_curves(train: Path, models: Sequence[str]) -> dict[str, pd.DataFrame]:

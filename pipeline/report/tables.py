@@ -110,15 +110,17 @@ def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
         cells, row = {"model": _name(name)}, models.get(name, {})
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(name, column=column, onsets=onsets)
-            scores = group.scores(name, column)
-            spread = f" ± {np.std(scores['by_seed'], ddof=1):.3f}" if len(scores["by_seed"]) > 1 and onsets else ""
-            interval = f" ({interval_text(bounds)})" if row else ""
-            cells[f"nmse {label}".strip()] = f"{nmse:.3f}{spread}{interval}" if np.isfinite(nmse) else NONE
+            scores, deg = group.scores(name, column), 180 / np.pi
+            cells[f"nmse {label}".strip()] = number(nmse, ".3f")
+            if row and nmse is not None:
+                several = onsets and len(scores["by_seed"]) > 1
+                spread = f" ± {np.std(scores['by_seed'], ddof=1):.3f}" if several else ""
+                cells[f"nmse {label}".strip()] += f"{spread} ({interval_text(bounds)})"
             if onsets and not label:
-                cells["MAE deg"] = number(scores["mae"] and np.rad2deg(scores["mae"]), ".2f")
+                cells["MAE deg"] = number(scores["mae"] and deg * scores["mae"], ".2f")
                 cells["no onsets"] = number(group.nmse(name, column=column, onsets=False)[0], ".3f")
-                if row and row["test"][column]["drift_m_per_100m"] is not None:
-                    cells["drift"] = f"{row['test'][column]['drift_m_per_100m']:.1f}"
+                if group.key == "angle-0":
+                    cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
         if onsets:
             cells["parameters"] = number(row.get("parameters"), ",d")
             cells["edges"] = number(row.get("edges_per_frame"), ",.0f")
@@ -127,9 +129,9 @@ def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
 
 
 def _frames(group: Group) -> str:
-    counts = {label: np.isfinite(group.truth[:, number]).sum() for number, label in enumerate(group.labels.values())}
-    text = ", ".join(f"{label} {count:,}".strip() for label, count in counts.items())
-    return f"Test frames that every model of the table predicts: {text}. "
+    counts = np.isfinite(group.truth).sum(axis=0)
+    frames = ", ".join(f"{label} {count:,}".strip() for label, count in zip(group.labels.values(), counts, strict=True))
+    return f"Test frames that every model of the table predicts: {frames}. "
 
 
 def _differences(group: Group) -> list[dict[str, str]]:
@@ -145,7 +147,7 @@ def _differences(group: Group) -> list[dict[str, str]]:
         cells = {"models": f"{first} − {_name(second)}{setting}"}
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(first, minus=second, column=column)
-            cells[label or "nmse"] = f"{nmse:+.3f} ({interval_text(bounds, '+.3f')})" if np.isfinite(nmse) else NONE
+            cells[label or "nmse"] = f"{nmse:+.3f} ({interval_text(bounds, '+.3f')})" if nmse is not None else NONE
         rows.append(cells)
     return rows
 
@@ -180,15 +182,13 @@ def _uncertainty(group: Group) -> list[dict[str, str]]:
 
 
 def _as_published(group: Group) -> list[dict[str, str]]:
-    models, rows = {row["model"]: row for row in group.models}, []
-    for name in group.predicted:
-        row = models.get(name, {})
-        mse = {split: (row.get(split) or {}).get("steering_rad", {}).get("mse") for split in ("train", "val")}
-        mse["test"] = group.scores(name, "steering_rad")["mse"]
-        published = {f"paper {split}": getattr(row.get("paper"), f"{split}_mse", None) for split in ("train", "test")}
-        cells = {split: number(value, ".5f") for split, value in mse.items()}
-        rows.append({"model": _name(name)} | cells | {head: number(value) for head, value in published.items()})
-    return rows
+    return [
+        {"model": row["model"]}
+        | {split: number(row[split] and row[split]["steering_rad"]["mse"], ".5f") for split in ("train", "val")}
+        | {"test": number(group.scores(row["model"], "steering_rad")["mse"], ".5f")}
+        | {f"paper {split}": number(getattr(row["paper"], f"{split}_mse", None)) for split in ("train", "test")}
+        for row in group.models
+    ]
 
 
 def _model(row: Row) -> dict[str, str]:

@@ -43,7 +43,7 @@ def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
     assert text.startswith("sa-gnn-ncp predicts the steering angle with")
     assert text.index("No result here: absent.") < text.index("## Results: steering angle") < text.index("## Depth")
     metrics = json.loads(made[0]["metrics.json"])
-    assert (metrics["sa-gnn-ncp.nmse"], metrics["scene.nmse_5-10m"]) == pytest.approx((0.2, 0.2))
+    assert metrics["angle-0"]["sa-gnn-ncp"]["steering_rad"]["test"] == pytest.approx(0.2)
     assert made[0]["sa-gnn-ncp.csv"] == b"epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
     assert "sa-gnn-ncp.seed-1.fold-a.csv" in made[0]
     assert b"No result here: absent." in made[0]["index.html"]

@@ -4,8 +4,10 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-# The tests' networks are tiny: threads that wait for each other cost more than they bring. Before torch is imported.
+# The tests' networks are tiny: threads that wait for each other, and processes that import torch, cost more than they
+# bring. Before torch is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("STEER_WORKERS", "1")
 
 import pytest
 

@@ -34,7 +34,7 @@ STAGES = (
 def run(folder: Path, *command: str, fails: bool = False) -> str:
     """Run a command in a scratch copy, with this environment on the copy's code, and return its output."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    variables = {"PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder), "STEER_WORKERS": "1"}
+    variables = {"PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder)}
     done = subprocess.run(
         command, cwd=folder, env={**os.environ, **variables}, capture_output=True, text=True, check=False
     )
@@ -149,12 +149,9 @@ def entered(call: Callable[[], object], first: str, last: str) -> set[str]:
     return found
 
 
-def test_few_functions_lie_between_a_stage_and_its_work(
-    chain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_few_functions_lie_between_a_stage_and_its_work(chain: Path, tmp_path: Path) -> None:
     """Between a drive and h5py, and between a batch of graphs and its loss."""
     data, params = chain / "data", chain / "params.yaml"
-    monkeypatch.setenv("STEER_WORKERS", "1")
     out = tmp_path / "clouds", tmp_path / "train"
     to_h5py = entered(
         lambda: clouds.main(data / "ingest", data / "perception", out[0], params), "runner.py:_make", "/h5py/"

@@ -21,12 +21,6 @@ from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, wr
 COLUMNS = {"angle": ["steering_rad"], "path": ["path_0-5m_1pm", "path_5-10m_1pm", "path_10-20m_1pm"]}
 
 
-@pytest.fixture(autouse=True)
-def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train seeds and folds one after the other; starting processes takes longer than these trainings."""
-    monkeypatch.setenv("STEER_WORKERS", "1")
-
-
 def read_metrics(evaluated: Path) -> dict[str, Any]:
     return json.loads((evaluated / "metrics.json").read_text())
 

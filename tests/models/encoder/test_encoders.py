@@ -135,7 +135,7 @@ def test_published_weights_give_classes_of_camvids_streets(
     street: nn.Module, real_camvid: Path, colour: bool, least: float
 ) -> None:
     matrix, camera = 0, Camera(np.array([[400.0, 0, 240], [0, 400, 180], [0, 0, 1]]), (360, 480))
-    for path in sorted((real_camvid / "images").glob("*.jpg")):
+    for path in sorted((real_camvid / "images").glob("*.jpg"))[::3]:
         label = cv2.imread(str(real_camvid / f"labels/{path.stem}.png"), cv2.IMREAD_UNCHANGED)
         image = read_image(path, camera.size)
         cls = perceive(street, (image if colour else grey(image))[None], camera)[1][0]

@@ -14,7 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import typer
 
-from pipeline.base import console
+from pipeline.base import console, store
 from pipeline.base.outputs import claim
 
 FITTED_S = 30.0
@@ -48,18 +48,19 @@ def fit(time_s: np.ndarray, measured: np.ndarray, wheel_rad: np.ndarray) -> Whee
     return min(fits)[1]
 
 
-def table(predicted: Mapping[str, np.ndarray], wheel_rad: np.ndarray) -> str:
-    """Return the RMSE of each row's predictions [F] of the wheel's angle [F], as Markdown, the largest first."""
+def errors(predicted: Mapping[str, np.ndarray], wheel_rad: np.ndarray) -> dict[str, float]:
+    """Return the RMSE of each row's predictions [F] of the wheel's angle [F], the largest first."""
     rmse = {name: float(np.sqrt(((angle - wheel_rad) ** 2).mean())) for name, angle in predicted.items()}
-    rows = [f"| {name} | {rmse[name]:.4f} |" for name in sorted(rmse, key=lambda name: -rmse[name])]
-    return "\n".join(["| wheel's angle | RMSE rad |", "|---|--:|", *rows])
+    return dict(sorted(rmse.items(), key=lambda item: -item[1]))
 
 
 def compare(
     video: Annotated[Path, typer.Argument(help="the drive's frames")],
     wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
-    out: Annotated[Path | None, typer.Option(help="folder for motion.csv and table.md; default: out/udacity")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="folder for motion.csv and figures.json; default: out/udacity")
+    ] = None,
 ) -> None:
     """Measure the drive, and compare with the teams."""
     from steer.measure import measure
@@ -77,9 +78,15 @@ def compare(
         measured = np.interp(time_s, motion["time_s"][known], motion[column][known])
         fits[row] = fit(time_s[first], measured[first], wheel_rad[first])
         predicted[row] = fits[row].angle(time_s, measured)
-    text = table({name: angle[rest] for name, angle in predicted.items()}, wheel_rad[rest])
-    (out / "table.md").write_text(f"{text}\n", encoding="utf-8")
-    print(text, f"frames measured: {(motion['valid'] > 0).mean():.1%}; {fits['steer measure']}", sep="\n\n")
+    rmse = errors({name: angle[rest] for name, angle in predicted.items()}, wheel_rad[rest])
+    store.write_json(out / "figures.json", {name: {"figure": value} for name, value in rmse.items()})
+    print(
+        "| wheel's angle | RMSE rad |",
+        "|---|--:|",
+        *(f"| {name} | {value:.4f} |" for name, value in rmse.items()),
+        sep="\n",
+    )
+    print(f"\nframes measured: {(motion['valid'] > 0).mean():.1%}; {fits['steer measure']}")
 
 
 if __name__ == "__main__":

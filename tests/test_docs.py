@@ -1,18 +1,24 @@
 """Test the Markdown pages: their number, size and width, and that links and names lead to something that exists."""
 
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import typer
 from torch.utils.data import DataLoader
 
+from docs import make_results
 from pipeline.base.resume import ROOT
+from pipeline.report import street_view
 from pipeline.settings import preset
 from pipeline.settings.models import Entry
 from steer.app import app
 from tests import artefacts
+from tests.pipeline.report import examples
 
 PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
     ROOT / f"docs/{name}.md" for name in ("models", "paper", "real", "results", "running")
@@ -54,6 +60,33 @@ def test_prose_has_at_most_110_columns(page: Path) -> None:
     prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     wide = [line for line in prose.splitlines() if len(line) > 110 and not line.startswith(("|", "!"))]
     assert wide == []
+
+
+def test_tables_and_plot_are_rendered_from_the_results(tmp_path: Path) -> None:
+    results = make_results.read()
+    assert [page.name for page, text in make_results.pages(results).items() if text != page.read_text()] == []
+    street_view.save(make_results.plot(results), tmp_path / "roads.png", dpi=100)
+    committed, rendered = (cv2.imread(str(folder / "roads.png")).astype(int) for folder in (ROOT / "docs", tmp_path))
+    assert np.abs(rendered - committed).mean() < 0.1
+
+
+def test_figures_of_a_run_are_errors_differences_and_validation_errors(tmp_path: Path) -> None:
+    scene = examples.metrics("path", [0.2, 0.4], predict="path") | {"drives": {"train": ["a"] * 3}}
+    scene["val"] = {column: {"nmse": nmse} for column, nmse in zip(scene["columns"], (0.1, 0.3), strict=True)}
+    examples.write_model(tmp_path / "data", scene)
+    examples.write_model(tmp_path / "data", examples.metrics("path-blind", 0.9, predict="path"))
+    shutil.copyfile(ROOT / "params.yaml", tmp_path / "params.yaml")
+    figures = make_results.figures_of(tmp_path)
+    assert {"figure": 0.3, "frames": 44, "seeds": [0.3]}.items() <= figures["path-0/5-10 m/path"].items()
+    assert figures["path-0/5-10 m/path - path-blind"]["figure"] == -0.6
+    assert figures["val/path/3 roads/14 epochs"]["figure"] == 0.2
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_figures_outside_of_rendered_tables_name_their_revision(page: Path) -> None:
+    prose = CODE.sub("", make_results.TABLE.sub("", page.read_text()))
+    figures = [part for part in re.split("^#", prose, flags=re.MULTILINE) if re.search(r"(?<![\d.])\d?\.\d{3}\b", part)]
+    assert [part for part in figures if not re.search(r"\b[0-9a-f]{7}\b", part)] == []
 
 
 def test_there_are_seven_short_pages() -> None:

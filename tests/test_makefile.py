@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import yaml
 from filelock import FileLock
 
 from pipeline.base.resume import ROOT
-from pipeline.settings import preset
+from pipeline.settings import preset, run
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -122,6 +123,19 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
     assert done.returncode != 0
     assert "another make kitti is running" in done.stderr
     assert (checkout / "calls").read_text() == calls
+
+
+def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path: Path) -> None:
+    assert run.revision(tmp_path) == ""
+    (tmp_path / "dvc.yaml").write_text("stages: {}")
+    for words in ("init -q", "add .", "-c user.name=a -c user.email=a commit -qm a"):
+        subprocess.run(["git", *words.split()], cwd=tmp_path, check=True)
+    commit = run.revision(tmp_path)
+    assert re.fullmatch("[0-9a-f]{7}", commit)
+    (tmp_path / "results.json").touch()
+    assert run.revision(tmp_path) == commit
+    (tmp_path / "dvc.yaml").write_text("stages: {a: }")
+    assert run.revision(tmp_path) == f"{commit}-dirty"
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from functools import partial
 from pathlib import Path
 
 import typer
@@ -43,7 +44,8 @@ def main(name: str) -> None:
 def copy_code(run: Path) -> None:
     """Copy the code; if it differs from the last copy, keep dvc.lock, which names its results, as dvc.lock.before.
 
-    copied.json lists the files with their hashes: only these are removed where the code no longer has them.
+    copied.json lists the files with their hashes: only these are removed where the code no longer has them. The file
+    `revision` names the commit, for docs/make_results.py.
     """
     listed, lock = run / "copied.json", run / "dvc.lock"
     before = json.loads(listed.read_text(encoding="utf-8")) if listed.exists() else {}
@@ -57,6 +59,14 @@ def copy_code(run: Path) -> None:
         (run / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(name, run / name)
     write_json(listed, now)
+    (run / "revision").write_text(revision(), encoding="ascii")
+
+
+def revision(checkout: Path = Path()) -> str:
+    """Return the short hash of the commit, with "-dirty" if the code differs from it; empty without git."""
+    git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
+    commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
+    return commit + "-dirty" * bool(commit and git(["git", "diff", "--quiet", "HEAD", "--", *CODE]).returncode)
 
 
 if __name__ == "__main__":

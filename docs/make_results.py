@@ -32,12 +32,13 @@ DOCS = Path(__file__).parent
 PAGES = (DOCS.parent / "README.md", DOCS / "results.md", DOCS / "paper.md")
 TABLE = re.compile(r"(<!-- table: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 OURS = "sa-gnn-lstm"  # our best network of images only, chosen on validation drives
+BLIND = "motion only"
 CLAIMS = ("keep-100", "lambda-0", "sa-gnn-lstm")  # sa-gnn-ncp but for one setting
 QUESTIONS = {  # has the model PRESET/GROUP/ROW a smaller error than these, and but for claims than the best baseline?
     "angle now, rendered, the paper's network: 48 roads": ("demo/angle-0/sa-gnn-ncp",),
     "… 240 roads": ("roads/angle-0/sa-gnn-ncp",),
     "the same, our best network: 48 roads": (f"demo/angle-0/{OURS}",),
-    "… our best network, 240 roads": (f"roads/angle-0/{OURS}",),
+    "our best network: 240 roads": (f"roads/angle-0/{OURS}",),
     "does pruning help": ("table2/angle-0/sa-gnn-ncp", "keep-100"),
     "do semantics help": ("table2/angle-0/sa-gnn-ncp", "lambda-0"),
     "a second ahead, rendered, 240 roads": ("roads/angle-10/motion-10", "motion-10-blind", "motion-10-another"),
@@ -130,9 +131,14 @@ def pages(results: Results) -> dict[Path, str]:
     return {page: TABLE.sub(table, page.read_text(encoding="utf-8")) for page in PAGES}
 
 
+def get(results: Results, key: str, part: str = "figure") -> Any:
+    """Return a part of a figure, None if it is unknown."""
+    return results.get(key, {}).get(part)
+
+
 def text(results: Results, key: str, part: str = "figure", form: str = ".3f") -> str:
     """Return a figure or its interval; a dash if it is unknown."""
-    value = results.get(key, {}).get(part)
+    value = get(results, key, part)
     values = value if isinstance(value, list) else [value]
     return " to ".join(number(each, form) for each in values).replace("-", "−")
 
@@ -144,32 +150,32 @@ def difference(results: Results, key: str) -> str:
 
 def overview(results: Results) -> list[list[str]]:
     """Return a row per question, and rows of measured motion."""
-    rows = [
-        ["nmse on unseen drives (1: useless, 0: perfect)", "no learning", "motion only", "with the scene", "shown?"]
-    ]
+    rows = [["nmse on unseen drives (1: useless, 0: perfect)", "without learning", BLIND, "with the scene", "shown?"]]
     for question, (model, *rivals) in QUESTIONS.items():
         group, blind = model.rpartition("/")[0], next((name for name in rivals if "blind" in name), "")
-        known = {name: results.get(f"{group}/{name}", {}).get("figure") for name in NO_LEARNING}
-        best = sorted((error, name) for name, error in known.items() if error is not None and not {*rivals} & {*CLAIMS})
-        baselines = [name for _, name in best[:1]]
-        errors = [text(results, f"{group}/{name}") for name in (*(baselines or [""]), blind)]
-        rows.append([question, *errors, text(results, model), shown(results, model, [*baselines, *rivals])])
+        errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING if not {*rivals} & {*CLAIMS}}
+        known = [name for name in errors if errors[name] is not None]
+        best = min(known, key=lambda name: errors[name], default="")
+        cells = [text(results, key) for key in (f"{group}/{best}", f"{group}/{blind}", model)]
+        rows.append([question, *cells, shown(results, model, [name for name in (best, *rivals) if name])])
     teams = min(text(results, f"udacity/{team}") for team in ("autumn", "komanda", "rambo"))
     wheel = text(results, "udacity/steer measure")
-    rows.append(["steering wheel, Udacity, RMSE rad", wheel, NONE, NONE, f"best of three teams: {teams}"])
-    motion = sorted(text(results, key) for key in results if key.startswith("real/motion/"))
-    return [*rows, ["measured motion on real drives", " to ".join({motion[0]: 1, motion[-1]: 1}), NONE, NONE, ""]]
+    rows.append(["steering wheel, Udacity's test drive, RMSE rad", wheel, NONE, NONE, f"best of three teams: {teams}"])
+    motion = sorted({text(results, key) for key in results if key.startswith("real/motion/")})
+    measured = " to ".join(dict.fromkeys((motion[0], motion[-1])))
+    return [*rows, ["measured motion on real drives, nmse of the angle", measured, NONE, NONE, ""]]
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:
     """Return whether the differences to all rivals are below 0, and the least certain one."""
-    bounds = {name: results.get(f"{model} - {name}", {}).get("interval") for name in rivals}
+    bounds = {name: get(results, f"{model} - {name}", "interval") for name in rivals}
     upper = {name: interval[1] for name, interval in bounds.items() if interval}
     if not upper:
         return NONE
     least = max(upper, key=lambda name: upper[name])
     answer = "no" if upper[least] >= 0 else "yes" if len(upper) == len(rivals) else "open"
-    return f"{answer}, {difference(results, f'{model} - {least}')} to {least}"
+    words = BLIND if "blind" in least else "another scene" if "another" in least else least
+    return f"{answer}, {difference(results, f'{model} - {least}')} to {words}"
 
 
 def table2(results: Results) -> list[list[str]]:
@@ -185,8 +191,9 @@ def table2(results: Results) -> list[list[str]]:
 
 def coverage(results: Results) -> list[list[str]]:
     """Return how often intervals contain the true error."""
-    rows = {key.partition("/")[2]: text(results, key, form=".1%") for key in results if key.startswith("coverage/")}
-    return [["test set", "intervals that contain the true nmse"], *([drives, share] for drives, share in rows.items())]
+    keys = [key for key in results if key.startswith("coverage/")]
+    rows = [[key.partition("/")[2], text(results, key, form=".1%")] for key in keys]
+    return [["test set", "intervals that contain the true nmse"], *rows]
 
 
 def origins(results: Results) -> list[list[str]]:

@@ -33,6 +33,7 @@ PAGES = (DOCS.parent / "README.md", DOCS / "results.md", DOCS / "paper.md")
 TABLE = re.compile(r"(<!-- table: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 OURS = "sa-gnn-lstm"  # our best network of images only, chosen on validation drives
 BLIND = "motion only"
+REAL = "real/path-0/10-20 m"
 CLAIMS = ("keep-100", "lambda-0", "sa-gnn-lstm")  # sa-gnn-ncp but for one setting
 QUESTIONS = {  # has the model PRESET/GROUP/ROW a smaller error than these, and but for claims than the best baseline?
     "angle now, rendered, the paper's network: 48 roads": ("demo/angle-0/sa-gnn-ncp",),
@@ -43,9 +44,8 @@ QUESTIONS = {  # has the model PRESET/GROUP/ROW a smaller error than these, and 
     "do semantics help": ("table2/angle-0/sa-gnn-ncp", "lambda-0"),
     "a second ahead, rendered, 240 roads": ("roads/angle-10/motion-10", "motion-10-blind", "motion-10-another"),
     "path 10 to 20 m ahead, rendered, 240 roads": ("roads/path-0/10-20 m/path", "path-blind", "path-another"),
-    "path 10 to 20 m ahead, six real drives": (
-        *("real/path-0/10-20 m/path-others", "path-blind-others", "path-another-others"),
-    ),
+    "path 10 to 20 m ahead, six real drives": (f"{REAL}/path-others", "path-blind-others", "path-another-others"),
+    "… after training on rendered roads": (f"{REAL}/path-then", "path-blind-others", "path-another-then"),
 }
 STEPS = 1200  # epochs × roads of the study of the number of roads; networks with more steps are stars
 LINES = {  # model: label, format

@@ -30,8 +30,9 @@ def main(
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
-    One network per seed, and per test drive with fit_to: others or both. Networks are trained in parallel on CPUs, one
-    process each, and one after the other on a GPU. Returns the model's folder.
+    One network per seed, or per seed and test drive with fit_to: others or train-then-others. The network from which
+    the latter start is in a folder first. Networks are trained in parallel on CPUs, one process each, and one after the
+    other on a GPU. Returns the model's folder.
     """
     entry, settings = load_entry(Entry, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
@@ -39,13 +40,14 @@ def main(
     splits = store.read_index(variant, stage="graphs")
     with error_context(where=where):
         folds = runs.folds(splits, entry)
-    parts = [part for fold in folds for part in (fold.train, fold.val)] + [tuple(store.drives_in(splits, "test"))]
+    every = [*filter(None, [folds[0].start]), *folds]
+    parts = [part for fold in every for part in (fold.train, fold.val)] + [tuple(store.drives_in(splits, "test"))]
     names = dict.fromkeys(drive for part in parts for drive in part)
     drives = {drive: read_drive(variant, labels, drive, **entry.reading) for drive in names}
     with stage_folder(f"train@{name}", out / name) as folder:
         for part in filter(None, parts):  # errors before the first network is trained
             check([drives[drive] for drive in part], entry.window)
-        for fold in folds:
+        for fold in every:
             Scale.from_drives([drives[drive] for drive in fold.train])
         if not folds[0].val:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
@@ -53,8 +55,9 @@ def main(
         # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.
         alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
         job = partial(fit_run, job=Job(name, where, entry, settings, drives, folder.kept))
-        for _ in map(job, todo) if len(todo) == 1 or alone else run_jobs(job, todo, threads=1):
-            pass
+        for group in ([*dict.fromkeys(run.start for run in todo if run.start)], todo):
+            for _ in map(job, group) if len(group) == 1 or alone else run_jobs(job, group, threads=1):
+                pass
     return out / name
 
 

@@ -39,8 +39,8 @@ class Entry(Section):
     # another: a control with the scene of another drive of the split
     scene: Literal["same", "another"] = "same"
     uncertainty: bool = False  # predict the standard deviation of the error, too
-    # others: a network per test drive, trained on the other test drives; both: on these and the training drives
-    fit_to: Literal["train", "others", "both"] = "train"
+    # others: a network per test drive, trained on the other test drives; train-then-others: before, on training drives
+    fit_to: Literal["train", "others", "train-then-others"] = "train"
     roads: Count | None = None  # use only the first n training drives; null: all
 
     @model_validator(mode="after")

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
-from pipeline.base.resume import file_hash, stage_key
+from pipeline.base.resume import stage_key
 from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
@@ -78,13 +78,16 @@ def fit_run(run: Run, job: Job) -> None:
     with error_context(where=job.where):
         net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
     net.to(device, torch.float64 if settings.precision == "float64" else None)
+    files = [path for drive in train + val for path in (drive.graphs, drive.labels)]
+    if run.start:
+        files.append(run.start.folder / "best.pt")
+        checkpoint.load_state(net, checkpoint.read(files[-1], predict.KIND)["net"], files[-1])
     inputs = {
         "entry": entry.model_dump(mode="json"),
         "train": settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
         "fold": run.fold.name,
     }
-    files = [file_hash(path) for drive in train + val for path in (drive.graphs, drive.labels)]
     metadata = {
         "kind": predict.KIND,
         "name": job.name,

@@ -1,8 +1,8 @@
 """Networks to train for a model: seeds and folds, their drives and their folders.
 
-A run is one network: a seed and a fold. `fit_to: train` has one fold. `others` and `both` are leave-one-out: one fold
-per test drive, trained on the other test drives and evaluated on this one. `others` has no validation drives:
-they are from the training drives' world, which `others` leaves out completely.
+A run is one network: a seed and a fold. `fit_to: train` has one fold. `others` is leave-one-out: one fold per test
+drive, trained on the other test drives and evaluated on this one. These folds have no validation drives, which are from
+the training drives' world. With `train-then-others` they start from a network of the training drives, one per seed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +25,7 @@ class Fold:
     train: tuple[str, ...]
     val: tuple[str, ...]
     test: tuple[str, ...]
+    start: "Fold | None" = None  # the fold from whose network this one's starts; None: random weights
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,12 @@ class Run:
     fold: Fold
     folder: Path
 
+    @property
+    def start(self) -> "Run | None":
+        """The run from whose weights this one starts."""
+        start = self.fold.start
+        return Run(self.seed, start, self.folder.parent / "first") if start else None
+
     def __str__(self) -> str:
         """Return seed and fold, for the log."""
         return f"seed {self.seed}" + (f" without {self.fold.name}" if self.fold.name else "")
@@ -43,7 +50,7 @@ class Run:
 def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
     """Return the folds of a model, from drive → split.
 
-    Raises InputError if there are fewer training drives than `roads`, if a fold has no training drive, or as
+    Raises InputError if there are fewer training drives than `roads`, if folds have no second test drive, or as
     :func:`scenes` does.
     """
     fit_to, roads = entry.fit_to, entry.roads
@@ -51,14 +58,14 @@ def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
     if roads is not None and roads > len(train):
         raise InputError(f"roads = {roads}, but there are {len(train)} training drives")
     train = train[:roads]
-    train, val = ((), ()) if fit_to == "others" else (train, val)
-    result = [Fold(drive, train + tuple(other for other in test if other != drive), val, (drive,)) for drive in test]
-    if fit_to == "train":
-        result = [Fold(None, train, val, test)]
-    elif not result or not all(fold.train for fold in result):
-        names = ", ".join(test) or "none"
-        raise InputError(f"fit_to = {fit_to!r} needs two test drives (got {names})", fix="Add drives to the split test")
-    for fold in result:
+    result = [Fold(None, train, val, test)]
+    if fit_to != "train":
+        start = Fold(None, train, val, ()) if fit_to == "train-then-others" else None
+        result = [Fold(drive, tuple(name for name in test if name != drive), (), (drive,), start) for drive in test]
+        if len(test) < 2:
+            problem = f"fit_to = {fit_to!r} needs two test drives (got {', '.join(test) or 'none'})"
+            raise InputError(problem, fix="Add drives to the split test")
+    for fold in filter(None, (result[0].start, *result)):
         scenes(fold, 0, entry.scene)
     return result
 

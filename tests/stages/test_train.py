@@ -1,6 +1,7 @@
 """Stage train on small graphs: it learns, resumes to the same bytes, and refuses data it cannot learn from."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,8 @@ import torch
 from pipeline.base.errors import InputError
 from pipeline.train import checkpoint
 from tests import artefacts
-from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
+from tests.kitti_drive import contents
+from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
 
 
 def load(path: Path) -> dict[str, object]:
@@ -36,27 +38,43 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder: Path) -
     assert best["epoch"] == 1 + curve["val_nmse"].rolling(3, min_periods=1).mean().argmin()
 
 
-@pytest.mark.parametrize("predicted", ["angle", "path"])
+@pytest.mark.parametrize(
+    ("entry", "files", "continued"),
+    [
+        ({}, 2, "net seed 0: continues after epoch 2 of 3"),
+        ({"predict": "path"}, 2, "net seed 0: continues after epoch 2 of 3"),
+        ({"fit_to": "train-then-others"}, 5, "net seed 0 without 2026_01_01_drive_0002: continues after epoch 1 of 3"),
+    ],
+)
 def test_resumed_training_writes_the_same_bytes(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], predicted: str
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    entry: dict[str, object],
+    files: int,
+    continued: str,
 ) -> None:
-    write_params(folder, {"predict": predicted, "motion": "visual"}, epochs=3)
-    complete = (run_train(folder) / "best.pt").read_bytes()
-    (folder / "train/net/best.pt").unlink()
-    write = checkpoint.write
+    monkeypatch.setenv("STEER_WORKERS", "1")
+    if "fit_to" in entry:
+        write_two_test_drives(folder)
+    write_params(folder, entry | {"motion": "visual"}, epochs=3)
+    complete = contents(run_train(folder))
+    shutil.rmtree(folder / "train")
+    write, written = checkpoint.write, list[Path]()
 
     def interrupt(path: Path, content: dict[str, object]) -> None:
         write(path, content)
-        if len(content.get("curve", ())) == 2:
+        written.append(path)
+        if len(written) == files:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "write", interrupt)
         with pytest.raises(KeyboardInterrupt):
             run_train(folder)
-    assert not (folder / "train/net/best.pt").exists()
-    assert (run_train(folder) / "best.pt").read_bytes() == complete
-    assert "continues after epoch 2 of 3" in capsys.readouterr().out
+    assert not (folder / "train/net").exists()
+    assert contents(run_train(folder)) == complete
+    assert continued in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
+from models.steering.core import options
 from pipeline.base import params
 from pipeline.base.errors import InputError
 from pipeline.settings import preset
@@ -111,6 +112,18 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name: str) 
             assert any(comment in other for other in rest), line
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_row_and_its_controls_differ_in_the_scene_only(name: str) -> None:
+    """The row of NAME-blind or NAME-another is NAME; path-another-others is a control of path-others."""
+    models = preset.validate(preset.merged(name), preset.PARAMS).models
+    for key, entry in models.items():
+        kind = "blind" if entry.spatial == "blind" else entry.scene
+        assert re.findall("blind|another", key) == ([] if kind == "same" else [kind]), key
+        row = models[key.replace(f"-{kind}", "")]
+        changed = {"scene"} if kind == "another" else {"spatial", *options.load("spatial", row.spatial).model_fields}
+        assert entry.model_dump(exclude=changed) == row.model_dump(exclude=changed), key
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -152,7 +165,7 @@ def test_params_are_replaced_unless_they_have_edits_that_git_lacks(
     assert params.read_text().count("# Written by make params") == 1
     content = yaml.safe_load(params.read_text())
     assert content["models"] == preset.merged("real")["models"] | preset.merged("table2")["models"]
-    assert content["ingest"] == preset.merged("real")["ingest"]
+    assert content["ingest"] == preset.merged("real")["ingest"] | {"lidar": True}
 
     edited = params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
     params.write_text(edited)

@@ -515,13 +515,14 @@ def test_runs_are_seeds_and_folds() -> None:
     result = runs.runs(model, [3, 0], runs.folds(SPLITS, entry()))
     assert [(str(run), run.folder) for run in result] == [("seed 3", model), ("seed 0", model / "seed-0")]
     assert {run.fold for run in result} == {runs.Fold(None, ("a", "b"), ("v",), ("x", "y", "z"))}
-    for fit_to, own, val in (("others", (), ()), ("both", ("a", "b"), ("v",))):
+    for fit_to, start in (("others", None), ("train-then-others", runs.Fold(None, ("a", "b"), ("v",), ()))):
         folds = runs.folds(SPLITS, entry(fit_to=fit_to))
-        assert folds[1] == runs.Fold("y", (*own, "x", "z"), val, ("y",))
+        assert folds[1] == runs.Fold("y", ("x", "z"), (), ("y",), start)
         result = runs.runs(model, [0, 5], folds)[2:4]
         assert [run.folder for run in result] == [model / "fold-z", model / "seed-5/fold-x"]
         assert str(result[0]) == "seed 0 without z"
-    assert runs.folds(SPLITS, entry(fit_to="both", roads=1))[0].train == ("a", "y", "z")
+        assert result[1].start == (start and runs.Run(5, start, model / "seed-5/first"))
+    assert runs.folds(SPLITS, entry(fit_to="train-then-others", roads=1))[0].start.train == ("a",)
     with pytest.raises(InputError, match="2 training drives"):
         runs.folds(SPLITS, entry(roads=3))
     with pytest.raises(InputError, match="two test drives"):

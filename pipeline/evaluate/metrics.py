@@ -163,14 +163,16 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
 
     `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the model, `true_C` and
     `predicted_C` are those `horizon` frames later. Further columns are the :meth:`Case.baselines` without zero, for
-    instance `odometry_C`; `near_onset_C`, 1 close to the onset of a turn (turns.py); `sigma_C` of models with
-    uncertainty.
+    instance `odometry_C`, empty before the first measurement; `near_onset_C`, 1 close to the onset of a turn
+    (turns.py); `sigma_C` of models with uncertainty.
     """
     tables = []
     for case in cases:
         drive, (mean, sigma, _) = case.drive, case.predictions[seed]
         values = {"true": drive.truth, "predicted": mean, **case.baselines()}
         del values["zero"]
+        if drive.odometry is not None:
+            values["odometry"] = drive.odometry
         values["near_onset"] = near_onsets(drive, case.turns).astype(int)
         if sigma is not None:
             values["sigma"] = sigma

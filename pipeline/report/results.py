@@ -145,6 +145,8 @@ def _align(predictions: pd.DataFrame, models: Sequence[str], columns: Sequence[s
     common = np.all([np.isfinite(seeds).all(axis=0) for seeds in predicted.values()], axis=0)
     truth = np.where(common, values(first, "true"), np.nan)
     baselines = {"zero": np.zeros_like(truth)} | {name: values(first, name) for name in BASELINES[1:]}
+    before = np.isnan(baselines["odometry"]) & np.isfinite(baselines["regression"])  # the first measurement
+    baselines["odometry"] = np.where(before, 0.0, baselines["odometry"])
     known = np.isfinite(truth)
     return {
         "drive": first.index.get_level_values("drive").factorize()[0],

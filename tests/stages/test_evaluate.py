@@ -40,6 +40,8 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder: Path, predicted: 
         assert table["frame"].tolist() == [*range(60)]
         np.testing.assert_allclose(table[[f"predicted_{name}" for name in COLUMNS[predicted]]], mean, atol=1e-6)
         assert np.isnan(mean).all(axis=1).tolist() == [True] * 3 + [False] * 57
+        odometry = table[f"odometry_{COLUMNS[predicted][0]}"]
+        assert odometry.isna().tolist() == [True] + [False] * 59, "unknown in the first frame"
     assert [*metrics["test"]] == [*metrics["columns"]] == COLUMNS[predicted]
     for name, scores in metrics["test"].items():
         rows = [table.dropna(subset=[f"true_{name}", f"predicted_{name}"]) for table in tables]

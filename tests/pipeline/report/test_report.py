@@ -131,8 +131,11 @@ def test_a_path_has_a_column_per_range(tmp_path: Path) -> None:
 
 
 def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path: Path) -> None:
-    """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6."""
-    short, long = examples.predictions(0.3), examples.predictions(0.5)
+    """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6. Odometry begins at frame 9."""
+    baselines = {"odometry": 0.5, "regression": 0.5}
+    short, long = (examples.predictions(nmse, baselines=baselines) for nmse in (0.3, 0.5))
+    for table in (short, long):
+        table.loc[table["frame"] < 9, "odometry_steering_rad"] = np.nan
     for frame in (3, 4, 5, 6):
         short.loc[short["frame"] == frame, "predicted_steering_rad"] = 1.0
     examples.write_model(tmp_path, metrics("short", 0.9, window=4), short)
@@ -145,6 +148,9 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path: Path) ->
     assert {group.scores(name, "steering_rad")["frames"] for name in group.predicted} == {2 * 22}
     assert sentences([group])[0].startswith("short predicts the steering angle with a test nmse of 0.300")
     assert group.nmse("short", minus="long") == (pytest.approx(-0.2), pytest.approx([-0.2, -0.2]))
+    assert group.nmse("odometry")[0] == pytest.approx(
+        0.5 * (1 + (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2))
+    )
 
 
 def test_models_without_common_frames_have_no_difference(tmp_path: Path) -> None:

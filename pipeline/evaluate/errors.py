@@ -80,10 +80,9 @@ def interval(error: np.ndarray, truth: np.ndarray, drive: np.ndarray, settings: 
     return [float(low), float(high)]
 
 
-def interval_text(bounds: Sequence[float | None] | None, form: str = ".3f") -> str:
-    """Return the bounds of an :func:`interval` as text; if it is None, or its bounds are None or NaN, the reason."""
-    low, high = bounds or (None, None)
-    return "too short for an interval" if low is None or math.isnan(low) else f"{low:{form}} to {high:{form}}"
+def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
+    """Return the bounds of an :func:`interval` as text, the reason if it is None."""
+    return "too short for an interval" if bounds is None else " to ".join(format(bound, form) for bound in bounds)
 
 
 def _circular_sums(values: np.ndarray, length: int) -> np.ndarray:

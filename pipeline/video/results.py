@@ -189,17 +189,24 @@ class Results:
         angles["zero"] = np.zeros(len(frame))
         block = max(1, round(BLOCK_S / float(np.median(np.diff(time_s))))) if len(time_s) > 1 else 1
         settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, curvature_bins_1pm=[1.0], seed=0)
-        scores = {name: _errors(target_rad[used], angle[used], settings) for name, angle in angles.items()}
+        target_rad[~used] = np.nan
+        scores = {name: _errors(target_rad, angle, settings) for name, angle in angles.items()}
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **scores}
 
 
 def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:
-    """Return nmse, its 95 % interval, rmse_deg and correlation of angles [N]; None where not defined."""
-    scores, drive = errors.scores(target_rad, angle_rad), np.zeros(len(target_rad), int)
+    """Return nmse, its 95 % interval, rmse_deg and correlation of angles [N]; None where not defined.
+
+    Frames without a target do not count.
+    """
+    bounds = errors.interval((angle_rad - target_rad) ** 2, target_rad, np.zeros(len(target_rad), int), settings)
+    known = np.isfinite(target_rad)
+    target_rad, angle_rad = target_rad[known], angle_rad[known]
+    scores = errors.scores(target_rad, angle_rad)
     varies = np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0
     return {
         "nmse": scores["nmse"],
-        "nmse_ci95": errors.interval((angle_rad - target_rad) ** 2, target_rad, drive, settings),
+        "nmse_ci95": bounds,
         "rmse_deg": math.degrees(scores["rmse"]),
         "correlation": float(np.corrcoef(target_rad, angle_rad)[0, 1]) if varies else None,
     }

@@ -49,7 +49,9 @@ def test_invalid_and_early_frames_do_not_count(folder: Path) -> None:
     for angles, drive in zip(predicted, test, strict=True):
         angles[:3] = np.nan
         angles[~drive.valid] = 99.0
-    found = scores([case(drive, angles) for drive, angles in zip(test, predicted, strict=True)])
+    cases = [case(drive, angles) for drive, angles in zip(test, predicted, strict=True)]
+    blocks = load(Evaluate, PARAMS).model_copy(update={"bootstrap_block_frames": 5})
+    found = metrics.metrics(cases, blocks)["steering_rad"]
     assert found["frames"] == 2 * (30 - 3) - 5
     assert found["mse"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
@@ -62,6 +64,10 @@ def test_invalid_and_early_frames_do_not_count(folder: Path) -> None:
         angles = np.concatenate([d.target[3:][m[3:]] for m, d in zip(inside, test, strict=True)])
         assert row["frames"] == len(angles) > 0
         assert row["baselines"]["zero"]["mse"] == pytest.approx(np.mean(angles**2))
+        counts = np.concatenate([m & (np.arange(30) >= 3)[:, None] for m in inside])[:, 0]  # others keep their place
+        truth, number = np.concatenate([drive.target[:, 0] for drive in test]), np.repeat([0, 1], 30)
+        error = np.where(counts, 0.01**2, np.nan)
+        assert row["nmse_ci95"] == pytest.approx(errors.interval(error, truth, number, blocks))
 
 
 def test_each_drive_has_its_own_errors_and_training_mean(folder: Path) -> None:
@@ -155,43 +161,6 @@ def test_interval_draws_drives_and_circular_blocks_within_them() -> None:
     assert (low, high) == (0.0, pytest.approx(3 / 60))
 
 
-@pytest.mark.slow
-@pytest.mark.real
-def test_the_interval_covers_on_the_angles_of_kitti(real_kitti: Path, tmp_path: Path) -> None:
-    """20 random drives of 93 frames, the angle a second ahead predicted by regression: 95 % nominal, 90 % asked."""
-    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
-        archive.extractall(tmp_path, filter="data")
-    drives = [ahead for path in sorted(tmp_path.glob("*/*_sync/oxts/data")) if (ahead := a_second_ahead(path)).size]
-    assert len(drives) > 50
-    now, later = np.concatenate(drives, axis=1)
-    coefficient = now @ later / (now @ now)
-    rng = np.random.default_rng(0)
-    samples = [draw(drives, coefficient, rng) for _ in range(2000)]
-    expected = sum(error @ error for _, error, _ in samples) / sum(steering @ steering for steering, _, _ in samples)
-    covered = [low <= expected <= high for low, high in (interval(*case, 50, 300) for case in samples[:200])]
-    assert np.mean(covered) >= 0.9
-
-
-def a_second_ahead(packets: Path) -> np.ndarray:
-    """Return the valid angles of a drive and those ten frames later, [2,N]; [2,0] for a short drive."""
-    rows = np.array([oxts.read_row(path) for path in sorted(packets.iterdir())])
-    rule = {"wheelbase_m": 2.7, "min_speed_mps": 1.0}
-    angle, valid = label.steering_labels(rows[:, oxts.WU], rows[:, oxts.VF], **rule)
-    both = valid[:-10] & valid[10:]
-    return np.stack([angle[:-10][both], angle[10:][both]]) if both.sum() >= 20 else np.empty((2, 0))
-
-
-def draw(drives: list[np.ndarray], coefficient: float, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Return angles, errors of the regression and drive numbers of 20 random pieces of 93 frames."""
-    pieces = []
-    for number in range(20):
-        drive = drives[rng.integers(len(drives))]
-        start = rng.integers(max(1, drive.shape[1] - 92))
-        now, later = drive[:, start : start + 93]
-        pieces.append(np.stack([later, coefficient * now - later, np.full(len(now), number)]))
-    return tuple(np.concatenate(pieces, axis=1))
-
-
 def test_frames_that_do_not_count_keep_their_place_in_time() -> None:
     """One frame in 20 counts, so that each of 40 blocks of 20 draws one; two blocks of counted frames draw 20 each."""
     steering, error = np.full(800, 0.1), np.full(800, np.nan)
@@ -200,16 +169,6 @@ def test_frames_that_do_not_count_keep_their_place_in_time() -> None:
     assert interval(steering, error, np.zeros(800), block=20, samples=2000) == pytest.approx([0, 3 / 40])
     rows = np.isfinite(error)
     assert interval(steering[rows], error[rows], np.zeros(40), block=20, samples=2000) == pytest.approx([0, 2 / 40])
-
-
-def test_columns_are_drawn_together() -> None:
-    rng = np.random.default_rng(0)
-    steering, drive = rng.normal(size=400), np.repeat(np.arange(4), 100)
-    error = 0.5 * rng.normal(size=400) ** 2 * (drive + 1)
-    one = errors.interval(error, steering, drive, settings(50, 200))
-    for columns in (1, 3):
-        repeated = (np.repeat(values[:, None], columns, axis=1) for values in (error, steering))
-        assert errors.interval(*repeated, drive, settings(50, 200)) == pytest.approx(one)
 
 
 def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
@@ -222,6 +181,8 @@ def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
     alone = interval(steering, one, drive, 50, 500)
     assert high - low < 0.5 * (alone[1] - alone[0])
     assert errors.interval(0 * difference, steering, drive, settings(50, 500)) == [0.0, 0.0]
+    columns = np.stack([difference] * 3, axis=1), np.stack([steering] * 3, axis=1)  # drawn together
+    assert errors.interval(*columns, drive, settings(50, 500)) == pytest.approx([low, high])
 
 
 def test_a_single_block_has_no_interval() -> None:
@@ -233,8 +194,7 @@ def test_a_single_block_has_no_interval() -> None:
     low, high = interval(steering[:50], error[:50], np.repeat([0, 1], 25), block=50, samples=50)
     assert low < high
     assert errors.interval_text([0.25, 0.5]) == "0.250 to 0.500"
-    for unknown in (None, (None, None), (np.nan, np.nan)):
-        assert errors.interval_text(unknown) == "too short for an interval"
+    assert errors.interval_text(None) == "too short for an interval"
 
 
 def test_scores_of_normal_errors_with_known_sigma() -> None:

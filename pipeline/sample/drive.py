@@ -34,13 +34,9 @@ def render_drive(
 ) -> dict[str, Any]:
     """Lay out the drive named `drive` (2026_01_01_drive_0001), and render `frames` frames into the new folder `path`.
 
-    Oxts files continue for some frames after the last image, for labels of the path ahead.
-
-    Args:
-        size: [H, W] of the pictures.
-        seed: of the sample; with the name it determines road, street, light and motion.
-        scan_rays: rings and rays per ring of the scanner; None: no scans.
-        truth: add truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of the images.
+    The name and `seed` determine road, street, light and motion. Oxts files continue for some frames after the last
+    image, for labels of the path ahead. `size`: [H, W] pixels; `scan_rays`: rings and rays per ring, None: no scans;
+    `truth`: add truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of the images.
 
     Returns the number of frames and metres driven.
     """

@@ -30,30 +30,24 @@ _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 
 
-@dataclass(frozen=True)
-class Cameras:
-    """Optics and height of a car's cameras."""
-
-    focal_per_width: float
-    principal_point: tuple[float, float]  # as shares of width and height
-    height_m: float  # the scanner's is constant, so that T_cam_velo determines it
-
-
-_KITTI = Cameras(360.8 / 621, (304.5 / 621, 86.2 / 188), CAMERA_HEIGHT_M)
+_FOCAL_PER_WIDTH = 360.8 / 621  # KITTI's
+# Focal length relative to KITTI's, principal point as shares of width and height, height over the road in metres. The
+# scanner's height is constant, so that T_cam_velo determines the camera's.
+_KITTI = (1.0, 304.5 / 621, 86.2 / 188, CAMERA_HEIGHT_M)
 _CAMERAS_OF_DATE = {
-    "2026_01_04": Cameras(0.86 * _KITTI.focal_per_width, (0.506, 0.478), 1.55),
-    "2026_01_05": Cameras(1.18 * _KITTI.focal_per_width, (0.477, 0.441), 1.72),
-    "2026_01_06": Cameras(1.06 * _KITTI.focal_per_width, (0.512, 0.466), 1.76),
+    "2026_01_04": (0.86, 0.506, 0.478, 1.55),
+    "2026_01_05": (1.18, 0.477, 0.441, 1.72),
+    "2026_01_06": (1.06, 0.512, 0.466, 1.76),
     # Of validation (07) and test drives, within the range of the training dates.
-    "2026_01_07": Cameras(0.93 * _KITTI.focal_per_width, (0.483, 0.470), 1.60),
-    "2026_01_09": Cameras(0.90 * _KITTI.focal_per_width, (0.495, 0.462), 1.58),
-    "2026_01_10": Cameras(1.03 * _KITTI.focal_per_width, (0.486, 0.473), 1.73),
-    "2026_01_11": Cameras(1.13 * _KITTI.focal_per_width, (0.507, 0.449), 1.68),
-    "2026_01_12": Cameras(0.97 * _KITTI.focal_per_width, (0.479, 0.454), 1.62),
-    "2026_01_13": Cameras(1.10 * _KITTI.focal_per_width, (0.499, 0.475), 1.59),
-    "2026_01_14": Cameras(0.88 * _KITTI.focal_per_width, (0.481, 0.446), 1.70),
-    "2026_01_15": Cameras(1.05 * _KITTI.focal_per_width, (0.509, 0.456), 1.64),
-    "2026_01_16": Cameras(0.95 * _KITTI.focal_per_width, (0.493, 0.468), 1.75),
+    "2026_01_07": (0.93, 0.483, 0.470, 1.60),
+    "2026_01_09": (0.90, 0.495, 0.462, 1.58),
+    "2026_01_10": (1.03, 0.486, 0.473, 1.73),
+    "2026_01_11": (1.13, 0.507, 0.449, 1.68),
+    "2026_01_12": (0.97, 0.479, 0.454, 1.62),
+    "2026_01_13": (1.10, 0.499, 0.475, 1.59),
+    "2026_01_14": (0.88, 0.481, 0.446, 1.70),
+    "2026_01_15": (1.05, 0.509, 0.456, 1.64),
+    "2026_01_16": (0.95, 0.493, 0.468, 1.75),
 }
 
 
@@ -84,8 +78,8 @@ class Rig:
 def make_rig(size: tuple[int, int], date: str) -> Rig:
     """Return the calibration of a date (2026_01_01) for images of `size` [H, W], of square pixels."""
     height, width = size
-    cameras = _CAMERAS_OF_DATE.get(date, _KITTI)
-    f, (x, y) = cameras.focal_per_width * width, cameras.principal_point
+    focal, x, y, height_m = _CAMERAS_OF_DATE.get(date, _KITTI)
+    f = focal * _FOCAL_PER_WIDTH * width
     K = np.array([[f, 0, x * width], [0, f, y * height], [0, 0, 1]])
     P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}
     T_velo_imu = np.eye(4)
@@ -96,7 +90,7 @@ def make_rig(size: tuple[int, int], date: str) -> Rig:
     # Rectified cameras point straight ahead up to mounting errors of milliradians; the tilts of raw camera and scanner
     # cancel.
     T_cam_velo[:3, :3] = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
-    T_cam_velo[:3, 3] = R_rect.T @ [0.0, round(cameras.height_m - SCANNER_HEIGHT_M, 3), -0.27]
+    T_cam_velo[:3, 3] = R_rect.T @ [0.0, round(height_m - SCANNER_HEIGHT_M, 3), -0.27]
     return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
 
 

@@ -71,7 +71,7 @@ def _predict(models: Mapping[runs.Run, predict.Trained], variant: Path, labels: 
         first = seeds[0][0]
         for part, drives in cases.items():
             for name in (name for name in getattr(fold, part) if name not in drives):
-                drive = read_drive(variant, labels, name, **first.entry.reading)
+                drive = read_drive(variant, labels, name, first.entry)
                 if drive.columns != first.scale.names:
                     problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
                     raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")

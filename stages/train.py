@@ -43,7 +43,7 @@ def main(
     every = [*filter(None, [folds[0].start]), *folds]
     parts = [part for fold in every for part in (fold.train, fold.val)] + [tuple(store.drives_in(splits, "test"))]
     names = dict.fromkeys(drive for part in parts for drive in part)
-    drives = {drive: read_drive(variant, labels, drive, **entry.reading) for drive in names}
+    drives = {drive: read_drive(variant, labels, drive, entry) for drive in names}
     with stage_folder(f"train@{name}", out / name) as folder:
         for part in filter(None, parts):  # errors before the first network is trained
             check([drives[drive] for drive in part], entry.window)

@@ -5,6 +5,7 @@ from pathlib import Path
 import yaml
 
 from pipeline.base import store
+from pipeline.settings.models import Entry
 from stages import evaluate, train
 
 PARAMS = Path(__file__).resolve().parents[1] / "params.yaml"
@@ -26,6 +27,10 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
     content["models"] = {"net": options | entry}
     content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
     (folder / "params.yaml").write_text(yaml.safe_dump(content))
+
+
+def entry(**changes: object) -> Entry:
+    return Entry.model_validate({"input": "semantic", "spatial": "polar", "temporal": "ncp"} | changes)
 
 
 def run_train(folder: Path) -> Path:

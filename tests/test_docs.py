@@ -124,11 +124,11 @@ def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path: Path
     artefacts.write_dataset(tmp_path, drives, frames=23, points=12)
     names: dict[str, Any] = {}
     exec(code_block("class Windows(Dataset)").removeprefix("python\n"), names)
-    dataset = names["Windows"](tmp_path / "graphs/semantic", tmp_path / "labels", [*drives])
+    entry = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 1.0})
+    dataset = names["Windows"](tmp_path / "graphs/semantic", tmp_path / "labels", [*drives], entry)
     batches = [*DataLoader(dataset, batch_size=None)]
     assert len(batches) == 2 * (23 - 7)
-    entry = {"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 1.0}
-    net = Entry.model_validate(entry).build("graph")
+    net = entry.build("graph")
     for batch in batches:
         assert batch["ptr"].shape == (9,)
         assert batch["dt_s"].shape == (1, 8)

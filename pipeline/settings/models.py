@@ -75,11 +75,6 @@ class Entry(Section):
             complete |= options.model_dump()
         return complete
 
-    @property
-    def reading(self) -> dict[str, Any]:
-        """Return the keyword arguments of labelled_drive.read_drive."""
-        return {name: getattr(self, name) for name in ("horizon", "motion", "base", "predict")}
-
     def build(
         self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None, outputs: int = 1
     ) -> "SteeringNet":

@@ -1,7 +1,7 @@
 """A drive's frames by row: times, measured motion, and targets from its labels, matched by frame number.
 
 A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
-ahead. Letters: G frames of a graph file, R columns. Arguments `horizon` to `predict` are as in a model's entry.
+ahead. Letters: G frames of a graph file, R columns.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.graphs.graph_file import MeasuredMotion
 from pipeline.labels import label
+from pipeline.settings.models import Entry
 
 
 @dataclass(frozen=True)
@@ -35,26 +36,19 @@ class Timeline:
     scene: Path  # graph file whose frames a network sees: this one, or another drive's, see `scene` of a model's entry
 
     @classmethod
-    def read(
-        cls,
-        graphs: graph_file.Graphs,
-        car: label.Car,
-        motion: str = "none",
-        base: str = "motion",
-        predict: str = "angle",
-    ) -> "Timeline":
-        """Read the times of an open graph file, and the measured motion of a `car`."""
+    def read(cls, graphs: graph_file.Graphs, car: label.Car, entry: Entry) -> "Timeline":
+        """Read the times of an open graph file, and the measured motion of a `car`, for a model."""
         from models.steering.core.recurrent import NOMINAL_STEP_S
 
         stretches = consecutive(graphs.frame)
         dt_s = np.diff(graphs.time_s, prepend=np.nan)
         dt_s[[start for start, _ in stretches]] = NOMINAL_STEP_S
         offset, columns = np.full(len(graphs.frame), np.nan), None
-        if motion != "none":
+        if entry.motion != "none":
             if (measured := graphs.motion) is None:
                 raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
             columns = np.stack([label.measured_angle(*measured, **vars(car)), *measured], axis=1).astype(np.float32)
-            offset = _measured(measured, car, predict) if base == "motion" else offset
+            offset = _measured(measured, car, entry.predict) if entry.base == "motion" else offset
         times = graphs.time_s, dt_s.astype(np.float32)
         return cls(graphs.path, graphs.frame, *times, stretches, offset, columns, graphs.path)
 
@@ -108,20 +102,13 @@ def check(drives: Sequence[LabelledDrive], window: int) -> None:
         raise InputError(f"every valid label of {names} is 0", first.labels.parent, "Add drives with bends")
 
 
-def read_drive(
-    graphs: Path,
-    labels: Path,
-    name: str,
-    horizon: int = 0,
-    motion: str = "none",
-    base: str = "motion",
-    predict: str = "angle",
-) -> LabelledDrive:
-    """Read a drive's labels from a folder of graphs and one of labels; graphs stay on disk.
+def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:
+    """Read a drive's labels from a folder of graphs and one of labels, for a model; graphs stay on disk.
 
     Raises InputError if a label is missing, the file has no such motion, or the car drives and no frame is measured.
     """
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
+    horizon, path = entry.horizon, entry.predict == "path"
     with graph_file.open_graphs(graphs) as file, store.DriveReader(labels, stage="labels") as truth:
         row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
         rows = [[row_of.get(number + ahead, -1) for number in file.frame.tolist()] for ahead in (0, horizon)]
@@ -131,15 +118,15 @@ def read_drive(
             raise InputError(problem, labels, "Make both again: dvc repro")
         section, measured = truth.params["labels"], file.motion
         car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
-        if motion != "none" and measured and not measured.valid.any() and truth["valid"][here].any():
+        if entry.motion != "none" and measured and not measured.valid.any() and truth["valid"][here].any():
             fix = f"Remove {name} from ingest.drives, or set motion: none"
             raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
-        targets = _path(truth, here) if predict == "path" else _angle(truth, here, then, including=horizon > 0)
+        targets = _path(truth, here) if path else _angle(truth, here, then, including=horizon > 0)
         odometry = None
-        if measured and (horizon or predict == "path" or section.get("source") != "visual"):
-            odometry = np.repeat(_measured(measured, car, predict)[:, None], targets["target"].shape[1], axis=1)
+        if measured and (horizon or path or section.get("source") != "visual"):
+            odometry = np.repeat(_measured(measured, car, entry.predict)[:, None], targets["target"].shape[1], axis=1)
         return LabelledDrive(
-            **vars(Timeline.read(file, car, motion, base, predict)),
+            **vars(Timeline.read(file, car, entry)),
             name=name,
             empty=file.empty,
             labels=labels,

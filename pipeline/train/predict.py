@@ -70,7 +70,7 @@ class Trained:
         if scene is None and entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
             raise InputError(problem, graphs.path, "Choose a model with scene: same")
-        timeline = Timeline.read(graphs, self.car, entry.motion, entry.base, entry.predict)
+        timeline = Timeline.read(graphs, self.car, entry)
         with open_graphs(scene or graphs.path) as seen:
             if seen.contents != self.contents:
                 problem = f"model {self.name} expects {self.contents}, got {seen.contents}"

@@ -62,7 +62,7 @@ def test_sigma_is_calibrated_on_the_validation_drive(folder: Path, predicted: st
     ahead = {"predict": "path"} if predicted == "path" else {"horizon": 5}  # now, motion is the angle
     write_params(folder, ahead | {"motion": "visual", "uncertainty": True}, epochs=3)
     model = predict.load(run_train(folder), "cpu")
-    drive = read_drive(folder / "graphs/semantic", folder / "labels", "2026_01_02_drive_0001", **model.entry.reading)
+    drive = read_drive(folder / "graphs/semantic", folder / "labels", "2026_01_02_drive_0001", model.entry)
     with graph_file.open_graphs(drive.graphs) as graphs:
         mean, sigma, half_95 = model.predict(graphs)
     error = np.abs(mean - drive.truth)

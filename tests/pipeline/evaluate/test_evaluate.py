@@ -17,13 +17,14 @@ from pipeline.settings.evaluate import Evaluate
 from pipeline.train.labelled_drive import LabelledDrive, read_drive
 from pipeline.train.scale import Prediction, Scale
 from tests import artefacts
+from tests.small_model import entry
 
 PARAMS = Path(__file__).resolve().parents[3] / "params.yaml"
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
 def read(folder: Path, horizon: int = 0) -> list[LabelledDrive]:
-    return [read_drive(folder / "graphs/semantic", folder / "labels", name, horizon) for name in NAMES]
+    return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(horizon=horizon)) for name in NAMES]
 
 
 @pytest.fixture
@@ -342,7 +343,7 @@ def around_a_corner(folder: Path, **reading: object) -> LabelledDrive:
     steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
     artefacts.write_labels(folder / "labels" / path, NAMES[0], steering, frame, ahead_m=[0, 4, 20])
     artefacts.write_graphs(folder / "graphs" / path, NAMES[0], steering, frame, 8, np.random.default_rng(0))
-    drive = read_drive(folder / "graphs", folder / "labels", NAMES[0], **reading)
+    drive = read_drive(folder / "graphs", folder / "labels", NAMES[0], entry(**reading))
     assert turns.read_turns(drive).frame.tolist() == [30]
     return drive
 

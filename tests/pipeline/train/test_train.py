@@ -24,6 +24,7 @@ from pipeline.train import checkpoint, fit, loop, predict, runs, scale, windows
 from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drive
 from pipeline.train.scale import Prediction, Scale
 from tests import artefacts, small_model
+from tests.small_model import entry
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
 NAMES = [*DRIVES]
@@ -46,7 +47,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(folder: Path, names: Sequence[str] = NAMES, **reading: object) -> list[LabelledDrive]:
-    return [read_drive(folder / "graphs/semantic", folder / "labels", name, **reading) for name in names]
+    return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(**reading)) for name in names]
 
 
 def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: int = 8) -> Arrays:
@@ -201,10 +202,9 @@ def test_hidden_motion_is_not_measured_and_has_no_base(folder: Path) -> None:
 def test_motion_is_hidden_from_half_of_the_spans_if_the_scene_shows_what_lies_ahead(
     original: Path, ahead: int, motion: str, spatial: str, hides: bool
 ) -> None:
-    line = {"input": "semantic", "spatial": spatial, "temporal": "lstm", "window": 4, "motion": motion}
-    entry = Entry.model_validate(line)
+    model = entry(spatial=spatial, temporal="lstm", window=4, motion=motion)
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
-    fitting = fit.Fit(entry.build("graph"), entry, settings, 0, read(original, horizon=ahead), [])
+    fitting = fit.Fit(model.build("graph"), model, settings, 0, read(original, horizon=ahead), [])
     hidden = np.mean([span.hidden for group in fitting._plan(epoch=1) for span in group])
     assert 0.3 < hidden < 0.7 if hides else hidden == 0
 
@@ -415,7 +415,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path: Path, driv
     model = predict.load(str(write_model(tmp_path / "net")), "cpu")
     with open_graphs(drive) as graphs:
         steering_rad = model.predict(graphs).mean[:, 0]
-        timeline = Timeline.read(graphs, model.car)
+        timeline = Timeline.read(graphs, model.car, model.entry)
         for row, number in enumerate(NUMBERS):
             before = NUMBERS[max(0, row - WINDOW + 1) : row + 1]
             if len(before) < WINDOW or number - before[0] >= WINDOW:
@@ -501,10 +501,6 @@ def test_a_state_must_match_exactly(change: dict[Any, object], fault: str) -> No
 
 
 # Runs and the kept epoch
-
-
-def entry(**changes: object) -> Entry:
-    return Entry.model_validate({"input": "semantic", "spatial": "polar", "temporal": "ncp"} | changes)
 
 
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}

@@ -83,8 +83,8 @@ def write_page(
 
 
 def _test_drives(group: Group, look: Styles) -> Content:
-    predictions = group.predictions[group.predictions["run"] == ""]
-    drives, count = group.worst_drives(), predictions["drive"].nunique()
+    predictions, drives = group.predictions, group.worst_drives()
+    count = predictions["drive"].nunique()
     chosen = f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
     angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
     error = "Error by curvature of the road"

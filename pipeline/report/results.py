@@ -39,9 +39,9 @@ class Group:
     title: str
     labels: dict[str, str]  # column → label: empty for the steering angle, "5-10 m" for a range of the path ahead
     models: list[Row]  # in the order of the paper, then as given
-    # predictions.csv of all models and seeds, with columns model, run (empty for the first seed), elapsed_s since the
-    # drive's first frame, in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering
-    # angle, or of the turn in all ranges of the path together (then without sigma); and cost, the squared error.
+    # predictions.csv of each model's first seed, with columns model, elapsed_s since the drive's first frame, and cost,
+    # the squared error; in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering angle,
+    # or of the turn in all ranges of the path together (then without sigma).
     predictions: pd.DataFrame
     settings: Evaluate
     drive: np.ndarray  # [N] numbers, in time order
@@ -98,7 +98,7 @@ class Group:
 
     def first_seed(self, model: str) -> pd.DataFrame:
         """Return the predictions of the first seed of a model."""
-        return self.predictions[(self.predictions["model"] == model) & (self.predictions["run"] == "")]
+        return self.predictions[self.predictions["model"] == model]
 
     def worst_drives(self) -> list[str]:
         """Return the SHOWN_DRIVES test drives on which the best model has most squared error, in the CSV's order."""
@@ -125,8 +125,8 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
         }
         models = [row["model"] for row in ranked]
         predictions = pd.concat([_load_predictions(folders[name], name, columns) for name in models], ignore_index=True)
-        aligned = _align(predictions, models, [*columns])
-        groups.append(Group(f"{predict}-{horizon}", title, labels, ranked, predictions, settings, **aligned))
+        aligned, first = _align(predictions, models, [*columns]), predictions[predictions["run"] == ""]
+        groups.append(Group(f"{predict}-{horizon}", title, labels, ranked, first, settings, **aligned))
     return groups
 
 
@@ -157,7 +157,7 @@ def _align(predictions: pd.DataFrame, models: Sequence[str], columns: Sequence[s
 
 
 def _load_predictions(folder: Path, model: str, columns: Row) -> pd.DataFrame:
-    """Load predictions.csv of all seeds in a model's folder as rows of :attr:`Group.predictions`."""
+    """Load predictions.csv of all seeds below a folder, with columns as in :class:`Group` and ``run``, the seed."""
     length_m = {name: 1 if part["to_m"] is None else part["to_m"] - part["from_m"] for name, part in columns.items()}
     tables = []
     for path in sorted(folder.rglob("predictions.csv")):

@@ -71,11 +71,11 @@ def test_a_network_of_the_paper_is_known_by_its_settings(change: dict[str, Any],
     assert found == (paper.PAPER[network] if network else None)
 
 
-def test_predictions_have_a_row_per_model_seed_and_frame(tmp_path: Path) -> None:
+def test_predictions_have_a_row_per_model_and_frame(tmp_path: Path) -> None:
     net = metrics("net", 0.25, {"odometry": 0.25}) | {"seeds": [3, 7]}
     (group,) = examples.groups(tmp_path, net, metrics("other"))
-    counts = group.predictions.groupby(["model", "run"]).size().to_dict()
-    assert counts == {("net", ""): 60, ("net", "seed-7"): 60, ("other", ""): 60}
+    assert group.predictions.groupby("model").size().to_dict() == {"net": 60, "other": 60}
+    assert group.predicted["net"].shape == (2, 60, 1)
     row = group.first_seed("net").iloc[[0, 6, 10, 20]]
     assert row["elapsed_s"].tolist() == pytest.approx([0, 0.6, 1.0, 2.0])
     np.testing.assert_allclose(row["true_deg"], np.rad2deg([0, 0.06, 0.1, np.nan]))

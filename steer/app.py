@@ -7,7 +7,7 @@ import typer
 
 from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
-from steer import import_, measure, options, perceive, predict
+from steer import import_, measure, perceive, predict
 
 app = typer.Typer(
     help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
@@ -22,7 +22,6 @@ def show(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="a drive's .h5 file of any stage, or a checkpoint")],
     frame: Annotated[int | None, typer.Option(min=0, help="print the numbers of this frame")] = None,
     out: Annotated[Path | None, typer.Option(metavar="PNG", help="draw the frame's images and points, too")] = None,
-    debug: options.Debug = False,
 ) -> None:
     """Print a file's attributes, datasets and settings, or one of its frames.
 

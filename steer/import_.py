@@ -56,7 +56,6 @@ def import_recording(
     split: Split = None,
     camera_height: options.CameraHeight = None,
     replace: Annotated[bool, typer.Option("--replace", help="replace unchanged drives of an earlier import")] = False,
-    debug: options.Debug = False,
 ) -> None:
     """Write drives and print what to do next; the module's docstring is the help text."""
     from pipeline.settings.preset import PRESETS, is_unedited

@@ -37,7 +37,6 @@ def measure(
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
         "weights/street"
     ),
-    debug: options.Debug = False,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
     from pipeline.labels.label import Car

@@ -11,7 +11,6 @@ def number(lowest: float, highest: float, help: str) -> Any:
     return typer.Option(min=lowest, max=highest, help=help)
 
 
-Debug = Annotated[bool, typer.Option("--debug", help="show the traceback of errors")]
 # Of predict, measure and import. A KITTI drive has its own intrinsics and times.
 SourcePath = Annotated[
     Path, typer.Argument(metavar="SOURCE", help="folder of a KITTI drive, folder of images, or video")

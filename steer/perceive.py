@@ -12,14 +12,11 @@ from typing import Annotated
 
 import typer
 
-from steer import options
-
 
 def perceive(
     encoder: Annotated[Path, typer.Option(help="folder of an encoder")],
     out: Annotated[Path, typer.Option(help="new or empty folder for DRIVE/depth/*.png and DRIVE/cls/*.png")],
     ingest: Annotated[Path, typer.Option(help="folder of stage ingest")] = Path("data/ingest"),
-    debug: options.Debug = False,
 ) -> None:
     """Write the files; the module's docstring is the help text."""
     import numpy as np

@@ -37,7 +37,6 @@ def predict(
     encoder: Annotated[
         Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
     ] = None,
-    debug: options.Debug = False,
 ) -> None:
     """Write the predicted angles and print their errors; the module's docstring is the help text."""
     from pipeline.train.predict import load

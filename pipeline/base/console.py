@@ -19,7 +19,7 @@ def run(main: Callable[..., object]) -> None:
 def guarded(main: Callable[..., object]) -> Callable[..., None]:
     """Return `main` as a command that prints an InputError, an OSError or Ctrl-C as one line, with exit status 1.
 
-    Other exceptions are bugs and keep their traceback, as all do with an option `debug`.
+    Other exceptions are bugs and keep their traceback.
     """
 
     @functools.wraps(main)  # Typer reads its arguments
@@ -27,8 +27,6 @@ def guarded(main: Callable[..., object]) -> Callable[..., None]:
         try:
             main(*args, **options)
         except (InputError, OSError, KeyboardInterrupt) as error:
-            if options.get("debug"):
-                raise
             message = str(error) or "interrupted. Repeat the command to continue: complete files are kept"
             if isinstance(error, OSError) and error.strerror:
                 message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror

@@ -1,4 +1,4 @@
-"""Training frames of the unified encoder, in memory if they are few, and their augmentation."""
+"""Training frames of the unified encoder, and their augmentation."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -14,7 +14,6 @@ from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.perception import precomputed
 from pipeline.perception.scores import read_truth
 
-CACHE_BYTES = 1 << 30  # data sets up to this size stay in memory after the first epoch
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 GREY = 0.15  # share of augmented images without colour: some drives have a grey camera
 
@@ -60,15 +59,11 @@ class Examples(ExitStack):
         chosen = [i for i, _ in self._frames]
         self.frames_per_drive = {name: chosen.count(i) for i, name in enumerate(drives)}
         self.size = self._drives[0][1].size
-        self._cache: dict[int, Example] = {}
-        self._cached = len(self) * self.size[0] * self.size[1] * (3 + 4 + 1) <= CACHE_BYTES
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def __getitem__(self, i: int) -> Example:
-        if i in self._cache:
-            return self._cache[i]
         drive, row = self._frames[i]
         file, camera, _ = self._drives[drive]
         if self._folder:
@@ -76,10 +71,7 @@ class Examples(ExitStack):
         else:
             truth = read_truth(file, camera, row)
             targets = truth.depth_m, truth.cls
-        example = Example(file.row("image", row), camera, *targets)
-        if self._cached:
-            self._cache[i] = example
-        return example
+        return Example(file.row("image", row), camera, *targets)
 
 
 def _has_targets(file: DriveReader, folder: Path | None) -> np.ndarray:

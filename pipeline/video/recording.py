@@ -17,7 +17,7 @@ from av.container import InputContainer
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
-from pipeline.kitti.columns import check_increase, check_limit
+from pipeline.kitti.columns import check_increase
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
@@ -185,4 +185,3 @@ def check_times(times_s: np.ndarray, path: Path) -> None:
     if not 0.999e-3 <= step_s <= 2.0:  # milliseconds, taken as seconds, have steps of 10 and more
         fix = "Times are in seconds: divide milliseconds by 1000"
         raise InputError(f"median time step is {step_s:g} (expected 0.001 to 2 s)", path, fix)
-    check_limit("time_s", times_s, 4e9, path)  # since 1970: year 2096

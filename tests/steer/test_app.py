@@ -1,4 +1,4 @@
-"""The command steer: quick help, one line for an error, a traceback with --debug; its verb show."""
+"""The command steer: quick help, one line for an error; its verb show."""
 
 import subprocess
 import sys
@@ -9,7 +9,6 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.train import checkpoint
 from steer.app import app
@@ -76,6 +75,4 @@ def test_wrong_input_is_one_line(data: Path, arguments: list[object], message: s
     assert text.startswith("error: ")
     assert message in text
     assert text.count("\n") == 1
-    debug = CliRunner().invoke(app, ["show", "nowhere.h5", "--debug"])
-    assert isinstance(debug.exception, InputError), "its traceback is shown"
     assert Path("photo.png").read_bytes() == b"precious"

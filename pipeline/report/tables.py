@@ -19,20 +19,20 @@ _WIDTH = 110  # characters per line of a note
 _RESULTS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
     "in parentheses the 95 % interval for other roads (block bootstrap), given these networks. no onsets: without the "
-    "frames around the onset of a turn. drift: of a path of measured speed and predicted angles, in m per 100 m "
-    "(Figure 5 of the paper). edges: directed kNN edges per frame after pruning, as in the paper. Baselines: zero and "
-    "train_mean are constants; persistence repeats the last true angle, which no model gets; odometry repeats the "
-    "present measured motion; regression multiplies it by its regression coefficient on the training drives."
+    "frames around the onset of a turn. drift: of a path of measured speed and predicted angles in m per 100 m (Figure "
+    "5 of the paper), on all frames that the model predicts. edges: directed kNN edges per frame after pruning. "
+    "Baselines: zero and train_mean are constants; persistence repeats the last true angle, which no model gets; "
+    "odometry repeats the present measured motion; regression multiplies it by its coefficient on the training drives."
 )
 _PAPER = (
-    "MSE in rad²; train and val: on own frames. paper: its Table 2, for models with the settings of one of "
-    "its networks. Its unit cannot be rad² of this label (docs/paper.md): compare order and ratio only."
+    "MSE in rad²; train and val: on all frames of the model. paper: its Table 2, for models with the settings "
+    "of one of its networks. Its unit cannot be rad² of this label (docs/paper.md): compare order and ratio only."
 )
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats under a normal distribution with the predicted σ, which is scaled on "
-    "the validation drives; constant σ: the same with the best single σ for these frames. within σ: share of the truth "
-    "that differs from the prediction by at most σ. in 95 % interval: by at most the multiple of σ that covers 95 % of "
-    "the validation errors. certain half: mean error of the frames with the smaller σ over that of all."
+    "the validation drives; constant σ: the same with the best single σ. within σ: share of the truth that is off "
+    "by at most σ. in 95 % interval: by at most the multiple of σ that covers 95 % of the validation "
+    "errors. certain half: mean error of the frames with the smaller σ over that of all frames that the model predicts."
 )
 _DIFFERENCES = (
     "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: below 0, the "

@@ -49,7 +49,7 @@ def main(
             check([drives[drive] for drive in part], entry.window)
         for fold in every:
             Scale.from_drives([drives[drive] for drive in fold.train])
-        if not folds[0].val:
+        if not every[0].val:
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
         todo = runs.runs(folder.new, settings.seeds, folds)
         # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.

@@ -52,23 +52,11 @@ def write_labels(
 
 
 def write_graphs(
-    path: Path,
-    drive: str,
-    steering_rad: np.ndarray,
-    frame: np.ndarray,
-    points: int,
-    rng: np.random.Generator,
-    spread: int = 0,
+    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
 ) -> None:
-    """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says.
-
-    Frames have `points` points, or up to `spread` less.
-    """
+    """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
     variant = Variant(source="clouds/pseudo", points=points, k=6, keep_inter_class=0.2)
-    clouds = (
-        bend(float(np.tan(steering)) / WHEELBASE_M, points - row % (spread + 1), rng)
-        for row, steering in enumerate(steering_rad)
-    )
+    clouds = (bend(float(np.tan(steering)) / WHEELBASE_M, points, rng) for steering in steering_rad)
     _write(path, drive, frame, (frame_graph.connect(cloud, variant, rng) for cloud in clouds), variant)
 
 
@@ -123,12 +111,11 @@ def write_dataset(
     splits: dict[str, str],
     frames: int = 30,
     points: int = 60,
-    seed: int = 0,
     write: Callable[..., None] = write_graphs,
     ahead_m: Sequence[float] = (),
 ) -> None:
     """Write ``root/graphs/semantic`` (as `write` does) and ``root/labels``: drives of bends both ways."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     for drive in splits:
         phase, rate = rng.uniform(0, 6), rng.uniform(0.1, 0.3)
         steering_rad = 0.12 * np.sin(phase + rate * np.arange(frames))

@@ -14,21 +14,19 @@ from pipeline.perception.perceive import save
 
 
 class FlatGround(nn.Module):
-    def __init__(self, down: int) -> None:
-        """`down`: axis of the camera."""
+    def __init__(self) -> None:
         super().__init__()
-        self._down = down
         self.unused = nn.Parameter(torch.zeros(1))  # the encoder's runner needs one to find the device
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         rays = ray_slopes(K, image.shape[-2:])
         logits = torch.zeros(len(image), classes.COUNT + 1, *image.shape[-2:])
         logits[:, -1] = 1
-        return (CAMERA_HEIGHT_M / rays[:, self._down].clamp(min=1e-3)).clamp(max=30), logits
+        return (CAMERA_HEIGHT_M / rays[:, 1].clamp(min=1e-3)).clamp(max=30), logits
 
 
-def write_encoder(folder: Path, monkeypatch: pytest.MonkeyPatch, down: int = 1) -> Path:
+def write_encoder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Write the encoder to a folder and return it."""
-    monkeypatch.setitem(BUILD, "flat ground", lambda architecture: FlatGround(down))
-    save(folder, {"backbone": "flat ground"}, FlatGround(down).state_dict())
+    monkeypatch.setitem(BUILD, "flat ground", lambda architecture: FlatGround())
+    save(folder, {"backbone": "flat ground"}, FlatGround().state_dict())
     return folder

@@ -17,38 +17,28 @@ LINES = 30  # of timestamps.txt
 
 
 def write_drive(
-    root: Path,
-    drive: str = DRIVE,
-    frames: Iterable[int] = range(4),
-    *,
-    camera: int | None = 2,
-    lidar: bool = True,
-    truth: bool = False,
-    seed: int = 0,
+    root: Path, drive: str = DRIVE, frames: Iterable[int] = range(4), *, truth: bool = False, seed: int = 0
 ) -> Path:
     """Write a drive and its date's calibration below `root`; return the drive's folder."""
     folder = root / drive[:10] / f"{drive}_sync"
     rng = np.random.default_rng(seed)
     for frame in frames:
         name = f"{frame:010d}"
-        if camera is not None:
-            shape = (*SIZE, 3) if camera >= 2 else SIZE
-            write_png(folder / f"image_{camera:02d}/data/{name}.png", rng.integers(0, 256, shape, np.uint8))
+        write_png(folder / f"image_02/data/{name}.png", rng.integers(0, 256, (*SIZE, 3), np.uint8))
         if truth:
             write_png(folder / f"truth/depth/{name}.png", rng.integers(0, 20000, SIZE, np.uint16))
             write_png(folder / f"truth/cls/{name}.png", rng.integers(0, 19, SIZE, np.uint8))
-        if lidar:
-            write(folder / f"velodyne_points/data/{name}.bin", scan(rng).tobytes())
+        write(folder / f"velodyne_points/data/{name}.bin", scan(rng).tobytes())
         write(folder / f"oxts/data/{name}.txt", " ".join(f"{x:.12f}" for x in packet(rng)) + "\n")
     write(folder / "oxts/timestamps.txt", "".join(f"2011-09-26 13:02:{25 + i / 10:012.9f}\n" for i in range(LINES)))
-    write_calibration(folder.parent, [2] if camera is None else sorted({0, camera}))
+    write_calibration(folder.parent)
     return folder
 
 
-def write_calibration(folder: Path, cameras: Iterable[int] = (0, 2)) -> None:
-    """Write a date's calibration with only the rectified entries of some cameras."""
+def write_calibration(folder: Path) -> None:
+    """Write a date's calibration with the rectified entries of cameras 0 and 2."""
     rectified = [f"R_rect_00: {_numbers(_rotation(0.01))}"]
-    for camera in cameras:
+    for camera in (0, 2):
         P = np.array([[50.0, 0, 31.3, 3.1 * camera], [0, 50.0, 22.2, 0.2], [0, 0, 1, 0.003]])
         rectified += [f"S_rect_{camera:02d}: {SIZE[1]} {SIZE[0]}", f"P_rect_{camera:02d}: {_numbers(P)}"]
     write(folder / "calib_cam_to_cam.txt", "calib_time: 09-Jan-2012 13:57:47\n" + "\n".join(rectified) + "\n")
@@ -127,8 +117,7 @@ def write_video(path: Path, images: Sequence[np.ndarray] | np.ndarray, fps: floa
     return path
 
 
-def write_folder(folder: Path, images: Sequence[np.ndarray] | np.ndarray, name: str = "{:06d}.png") -> Path:
-    """Write RGB images to files called `name`."""
+def write_folder(folder: Path, images: Sequence[np.ndarray] | np.ndarray) -> Path:
     for number, image in enumerate(images):
-        write_png(folder / name.format(number), image)
+        write_png(folder / f"{number:06d}.png", image)
     return folder

@@ -84,8 +84,9 @@ def pose(heading_rad: float, x: float, z: float) -> np.ndarray:
     return T
 
 
-def arc(frames: int, yaw_rate_radps: float, speed_mps: float, dt_s: float = 0.1) -> list[np.ndarray]:
-    """Return the poses of a camera on a circle, or a straight line, left +."""
+def arc(frames: int, yaw_rate_radps: float, speed_mps: float) -> list[np.ndarray]:
+    """Return the poses of a camera on a circle, or a straight line, left +, every 0.1 s."""
+    dt_s = 0.1
     poses, heading, x, z = [], -yaw_rate_radps * dt_s * frames / 2, 0.0, 0.0
     for _ in range(frames):
         poses.append(pose(heading, x, z))

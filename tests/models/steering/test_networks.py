@@ -1,7 +1,6 @@
 """The contract of the spatial networks, each one's oracle, node features and pooling."""
 
 import math
-import sys
 from itertools import pairwise
 from typing import Any
 
@@ -123,20 +122,6 @@ def test_gcn_equals_pyg(monkeypatch: pytest.MonkeyPatch, layers: Any, block: int
         torch.testing.assert_close(ours.weight.grad, theirs.lin.weight.grad.T, **TOLERANCE)
         torch.testing.assert_close(ours.bias.grad, theirs.bias.grad, **TOLERANCE)
         assert ours.weight.grad.abs().max() > 0.01
-
-
-def test_heads_multiply_the_width_and_a_module_is_a_linear_layer() -> None:
-    attention, edges = build("GATv2Conv")[0], build("EdgeConv")[0]
-    assert [layer.lin_l.out_channels for layer in attention.layers] == [16, 32]
-    assert attention.read_out.in_features == 2 * 32
-    assert [type(layer.nn) for layer in edges.layers] == [nn.Linear] * 2
-    assert [layer.nn.in_features for layer in edges.layers] == [2 * 25, 2 * 8]  # x_i ‖ x_j - x_i
-
-
-def test_a_missing_package_is_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch_geometric.nn", None)
-    with pytest.raises(ValueError, match=r"torch_geometric: pip install '\.\[pyg\]'"):
-        pyg.layer_class("GCNConv")
 
 
 def plain_map(frame: dict[str, Any]) -> Tensor:

@@ -60,7 +60,7 @@ def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
 
 def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
     """Second route, from KITTI's paper: y = P_rect R_rect T_velo_to_cam x, with the files' numbers."""
-    write_calibration(tmp_path, [0, 2])
+    write_calibration(tmp_path)
     texts = [(tmp_path / f"calib_{name}.txt").read_text() for name in ("cam_to_cam", "velo_to_cam")]
     lines = dict(line.split(": ") for line in "".join(texts).splitlines())
     P, R_rect, R, T = (np.array(lines[key].split(), float) for key in ("P_rect_02", "R_rect_00", "R", "T"))

@@ -1,4 +1,4 @@
-"""Encoders: their interface, and the published networks of real streets against truth and formulas."""
+"""Published networks of real streets against truth and formulas."""
 
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
 from models.encoder.heads import ray_slopes
 from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
-from models.encoder.unified_encoder import build
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resized
@@ -23,32 +22,9 @@ from pipeline.perception.scores import class_ious, confusion, depth_errors, eige
 K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]], dtype=torch.float64)
 
 
-@pytest.fixture(scope="module", params=["small", "street"])
-def model(request: pytest.FixtureRequest) -> nn.Module:
-    torch.manual_seed(0)
-    return build({"backbone": request.param}).eval()
-
-
 def predict(model: nn.Module, image: Tensor, K: Tensor = K) -> tuple[Tensor, Tensor]:
     with torch.no_grad():
         return model(image, K.expand(len(image), 3, 3))
-
-
-@pytest.mark.parametrize("size", [(48, 96), (37, 63)])
-def test_each_pixel_has_depth_and_logits_that_do_not_depend_on_the_batch(
-    model: nn.Module, size: tuple[int, int]
-) -> None:
-    images = torch.randint(0, 256, (3, 3, *size), dtype=torch.uint8)
-    depth, logits = predict(model, images)
-    assert depth.shape == (3, *size)
-    assert logits.shape in {(3, classes.COUNT, *size), (3, classes.COUNT + 1, *size)}
-    assert depth.min() > 0
-    for whole, part in zip((depth, logits), predict(model, images[1:2]), strict=True):
-        torch.testing.assert_close(whole[1:2], part, rtol=1e-4, atol=1e-3)
-    for whole, part in zip((depth, logits), predict(model, images.float() / 255), strict=True):
-        torch.testing.assert_close(whole, part)
-    with torch.autocast("cpu", torch.bfloat16):  # as perception.precision: auto on a GPU
-        assert ((predict(model, images)[0] / depth).log().abs() < 0.1).all()
 
 
 def test_ray_slopes_follow_the_intrinsics() -> None:

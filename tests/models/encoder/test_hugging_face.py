@@ -1,4 +1,4 @@
-"""Encoders of Hugging Face, on tiny random networks in folders: nothing here needs a hub."""
+"""The interface of all encoders; those of Hugging Face on tiny random networks in folders: nothing needs a hub."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ from models.encoder import hugging_face
 from models.encoder.dinov2 import read_head
 from models.encoder.hugging_face import NUMBERS, CityscapesLogits
 from models.encoder.rtmonodepth_s import KITTI_FOCAL
-from models.encoder.unified_encoder import Architecture
+from models.encoder.unified_encoder import Architecture, build
 from pipeline.camera import classes
 from pipeline.perception import perceive
 from pipeline.perception.create import create as create_encoder
@@ -57,22 +57,23 @@ def normalised(size: tuple[int, int], mean: list[float], std: list[float]) -> to
     return (image(size) / 255 - torch.tensor(mean).view(3, 1, 1)) / torch.tensor(std).view(3, 1, 1)
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize(
-    ("kind", "names"), [("pair", {}), ("hugging_face", {}), ("hugging_face", {"model": "dinov2"}), ("dinov2", {})]
-)
+@pytest.mark.parametrize("size", [(64, 96), (37, 63)])
+@pytest.mark.parametrize("kind", ["small", "street", "pair", "hugging_face", "hugging_face on dinov2", "dinov2"])
 @torch.no_grad()
-def test_each_pixel_has_depth_and_classes_whatever_the_batch(
-    create: Create, kind: str, names: dict[str, str], size: tuple[int, int]
-) -> None:
-    network = create(kind, **names)[1]
-    depth, logits = network(image(size, 2), K.expand(2, 3, 3))
+def test_each_pixel_has_depth_and_classes_whatever_the_batch(create: Create, kind: str, size: tuple[int, int]) -> None:
+    kind, _, model = kind.partition(" on ")
+    names = {"model": model} if model else {}
+    network = build({"backbone": kind}).eval() if kind in ("small", "street") else create(kind, **names)[1]
+    images = image(size, 2)
+    depth, logits = network(images, K.expand(2, 3, 3))
     assert depth.shape == (2, *size)
     assert logits.shape in {(2, classes.COUNT, *size), (2, classes.COUNT + 1, *size)}
     assert depth.min() > 0
-    alone = network(image(size, 2)[1:], K)
-    for a, b in zip((depth, logits), alone, strict=True):
+    for a, b, c in zip((depth, logits), network(images[1:], K), network(images[1:] / 255, K), strict=True):
         torch.testing.assert_close(a[1:], b, rtol=1e-4, atol=1e-3)
+        torch.testing.assert_close(b, c)
+    with torch.autocast("cpu", torch.bfloat16):  # as perception.precision: auto on a GPU
+        assert ((network(images, K.expand(2, 3, 3))[0] / depth).log().abs() < 0.1).all()
 
 
 @pytest.mark.parametrize("size", SIZES)

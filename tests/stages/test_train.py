@@ -82,11 +82,11 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder: Path, mon
     write_params(folder, epochs=1, seeds=[0, 7])
     monkeypatch.setenv("STEER_WORKERS", "2")
     trained = run_train(folder)
-    nets = [load(trained / name)["net"] for name in ("best.pt", "seed-7/best.pt")]
-    for seed, expected in zip((0, 7), nets, strict=True):
-        write_params(folder, epochs=1, seeds=[seed])
-        alone = load(run_train(folder) / "best.pt")["net"]
-        assert all(torch.equal(alone[name], expected[name]) for name in expected)
+    first, second = (load(trained / name)["net"] for name in ("best.pt", "seed-7/best.pt"))
+    write_params(folder, epochs=1, seeds=[7])
+    alone = load(run_train(folder) / "best.pt")["net"]
+    assert all(torch.equal(alone[name], second[name]) for name in second)
+    assert not all(torch.equal(first[name], second[name]) for name in second)
 
 
 @pytest.mark.slow

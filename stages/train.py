@@ -56,8 +56,8 @@ def main(
         alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
         job = partial(fit_run, job=Job(name, where, entry, settings, drives, folder.kept))
         for group in ([*dict.fromkeys(run.start for run in todo if run.start)], todo):
-            for _ in map(job, group) if len(group) == 1 or alone else run_jobs(job, group, threads=1):
-                pass
+            here = len(group) == 1 or alone
+            folder.used.update(map(job, group) if here else (state for _, state in run_jobs(job, group, threads=1)))
     return out / name
 
 

@@ -55,13 +55,13 @@ class Job:
     entry: Entry
     settings: Train
     drives: Mapping[str, LabelledDrive]  # of all folds
-    kept: Path  # folder for the states of interrupted runs
+    kept: Path  # folder for the states of networks, see StageFolder
 
 
-def fit_run(run: Run, job: Job) -> None:
-    """Train one network, from an interrupted run's state if there is one, and write best.pt and curve.csv.
+def fit_run(run: Run, job: Job) -> Path:
+    """Train one network, from the state of an earlier run if there is one, and write best.pt and curve.csv.
 
-    Raises InputError if the network does not fit the graphs, or if the loss is not finite.
+    Returns the file of its state. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
     entry, settings = job.entry, job.settings
     scenes = runs.scenes(run.fold, run.seed, entry.scene)
@@ -99,11 +99,13 @@ def fit_run(run: Run, job: Job) -> None:
         **inputs,
     }
     fit = Fit(net, entry, settings, run.seed, train, val)
-    fit.run(job.kept / f"{stage_key('train', inputs, files)}.pt", f"{job.name} {run}")
+    state = job.kept / f"{stage_key('train', inputs, files)}.pt"
+    fit.run(state, f"{job.name} {run}")
     best = {"scale": fit.scale.content, "epoch": fit.selected, "net": fit.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)
     curve = pd.DataFrame(fit.curve)
     curve.to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
+    return state
 
 
 @dataclass

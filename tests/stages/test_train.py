@@ -13,6 +13,7 @@ import torch
 
 from pipeline.base.errors import InputError
 from pipeline.train import checkpoint
+from pipeline.train.fit import Fit
 from tests import artefacts
 from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
@@ -28,9 +29,9 @@ def nmse(folder: Path, split: str = "test") -> float:
 
 
 def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder: Path) -> None:
-    write_params(folder, epochs=8)
+    write_params(folder, epochs=14, batch_spans=1)
     trained = run_train(folder)
-    assert nmse(folder) < 0.35
+    assert nmse(folder) < 0.45
     best = load(trained / "best.pt")
     assert best["settings"] == artefacts.GRAPHS | {"labels": artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}}
     curve = pd.read_csv(trained / "curve.csv")
@@ -60,6 +61,7 @@ def test_resumed_training_writes_the_same_bytes(
     write_params(folder, entry | {"motion": "visual"}, epochs=3)
     complete = contents(run_train(folder))
     shutil.rmtree(folder / "train")
+    shutil.rmtree(folder / ".drives")
     write, written = checkpoint.write, list[Path]()
 
     def interrupt(path: Path, content: dict[str, object]) -> None:
@@ -75,6 +77,9 @@ def test_resumed_training_writes_the_same_bytes(
     assert not (folder / "train/net").exists()
     assert contents(run_train(folder)) == complete
     assert continued in capsys.readouterr().out
+    with monkeypatch.context() as patch:  # with its networks kept, as when test drives are added, nothing is trained
+        patch.setattr(Fit, "_train", None)
+        assert contents(run_train(folder)) == complete
 
 
 @pytest.mark.slow
@@ -83,6 +88,7 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder: Path, mon
     monkeypatch.setenv("STEER_WORKERS", "2")
     trained = run_train(folder)
     first, second = (load(trained / name)["net"] for name in ("best.pt", "seed-7/best.pt"))
+    shutil.rmtree(folder / ".drives")
     write_params(folder, epochs=1, seeds=[7])
     alone = load(run_train(folder) / "best.pt")["net"]
     assert all(torch.equal(alone[name], second[name]) for name in second)

@@ -87,6 +87,7 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "semantic": params["graphs"]["semantic"] | {"points": 200},
             "lidar": {"source": "clouds/lidar", "points": 200, "k": 6},
         },
+        models={MODEL: params["models"][MODEL]},
         train=params["train"] | {"epochs": 3, "seeds": [0]},
         evaluate=params["evaluate"] | {"bootstrap_samples": 200},
     )

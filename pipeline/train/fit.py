@@ -61,7 +61,7 @@ class Job:
 def fit_run(run: Run, job: Job) -> Path:
     """Train one network, from the state of an earlier run if there is one, and write best.pt and curve.csv.
 
-    Returns the file of its state. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
+    Returns the state's file. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
     entry, settings = job.entry, job.settings
     scenes = runs.scenes(run.fold, run.seed, entry.scene)

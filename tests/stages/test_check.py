@@ -87,7 +87,7 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path: Path) -> None:
         ),
         (f"{MODEL}.equivarient", True, "equivarient"),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
-        ("models.motion-10-blind.spatial", "cnn", "spatial.*cnn.*expects images"),
+        ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
         (MODEL, {"input": "semantic", "spatial": "gnn", "temporal": "lstm"}, "semantics is missing: weight of the cl"),
         (MODEL, PYG | {"spatial": "gnn", "predict": "path", "horizon": 10}, "predict: path has no horizon"),

@@ -128,7 +128,7 @@ def test_a_row_and_its_controls_differ_in_the_scene_only(name: str) -> None:
     ("text", "message"),
     [
         ("train:\n  epoch: 3\n", "train: unknown key 'epoch': did you mean epochs"),
-        ("models:\n  sa-gnn-ncp: null\n", "models.*at least 1"),
+        ("models:\n  '*': null\n", "models.*at least 1"),
         ("train:\n  epochs: null\n", r"train\.epochs: Field required"),
     ],
 )
